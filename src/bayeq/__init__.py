@@ -1,0 +1,75 @@
+"""bayeq: Bayesian equation discovery.
+
+Measured motion in, the governing equation out, with a posterior inclusion probability and an interval on every
+term. Public names are loaded where they are first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from bayeq.discovery import discover
+    from bayeq.equation import Equation
+    from bayeq.equations import Equations
+    from bayeq.estimators import RVM, SpikeSlabVB
+    from bayeq.gram import Gram
+    from bayeq.inference.prior import Prior
+    from bayeq.posterior import Posterior
+    from bayeq.records import Record, Truth, read, write
+    from bayeq.storage import load
+    from bayeq.systems import SYSTEMS, System, simulate
+
+_HOME = {
+    "RVM": "estimators",
+    "SYSTEMS": "systems",
+    "Equation": "equation",
+    "Equations": "equations",
+    "Gram": "gram",
+    "Posterior": "posterior",
+    "Prior": "inference.prior",
+    "Record": "records",
+    "SpikeSlabVB": "estimators",
+    "System": "systems",
+    "Truth": "records",
+    "discover": "discovery",
+    "load": "storage",
+    "read": "records",
+    "simulate": "systems",
+    "write": "records",
+}
+
+__all__ = [
+    "RVM",
+    "SYSTEMS",
+    "Equation",
+    "Equations",
+    "Gram",
+    "Posterior",
+    "Prior",
+    "Record",
+    "SpikeSlabVB",
+    "System",
+    "Truth",
+    "discover",
+    "load",
+    "read",
+    "simulate",
+    "write",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """PEP 562: import the module of a public name when the name is first used."""
+    if name in _HOME:
+        value = getattr(import_module(f"bayeq.{_HOME[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'bayeq' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,255 @@
+"""The command line: parse, call, write.
+
+Results go to standard output, progress and warnings to standard error. Exit code 0: done, 2: the input or the
+arguments are wrong (one line says what and where), 1: anything else, 130: interrupted.
+"""
+
+from __future__ import annotations
+
+import json as json_format
+import sys
+import time as clock
+import warnings
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.exceptions import TyperException
+
+from bayeq.errors import BayeqWarning, InputError, MissingExtraError
+
+if TYPE_CHECKING:
+    from bayeq.records import Record
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="bayeq",
+    help="Bayesian equation discovery: measured motion in, governing equation with honest uncertainty out.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+# Work that takes longer shows its progress.
+PATIENCE = 1.0
+
+
+class Method(StrEnum):
+    """Engines on offer."""
+
+    auto = "auto"
+    vb = "vb"
+    rvm = "rvm"
+
+
+class Smoothing(StrEnum):
+    """How derivatives that are not measured are had."""
+
+    auto = "auto"
+    none = "none"
+
+
+class Progress:
+    """A progress line on standard error, once the work has taken longer than `PATIENCE`."""
+
+    def __init__(self) -> None:
+        self.started = clock.monotonic()
+        self.bar: Any = None
+        self.task: Any = None
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        if self.bar is None:
+            if clock.monotonic() - self.started < PATIENCE or not sys.stderr.isatty():
+                return
+            from rich.console import Console
+            from rich.progress import Progress as Bar
+
+            self.bar = Bar(console=Console(stderr=True), transient=True)
+            self.bar.start()
+            self.task = self.bar.add_task(stage)
+        self.bar.update(self.task, description=stage, completed=done, total=total)
+
+    def close(self) -> None:
+        """Take the line away."""
+        if self.bar is not None:
+            self.bar.stop()
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
+) -> None:
+    if version:
+        from bayeq import __version__
+
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.command()
+def discover(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Record(s): CSV, TSV, text, Parquet, NPZ.")],
+    time: Annotated[str | None, typer.Option(help="Time column [s].")] = None,
+    fs: Annotated[float | None, typer.Option(help="Sampling frequency [Hz], where there is no time column.")] = None,
+    names: Annotated[
+        str | None, typer.Option(help="Column names, separated by commas, for a file without header.")
+    ] = None,
+    group: Annotated[str | None, typer.Option(help="Column that numbers the trials within a file.")] = None,
+    disp: Annotated[str | None, typer.Option(help="Displacement channel.")] = None,
+    vel: Annotated[str | None, typer.Option(help="Velocity channel.")] = None,
+    acc: Annotated[str | None, typer.Option(help="Acceleration channel.")] = None,
+    force: Annotated[str | None, typer.Option(help="Force channel.")] = None,
+    chain: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A coordinate and its measured derivatives: x:v:a, x:: (only x measured), x (first order), x:xdot."
+            " Once per coordinate.",
+        ),
+    ] = None,
+    inputs: Annotated[list[str] | None, typer.Option("--input", help="Input channel; once per input.")] = None,
+    dictionary: Annotated[
+        str,
+        typer.Option(help="Candidate terms: oscillator, polynomial:3, a file of terms, or terms separated by commas."),
+    ] = "oscillator",
+    method: Annotated[Method, typer.Option(help="Engine; auto is vb.")] = Method.auto,
+    smooth: Annotated[
+        Smoothing, typer.Option(help="Derivatives not measured: smoothing spline (auto) or differences (none).")
+    ] = Smoothing.auto,
+    holdout: Annotated[float, typer.Option(help="Share of the rows, the last, to judge the equation by.")] = 0.2,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    save: Annotated[Path | None, typer.Option(help="Write the equations to a JSON file, for bayeq.load.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of methods that draw random numbers (none so far).")] = 0,
+) -> None:
+    """Find the equation of motion of a measured record."""
+    from bayeq.discovery import discover as run
+    from bayeq.render import render
+
+    columns = [c.strip() for c in names.split(",")] if names is not None else None
+    records: list[Record] = []
+    progress = Progress()
+    try:
+        for k, file in enumerate(files):
+            progress("reading", k, len(files))
+            records.extend(_read(file, time=time, fs=fs, names=columns, group=group))
+        answer = run(
+            records,
+            chains=chain or None,
+            displacement=disp,
+            velocity=vel,
+            acceleration=acc,
+            force=force,
+            inputs=inputs or (),
+            dictionary=dictionary,
+            method=method.value,
+            smooth=smooth.value,
+            holdout=holdout,
+            seed=seed,
+            progress=progress,
+        )
+    finally:
+        progress.close()
+    if save is not None:
+        answer.save(save)
+    if json:
+        typer.echo(json_format.dumps(answer.to_dict(), allow_nan=False))
+    else:
+        typer.echo(render(answer, with_warnings=False))
+
+
+def _read(file: Path, **options: Any) -> list[Record]:
+    from bayeq.records import read
+
+    found = read(file, **options)
+    return found if isinstance(found, list) else [found]
+
+
+@app.command()
+def simulate(
+    system: Annotated[str, typer.Argument(metavar="SYSTEM", help="Name of a known system, see `bayeq systems`.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .csv, .tsv, .parquet or .npz.")],
+    n: Annotated[int | None, typer.Option(help="Samples (oscillators: 4000).")] = None,
+    fs: Annotated[float | None, typer.Option(help="Sampling frequency [Hz] (oscillators: 1000).")] = None,
+    noise: Annotated[float, typer.Option(help="Noise on every channel, as a ratio of its standard deviation.")] = 0.05,
+    perturb: Annotated[float, typer.Option(help="Relative random change of the parameters (the paper: 0.1).")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed.")] = 0,
+) -> None:
+    """Simulate a known system and write the noisy record to a file."""
+    from bayeq.records import write
+    from bayeq.systems import simulate as run
+
+    record = run(system, n=n, fs=fs, noise=noise, perturb=perturb, seed=seed)
+    write(record, output)
+    typer.echo(f"{output}: {record.n} rows of {', '.join(record.names)}", err=True)
+
+
+@app.command()
+def systems(json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False) -> None:
+    """List the known systems and their equations."""
+    from bayeq.systems import SYSTEMS
+
+    if json:
+        rows = [
+            {
+                "name": s.name,
+                "title": s.title,
+                "chains": list(s.chains),
+                "inputs": list(s.inputs),
+                "parameters": dict(s.parameters),
+                "terms": {target: dict(terms) for target, terms in s.terms.items()},
+                "citation": s.citation,
+            }
+            for s in SYSTEMS.values()
+        ]
+        typer.echo(json_format.dumps({"systems": rows}))
+        return
+    for s in SYSTEMS.values():
+        typer.echo(f"{s.name}: {s.title}")
+        for target, terms in s.terms.items():
+            right = " + ".join(f"({coefficient})*{term}" for term, coefficient in terms.items())
+            typer.echo(f"    {target} = {right}")
+        typer.echo(f"    {', '.join(f'{k} = {v:g}' for k, v in s.parameters.items())}")
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    label = "warning" if issubclass(category, BayeqWarning) else category.__name__
+    print(f"bayeq: {label}: {_one_line(str(message))}", file=sys.stderr)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    warnings.showwarning = _show_warning
+    warnings.simplefilter("always", BayeqWarning)
+    try:
+        code = app(arguments, prog_name="bayeq", standalone_mode=False)
+    except (InputError, MissingExtraError) as error:
+        return _fail(str(error), 2)
+    except TyperException as error:
+        return _fail(error.format_message(), error.exit_code)
+    except typer.Exit as stop:
+        return int(stop.exit_code)
+    except (KeyboardInterrupt, typer.Abort):
+        return _fail("interrupted", 130)
+    except BrokenPipeError:
+        # The reader of the pipe has gone (`bayeq ... | head`); nothing is left to say to it.
+        sys.stdout = None  # type: ignore[assignment]
+        return 0
+    except OSError as error:
+        return _fail(f"{error.filename or 'system'}: {error.strerror or error}", 2 if error.filename else 1)
+    return code if isinstance(code, int) else 0
+
+
+def _fail(message: str, code: int) -> int:
+    if message:
+        print(f"bayeq: error: {_one_line(message)}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""From a dictionary's specification to its terms, and from terms to columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import comb
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary import oscillator, polynomial
+from bayeq.dictionary.family import Variables
+from bayeq.errors import ExpressionError, FileFormatError, InputError, UnknownNameError
+from bayeq.expressions import Evaluator, Expression, parse
+
+__all__ = ["FAMILIES", "MAX_TERMS", "build_dictionary", "evaluate_terms", "read_terms"]
+
+# A family is a module with terms(variables, argument) -> list of term texts; the argument follows a colon.
+FAMILIES = {"oscillator": oscillator.terms, "polynomial": polynomial.terms}
+
+MAX_TERMS = 20_000
+MAX_DEGREE = 20
+MAX_FILE_BYTES = 1_000_000
+
+Floats = NDArray[np.float64]
+
+
+def build_dictionary(specification: str | Sequence[str], variables: Variables) -> tuple[Expression, ...]:
+    """Candidate terms.
+
+    Parameters
+    ----------
+    specification : str or sequence of str
+        ``oscillator`` (eq. (31)), ``polynomial:3``, a file with one term per line (``#`` starts a comment), terms
+        separated by commas, or a list of terms.
+    variables : Variables
+        States and inputs that the terms may use.
+
+    Raises
+    ------
+    InputError
+        Neither a family, nor a file, nor terms; a malformed or forbidden term; a term given twice; no terms.
+
+    Examples
+    --------
+    >>> len(build_dictionary("oscillator", Variables(("x", "v"), ("u",))))
+    36
+    >>> [t.text for t in build_dictionary("x, v, sign( v )", Variables(("x", "v")))]
+    ['x', 'v', 'sign(v)']
+    """
+    if not isinstance(specification, str):
+        return _parse_terms([(str(text), f"term {k + 1}") for k, text in enumerate(specification)], variables)
+    name, colon, argument = specification.partition(":")
+    if name in FAMILIES:
+        texts = _family_terms(name, argument if colon else None, variables)
+        return _parse_terms([(text, f"dictionary {specification!r}") for text in texts], variables)
+    path = Path(specification)
+    if "," not in specification and len(specification) < 1000 and "\0" not in specification and path.is_file():
+        return _parse_terms(read_terms(path), variables)
+    if "," in specification:
+        texts = [text.strip() for text in specification.split(",")]
+        return _parse_terms([(text, f"term {k + 1}") for k, text in enumerate(texts)], variables)
+    if "/" in specification or path.suffix in {".txt", ".csv", ".terms"}:
+        raise FileFormatError(f"no such file: {specification[:200]!r} (the dictionary's terms, one per line)")
+    raise UnknownNameError(
+        "dictionary", specification[:60], [*FAMILIES, "polynomial:3", "a file of terms", "terms separated by commas"]
+    )
+
+
+def read_terms(path: str | Path) -> list[tuple[str, str]]:
+    """Terms of a file, one per line, each with the place it stands at; ``#`` starts a comment.
+
+    Raises
+    ------
+    FileFormatError
+        A file that is missing, too large or not text.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise FileFormatError(f"{path}: larger than {MAX_FILE_BYTES} bytes; expected one term per line")
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise FileFormatError(f"{path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{path}: not a text file; expected one term per line") from error
+    lines = (line.partition("#")[0].strip() for line in text.splitlines())
+    return [(line, f"{path}, line {number}") for number, line in enumerate(lines, 1) if line]
+
+
+def _family_terms(name: str, argument: str | None, variables: Variables) -> list[str]:
+    if argument is None:
+        return FAMILIES[name](variables, None)
+    if not (argument.isascii() and argument.isdigit() and 1 <= int(argument[:4]) <= MAX_DEGREE):
+        raise InputError(
+            f"dictionary '{name}:{argument[:40]}': the degree after the colon must be a whole number from 1 to"
+            f" {MAX_DEGREE}, as in {name}:3"
+        )
+    count = comb(len(variables.states) + int(argument), int(argument))
+    if count > MAX_TERMS:
+        raise InputError(
+            f"dictionary '{name}:{argument}' of {len(variables.states)} states would have {count} terms, more than"
+            f" {MAX_TERMS}; lower the degree or list the terms"
+        )
+    return FAMILIES[name](variables, argument)
+
+
+def _parse_terms(texts: Sequence[tuple[str, str]], variables: Variables) -> tuple[Expression, ...]:
+    if not texts:
+        raise InputError("the dictionary has no terms")
+    if len(texts) > MAX_TERMS:
+        raise InputError(f"the dictionary has {len(texts)} terms; at most {MAX_TERMS} are allowed")
+    terms: dict[Expression, str] = {}
+    for text, where in texts:
+        try:
+            term = parse(text, variables.names)
+        except UnknownNameError as error:
+            raise InputError(f"{where}: {text[:80]!r}: {error}") from error
+        except ExpressionError as error:
+            raise ExpressionError(f"{where}: {error}") from error
+        if term in terms:
+            raise InputError(f"{where}: term {term.text!r} was already given ({terms[term]})")
+        terms[term] = where
+    return tuple(terms)
+
+
+def evaluate_terms(terms: Sequence[Expression], columns: Mapping[str, Floats]) -> Floats:
+    """Columns of the dictionary at all samples, (n, P), in Fortran order."""
+    n = len(next(iter(columns.values())))
+    out = np.empty((len(terms), n))
+    evaluate = Evaluator(columns)
+    for row, term in zip(out, terms, strict=True):
+        row[:] = evaluate(term)
+    return out.T

@@ -1,0 +1,345 @@
+"""Sufficient statistics of a linear regression: the only thing that inference sees.
+
+A `Gram` holds the row count, the column means and the centred co-moments D'D, D'y and y'y. It is additive:
+blocks of rows, records, files and folds are merged by the parallel-variance formula (Chan, Golub and LeVeque
+1983), so nothing downstream depends on the number of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayeq.errors import InputError
+from bayeq.kernels import kernel
+from bayeq.posterior import Posterior
+
+__all__ = ["Gram", "GramLike", "Standardised", "dense", "grams_from_blocks"]
+
+Floats = NDArray[np.float64]
+
+# Rows that are centred and multiplied at a time: large enough for BLAS, small enough for the cache.
+BLOCK_ROWS = 8192
+
+
+class GramLike(Protocol):
+    """What an engine may ask of a Gram matrix; `Gram` answers from memory, others may compute columns lazily."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the target: the N of the likelihood."""
+        ...
+
+    @property
+    def diagonal(self) -> Floats: ...
+
+    @property
+    def Dty(self) -> Floats: ...
+
+    @property
+    def yty(self) -> float: ...
+
+    def column(self, j: int) -> Floats: ...
+
+
+def dense(gram: GramLike) -> Floats:
+    """D'D of any `GramLike` as a (P, P) array."""
+    if isinstance(gram, Gram):
+        return gram.DtD
+    return np.stack([gram.column(j) for j in range(len(gram.names))])
+
+
+@dataclass(frozen=True, slots=True)
+class Gram:
+    """Centred sufficient statistics of y = b0 + D theta + noise.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The P columns of the dictionary.
+    n : int
+        Number of rows.
+    mean : (P,) array
+        Column means of D.
+    target_mean : float
+        Mean of y.
+    DtD : (P, P) array
+        Centred D'D.
+    Dty : (P,) array
+        Centred D'y.
+    yty : float
+        Centred y'y.
+    dof : float
+        Degrees of freedom: the N that engines put into their likelihood. After centring n - 1 remain, because
+        the intercept has been integrated out under a flat prior; the paper uses n (`with_dof`).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> D = rng.normal(size=(100, 2))
+    >>> y = 3 + D @ [2.0, 0.0] + 0.1 * rng.normal(size=100)
+    >>> whole = Gram.from_data(D, y, names=("x", "v"))
+    >>> parts = Gram.from_data(D[:30], y[:30], names=("x", "v")) + Gram.from_data(D[30:], y[30:], ("x", "v"))
+    >>> bool(np.allclose(whole.DtD, parts.DtD)), parts.n
+    (True, 100)
+    """
+
+    names: tuple[str, ...]
+    n: int
+    mean: Floats
+    target_mean: float
+    DtD: Floats
+    Dty: Floats
+    yty: float
+    dof: float
+
+    @classmethod
+    def from_data(cls, D: ArrayLike, y: ArrayLike, names: Sequence[str] | None = None) -> Gram:
+        """Build from a dictionary matrix (n, P) and a target (n,).
+
+        Raises
+        ------
+        InputError
+            Shapes that do not match, no rows, or non-finite values.
+        """
+        D = np.asarray(D, dtype=np.float64)
+        y = np.asarray(y, dtype=np.float64)
+        if D.ndim != 2 or y.ndim != 1 or len(D) != len(y):
+            raise InputError(f"need D of shape (n, P) and y of shape (n,), got {D.shape} and {y.shape}")
+        columns = tuple(names) if names is not None else tuple(f"x{j}" for j in range(D.shape[1]))
+        starts = range(0, len(D), BLOCK_ROWS)
+        blocks = ((D[i : i + BLOCK_ROWS], y[i : i + BLOCK_ROWS, None]) for i in starts)
+        return grams_from_blocks(blocks, columns)[0]
+
+    def __add__(self, other: Gram) -> Gram:
+        """Statistics of both sets of rows together."""
+        if not isinstance(other, Gram):
+            return NotImplemented
+        if self.names != other.names:
+            raise InputError("cannot add Grams of different dictionaries")
+        joined = _merge(self._moments(), other._moments())
+        merged = _from_moments(joined, self.names, 1)[0]
+        # The intercept is lost once, however many parts were added.
+        return merged.with_dof(merged.n - max(self.n - self.dof, other.n - other.dof))
+
+    @property
+    def diagonal(self) -> Floats:
+        """Centred sums of squares of the columns, (P,)."""
+        return np.diagonal(self.DtD)
+
+    @property
+    def standard_deviation(self) -> Floats:
+        """Column standard deviations (divisor n), (P,)."""
+        return np.sqrt(self.diagonal / self.n)
+
+    def column(self, j: int) -> Floats:
+        """Column j of D'D, (P,)."""
+        return self.DtD[:, j]
+
+    def with_dof(self, dof: float) -> Gram:
+        """The same statistics with another N in the likelihood (n for the paper's convention)."""
+        return replace(self, dof=float(dof))
+
+    def select(self, columns: Sequence[int] | NDArray[np.intp]) -> Gram:
+        """The Gram of some of the columns."""
+        idx = np.asarray(columns, dtype=np.intp)
+        return replace(
+            self,
+            names=tuple(self.names[j] for j in idx),
+            mean=self.mean[idx],
+            DtD=np.ascontiguousarray(self.DtD[np.ix_(idx, idx)]),
+            Dty=self.Dty[idx],
+        )
+
+    def squared_error(self, coef: ArrayLike, intercept: float | None = None) -> float:
+        """Sum of squared errors ||y - b0 - D theta||^2 over the rows of this Gram.
+
+        On the Gram of the training rows this is the training error, on that of other rows the held-out error.
+
+        Parameters
+        ----------
+        coef : (P,) array
+            theta.
+        intercept : float, optional
+            b0; by default the best one for these rows.
+        """
+        theta = np.asarray(coef, dtype=np.float64)
+        used = np.flatnonzero(theta)
+        t = theta[used]
+        centred = self.yty - 2.0 * t @ self.Dty[used] + t @ self.DtD[np.ix_(used, used)] @ t
+        offset = 0.0
+        if intercept is not None:
+            offset = self.n * (self.target_mean - float(self.mean[used] @ t) - intercept) ** 2
+        return max(float(centred), 0.0) + offset
+
+    def standardise(self, target_scale: float = 1.0) -> Standardised:
+        """Eq. (32) as algebra: columns of zero mean and unit standard deviation, y divided by `target_scale`.
+
+        A column without variance is left unscaled.
+        """
+        sd = self.standard_deviation
+        scale = np.where(sd > 0, sd, 1.0)
+        gram = Gram(
+            names=self.names,
+            n=self.n,
+            mean=np.zeros(len(self.names)),
+            target_mean=0.0,
+            DtD=self.DtD / scale[:, None] / scale,
+            Dty=self.Dty / scale / target_scale,
+            yty=self.yty / target_scale**2,
+            dof=self.dof,
+        )
+        return Standardised(gram=gram, source=self, scale=scale, target_scale=float(target_scale))
+
+    def _moments(self) -> _Moments:
+        p = len(self.names)
+        cross = np.empty((p + 1, p + 1))
+        cross[:p, :p] = self.DtD
+        cross[:p, p] = cross[p, :p] = self.Dty
+        cross[p, p] = self.yty
+        return _Moments(self.n, np.append(self.mean, self.target_mean), cross)
+
+
+@dataclass(frozen=True, slots=True)
+class Standardised:
+    """A standardised Gram and the way back to the original units."""
+
+    gram: Gram
+    source: Gram
+    scale: Floats
+    target_scale: float
+
+    def restore(self, posterior: Posterior) -> Posterior:
+        """The posterior in the original units: theta_i = s_y theta_i^s / s_i, and so its covariance."""
+        factor = self.target_scale / self.scale
+        kept = factor[posterior.support]
+        variance = self.target_scale**2
+        jacobian = self.source.dof * float(np.log(self.target_scale))
+        return replace(
+            posterior,
+            coef=posterior.coef * factor,
+            covariance=posterior.covariance * kept[:, None] * kept,
+            center=self.source.mean,
+            target_mean=self.source.target_mean,
+            noise_variance=posterior.noise_variance * variance,
+            elbo=None if posterior.elbo is None else posterior.elbo - jacobian,
+            elbo_trace=posterior.elbo_trace - jacobian,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Moments:
+    """Count, means and centred co-moments of the columns [D Y]."""
+
+    n: int
+    mean: Floats
+    cross: Floats
+
+
+@kernel
+def _column_sums(D, y, out):  # type: ignore[no-untyped-def]
+    n, p = D.shape
+    out[:] = 0.0
+    for i in range(n):
+        for j in range(p):
+            out[j] += D[i, j]
+        for j in range(y.shape[1]):
+            out[p + j] += y[i, j]
+
+
+@kernel
+def _centred(D, y, mean, z, rest):  # type: ignore[no-untyped-def]
+    """z = [D y] - mean, and the sums of z that rounding of the mean has left."""
+    n, p = D.shape
+    rest[:] = 0.0
+    for i in range(n):
+        for j in range(p):
+            value = D[i, j] - mean[j]
+            z[i, j] = value
+            rest[j] += value
+        for j in range(y.shape[1]):
+            value = y[i, j] - mean[p + j]
+            z[i, p + j] = value
+            rest[p + j] += value
+
+
+def _block_moments(D: Floats, Y: Floats) -> _Moments:
+    """Two-pass centred co-moments of a block, corrected for the rounding of its mean."""
+    n, columns = D.shape[0], D.shape[1] + Y.shape[1]
+    D = np.ascontiguousarray(D)
+    Y = np.ascontiguousarray(Y)
+    mean, rest, z = np.empty(columns), np.empty(columns), np.empty((n, columns))
+    _column_sums(D, Y, mean)
+    mean /= n
+    _centred(D, Y, mean, z, rest)
+    with np.errstate(over="ignore", invalid="ignore"):
+        cross = z.T @ z
+        cross -= np.outer(rest, rest / n)
+    return _Moments(n, mean + rest / n, cross)
+
+
+def _merge(a: _Moments, b: _Moments) -> _Moments:
+    n = a.n + b.n
+    delta = b.mean - a.mean
+    cross = a.cross + b.cross + np.outer(delta, delta * (a.n * b.n / n))
+    return _Moments(n, a.mean + delta * (b.n / n), cross)
+
+
+def _from_moments(moments: _Moments, names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
+    p = len(names)
+    DtD = np.ascontiguousarray(moments.cross[:p, :p])
+    return tuple(
+        Gram(
+            names=names,
+            n=moments.n,
+            mean=moments.mean[:p],
+            target_mean=float(moments.mean[p + k]),
+            DtD=DtD,
+            Dty=moments.cross[:p, p + k].copy(),
+            yty=float(moments.cross[p + k, p + k]),
+            dof=float(moments.n - 1),
+        )
+        for k in range(targets)
+    )
+
+
+def grams_from_blocks(
+    blocks: Iterable[tuple[Floats, Floats]], names: Sequence[str], targets: int = 1
+) -> tuple[Gram, ...]:
+    """One `Gram` per target from blocks of rows, in one pass; all of them share D'D.
+
+    Parameters
+    ----------
+    blocks : iterable of (D, Y)
+        Dictionary rows (m, P) and target rows (m, T) of each block.
+    names : sequence of str
+        The P columns.
+    targets : int
+        T.
+
+    Raises
+    ------
+    InputError
+        No rows at all, or values that are not finite (or overflow when squared).
+    """
+    columns = tuple(names)
+    total: _Moments | None = None
+    for D, Y in blocks:
+        if len(D):
+            block = _block_moments(D, Y)
+            total = block if total is None else _merge(total, block)
+    if total is None:
+        raise InputError("no rows: a Gram needs at least one")
+    bad = np.flatnonzero(~np.isfinite(np.diagonal(total.cross)))
+    if bad.size:
+        labels = [*columns, *(["the target"] * targets)]
+        raise InputError(f"non-finite values (or squares that overflow) in {', '.join(labels[j] for j in bad[:8])}")
+    return _from_moments(total, columns, targets)

@@ -1,0 +1,62 @@
+"""The spike-and-slab prior, eqs. (9)-(11), shared by all engines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayeq.errors import InputError
+
+__all__ = ["Prior"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """theta_i | z_i = 1 ~ N(0, sigma^2 v_s), z_i ~ Bern(p_0), sigma^2 ~ IG(a_sigma, b_sigma).
+
+    Parameters
+    ----------
+    slab_variance : float
+        v_s, relative to sigma^2, on standardised columns.
+    prior_inclusion : float or (P,) array
+        p_0; 1 forces a term in, 0 keeps it out.
+    noise_shape, noise_rate : float
+        a_sigma and b_sigma.
+
+    Notes
+    -----
+    The defaults are those of Nayek, Worden and Cross, section 3.2.
+    """
+
+    slab_variance: float = 10.0
+    prior_inclusion: ArrayLike = 0.1
+    noise_shape: float = 1e-4
+    noise_rate: float = 1e-4
+
+    def validate(self, terms: int) -> None:
+        """Check the values against a dictionary of `terms` columns.
+
+        Raises
+        ------
+        InputError
+            A value outside its range, or a p_0 of the wrong length.
+        """
+        for name in ("slab_variance", "noise_shape", "noise_rate"):
+            value = getattr(self, name)
+            if not (np.isscalar(value) and np.isfinite(value) and value > 0):
+                raise InputError(f"{name} must be a positive number, got {value!r}")
+        p0 = np.asarray(self.prior_inclusion, dtype=np.float64)
+        if p0.ndim > 1 or (p0.ndim == 1 and len(p0) != terms):
+            raise InputError(f"prior_inclusion must be one number or one per term ({terms}), got shape {p0.shape}")
+        if not bool(np.all((p0 >= 0) & (p0 <= 1))):
+            raise InputError("prior_inclusion must lie between 0 and 1")
+
+    def log_odds(self, terms: int) -> Floats:
+        """logit(p_0) of each of `terms` terms: +inf for a forced, -inf for a forbidden one."""
+        p0 = np.broadcast_to(np.asarray(self.prior_inclusion, dtype=np.float64), (terms,))
+        with np.errstate(divide="ignore"):
+            return np.log(p0) - np.log1p(-p0)

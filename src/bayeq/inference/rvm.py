@@ -1,0 +1,156 @@
+"""The relevance vector machine by the sequential algorithm of Tipping and Faul (2003).
+
+theta_i ~ N(0, 1/alpha_i) with every alpha_i and the noise variance set to maximise the marginal likelihood. One
+step adds, re-estimates or deletes the one term that raises the marginal likelihood most. Written with
+lambda_i = alpha_i sigma^2 instead of alpha_i: the optimum is the same, the noise variance then has the closed
+form s/N at every step, and all of S_m, Q_m, Sigma and mu are entries of the same swept tableau that
+`bayeq.inference.tableau` uses (here swept with ridge lambda_i on active terms only):
+
+    S_m = beta M_mm,   Q_m = beta M_my,   Sigma = -sigma^2 M_rr,   mu = M_ry,   s = M_yy,   beta = N/s.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.gram import GramLike, dense
+from bayeq.inference.prior import Prior
+from bayeq.inference.tableau import build, flip
+from bayeq.kernels import kernel
+from bayeq.posterior import Posterior
+
+__all__ = ["rvm", "rvm_ascent"]
+
+# A step that raises the log marginal likelihood by less is not taken.
+MIN_GAIN = 1e-6
+
+
+@kernel
+def _best_action(M, lam, beta):  # type: ignore[no-untyped-def]
+    """The term whose action gains most, its new lambda (inf: leave out) and the gain."""
+    p = len(lam)
+    best, best_j, best_lam = MIN_GAIN, -1, math.inf
+    for j in range(p):
+        # sparsity and quality of term j with itself left out, eqs. (23)-(24) there, in units of beta = 1
+        if lam[j] < math.inf:
+            variance = -M[j, j]
+            room = 1.0 - lam[j] * variance
+            if room <= 0.0:
+                continue
+            s = room / variance
+            q = M[j, p] / variance
+        else:
+            s = M[j, j]
+            q = M[j, p]
+        if not s > 0.0:
+            continue
+        relevance = beta * q * q - s
+        if relevance > 0.0:
+            new = s * s / relevance
+        elif lam[j] < math.inf:
+            new = math.inf
+        else:
+            continue
+        # L(lambda) = 1/2 [ln lambda/(lambda + s) + beta q^2/(lambda + s)], 0 at lambda = inf
+        gain = 0.0
+        if new < math.inf:
+            gain += 0.5 * (math.log(new / (new + s)) + beta * q * q / (new + s))
+        if lam[j] < math.inf:
+            gain -= 0.5 * (math.log(lam[j] / (lam[j] + s)) + beta * q * q / (lam[j] + s))
+        if gain > best:
+            best, best_j, best_lam = gain, j, new
+    return best_j, best_lam, best
+
+
+@kernel
+def _shift_ridge(M, j, delta):  # type: ignore[no-untyped-def]
+    """Add `delta` to the ridge of active term j: one rank-one update of the swept tableau."""
+    kappa = delta / (1.0 - delta * M[j, j])
+    column = M[:, j].copy()
+    for i in range(M.shape[0]):
+        factor = kappa * column[i]
+        for k in range(M.shape[0]):
+            M[i, k] += factor * column[k]
+
+
+@kernel
+def rvm_ascent(DtD, Dty, yty, dof, max_iter):  # type: ignore[no-untyped-def]
+    """Sequential maximisation of the marginal likelihood.
+
+    Returns gamma (P,), the swept tableau, the noise variance, the steps taken and whether it converged.
+    """
+    p = len(Dty)
+    M = build(DtD, Dty, yty, 0.0, 0.0)
+    lam = np.full(p, math.inf)
+    floor = max(1e-14 * yty, 1e-300)
+    steps, converged = 0, False
+    while steps < max_iter:
+        beta = dof / max(M[p, p], floor)
+        j, new, _ = _best_action(M, lam, beta)
+        if j < 0:
+            converged = True
+            break
+        steps += 1
+        if lam[j] == math.inf:
+            M[j, j] += new
+            flip(M, j)
+        elif new == math.inf:
+            flip(M, j)
+            M[j, j] -= lam[j]
+        else:
+            _shift_ridge(M, j, new - lam[j])
+        lam[j] = new
+    gamma = np.zeros(p)
+    for j in range(p):
+        if lam[j] < math.inf:
+            gamma[j] = min(max(1.0 + lam[j] * M[j, j], 1e-300), 1.0)
+    return gamma, M, max(M[p, p], floor) / dof, steps, converged
+
+
+def rvm(
+    gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0, max_iter: int = 10_000
+) -> Posterior:
+    """Relevance vector machine.
+
+    Parameters
+    ----------
+    gram : GramLike
+        Sufficient statistics, standardised.
+    prior : Prior, optional
+        Not used: the RVM learns its own. Accepted so that all engines are called alike.
+    least_gamma : float
+        Terms whose gamma is not above this are taken out after convergence; 0 keeps all that the RVM keeps.
+    max_iter : int
+        Limit on the number of add, re-estimate and delete steps.
+
+    Returns
+    -------
+    Posterior
+        `pip` holds gamma_i = 1 - alpha_i Sigma_ii, how well the data determine each weight: a measure of
+        relevance, not a probability. The support is what is left in the machine.
+    """
+    del prior
+    gamma, M, noise, steps, converged = rvm_ascent(dense(gram), gram.Dty, gram.yty, gram.dof, max_iter)
+    support: NDArray[np.bool_] = gamma > 0.0
+    for j in np.flatnonzero(support & (gamma <= least_gamma)):
+        flip(M, j)
+        support[j] = False
+    mu = np.where(support, M[:-1, -1], 0.0)
+    kept = np.flatnonzero(support)
+    return Posterior(
+        method="rvm",
+        names=gram.names,
+        pip=gamma,
+        support=support,
+        coef=mu,
+        covariance=-noise * M[np.ix_(kept, kept)],
+        center=np.zeros(len(gram.names)),
+        target_mean=0.0,
+        noise_variance=float(noise),
+        n=round(gram.dof) + 1,
+        n_iter=int(steps),
+        converged=bool(converged),
+    )

@@ -1,0 +1,96 @@
+"""What every engine returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Posterior"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Posterior of a sparse linear regression, conditional on the selected terms.
+
+    Attributes
+    ----------
+    method : str
+        The engine: "vb", "rvm" ...
+    names : tuple of str
+        The P candidate terms.
+    pip : (P,) array
+        Posterior inclusion probability of each term as the engine states it (for the RVM: its gamma).
+    support : (P,) bool array
+        The selected terms, r of them.
+    coef : (P,) array
+        Posterior mean of the coefficients given the selected set, 0 for a term that is not selected.
+    covariance : (r, r) array
+        Posterior covariance of the selected coefficients.
+    center, target_mean : (P,) array, float
+        Means of the columns and of the target, from which the intercept follows.
+    noise_variance : float
+        Posterior estimate of sigma^2.
+    n : int
+        Rows that the posterior was computed from.
+    elbo : float or None
+        Evidence lower bound, where there is one.
+    elbo_trace : (n_iter,) array
+        ELBO after each sweep.
+    n_iter : int
+        Sweeps or steps taken.
+    converged : bool
+        False if the engine stopped at its iteration limit.
+    slab_variance : float or None
+        v_s under which the posterior was computed.
+    """
+
+    method: str
+    names: tuple[str, ...]
+    pip: Floats
+    support: NDArray[np.bool_]
+    coef: Floats
+    covariance: Floats
+    center: Floats
+    target_mean: float
+    noise_variance: float
+    n: int
+    elbo: float | None = None
+    elbo_trace: Floats = field(default_factory=lambda: np.empty(0))
+    n_iter: int = 0
+    converged: bool = True
+    slab_variance: float | None = None
+
+    @property
+    def sd(self) -> Floats:
+        """Posterior standard deviation of each coefficient given the selected set, (P,); 0 if not selected."""
+        out = np.zeros(len(self.names))
+        out[self.support] = np.sqrt(np.diagonal(self.covariance))
+        return out
+
+    @property
+    def intercept(self) -> float:
+        """b0 = mean(y) - mean(D) theta, under a flat prior."""
+        return self.target_mean - float(self.center @ self.coef)
+
+    @property
+    def intercept_sd(self) -> float:
+        """Standard deviation of the intercept: sigma^2/n plus what the coefficients' errors carry over."""
+        c = self.center[self.support]
+        return float(np.sqrt(self.noise_variance / self.n + c @ self.covariance @ c))
+
+    def predict(self, D: ArrayLike) -> Floats:
+        """Predictive mean, eq. (29), at the rows of D (n*, P)."""
+        D = np.asarray(D, dtype=np.float64)
+        kept = self.support
+        return self.intercept + D[:, kept] @ self.coef[kept]
+
+    def predictive_sd(self, D: ArrayLike) -> Floats:
+        """Predictive standard deviation, eq. (30) with the intercept's uncertainty, at the rows of D (n*, P)."""
+        kept = self.support
+        Z = np.asarray(D, dtype=np.float64)[:, kept] - self.center[kept]
+        spread = np.einsum("ij,jk,ik->i", Z, self.covariance, Z)
+        return np.sqrt(spread + self.noise_variance * (1.0 + 1.0 / self.n))

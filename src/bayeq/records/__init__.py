@@ -1,0 +1,23 @@
+"""Records: measured channels, and the files they come from.
+
+`read` and `write` go by the file's suffix (`FORMATS`); `Record` holds the channels, their time and units;
+`Truth` what is known about a simulated one. Nothing here imports pandas or pyarrow before it is needed.
+"""
+
+from .io import FORMATS, Format, read, write
+from .names import RESERVED, clean_name, clean_names
+from .record import Record
+from .truth import FloatArray, Truth
+
+__all__ = [
+    "FORMATS",
+    "FloatArray",
+    "Format",
+    "Record",
+    "RESERVED",
+    "Truth",
+    "clean_name",
+    "clean_names",
+    "read",
+    "write",
+]

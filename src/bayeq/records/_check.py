@@ -1,0 +1,181 @@
+"""What a record demands: names that terms can use, numbers in one dimension, time in order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RecordError, UnknownNameError
+from .names import clean_name
+from .truth import FloatArray
+
+__all__ = [
+    "SECONDS",
+    "as_column",
+    "as_time",
+    "check_name",
+    "check_time",
+    "checked_units",
+    "sampling_step",
+    "time_from",
+    "trial_starts",
+]
+
+
+def _prefix(where: str) -> str:
+    return f"{where}: " if where else ""
+
+
+def as_column(values: Any, what: str, where: str = "") -> FloatArray:
+    """A float64 array of one dimension, or a RecordError that says what is wrong with it."""
+    try:
+        array = (
+            np.ma.filled(values.astype(float), np.nan) if np.ma.isMaskedArray(values) else np.asarray(values)
+        )
+    except ValueError as error:  # nested lists of unequal lengths
+        raise RecordError(f"{_prefix(where)}{what} is not an array of numbers: {error}") from None
+    if array.dtype.kind == "c":
+        raise RecordError(
+            f"{_prefix(where)}{what} is complex; give its real and imaginary parts as two channels"
+        )
+    if array.dtype.kind not in "biuf":
+        raise RecordError(f"{_prefix(where)}{what} does not hold numbers (dtype {array.dtype})")
+    if array.ndim != 1:
+        raise RecordError(
+            f"{_prefix(where)}{what} has shape {array.shape}; give one array of one dimension per channel"
+        )
+    return array.astype(np.float64, copy=False)
+
+
+def as_time(values: Any, where: str = "") -> FloatArray:
+    """Time as float64; dates and durations become seconds since the first."""
+    array = np.asarray(values)
+    if array.dtype.kind in "mM" and array.ndim == 1 and array.size:
+        missing = np.isnat(array)
+        seconds: FloatArray = (array - array[0]) / np.timedelta64(1, "s")
+        return np.where(missing, np.nan, seconds)
+    return as_column(array, "time", where)
+
+
+def check_time(time: FloatArray, where: str = "", starts: NDArray[np.intp] | None = None) -> None:
+    """Raise unless time is finite and strictly increasing.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Sampling times [s].
+    where : str, optional
+        The file or record, put in front of the message.
+    starts : ndarray of int, optional
+        Rows at which a new trial begins, where time may restart.
+
+    Raises
+    ------
+    RecordError
+        With the row, counted from 1, and the values.
+    """
+    bad = np.flatnonzero(~np.isfinite(time))
+    if bad.size:
+        value = "missing (NaN)" if np.isnan(time[bad[0]]) else "infinite"
+        raise RecordError(
+            f"{_prefix(where)}time is {value} in row {bad[0] + 1} "
+            f"({bad.size} such row{'s' * (bad.size > 1)}); leave these rows out"
+        )
+    falls = np.diff(time) <= 0
+    if starts is not None:
+        falls[starts[starts > 0] - 1] = False
+    rows = np.flatnonzero(falls)
+    if not rows.size:
+        return
+    row = int(rows[0])
+    before, after = float(time[row]), float(time[row + 1])
+    message = (
+        f"{_prefix(where)}time must increase strictly, but goes from {before!r} to {after!r} in row {row + 2}"
+    )
+    if after < before and row > 0 and after - time[0] <= 0.1 * (before - time[0]):
+        message += (
+            "; it restarts there: if the rows are several trials, name the column that counts them (--group)"
+        )
+    elif after == before:
+        message += "; leave out the repeated row"
+    else:
+        message += "; sort the rows by time, or name another column as time"
+    raise RecordError(message)
+
+
+#: How many seconds a unit of time is.
+SECONDS: Mapping[str, float] = {
+    "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0,
+    "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0,
+}  # fmt: skip
+
+
+def check_name(name: object, where: str) -> None:
+    """Refuse a channel name that a term cannot use, offering one that it can."""
+    if not isinstance(name, str):
+        raise RecordError(f"{where}: a channel's name must be text, not {name!r}")
+    cleaned = clean_name(name)[0]
+    if cleaned != name:
+        raise RecordError(f"{where}: {name!r} cannot name a channel in a term; call it {cleaned!r}, say")
+
+
+def checked_units(
+    units: Mapping[str, str], names: Iterable[str], has_time: bool, where: str
+) -> dict[str, str]:
+    """Units of channels that exist, as text that fits in a header."""
+    names = list(names)
+    known = [*names, "t"] if has_time and "t" not in names else names
+    checked = {}
+    for name, unit in units.items():
+        if name not in known:
+            raise UnknownNameError("channel", str(name), known, f"{where}: units")
+        if not isinstance(unit, str) or any(c in "[]" or not c.isprintable() for c in unit):
+            raise RecordError(
+                f"{where}: the unit of {name!r} must be text without square brackets, not {unit!r}"
+            )
+        if text := " ".join(unit.split()):
+            checked[name] = text
+    if "t" in checked and "t" not in names and SECONDS.get(checked["t"], 1.0) != 1.0:
+        factor = SECONDS[checked["t"]]
+        raise RecordError(f"{where}: time is kept in seconds, not {checked['t']}; multiply it by {factor:g}")
+    return checked
+
+
+def sampling_step(time: FloatArray, rtol: float = 1e-6) -> tuple[float | None, bool]:
+    """The time step, and whether all steps equal their median to `rtol` and the times' rounding."""
+    if len(time) < 2:
+        return None, True
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    rounding = 4 * np.finfo(float).eps * float(np.abs(time).max())
+    uniform = bool(np.abs(steps - median).max() <= rtol * median + rounding)
+    # The mean step of an even grid is less touched by the rounding of the times than any single one.
+    return (float(time[-1] - time[0]) / (len(time) - 1) if uniform else median), uniform
+
+
+def trial_starts(labels: Any, n: int, where: str) -> list[int]:
+    """The first row of each run of equal labels."""
+    labels = np.asarray(labels)
+    if labels.shape != (n,):
+        raise RecordError(
+            f"{where}: the group has shape {labels.shape}; it needs one label for each of {n} rows"
+        )
+    if labels.dtype.kind == "f" and np.isnan(labels).any():
+        row = int(np.flatnonzero(np.isnan(labels))[0])
+        raise RecordError(f"{where}: the group is missing (NaN) in row {row + 1}")
+    return [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1).tolist()]
+
+
+def time_from(channels: Mapping[str, Any], time: Any, fs: float | None, where: str) -> Any:
+    """Sampling times: `time` as it is, or ``arange(n) / fs``, or None."""
+    if fs is None:
+        return time
+    if time is not None:
+        raise RecordError(f"{_prefix(where)}time and fs are both given; give one of them")
+    if not (isinstance(fs, (int, float, np.number)) and 0 < fs < np.inf):
+        raise RecordError(f"{_prefix(where)}the sampling rate fs must be positive and finite, not {fs!r}")
+    n = max((len(np.atleast_1d(values)) for values in channels.values()), default=0)
+    return np.arange(n) / float(fs)

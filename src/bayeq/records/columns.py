@@ -1,0 +1,179 @@
+"""``Columns``: what a file holds before it is a record; every reader returns one.
+
+`Headers` are the names of the columns in the three spellings by which they may be asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import FileFormatError, RecordError, UnknownNameError
+from ._check import as_column, as_time
+from .names import clean_name, clean_names, is_time_name
+from .truth import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from .record import Record
+
+__all__ = ["Columns", "Headers", "Select", "listed", "select"]
+
+
+def listed(names: Sequence[str] | str) -> list[str]:
+    """Names as a list; a single string is split at its commas.
+
+    Examples
+    --------
+    >>> listed("x, acc [g]")
+    ['x', 'acc [g]']
+    """
+    return [part.strip() for part in names.split(",")] if isinstance(names, str) else list(names)
+
+
+@dataclass(frozen=True, slots=True)
+class Headers:
+    """Names of columns: as written, as cleaned, and their units.
+
+    Examples
+    --------
+    >>> headers = Headers.parse(["Time [s]", "x (mm)"], "run.csv")
+    >>> headers.find("Time [s]"), headers.find("Time"), headers.time
+    (0, 0, 0)
+    """
+
+    texts: list[str]
+    names: list[str]
+    units: list[str | None]
+    where: str = ""
+
+    @classmethod
+    def parse(cls, texts: Iterable[str], where: str = "") -> Headers:
+        """Clean the headers' texts."""
+        texts = [str(text).strip() for text in texts]
+        return cls(texts, *clean_names(texts), where)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def find(self, key: str) -> int:
+        """The column that `key` names: a cleaned name, the original header, or that without its unit."""
+        for keys, asked in ((self.names, key), (self.texts, key.strip()), (self.names, clean_name(key)[0])):
+            if asked in keys:
+                return keys.index(asked)
+        raise UnknownNameError("column", key, self.names, self.where)
+
+    @property
+    def time(self) -> int | None:
+        """The first column whose name says that it is time; a capital T (temperature?) only in front."""
+        found = [i for i, name in enumerate(self.names) if is_time_name(name) and (name != "T" or i == 0)]
+        return next((i for i in found if self.names[i] != "T"), found[0] if found else None)
+
+    def renamed(self, names: Sequence[str] | str | None) -> Headers:
+        """The same columns under the names that the caller gives, in order."""
+        if names is None:
+            return self
+        if isinstance(names, str):
+            names = names.replace(",", " ").split()
+        if len(names) != len(self):
+            raise FileFormatError(f"{self.where}: names gives {len(names)} names for {len(self)} columns")
+        new = Headers.parse(names, self.where)
+        return new.with_units([unit or old for unit, old in zip(new.units, self.units, strict=True)])
+
+    def with_units(self, units: list[str | None]) -> Headers:
+        """The same columns with these units."""
+        return Headers(self.texts, self.names, units, self.where)
+
+
+#: Which columns to read, given their names.
+Select = Callable[[Headers], Iterable[int]]
+
+
+def select(
+    columns: Sequence[str] | str | None, time: str | None, fs: float | None, group: str | None
+) -> Select:
+    """Which columns `read` needs: the named ones, time and the group; all of them without names."""
+
+    def chosen(headers: Headers) -> list[int]:
+        if columns is None:
+            return list(range(len(headers)))
+        needed = {headers.find(name) for name in listed(columns)}
+        needed.update(headers.find(name) for name in (time, group) if name is not None)
+        if time is None and fs is None and headers.time is not None:
+            needed.add(headers.time)
+        return sorted(needed)
+
+    return chosen
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Columns of a file, in order: headers and samples (float64, missing cells NaN)."""
+
+    headers: Headers
+    values: list[FloatArray]
+
+    @property
+    def names(self) -> list[str]:
+        """The cleaned names."""
+        return self.headers.names
+
+    @classmethod
+    def build(cls, headers: Headers, values: Callable[[int], Any], chosen: Select | None = None) -> Columns:
+        """Take the chosen columns; `values(i)` gives the samples of column i, of any numeric type."""
+        rows = list(chosen(headers)) if chosen else list(range(len(headers)))
+        arrays = []
+        for i in rows:
+            raw = np.asanyarray(values(i))
+            what = f"column {headers.texts[i] or headers.names[i]!r}"
+            try:
+                arrays.append(as_time(raw) if raw.dtype.kind in "mM" else as_column(raw, what))
+            except RecordError as error:
+                hint = (
+                    "; name the columns to read if this one is not needed"
+                    if raw.dtype.kind not in "biufc"
+                    else ""
+                )
+                raise FileFormatError(f"{headers.where}: {error}{hint}") from None
+        parts = [[column[i] for i in rows] for column in (headers.texts, headers.names)]
+        return cls(Headers(parts[0], parts[1], [headers.units[i] for i in rows], headers.where), arrays)
+
+    @classmethod
+    def from_record(cls, record: Record) -> Columns:
+        """The columns by which a record is written: time first, then the channels."""
+        names, values = list(record.names), list(record.channels.values())
+        units = [record.units.get(name) for name in names]
+        if record.time is not None:
+            spellings = ("t", "time", "Time", "timestamp")
+            time = next((name for name in spellings if name not in record.channels), None)
+            if time is None:
+                raise RecordError(
+                    f"{record.name or 'record'}: no name is left for time; rename the channel 't'"
+                )
+            names, values = [time, *names], [record.time, *values]
+            units = [record.units.get("t") if time == "t" else None, *units]
+        return cls(Headers(names, names, units, record.name), values)
+
+    @classmethod
+    def from_dataframe(
+        cls, df: pd.DataFrame, time: str | None = None, columns: Sequence[str] | str | None = None
+    ) -> Columns:
+        """The columns of a data frame; an index named like time comes first."""
+        index = [] if df.index.name is None else [str(df.index.name)]
+        if index and not (is_time_name(clean_name(index[0])[0]) or time == index[0]):
+            index = []
+        headers = Headers.parse([*index, *map(str, df.columns)], "data frame")
+
+        def values(i: int) -> Any:
+            series: Any = df.index if i < len(index) else df.iloc[:, i - len(index)]
+            if getattr(series.dtype, "kind", "O") in "biuf":  # nullable columns hold NA, which is not a float
+                return series.to_numpy(dtype=float, na_value=np.nan)
+            if getattr(series.dtype, "tz", None) is not None:
+                series = series.tz_convert(None) if i < len(index) else series.dt.tz_convert(None)
+            return series.to_numpy()
+
+        return cls.build(headers, values, select(columns, time, None, None))

@@ -1,0 +1,105 @@
+"""``clean_name``: column headers as people write them, to channel names that terms can use.
+
+A channel name appears in terms (``x**2*v``), so that it must be a Python identifier and must not hide a
+function or a constant of the term language. The original header still finds its column.
+"""
+
+from __future__ import annotations
+
+import keyword
+import re
+import unicodedata
+from collections.abc import Iterable
+
+__all__ = ["RESERVED", "clean_name", "clean_names", "is_time_name"]
+
+#: Names that a channel cannot have: functions and constants of terms.
+RESERVED: frozenset[str] = frozenset(
+    {
+        *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "arcsin", "arccos", "arctan"),
+        *("sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "exp", "log", "log2", "log10", "sqrt", "cbrt"),
+        *("abs", "sign", "min", "max", "floor", "ceil", "pi"),
+    }
+)
+# A header made of these alone would read as a row of missing numbers.
+_NUMBER_WORDS = frozenset({"nan", "inf", "infinity", "na", "null", "none"})
+_TIME_NAMES = frozenset({"t", "time", "time_s", "timestamp"})
+_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))$", re.DOTALL)
+
+
+def clean_name(header: str, position: int = 1) -> tuple[str, str | None]:
+    """Turn a column header into a channel name and a unit.
+
+    Parameters
+    ----------
+    header : str
+        The header's text, for example ``"Time [s]"``.
+    position : int, optional
+        The column's place, counted from 1; names a column without a header.
+
+    Returns
+    -------
+    name : str
+        A valid identifier, neither a keyword nor a function of the term language.
+    unit : str or None
+        What stood in brackets at the end.
+
+    Examples
+    --------
+    >>> clean_name("x [m]"), clean_name("acc-1"), clean_name("Time (s)")
+    (('x', 'm'), ('acc_1', None), ('Time', 's'))
+    >>> clean_name("sin"), clean_name("2nd mass"), clean_name("", position=3)
+    (('sin_', None), ('_2nd_mass', None), ('c3', None))
+    """
+    text = header.strip().removeprefix("\ufeff")
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
+        text = text[1:-1].strip()
+    unit: str | None = None
+    if match := _UNIT.match(text):
+        text = match["name"]
+        unit = " ".join((match["square"] or match["round"] or "").split()) or None
+        if unit == "t" and match["round"]:  # "x(t)" says that x depends on time, not that its unit is t
+            unit = None
+    return _identifier(text, position), unit
+
+
+def _identifier(text: str, position: int) -> str:
+    name = unicodedata.normalize("NFKC", text.strip())
+    if not name.isidentifier():
+        name = "".join(c if f"a{c}".isidentifier() else " " for c in name)
+        name = unicodedata.normalize("NFKC", "_".join(name.split()))
+        if not name:
+            return f"c{position}"
+        if not name.isidentifier():
+            name = "_" + name
+    if keyword.iskeyword(name) or name in RESERVED or name.casefold() in _NUMBER_WORDS:
+        name += "_"
+    return name
+
+
+def clean_names(headers: Iterable[str]) -> tuple[list[str], list[str | None]]:
+    """Clean several headers; the second of two equal names gets ``_2``, the third ``_3``.
+
+    Examples
+    --------
+    >>> clean_names(["t [s]", "w1", "w1", ""])
+    (['t', 'w1', 'w1_2', 'c4'], ['s', None, None, None])
+    """
+    names: list[str] = []
+    units: list[str | None] = []
+    used: set[str] = set()
+    for position, header in enumerate(headers, 1):
+        name, unit = clean_name(header, position)
+        candidate, count = name, 1
+        while candidate in used:
+            count += 1
+            candidate = f"{name}_{count}"
+        used.add(candidate)
+        names.append(candidate)
+        units.append(unit)
+    return names, units
+
+
+def is_time_name(name: str) -> bool:
+    """Whether a channel name says that the column is time: t, time, time_s, timestamp in any case."""
+    return name.casefold() in _TIME_NAMES

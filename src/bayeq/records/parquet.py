@@ -1,0 +1,96 @@
+"""Parquet files, by pyarrow (the extra ``parquet``); units as JSON in the schema's metadata."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FileFormatError, MissingExtraError
+from .columns import Columns, Headers, Select
+from .record import Record
+
+__all__ = ["read_columns", "write"]
+
+_UNITS = b"bayeq.units"
+
+
+def _pyarrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise MissingExtraError("pyarrow", "parquet", "reading and writing Parquet files") from None
+    return pyarrow, pyarrow.parquet
+
+
+def read_columns(
+    path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None
+) -> Columns:
+    """Read the columns of a Parquet file; nulls become NaN, dates seconds since the first.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    names : list of str, optional
+        Names instead of the file's own.
+    chosen : callable, optional
+        Which columns to read.
+
+    Returns
+    -------
+    Columns
+    """
+    pa, pq = _pyarrow()
+    where = str(path)
+    try:
+        with pq.ParquetFile(path) as file:
+            table = file.read()
+            units = _units((file.schema_arrow.metadata or {}).get(_UNITS))
+    except (pa.ArrowException, OSError, ValueError) as error:
+        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        raise FileFormatError(f"{where}: not a readable Parquet file ({reason})") from None
+    if table.num_columns == 0 or table.num_rows == 0:
+        raise FileFormatError(f"{where}: no {'rows' if table.num_columns else 'columns'}")
+    headers = Headers.parse(table.column_names, where)
+    headers = headers.with_units(
+        [units.get(t) or u for t, u in zip(table.column_names, headers.units, strict=True)]
+    )
+
+    def values(i: int) -> Any:
+        column = table.column(i)
+        kind = column.type
+        if pa.types.is_decimal(kind) or (column.null_count and not pa.types.is_temporal(kind)):
+            if not (pa.types.is_decimal(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+                return np.array([str(kind)])
+            column = column.cast(pa.float64(), safe=False)
+        return column.to_numpy()
+
+    return Columns.build(headers.renamed(names), values, chosen)
+
+
+def _units(metadata: bytes | None) -> dict[str, str]:
+    found = json.loads(metadata.decode()) if metadata else {}
+    return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
+
+
+def write(record: Record, path: Path) -> None:
+    """Write a record as a Parquet file.
+
+    Parameters
+    ----------
+    record : Record
+        What to write.
+    path : Path
+        The file, replaced if it is there.
+    """
+    pa, pq = _pyarrow()
+    columns = Columns.from_record(record)
+    units = {n: u for n, u in zip(columns.names, columns.headers.units, strict=True) if u}
+    table = pa.table(dict(zip(columns.names, columns.values, strict=True)))
+    if units:
+        table = table.replace_schema_metadata({_UNITS: json.dumps(units).encode()})
+    pq.write_table(table, path)

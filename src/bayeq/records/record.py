@@ -1,0 +1,315 @@
+"""``Record``: measured channels of equal length, their time and units."""
+
+from __future__ import annotations
+
+import builtins
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from ..errors import RecordError, UnknownNameError
+from ._check import (
+    as_column,
+    as_time,
+    check_name,
+    check_time,
+    checked_units,
+    sampling_step,
+    time_from,
+    trial_starts,
+)
+from .truth import FloatArray, Truth, frozen_array
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Record"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Record:
+    """Measured channels of equal length, read-only.
+
+    Samples may be NaN or infinite, for measurements have gaps; `require_finite` refuses them.
+
+    Parameters
+    ----------
+    channels : mapping of str to array_like, shape (n,)
+        Samples; copied. A name is an identifier and no function of the term language.
+    time : array_like, shape (n,), optional
+        Sampling times [s], strictly increasing. Dates become seconds since the first.
+    units : mapping of str to str, optional
+        Unit of a channel; the key ``"t"`` is the unit of time where that is not seconds.
+    name : str, optional
+        File name or label, used in messages.
+    truth : Truth, optional
+        What is known about a simulated record.
+
+    Raises
+    ------
+    RecordError
+        No channels, no rows, unequal lengths, not numbers, not one-dimensional, a name that terms cannot
+        use, or time that does not increase strictly.
+
+    Examples
+    --------
+    >>> rec = Record({"x": [0.0, 1.0, 4.0]}, time=[0.0, 0.5, 1.0], units={"x": "m"}, name="run.csv")
+    >>> rec
+    Record('run.csv': 3 rows at 2 Hz; x [m])
+    >>> rec["x"]
+    array([0., 1., 4.])
+    """
+
+    channels: Mapping[str, FloatArray]
+    time: FloatArray | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    name: str = ""
+    truth: Truth | None = None
+
+    def __post_init__(self) -> None:
+        where = self.name or "record"
+        if not self.channels:
+            raise RecordError(f"{where}: no channels")
+        channels = {}
+        for name, values in self.channels.items():
+            check_name(name, where)
+            channels[name] = frozen_array(as_column(values, f"channel {name!r}", where))
+        time = None if self.time is None else frozen_array(as_time(self.time, where))
+        lengths = {name: len(values) for name, values in channels.items()}
+        if time is not None:
+            lengths = {"time": len(time), **lengths}
+        if len(set(lengths.values())) > 1:
+            listed = ", ".join(f"{name} {n}" for name, n in list(lengths.items())[:8])
+            raise RecordError(f"{where}: channels of unequal lengths: {listed}")
+        n = next(iter(lengths.values()))
+        if n == 0:
+            raise RecordError(f"{where}: no rows")
+        if time is not None:
+            check_time(time, where)
+        units = checked_units(self.units, channels, time is not None, where)
+        for name, values in (self.truth.clean if self.truth else {}).items():
+            if values.shape != (n,):
+                raise RecordError(f"{where}: the clean channel {name!r} has shape {values.shape}, not ({n},)")
+        object.__setattr__(self, "channels", MappingProxyType(channels))
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "units", MappingProxyType(units))
+
+    def __reduce__(self) -> tuple[Any, ...]:  # a MappingProxyType cannot be pickled
+        return type(self), (dict(self.channels), self.time, dict(self.units), self.name, self.truth)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        mapping: Mapping[str, Any] | None = None,
+        /,
+        *,
+        time: Any = None,
+        fs: float | None = None,
+        units: Mapping[str, str] | None = None,
+        name: str = "",
+        **channels: Any,
+    ) -> Self:
+        """Build a record from arrays, as keywords or as a mapping.
+
+        Parameters
+        ----------
+        mapping : mapping of str to array_like, optional
+            Channels; needed for one that is named like an argument of this function.
+        time : array_like, shape (n,), optional
+            Sampling times [s].
+        fs : float, optional
+            Sampling rate [Hz]; time is then ``arange(n) / fs``.
+        units : mapping of str to str, optional
+            Unit of each channel.
+        name : str, optional
+            Label used in messages.
+        **channels : array_like, shape (n,)
+            More channels.
+
+        Examples
+        --------
+        >>> Record.from_arrays(x=[0.0, 1.0, 2.0], fs=100).time
+        array([0.  , 0.01, 0.02])
+        """
+        every = {**(mapping or {}), **channels}
+        return cls(every, time_from(every, time, fs, name or "record"), units or {}, name)
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        df: pd.DataFrame,
+        time: str | None = None,
+        fs: float | None = None,
+        units: Mapping[str, str] | None = None,
+        columns: Sequence[str] | str | None = None,
+    ) -> Self:
+        """Build a record from a data frame, with the rules of `bayeq.records.read`.
+
+        A column (or a named index) called t, time, time_s or timestamp is time unless `time` names
+        another or `fs` is given.
+
+        Parameters
+        ----------
+        df : pandas.DataFrame
+            One channel per column; missing values become NaN.
+        time : str, optional
+            The column that holds time [s].
+        fs : float, optional
+            Sampling rate [Hz].
+        units : mapping of str to str, optional
+            Unit of each channel.
+        columns : sequence of str, optional
+            Keep these channels only.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> Record.from_dataframe(pd.DataFrame({"t": [0.0, 0.1], "x [m]": [1.0, 2.0]}))
+        Record('data frame': 2 rows at 10 Hz; x [m])
+        """
+        from .assemble import assemble
+        from .columns import Columns
+
+        data = Columns.from_dataframe(df, time=time, columns=columns)
+        made = assemble(data, time=time, fs=fs, units=units, columns=columns)[0]
+        return cls(made.channels, made.time, made.units, made.name)
+
+    @property
+    def n(self) -> int:
+        """Number of rows."""
+        return len(next(iter(self.channels.values())))
+
+    def __len__(self) -> int:
+        return self.n
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The channels' names, in order."""
+        return tuple(self.channels)
+
+    def __getitem__(self, channel: str) -> FloatArray:
+        try:
+            return self.channels[channel]
+        except (KeyError, TypeError):
+            raise UnknownNameError("channel", str(channel), self.names, self.name) from None
+
+    def __contains__(self, channel: object) -> bool:
+        return channel in self.channels
+
+    @property
+    def dt(self) -> float | None:
+        """Median time step [s], or None without time.
+
+        Of an even grid it is the mean step, which rounding of the times touches less.
+        """
+        return None if self.time is None else sampling_step(self.time)[0]
+
+    @property
+    def fs(self) -> float | None:
+        """Sampling rate ``1/dt`` [Hz], or None without time."""
+        dt = self.dt
+        return None if dt is None else 1.0 / dt
+
+    def is_uniform(self, rtol: float = 1e-6) -> bool:
+        """Whether every time step equals the median to `rtol`; False without time."""
+        return self.time is not None and sampling_step(self.time, rtol)[1]
+
+    def slice(self, start: int | None = None, stop: int | None = None, step: int | None = None) -> Record:
+        """Rows from `start` up to `stop`, as Python slices.
+
+        Examples
+        --------
+        >>> Record({"x": [1.0, 2.0, 3.0]}).slice(1)["x"]
+        array([2., 3.])
+        """
+        return self.take(builtins.slice(start, stop, step))
+
+    def take(self, rows: Any) -> Record:
+        """Some of the rows: a slice, a boolean mask or row numbers that increase."""
+        channels = {name: values[rows] for name, values in self.channels.items()}
+        time = None if self.time is None else self.time[rows]
+        return Record(channels, time, self.units, self.name, self.truth and self.truth.take(rows))
+
+    def split_by(self, group: Any) -> list[Record]:
+        """Split into trials, one for each run of equal consecutive values.
+
+        Parameters
+        ----------
+        group : str, array_like of shape (n,), or callable
+            A channel (dropped from the trials), labels, or a function of the record that returns labels.
+
+        Examples
+        --------
+        >>> [trial.name for trial in Record({"x": [1.0, 2.0, 3.0]}, name="a").split_by([0, 0, 1])]
+        ['a [trial 0]', 'a [trial 1]']
+        """
+        kept = self
+        if isinstance(group, str):
+            labels: Any = self[group]
+            channels = {name: values for name, values in self.channels.items() if name != group}
+            units = {name: unit for name, unit in self.units.items() if name != group}
+            kept = Record(channels, self.time, units, self.name, self.truth)
+        else:
+            labels = group(self) if callable(group) else group
+        starts = trial_starts(labels, self.n, self.name or "record")
+        trials = [kept.slice(a, b) for a, b in zip(starts, [*starts[1:], self.n], strict=True)]
+        return [r.renamed(f"{self.name} [trial {i}]".strip()) for i, r in enumerate(trials)]
+
+    def renamed(self, name: str) -> Record:
+        """The same record under another name."""
+        return Record(self.channels, self.time, self.units, name, self.truth)
+
+    def with_channels(self, mapping: Mapping[str, Any], units: Mapping[str, str] | None = None) -> Record:
+        """A record with channels added, or replaced where the name exists.
+
+        A channel that is replaced loses its unit unless `units` gives one.
+        """
+        kept = {name: unit for name, unit in self.units.items() if name not in mapping}
+        channels = {**self.channels, **mapping}
+        return Record(channels, self.time, {**kept, **(units or {})}, self.name, self.truth)
+
+    def require_finite(self, names: Sequence[str] | str | None = None) -> None:
+        """Raise a RecordError if a channel (of `names`, or any) holds NaN or infinite samples."""
+        wanted = self.names if names is None else (names,) if isinstance(names, str) else names
+        for name in wanted:
+            bad = np.flatnonzero(~np.isfinite(self[name]))
+            if bad.size:
+                raise RecordError(
+                    f"{self.name or 'record'}: channel {name!r} has {bad.size} NaN or infinite sample"
+                    f"{'s' * (bad.size > 1)} of {self.n}, first in row {bad[0] + 1}; leave these rows out or "
+                    "interpolate them"
+                )
+
+    def equals(self, other: object) -> bool:
+        """Whether two records hold the same channels in the same order, time and units (NaN equals NaN)."""
+        if not isinstance(other, Record) or self.names != other.names or self.units != other.units:
+            return False
+        if self.time is None or other.time is None:
+            same_time = self.time is other.time
+        else:
+            same_time = np.array_equal(self.time, other.time)
+        return same_time and all(
+            np.array_equal(values, other.channels[name], equal_nan=True)
+            for name, values in self.channels.items()
+        )
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """A pandas data frame of the channels; the column ``t`` comes first if there is time."""
+        import pandas as pd
+
+        from .columns import Columns
+
+        columns = Columns.from_record(self)
+        return pd.DataFrame(dict(zip(columns.names, columns.values, strict=True)))
+
+    def __repr__(self) -> str:
+        shown = [f"{c} [{self.units[c]}]" if c in self.units else c for c in self.names[:8]]
+        more = f", ... ({len(self.names)} channels)" if len(self.names) > 8 else ""
+        rate = ""
+        if self.fs is not None:
+            rate = f" at {self.fs:.6g} Hz" if self.is_uniform(1e-3) else f", median step {self.dt:.6g} s"
+        label = f"{self.name!r}: " if self.name else ""
+        return f"Record({label}{self.n} row{'s' * (self.n != 1)}{rate}; {', '.join(shown)}{more})"

@@ -1,0 +1,99 @@
+"""The answer as a person reads it."""
+
+from __future__ import annotations
+
+import io
+import sys
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from bayeq.equation import Equation, round_to
+from bayeq.equations import Equations
+
+__all__ = ["render"]
+
+# Candidates that are not included are listed from this PIP on.
+NOTEWORTHY_PIP = 0.01
+PLAIN_WIDTH = 110
+
+METHODS = {
+    "vb": "variational Bayes, spike-and-slab prior",
+    "rvm": "relevance vector machine; PIP is its gamma, a relevance and not a probability",
+}
+
+
+def render(eq: Equations, with_warnings: bool = True) -> str:
+    """Text of the equations: styled if standard output is a terminal, plain Markdown otherwise."""
+    terminal = sys.stdout.isatty()
+    buffer = io.StringIO()
+    console = Console(
+        file=buffer, force_terminal=terminal, no_color=not terminal, width=None if terminal else PLAIN_WIDTH,
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+    for equation in eq.equations:
+        _render_equation(console, equation, eq.method, terminal)
+    files = ", ".join(f for f in eq.data.files if f)
+    console.print(
+        f"{eq.data.n} rows{f' of {escape(files)}' if files else ''}, {eq.data.n_train} used;"
+        f" method: {METHODS.get(eq.method, eq.method)}"
+    )
+    if eq.data.estimated:
+        how = "a smoothing spline" if eq.smooth == "auto" else "central differences"
+        console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
+    for message in eq.warnings if with_warnings else ():
+        console.print(f"[yellow]warning:[/yellow] {escape(message)}")
+    return "\n".join(line.rstrip() for line in buffer.getvalue().rstrip().splitlines())
+
+
+def _render_equation(console: Console, equation: Equation, method: str, terminal: bool) -> None:
+    console.print(f"[bold]{escape(equation.text)}[/bold]\n")
+    table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
+    table.add_column("term")
+    for name in ("coefficient", "sd", "95 % interval", "gamma" if method == "rvm" else "PIP"):
+        table.add_column(name, justify="right")
+    for row in _rows(equation):
+        table.add_row(*row)
+    console.print(table)
+    shown = sum(1 for _ in _rows(equation)) - 1
+    rest = len(equation.terms) - shown
+    if rest:
+        others = [p for p, s in zip(equation.posterior.pip, equation.posterior.support, strict=True) if not s]
+        low = [p for p in others if p < NOTEWORTHY_PIP]
+        console.print(f"\n{rest} more candidates not included, PIP at most {max(low, default=0.0):.2g}")
+    console.print(
+        f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}; "
+        + "; ".join(_fits(equation))
+    )
+    if equation.runners_up:
+        console.print("runners-up (posterior odds against the equation above):")
+        for r in equation.runners_up:
+            console.print(f"  {r.odds:>8}  {escape(str(r))}")
+    console.print("")
+
+
+def _fits(equation: Equation) -> list[str]:
+    out = []
+    for label, fit in (("training", equation.train), ("held-out", equation.held_out)):
+        if fit is not None:
+            out.append(f"R2 {fit.r2:.4f}, error {100 * fit.nrmse:.2g} % on {fit.n} {label} rows")
+    return out
+
+
+def _rows(equation: Equation) -> list[tuple[Any, ...]]:
+    p, ci, sd = equation.posterior, equation.ci95, equation.posterior.sd
+    rows = []
+    for j, term in enumerate(equation.terms):
+        if p.support[j]:
+            interval = f"{round_to(ci[j, 0], sd[j])} .. {round_to(ci[j, 1], sd[j])}"
+            rows.append((escape(term.text), round_to(p.coef[j], sd[j]), f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
+        elif p.pip[j] >= NOTEWORTHY_PIP:
+            rows.append((escape(term.text), "not included", "", "", f"{p.pip[j]:.3f}"))
+    low, high = equation.intercept_ci95
+    spread = p.intercept_sd
+    interval = f"{round_to(low, spread)} .. {round_to(high, spread)}"
+    rows.append(("intercept", round_to(p.intercept, spread), f"{spread:.2g}", interval, ""))
+    return rows

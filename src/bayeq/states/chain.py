@@ -1,0 +1,112 @@
+"""Kinematic chains: a coordinate and its time derivatives, some of them measured."""
+
+from __future__ import annotations
+
+import keyword
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bayeq.errors import ChainError
+
+__all__ = ["MAX_ORDER", "Chain", "parse_chain", "parse_chains"]
+
+MAX_ORDER = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """A coordinate and its derivatives up to `order`.
+
+    Parameters
+    ----------
+    measured : tuple of (str or None)
+        The channel that measures each derivative, from order 0 up; None where none does.
+
+    Examples
+    --------
+    >>> chain = parse_chain("x:v:")
+    >>> chain.order, chain.names, chain.target, chain.states
+    (2, ('x', 'v', 'ddx'), 'ddx', ('x', 'v'))
+    >>> parse_chain("x").names
+    ('x', 'dx')
+    """
+
+    measured: tuple[str | None, ...]
+
+    @property
+    def order(self) -> int:
+        """The highest derivative, the one that the equation gives."""
+        return len(self.measured) - 1
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the derivatives: the channel's, or ``dx``, ``ddx`` ... where not measured."""
+        base = self.measured[0]
+        return tuple(m if m is not None else "d" * k + str(base) for k, m in enumerate(self.measured))
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """All but the highest derivative."""
+        return self.names[:-1]
+
+    @property
+    def target(self) -> str:
+        """The highest derivative."""
+        return self.names[-1]
+
+    def __str__(self) -> str:
+        if self.order == 1 and self.measured[1] is None:
+            return str(self.measured[0])
+        return ":".join(m or "" for m in self.measured)
+
+
+def parse_chain(text: str) -> Chain:
+    """Read a chain such as ``x:v:a``, ``x::`` (only displacement measured), ``x`` or ``x:xdot`` (first order).
+
+    Raises
+    ------
+    ChainError
+        Not of this form, or a chain whose coordinate is not measured.
+    """
+    form = "write it as x:v:a (second order), x:: (only x measured), x (first order) or x:xdot"
+    if not isinstance(text, str):
+        raise ChainError(f"a chain is a text, got {type(text).__name__}; {form}")
+    parts = [part.strip() for part in text.split(":")]
+    if len(parts) == 1:
+        parts.append("")
+    if len(parts) - 1 > MAX_ORDER:
+        raise ChainError(f"chain {text[:60]!r} has order {len(parts) - 1}; at most {MAX_ORDER} is allowed; {form}")
+    if not any(parts):
+        raise ChainError(f"chain {text[:60]!r} names no channel; {form}")
+    for part in parts:
+        if part and (not part.isidentifier() or keyword.iskeyword(part)):
+            raise ChainError(f"chain {text[:60]!r}: {part[:40]!r} is not a channel name; {form}")
+    named = [part for part in parts if part]
+    if len(set(named)) < len(named):
+        raise ChainError(f"chain {text[:60]!r} names a channel twice; {form}")
+    if not parts[0]:
+        raise ChainError(
+            f"chain {text[:60]!r}: {named[0]!r} would have to be integrated to get the coordinate, which is not"
+            " supported: measure or integrate the displacement and name it first, as in x:v:a"
+        )
+    return Chain(tuple(part or None for part in parts))
+
+
+def parse_chains(texts: Sequence[str]) -> tuple[Chain, ...]:
+    """Read several chains and check that no name occurs in two of them.
+
+    Raises
+    ------
+    ChainError
+        No chains, one that cannot be read, or a name that occurs twice.
+    """
+    if not texts:
+        raise ChainError("no chain given: name the coordinate and its measured derivatives, as in x:v:a")
+    chains = tuple(parse_chain(text) for text in texts)
+    seen: dict[str, Chain] = {}
+    for chain in chains:
+        for name in chain.names:
+            if name in seen:
+                raise ChainError(f"{name!r} occurs in chain {str(seen[name])!r} and in chain {str(chain)!r}")
+            seen[name] = chain
+    return chains

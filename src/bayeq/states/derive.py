@@ -1,0 +1,146 @@
+"""From measured channels to states: what is measured is taken, derivatives that are missing are estimated.
+
+This is the one place where derivatives come from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
+from bayeq.records import Record
+from bayeq.states.chain import Chain
+
+__all__ = ["Smooth", "States", "derive_states"]
+
+Floats = NDArray[np.float64]
+Smooth = Literal["auto", "none"]
+
+# Fewer rows than this cannot carry a smoothing spline.
+LEAST_ROWS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class States:
+    """Channels as the dictionary sees them.
+
+    Attributes
+    ----------
+    columns : mapping of str to (n,) array
+        States, targets and inputs by name.
+    estimated : tuple of str
+        The names among them that were estimated from another channel.
+    """
+
+    columns: Mapping[str, Floats]
+    estimated: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+
+def derive_states(
+    record: Record, chains: Sequence[Chain], inputs: Sequence[str] = (), smooth: Smooth = "auto"
+) -> States:
+    """States, targets and inputs of a record.
+
+    Parameters
+    ----------
+    record : Record
+        Measured channels.
+    chains : sequence of Chain
+        Coordinates and their derivatives.
+    inputs : sequence of str
+        Channels of forces or other inputs.
+    smooth : "auto" or "none"
+        Measured channels are used as they are. A derivative that is not measured comes from the highest
+        measured one below it: with "auto" from a cubic smoothing spline, its weight chosen by generalised
+        cross-validation (both sides of the equation then see the spline), with "none" by central differences.
+
+    Raises
+    ------
+    UnknownNameError
+        A channel that the record does not have.
+    RecordError
+        NaN or infinite samples, a channel that is constant, no time where derivatives are needed, or too few
+        rows.
+    """
+    if smooth not in get_args(Smooth):
+        raise InputError(f"smooth must be one of {', '.join(get_args(Smooth))}, got {smooth!r}")
+    measured = [m for chain in chains for m in chain.measured if m is not None]
+    wanted = [*measured, *inputs]
+    for name in wanted:
+        if name not in record.channels:
+            raise UnknownNameError("channel", name, record.names, where=record.name)
+    for name in inputs:
+        if name in measured:
+            raise ChainError(f"channel {name!r} is both an input and part of a chain")
+    record.require_finite(wanted)
+    for name in wanted:
+        _require_varying(record, name)
+    columns = {name: record[name] for name in wanted}
+    estimated: list[str] = []
+    for chain in chains:
+        for order, name in enumerate(chain.names):
+            if chain.measured[order] is not None:
+                continue
+            if name in columns or name in record.channels:
+                raise ChainError(
+                    f"chain {str(chain)!r} leaves {name!r} to be estimated, but the record has a channel of that"
+                    " name: name it in the chain, or rename it"
+                )
+            below = max(k for k in range(order) if chain.measured[k] is not None)
+            source = chain.names[below]
+            _fill(columns, record, source, name, order - below, smooth)
+            estimated.append(name)
+    return States(columns=columns, estimated=tuple(estimated))
+
+
+def _require_varying(record: Record, name: str) -> None:
+    values = record[name]
+    if record.n > 1 and values.min() == values.max():
+        raise RecordError(
+            f"{record.name or 'record'}: channel {name!r} is constant ({values[0]:g} in all {record.n} rows):"
+            " nothing can be learned from it; leave it out"
+        )
+
+
+def _fill(
+    columns: dict[str, Floats], record: Record, source: str, name: str, order: int, smooth: Smooth
+) -> None:
+    """Put the `order`-th derivative of the measured channel `source` into `columns`."""
+    where = record.name or "record"
+    if record.time is None:
+        raise RecordError(f"{where}: {name!r} has to be estimated from {source!r}, which needs a time column or fs")
+    if record.n < LEAST_ROWS:
+        raise RecordError(f"{where}: {record.n} rows are too few to estimate {name!r} (at least {LEAST_ROWS})")
+    if smooth == "none":
+        values = record[source]
+        for _ in range(order):
+            values = np.gradient(values, record.time)
+        columns[name] = values
+        return
+    spline = _smoothing_spline(record.time, record[source])
+    columns[source] = spline(record.time)
+    columns[name] = spline(record.time, order)
+
+
+def _smoothing_spline(time: Floats, values: Floats):  # type: ignore[no-untyped-def]
+    """Cubic smoothing spline by generalised cross-validation, on unit step and unit scale."""
+    from scipy.interpolate import make_smoothing_spline
+
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    offset, scale = values.mean(), values.std()
+    spline = make_smoothing_spline((time - time[0]) / step, (values - offset) / scale)
+
+    def evaluate(t: Floats, derivative: int = 0) -> Floats:
+        out: Floats = scale / step**derivative * spline((t - time[0]) / step, derivative)
+        return out + offset if derivative == 0 else out
+
+    return evaluate

@@ -1,0 +1,204 @@
+"""Equations as JSON: what the command line prints, and files that can be read back.
+
+A file holds numbers and term texts only; terms are parsed again when it is read.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import bayeq
+from bayeq.diagnostics import Residuals
+from bayeq.dictionary import DroppedTerm
+from bayeq.equation import Equation, Fit, RunnerUp
+from bayeq.equations import DataSummary, Equations
+from bayeq.errors import BayeqError, FileFormatError
+from bayeq.expressions import parse
+from bayeq.posterior import Posterior
+from bayeq.states import parse_chain
+
+__all__ = ["FORMAT", "load", "to_dict", "to_saved"]
+
+FORMAT = "bayeq-equations-1"
+
+
+def to_dict(eq: Equations) -> dict[str, Any]:
+    """The answer as plain data, every candidate term of every equation in it."""
+    files = eq.data.files
+    return {
+        "version": bayeq.__version__,
+        "method": eq.method,
+        "data": {
+            "file": files[0] if len(files) == 1 else list(files),
+            "n": eq.data.n,
+            "n_train": eq.data.n_train,
+            "n_held_out": eq.data.n_held_out,
+            "chains": [str(chain) for chain in eq.chains],
+            "inputs": list(eq.inputs),
+            "dictionary": eq.dictionary,
+            "smooth": eq.smooth,
+            "estimated": list(eq.data.estimated),
+        },
+        "equations": [_equation(equation) for equation in eq.equations],
+        "diagnostics": {
+            "warnings": list(eq.warnings),
+            "dropped_terms": [asdict(d) for d in eq.dropped],
+            "equations": {equation.target: _diagnostics(equation) for equation in eq.equations},
+        },
+    }
+
+
+def _equation(equation: Equation) -> dict[str, Any]:
+    p = equation.posterior
+    ci = equation.ci95
+    return {
+        "target": equation.target,
+        "intercept": p.intercept,
+        "intercept_sd": p.intercept_sd,
+        "intercept_ci95": list(equation.intercept_ci95),
+        "noise_sd": equation.noise_sd,
+        "elbo": p.elbo,
+        "equation": equation.text,
+        "latex": equation.to_latex(),
+        "terms": [
+            {
+                "name": term.text,
+                "coef": float(p.coef[j]),
+                "sd": float(p.sd[j]),
+                "ci95": [float(ci[j, 0]), float(ci[j, 1])],
+                "pip": float(p.pip[j]),
+                "included": bool(p.support[j]),
+            }
+            for j, term in enumerate(equation.terms)
+        ],
+    }
+
+
+def _diagnostics(equation: Equation) -> dict[str, Any]:
+    return {
+        "converged": equation.posterior.converged,
+        "slab_variance": equation.posterior.slab_variance,
+        "fit": {
+            "train": asdict(equation.train),
+            "held_out": None if equation.held_out is None else asdict(equation.held_out),
+        },
+        "residuals": {**asdict(equation.residuals), "correlated": bool(equation.residuals.correlated)},
+        "runners_up": [asdict(r) for r in equation.runners_up],
+    }
+
+
+def to_saved(eq: Equations) -> dict[str, Any]:
+    """`to_dict` and what else it takes to predict with the equations again."""
+    return {
+        "format": FORMAT,
+        **to_dict(eq),
+        "posteriors": [
+            {
+                "covariance": e.posterior.covariance.tolist(),
+                "center": e.posterior.center.tolist(),
+                "target_mean": e.posterior.target_mean,
+                "noise_variance": e.posterior.noise_variance,
+                "n": e.posterior.n,
+                "n_iter": e.posterior.n_iter,
+                "elbo_trace": e.posterior.elbo_trace.tolist(),
+            }
+            for e in eq.equations
+        ],
+    }
+
+
+def load(path: str | Path) -> Equations:
+    """Read equations that `Equations.save` wrote.
+
+    Raises
+    ------
+    FileFormatError
+        A file that is missing or not such a file.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileFormatError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{path}: not a JSON file") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise FileFormatError(f"{path}: not a file of equations saved by bayeq (no format {FORMAT!r})")
+    try:
+        return _restore(content)
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, BayeqError) as error:
+        raise FileFormatError(f"{path}: damaged: {type(error).__name__}: {error}") from error
+
+
+def _restore(content: Mapping[str, Any]) -> Equations:
+    data, diagnostics = content["data"], content["diagnostics"]
+    files = data["file"]
+    equations = []
+    for k, chain in enumerate(data["chains"]):
+        saved = content["equations"][k]
+        equations.append(
+            _restore_equation(
+                chain, saved, content["posteriors"][k], diagnostics["equations"][saved["target"]], content["method"]
+            )
+        )
+    return Equations(
+        equations=tuple(equations),
+        inputs=tuple(str(name) for name in data["inputs"]),
+        method=str(content["method"]),
+        dictionary=str(data["dictionary"]),
+        smooth=data["smooth"],
+        data=DataSummary(
+            files=(files,) if isinstance(files, str) else tuple(files),
+            n=int(data["n"]),
+            n_train=int(data["n_train"]),
+            n_held_out=int(data["n_held_out"]),
+            estimated=tuple(data["estimated"]),
+        ),
+        dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
+        warnings=tuple(str(w) for w in diagnostics["warnings"]),
+    )
+
+
+def _restore_equation(
+    chain: str, saved: Mapping[str, Any], state: Mapping[str, Any], checks: Mapping[str, Any], method: str
+) -> Equation:
+    terms = tuple(parse(term["name"]) for term in saved["terms"])
+    support = np.array([bool(term["included"]) for term in saved["terms"]], dtype=np.bool_)
+    r = int(support.sum())
+    posterior = Posterior(
+        method=method,
+        names=tuple(term.text for term in terms),
+        pip=np.array([float(term["pip"]) for term in saved["terms"]]),
+        support=support,
+        coef=np.array([float(term["coef"]) for term in saved["terms"]]),
+        covariance=np.array(state["covariance"], dtype=np.float64).reshape(r, r),
+        center=np.array(state["center"], dtype=np.float64).reshape(len(terms)),
+        target_mean=float(state["target_mean"]),
+        noise_variance=float(state["noise_variance"]),
+        n=int(state["n"]),
+        elbo=None if saved["elbo"] is None else float(saved["elbo"]),
+        elbo_trace=np.array(state["elbo_trace"], dtype=np.float64),
+        n_iter=int(state["n_iter"]),
+        converged=bool(checks["converged"]),
+        slab_variance=checks["slab_variance"],
+    )
+    if not all(math.isfinite(v) for v in (*posterior.coef, *posterior.center, posterior.noise_variance)):
+        raise ValueError("numbers that are not finite")
+    held_out = checks["fit"]["held_out"]
+    residuals = checks["residuals"]
+    return Equation(
+        chain=parse_chain(chain),
+        terms=terms,
+        posterior=posterior,
+        train=Fit(**checks["fit"]["train"]),
+        held_out=None if held_out is None else Fit(**held_out),
+        residuals=Residuals(int(residuals["n"]), float(residuals["lag1"]), float(residuals["n_eff"])),
+        runners_up=tuple(RunnerUp(**r) for r in checks["runners_up"]),
+    )

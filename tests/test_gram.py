@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayeq.errors import InputError
+from bayeq.gram import BLOCK_ROWS, Gram, dense, grams_from_blocks
+from bayeq.posterior import Posterior
+
+
+def direct(D, y):
+    """Centred co-moments in extended precision."""
+    D, y = D.astype(np.longdouble), y.astype(np.longdouble)
+    Z, t = D - D.mean(axis=0), y - y.mean()
+    return Z.T @ Z, Z.T @ t, t @ t
+
+
+def data(seed, n=200, P=5, offset=0.0):
+    rng = np.random.default_rng(seed)
+    D = rng.normal(size=(n, P)) @ rng.normal(size=(P, P)) + offset
+    return D, D[:, 0] * 2 + rng.normal(size=n) + offset
+
+
+def close(gram, D, y, rtol):
+    dd, dy, yy = direct(D, y)
+    size = np.sqrt(np.outer(np.diag(dd), np.diag(dd)))
+    assert np.max(np.abs(gram.DtD - dd) / size) < rtol
+    assert np.max(np.abs(gram.Dty - dy) / np.sqrt(np.diag(dd) * yy)) < rtol
+    assert abs(gram.yty - yy) < rtol * yy
+    np.testing.assert_allclose(gram.mean, D.mean(axis=0), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_equals_the_direct_formula(order):
+    D, y = data(0)
+    close(Gram.from_data(np.asarray(D, order=order), y), D, y, 1e-14)
+
+
+def test_many_blocks_equal_one():
+    D, y = data(1, n=3 * BLOCK_ROWS + 17, P=3)
+    close(Gram.from_data(D, y), D, y, 1e-13)
+
+
+def test_means_1e8_times_the_standard_deviation():
+    D, y = data(2, n=20_000, P=4, offset=1e8)
+    # a mean of 1e8 standard deviations is itself stored to 1e-8 of one: what a merge of blocks can keep
+    close(Gram.from_data(D[:8000], y[:8000]), D[:8000], y[:8000], 1e-12)
+    close(Gram.from_data(D, y), D, y, 1e-8)
+    parts = [Gram.from_data(D[i : i + 1000], y[i : i + 1000]) for i in range(0, len(D), 1000)]
+    close(sum(parts[1:], parts[0]), D, y, 1e-8)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), cuts=st.lists(st.integers(1, 199), min_size=1, max_size=6, unique=True))
+def test_merge_order_does_not_matter(seed, cuts):
+    D, y = data(seed)
+    edges = [0, *sorted(cuts), len(D)]
+    parts = [Gram.from_data(D[a:b], y[a:b]) for a, b in zip(edges, edges[1:], strict=False)]
+    forward = sum(parts[1:], parts[0])
+    backward = sum(parts[-2::-1], parts[-1])
+    for gram in (forward, backward):
+        assert gram.n == len(D)
+        assert gram.dof == len(D) - 1
+        close(gram, D, y, 1e-12)
+
+
+def test_paper_convention_of_degrees_of_freedom_survives_addition():
+    D, y = data(3)
+    a, b = (Gram.from_data(D[s], y[s]) for s in (slice(0, 80), slice(80, None)))
+    assert (a.with_dof(a.n) + b.with_dof(b.n)).dof == len(D)
+
+
+def test_several_targets_share_one_matrix():
+    D, y = data(4)
+    first, second = grams_from_blocks([(D, np.column_stack([y, -y]))], ["a", "b", "c", "d", "e"], targets=2)
+    assert first.DtD is second.DtD
+    np.testing.assert_allclose(second.Dty, -first.Dty)
+    np.testing.assert_allclose(first.Dty, Gram.from_data(D, y).Dty)
+
+
+def test_selection_and_squared_error():
+    D, y = data(5)
+    gram = Gram.from_data(D, y, list("abcde"))
+    theta = np.array([0.5, 0.0, -1.0, 0.0, 2.0])
+    best = np.mean(y - D @ theta)
+    assert gram.squared_error(theta) == pytest.approx(np.sum((y - D @ theta - best) ** 2), rel=1e-12)
+    assert gram.squared_error(theta, 0.3) == pytest.approx(np.sum((y - D @ theta - 0.3) ** 2), rel=1e-12)
+    part = gram.select([4, 0, 2])
+    assert part.names == ("e", "a", "c")
+    close(part, D[:, [4, 0, 2]], y, 1e-13)
+
+
+def test_standardise_and_restore():
+    D, y = data(6, offset=3.0)
+    D *= [1e-6, 1e3, 1, 5, 1e9]
+    gram = Gram.from_data(D, y)
+    standard = gram.standardise(7.0)
+    Z = (D - D.mean(axis=0)) / D.std(axis=0)
+    close(standard.gram, Z, (y - y.mean()) / 7.0, 1e-12)
+    # least squares through the standardised Gram is least squares on the data
+    theta = np.linalg.solve(standard.gram.DtD, standard.gram.Dty)
+    raw = Posterior(
+        method="ols", names=gram.names, pip=np.ones(5), support=np.ones(5, dtype=bool), coef=theta,
+        covariance=np.linalg.inv(standard.gram.DtD), center=np.zeros(5), target_mean=0.0, noise_variance=1.0, n=len(y),
+    )  # fmt: skip
+    back = standard.restore(raw)
+    design = np.column_stack([np.ones(len(y)), D])
+    scale = np.linalg.norm(design, axis=0)
+    expected = np.linalg.lstsq(design / scale, y, rcond=None)[0] / scale
+    np.testing.assert_allclose(back.coef, expected[1:], rtol=1e-8)
+    assert back.intercept == pytest.approx(expected[0], rel=1e-8)
+    information = np.linalg.inv((design / scale).T @ (design / scale)) / np.outer(scale, scale)
+    np.testing.assert_allclose(back.sd, 7.0 * np.sqrt(np.diag(information))[1:], rtol=1e-7)
+    assert back.intercept_sd == pytest.approx(7.0 * np.sqrt(information[0, 0]), rel=1e-7)
+    # eqs. (29)-(30)
+    rows = D[:3] * 1.5
+    np.testing.assert_allclose(back.predict(rows), np.column_stack([np.ones(3), rows]) @ expected, rtol=1e-8)
+    full = np.column_stack([np.ones(3), rows])
+    np.testing.assert_allclose(
+        back.predictive_sd(rows) ** 2, 49.0 * (1 + np.einsum("ij,jk,ik->i", full, information, full)), rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
+def test_non_finite_values_are_named(bad):
+    D, y = data(7)
+    D[3, 1] = bad
+    with pytest.raises(InputError, match=r"non-finite.*in b"):
+        Gram.from_data(D, y, list("abcde"))
+
+
+def test_wrong_shapes_and_no_rows():
+    with pytest.raises(InputError, match="shape"):
+        Gram.from_data(np.ones((3, 2)), np.ones(4))
+    with pytest.raises(InputError, match="no rows"):
+        Gram.from_data(np.ones((0, 2)), np.ones(0))
+    D, y = data(8)
+    with pytest.raises(InputError, match="different dictionaries"):
+        Gram.from_data(D, y, list("abcde")) + Gram.from_data(D, y, list("abcdf"))
+
+
+def test_dense_of_any_gram_like():
+    D, y = data(9)
+    gram = Gram.from_data(D, y)
+
+    class Lazy:
+        names = gram.names
+
+        def column(self, j):
+            return gram.column(j)
+
+    np.testing.assert_array_equal(dense(Lazy()), gram.DtD)

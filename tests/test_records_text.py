@@ -1,0 +1,280 @@
+"""Delimited text: every layout that is read, and the message for every fault."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bayeq.errors import FileFormatError, InputError, MissingExtraError, RecordError, UnknownNameError
+from bayeq.records import Record, parquet, read, write
+from bayeq.records.columns import Headers
+from bayeq.records.layout import sniff
+from bayeq.records.text import _Lines
+
+DATA = Path(os.environ.get("BAYEQ_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured records in {DATA}; set BAYEQ_DATA")
+
+
+def put(tmp_path: Path, content: str | bytes, name: str = "run.csv") -> Path:
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "t,x\n0,1.5\n1,-2e3\n",
+        "t,x\r\n0,1.5\r\n1,-2e3\r\n",
+        "t,x\r0,1.5\r1,-2e3",
+        "\ufefft,x\n0,1.5\n1,-2e3",
+        "t, x\n0, 1.5\n\n1, -2.0e+003\n\n",
+        '"t","x"\n0,1.5\n"1","-2e3"\n',
+        "t,x,\n0,1.5,\n1,-2e3,\n",
+        "t,x\n0,1.5,\n1,-2e3,\n",
+        "t,x,\n0,1.5\n1,-2e3\n",
+        "t,x\n0,1.5\n1,-2.0D+03\n,\n,\n",
+        "t;x\n0;1,5\n1;-2e3\n",
+        "t;x\n0;1.5\n1;-2e3\n",
+        "sep=;\nt;x\n0;1,5\n1;-2e3\n",
+        "t\tx\n0\t1,5\n1\t-2e3\n",
+        "t\tx\n0 \t 1.5\n1\t-2e3\n",
+        "  t   x\n  0   1.5\n  1  -2e3\n",
+        "t x\n0\t 1.5\n1  -2e3\n",
+        "# t x\n0 1.5\n1 -2e3\n",
+        "# a comment\n# t,x\n0,1.5\n1,-2e3\n",
+        "% header below\nt,x\n% units follow\n0,1.5\n# gap\n1,-2e3\n",
+        "t,x\n[s],(-)\n0,1.5\n1,-2e3\n",
+    ],
+)
+def test_layouts(tmp_path: Path, content: str) -> None:
+    rec = read(put(tmp_path, content))
+    assert rec.names == ("x",)
+    assert rec.time is not None
+    assert rec.time.tolist() == [0.0, 1.0]
+    assert rec["x"].tolist() == [1.5, -2000.0]
+    assert rec.name == "run.csv"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "utf-16"])
+def test_encodings(tmp_path: Path, encoding: str) -> None:
+    rec = read(put(tmp_path, "t,temp [°C]\n0,1\n1,2\n".encode(encoding)))
+    assert rec.units == {"temp": "°C"}
+
+
+def test_missing_cells(tmp_path: Path) -> None:
+    rec = read(put(tmp_path, "t,x,v\n0,,NA\n1,nan,2\n2,null,-NaN\n3,#N/A,n/a\n4,1,\n"))
+    assert np.isnan(rec["x"]).tolist() == [True, True, True, True, False]
+    assert np.isnan(rec["v"]).tolist() == [True, False, True, True, True]
+
+
+def test_a_gap_in_the_middle_keeps_its_row(tmp_path: Path) -> None:
+    assert np.isnan(read(put(tmp_path, "a,b\n1,2\n,\n3,4\n,\n"), fs=1)["a"]).tolist() == [False, True, False]
+
+
+def test_without_header(tmp_path: Path) -> None:
+    path = put(tmp_path, "0,1,2,\n1,2,3,\n")
+    assert read(path).names == ("c1", "c2", "c3")
+    assert read(path).time is None
+    assert read(path, names="t x v").names == ("x", "v")
+    assert read(path, columns="c2").names == ("c2",)
+    assert read(put(tmp_path, "x\n1\n2\n")).names == ("x",)
+    assert read(put(tmp_path, "wheel speed [m/s]\n1\n2\n")).units == {"wheel_speed": "m/s"}
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "the file is empty"),
+        ("\n \n", "the file is empty"),
+        ("# a\n", "the file is empty but for comments"),
+        ("t,x\n", "a header but no rows"),
+        ("t,x\ns,m\n", "a header but no rows"),
+        ("t,x\n0,1\n1,oops\n", "line 3, column 'x': 'oops' is not a number"),
+        ("# c\n\nt,x\n0,1\n\n1,oops\n", "line 6, column 'x': 'oops' is not a number"),
+        ("t,x\n0,1_0\n", "line 2, column 'x': '1_0' is not a number"),
+        ("t,acc [g]\n0," + "z" * 99, r"column 'acc \[g\]': 'z{37}\.\.\.' is not a number"),
+        ("1,x\n0,1\n", "line 1, column 'c2': 'x' is not a number; if the line is a header"),
+        ("t,x\n0,1\n1\n", "line 3: 1 value where 2 are expected"),
+        ("t,x\n0,1\n1,2,3\n", "line 3: 3 values where 2 are expected"),
+        ("t,x\n0,1,2\n", "line 2: 3 values, but the header in line 1 names 2 columns"),
+        ("t,x\n0,5,1,5\n", "if the comma is the decimal mark, write points"),
+        ("t x\n0,5 1,5\n", "line 2, column 't': '0,5' is not a number; write the decimal mark as a point"),
+        ("t;x\n0;1.234,5\n", "'1.234,5' is not a number; write the decimal mark as a point"),
+        (b"\x00\x01\x02", "not a text file"),
+        (b"t,x\n0,\x071\n", "not a text file"),
+    ],
+)
+def test_faults(tmp_path: Path, content: str | bytes, message: str) -> None:
+    with pytest.raises(FileFormatError, match=message) as caught:
+        read(put(tmp_path, content))
+    assert "run.csv" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_time(tmp_path: Path) -> None:
+    path = put(tmp_path, "Time [ms],x,y\n0,5,1\n2,6,1\n")
+    assert read(path).fs == pytest.approx(500.0)
+    assert read(path, time="Time [ms]").names == ("x", "y")
+    assert read(path, time="Time").units == {"t": "s"}
+    assert read(path, time="x").names == ("Time", "y")
+    assert read(path, fs=10).names == ("Time", "x", "y")
+    assert read(path, units={"Time": "year", "x": "m"}).units == {"t": "year", "x": "m"}
+    with pytest.raises(InputError, match="time and fs are both given"):
+        read(path, time="Time", fs=10)
+    with pytest.raises(RecordError, match=r"run.csv, column 'y': time must increase strictly.*row 2"):
+        read(path, time="y")
+    with pytest.raises(UnknownNameError, match=r"run.csv: no column named 'tme'; did you mean 'Time'"):
+        read(path, time="tme")
+    with pytest.raises(RecordError, match="no channels besides time"):
+        read(put(tmp_path, "t\n0\n1\n"))
+
+
+def test_columns_pass_over_text(tmp_path: Path) -> None:
+    path = put(tmp_path, "t,x,label,date\n0,1,a,2024-01-01\n1,2,b,2024-01-01\n")
+    with pytest.raises(FileFormatError, match="'a' is not a number; if the column is not needed"):
+        read(path)
+    assert read(path, columns=["x"]).names == ("x",)
+    assert read(path, columns="b", names="t b c d").names == ("b",)
+
+
+def test_group(tmp_path: Path) -> None:
+    path = put(tmp_path, "trial,t,x [m]\n0,0,1\n0,1,2\n1,0,3\n1,1,4\n0,0,5\n")
+    with pytest.raises(RecordError, match=r"from 1.0 to 0.0 in row 3; it restarts there.*--group"):
+        read(path)
+    trials = read(path, group="trial")
+    assert [trial.name for trial in trials] == ["run.csv [trial 0]", "run.csv [trial 1]", "run.csv [trial 2]"]
+    assert [trial["x"].tolist() for trial in trials] == [[1.0, 2.0], [3.0, 4.0], [5.0]]
+    assert trials[0].names == ("x",)
+    assert trials[0].units == {"x": "m"}
+    assert len(read(path, group="trial", columns="x")) == 3
+    by_rate = read(path, group="trial", fs=2)[1]
+    assert by_rate.time is not None
+    assert by_rate.time.tolist() == [0.0, 0.5]
+    with pytest.raises(RecordError, match="in row 4"):
+        read(put(tmp_path, "g,t,x\n0,0,1\n0,1,2\n1,5,3\n1,4,4\n"), group="g")
+
+
+def test_suffixes(tmp_path: Path) -> None:
+    assert read(put(tmp_path, "1 2\n", "run.asc")).names == ("c1", "c2")
+    with pytest.raises(FileFormatError, match=r"no format for the suffix '.mat', and not text; known: .csv"):
+        read(put(tmp_path, b"\x00", "run.mat"))
+    with pytest.raises(FileFormatError, match=r"no format for the suffix '.xyz'; known: .csv"):
+        write(Record.from_arrays(x=[1.0]), tmp_path / "run.xyz")
+    with pytest.raises(FileFormatError, match="there is no directory"):
+        read(tmp_path / "nowhere" / "run.csv")
+
+
+cells = st.one_of(
+    st.floats().map(repr), st.integers(-(10**20), 10**20).map(str), st.sampled_from(["1.", ".5", "inf"])
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(st.tuples(cells, cells, cells), min_size=1, max_size=8), st.sampled_from([",", ";", "\t", " "])
+)
+def test_both_paths_agree(tmp_path: Path, rows: list[tuple[str, str, str]], mark: str) -> None:
+    """NumPy's reader and the thorough one give the same numbers, bit by bit."""
+    path = put(tmp_path, f"a{mark}b{mark}c\n" + "".join(mark.join(row) + "\n" for row in rows))
+    fast = read(path)
+    slow = _Lines(path, sniff(path, "utf-8"), Headers.parse("abc"), ()).read()
+    for column, name in enumerate("abc"):
+        assert np.array_equal(fast[name], slow[:, column], equal_nan=True)
+        assert np.array_equal(np.signbit(fast[name]), np.signbit(slow[:, column]))
+
+
+printable = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_size=60)
+tabular = st.text(st.sampled_from("0123456789.,;-+eEdDx#%\"'[]() \t\n\r"), max_size=80)
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.one_of(printable, tabular))
+def test_any_text_is_read_or_refused_in_one_line(tmp_path: Path, content: str) -> None:
+    try:
+        read(put(tmp_path, content))
+    except InputError as error:
+        message = str(error)
+    else:
+        message = ""
+    assert "\n" not in message
+
+
+def test_formats_by_hand(tmp_path: Path) -> None:
+    np.savez(tmp_path / "o.npz", x=np.array([{}], dtype=object))
+    with pytest.raises(FileFormatError, match="holds pickled objects, which are refused"):
+        read(tmp_path / "o.npz")
+    np.savez(tmp_path / "m.npz", t=np.arange(3), x=np.zeros((3, 1)), fs=10, i=np.arange(3))
+    assert read(tmp_path / "m.npz").names == ("x", "i")
+    np.savez(tmp_path / "u.npz", x=np.arange(3), y=np.arange(2))
+    with pytest.raises(FileFormatError, match=r"unequal lengths: x \(3,\), y \(2,\)"):
+        read(tmp_path / "u.npz")
+    np.savez(tmp_path / "d.npz", x=np.zeros((3, 2)))
+    with pytest.raises(FileFormatError, match=r"column 'x' has shape \(3, 2\)"):
+        read(tmp_path / "d.npz")
+    with (tmp_path / "a.npz").open("wb") as file:
+        np.save(file, np.arange(3))
+    with pytest.raises(FileFormatError, match=r"not a readable \.npz archive"):
+        read(tmp_path / "a.npz")
+
+
+def test_parquet_types(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as pq
+
+    table = pa.table(
+        {
+            "time": pa.array([0, 1_500_000], pa.timestamp("us")),
+            "i": pa.array([1, None], pa.int32()),
+            "f": pa.array([None, 1.5], pa.float32()),
+            "b": pa.array([True, False]),
+            "label": ["a", None],
+        }
+    )
+    pq.write_table(table, tmp_path / "r.parquet")
+    with pytest.raises(FileFormatError, match="column 'label' does not hold numbers"):
+        read(tmp_path / "r.parquet")
+    rec = read(tmp_path / "r.parquet", columns="i,f,b")
+    assert rec.time is not None
+    assert rec.time.tolist() == [0.0, 1.5]
+    assert rec["b"].tolist() == [1.0, 0.0]
+    assert np.isnan([rec["i"][1], rec["f"][0]]).all()
+
+
+def test_parquet_names_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingExtraError, match=r"pip install bayeq\[parquet\]"):
+        parquet.read_columns(tmp_path / "r.parquet")
+
+
+def test_import_is_light() -> None:
+    code = "import sys, bayeq.records; print([m for m in ('pandas', 'pyarrow', 'scipy') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@needs_data
+@pytest.mark.data
+def test_measured_records() -> None:
+    folder = DATA / "schmidt_lipson"
+    rec = read(folder / "real_linear_a_1.txt")
+    assert rec.names == ("trial", "x", "a", "v")
+    assert (rec.n, rec["x"][0]) == (870, -102.0)
+    assert rec.time is not None
+    assert rec.time[0] == 0.033
+    names = "trial t o1 o2 w1 w2 w1 w2 a1 a2"
+    trials = read(folder / "real_double_pend_h_1.txt", names=names, group="trial")
+    assert [trial.n for trial in trials] == [819, 701]
+    assert trials[0].names == ("o1", "o2", "w1", "w2", "w1_2", "w2_2", "a1", "a2")
+    tanks = read(DATA / "cascaded_tanks" / "dataBenchmark.csv", fs=0.25)
+    assert tanks.n == 1024
+    assert tanks.names == ("uEst", "uVal", "yEst", "yVal", "Ts")
+    hares = read(DATA / "lynx_hare" / "hudson-bay-lynx-hare.csv", time="Year", units={"Year": "year"})
+    assert (hares.n, hares.names, hares.dt) == (21, ("Lynx", "Hare"), 1.0)

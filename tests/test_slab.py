@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from bayeq.gram import Gram
+from bayeq.inference.prior import Prior
+from bayeq.inference.slab import learn_slab_variance, residual_scale
+from tests import reference
+
+
+def correlated(noise, seed=0, n=500):
+    rng = np.random.default_rng(seed)
+    D, _, _ = reference.random_problem(rng, n=n, P=6, rho=0.9)
+    y = D @ [1.0, 0, 0, -0.8, 0, 0] + noise * rng.normal(size=n)
+    return D, y - y.mean()
+
+
+@pytest.mark.parametrize("noise", [1.0, 0.1, 1e-3])
+def test_maximises_the_evidence_over_the_slab_variance(noise):
+    D, y = correlated(noise)
+    v = learn_slab_variance(Gram.from_data(D, y), Prior(), floor=0.01)
+
+    def best(v_s):
+        return reference.enumerate_models(D, y, v_s=v_s, N=len(y) - 1)[1].max()
+
+    top = best(v)
+    for other in np.geomspace(0.01, 1e9, 45):
+        assert best(other) <= top + 1e-3
+
+
+def test_is_not_below_its_floor_and_grows_with_the_signal():
+    values = [learn_slab_variance(Gram.from_data(*correlated(noise)), Prior()) for noise in (3.0, 0.03, 0.003)]
+    assert values[0] == pytest.approx(10.0)
+    assert values[2] == pytest.approx(100 * values[1], rel=0.3)
+
+
+@pytest.mark.parametrize("noise", [1.0, 1e-2, 1e-4])
+def test_residual_scale_is_that_of_least_squares(noise):
+    D, y = correlated(noise)
+    residual = y - D @ np.linalg.lstsq(D, y, rcond=None)[0]
+    expected = math.sqrt(residual @ residual / (len(y) - 7))
+    assert residual_scale(Gram.from_data(D, y)) == pytest.approx(expected, rel=1e-4)
+
+
+def test_residual_scale_without_noise_without_signal_and_without_rows_to_spare():
+    D, y = correlated(0.0)
+    assert residual_scale(Gram.from_data(D, y)) == pytest.approx(1e-6 * y.std(), rel=1e-6)
+    assert residual_scale(Gram.from_data(D, np.ones(500))) == 1.0
+    rng = np.random.default_rng(0)
+    wide, target = rng.normal(size=(20, 15)), rng.normal(size=20)
+    assert residual_scale(Gram.from_data(wide, target)) == pytest.approx(target.std())
