@@ -42,7 +42,7 @@ def vb(D, y, w, tau, *, v_s=10.0, p0=0.1, a=1e-4, b=1e-4, tolerance=1e-6, max_it
             + np.sum(xlogy(w, p0) - xlogy(w, w) + xlogy(1 - w, 1 - p0) - xlogy(1 - w, 1 - w))
         )
         trace.append(elbo)
-        if len(trace) > 1 and trace[-1] - trace[-2] < tolerance or len(trace) == max_iter:
+        if (len(trace) > 1 and trace[-1] - trace[-2] < tolerance) or len(trace) == max_iter:
             return w, mu, Sigma, a_q, b_q, np.array(trace)
         for i in range(P):
             others = [j for j in range(P) if j != i]

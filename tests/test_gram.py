@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -57,7 +59,7 @@ def test_means_1e8_times_the_standard_deviation():
 def test_merge_order_does_not_matter(seed, cuts):
     D, y = data(seed)
     edges = [0, *sorted(cuts), len(D)]
-    parts = [Gram.from_data(D[a:b], y[a:b]) for a, b in zip(edges, edges[1:], strict=False)]
+    parts = [Gram.from_data(D[a:b], y[a:b]) for a, b in pairwise(edges)]
     forward = sum(parts[1:], parts[0])
     backward = sum(parts[-2::-1], parts[-1])
     for gram in (forward, backward):
@@ -119,7 +121,9 @@ def test_standardise_and_restore():
     np.testing.assert_allclose(back.predict(rows), np.column_stack([np.ones(3), rows]) @ expected, rtol=1e-8)
     full = np.column_stack([np.ones(3), rows])
     np.testing.assert_allclose(
-        back.predictive_sd(rows) ** 2, 49.0 * (1 + np.einsum("ij,jk,ik->i", full, information, full)), rtol=1e-6
+        back.predictive_sd(rows) ** 2,
+        49.0 * (1 + np.einsum("ij,jk,ik->i", full, information, full)),
+        rtol=1e-6,
     )
 
 

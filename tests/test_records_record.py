@@ -182,9 +182,7 @@ def test_split_by_refusals() -> None:
 def test_require_finite() -> None:
     rec = Record({"x": [1.0, np.nan, np.inf], "v": [1.0, 2.0, 3.0]}, name="r")
     rec.require_finite("v")
-    with pytest.raises(
-        RecordError, match="r: channel 'x' has 2 NaN or infinite samples of 3, first in row 2"
-    ):
+    with pytest.raises(RecordError, match="r: channel 'x' has 2 NaN or infinite samples of 3, first in row 2"):
         rec.require_finite()
 
 
@@ -227,7 +225,5 @@ def test_dataframe_there_and_back() -> None:
     assert rec.units == {"x": "m"}
     with pytest.raises(ValueError, match="column 'label' does not hold numbers"):
         Record.from_dataframe(gaps)
-    dated = pd.DataFrame(
-        {"x": [1.0, 2.0]}, index=pd.date_range("2024", periods=2, freq="s", tz="CET", name="time")
-    )
+    dated = pd.DataFrame({"x": [1.0, 2.0]}, index=pd.date_range("2024", periods=2, freq="s", tz="CET", name="time"))
     assert Record.from_dataframe(dated).dt == 1.0

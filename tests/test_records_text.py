@@ -172,15 +172,11 @@ def test_suffixes(tmp_path: Path) -> None:
         read(tmp_path / "nowhere" / "run.csv")
 
 
-cells = st.one_of(
-    st.floats().map(repr), st.integers(-(10**20), 10**20).map(str), st.sampled_from(["1.", ".5", "inf"])
-)
+cells = st.one_of(st.floats().map(repr), st.integers(-(10**20), 10**20).map(str), st.sampled_from(["1.", ".5", "inf"]))
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    st.lists(st.tuples(cells, cells, cells), min_size=1, max_size=8), st.sampled_from([",", ";", "\t", " "])
-)
+@given(st.lists(st.tuples(cells, cells, cells), min_size=1, max_size=8), st.sampled_from([",", ";", "\t", " "]))
 def test_both_paths_agree(tmp_path: Path, rows: list[tuple[str, str, str]], mark: str) -> None:
     """NumPy's reader and the thorough one give the same numbers, bit by bit."""
     path = put(tmp_path, f"a{mark}b{mark}c\n" + "".join(mark.join(row) + "\n" for row in rows))

@@ -116,7 +116,8 @@ def discover(
     ] = "oscillator",
     method: Annotated[Method, typer.Option(help="Engine; auto is vb.")] = Method.auto,
     smooth: Annotated[
-        Smoothing, typer.Option(help="Derivatives not measured: smoothing spline (auto) or differences (none).")
+        Smoothing,
+        typer.Option(help="Derivatives not measured: smoothing spline (auto) or differences (none)."),
     ] = Smoothing.auto,
     holdout: Annotated[float, typer.Option(help="Share of the rows, the last, to judge the equation by.")] = 0.2,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
@@ -238,7 +239,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail("interrupted", 130)
     except BrokenPipeError:
         # The reader of the pipe has gone (`bayeq ... | head`); nothing is left to say to it.
-        sys.stdout = None  # type: ignore[assignment]
+        sys.stdout = None
         return 0
     except OSError as error:
         return _fail(f"{error.filename or 'system'}: {error.strerror or error}", 2 if error.filename else 1)

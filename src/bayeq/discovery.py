@@ -28,7 +28,8 @@ from bayeq.errors import (
 )
 from bayeq.gram import Gram
 from bayeq.inference import AUTO, ENGINES, Prior
-from bayeq.inference.search import SearchProblem, neighbours
+from bayeq.inference.problem import Problem
+from bayeq.inference.search import neighbours
 from bayeq.inference.slab import learn_slab_variance, residual_scale
 from bayeq.posterior import Posterior
 from bayeq.records import Record
@@ -186,7 +187,10 @@ class _Notes:
 
 
 def _chains(
-    chains: str | Sequence[str] | None, displacement: str | None, velocity: str | None, acceleration: str | None
+    chains: str | Sequence[str] | None,
+    displacement: str | None,
+    velocity: str | None,
+    acceleration: str | None,
 ) -> tuple[Chain, ...]:
     if chains is not None:
         if displacement or velocity or acceleration:
@@ -276,7 +280,7 @@ def _solve(
 
 
 def _runners_up(gram: Gram, prior: Prior, posterior: Posterior) -> tuple[RunnerUp, ...]:
-    moves = neighbours(SearchProblem.of(gram, prior), posterior.support, RUNNER_UP_WINDOW)
+    moves = neighbours(Problem.of(gram, prior), posterior.support, RUNNER_UP_WINDOW)
     names = gram.names
     return tuple(
         RunnerUp(

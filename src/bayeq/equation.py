@@ -169,7 +169,7 @@ class Equation:
         ]
         if self.intercept_matters:
             parts.append((round_to(p.intercept, p.intercept_sd), ""))
-        pieces = []
+        pieces: list[str] = []
         for number, term in parts:
             sign, size = ("-", number[1:]) if number.startswith("-") else ("+", number)
             body = f"{size}*{_factor(term)}" if term else size

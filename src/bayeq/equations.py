@@ -148,7 +148,7 @@ class Equations:
         if given.shape != (len(self.inputs),):
             raise InputError(f"need {len(self.inputs)} input values {self.inputs}, got {given.size}")
         columns = dict(zip(self.states, values, strict=True)) | dict(zip(self.inputs, given, strict=True))
-        out = []
+        out: list[float] = []
         for equation in self.equations:
             out.extend(columns[name] for name in equation.chain.states[1:])
             out.append(float(equation.evaluate(columns)))

@@ -245,7 +245,7 @@ class _Moments:
 
 
 @kernel
-def _column_sums(D, y, out):  # type: ignore[no-untyped-def]
+def _column_sums(D: Floats, y: Floats, out: Floats) -> None:
     n, p = D.shape
     out[:] = 0.0
     for i in range(n):
@@ -256,7 +256,7 @@ def _column_sums(D, y, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _centred(D, y, mean, z, rest):  # type: ignore[no-untyped-def]
+def _centred(D: Floats, y: Floats, mean: Floats, z: Floats, rest: Floats) -> None:
     """z = [D y] - mean, and the sums of z that rounding of the mean has left."""
     n, p = D.shape
     rest[:] = 0.0

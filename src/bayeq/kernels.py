@@ -48,8 +48,9 @@ def kernel_digest(function: Callable[..., Any]) -> str:
         for name in sorted(_global_names(f.__code__)):
             value = f.__globals__.get(name)
             sha.update(name.encode())
-            if hasattr(value, "py_func"):
-                visit(value.py_func)
+            compiled = getattr(value, "py_func", None)
+            if compiled is not None:
+                visit(compiled)
             elif isinstance(value, np.ndarray):
                 sha.update(value.tobytes())
             elif value is not None and not isinstance(value, ModuleType) and not callable(value):
@@ -106,5 +107,5 @@ def kernel(function: F) -> F:
         dispatcher._cache = _KernelCache(function)
     except RuntimeError:
         # Nowhere to write a cache (read-only installation and home): compile in every process.
-        return dispatcher  # type: ignore[no-any-return]
-    return dispatcher  # type: ignore[no-any-return]
+        return dispatcher
+    return dispatcher

@@ -64,10 +64,7 @@ def _render_equation(console: Console, equation: Equation, method: str, terminal
         others = [p for p, s in zip(equation.posterior.pip, equation.posterior.support, strict=True) if not s]
         low = [p for p in others if p < NOTEWORTHY_PIP]
         console.print(f"\n{rest} more candidates not included, PIP at most {max(low, default=0.0):.2g}")
-    console.print(
-        f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}; "
-        + "; ".join(_fits(equation))
-    )
+    console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}; " + "; ".join(_fits(equation)))
     if equation.runners_up:
         console.print("runners-up (posterior odds against the equation above):")
         for r in equation.runners_up:

@@ -145,7 +145,11 @@ def _restore(content: Mapping[str, Any]) -> Equations:
         saved = content["equations"][k]
         equations.append(
             _restore_equation(
-                chain, saved, content["posteriors"][k], diagnostics["equations"][saved["target"]], content["method"]
+                chain,
+                saved,
+                content["posteriors"][k],
+                diagnostics["equations"][saved["target"]],
+                content["method"],
             )
         )
     return Equations(

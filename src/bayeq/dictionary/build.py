@@ -64,7 +64,9 @@ def build_dictionary(specification: str | Sequence[str], variables: Variables) -
     if "/" in specification or path.suffix in {".txt", ".csv", ".terms"}:
         raise FileFormatError(f"no such file: {specification[:200]!r} (the dictionary's terms, one per line)")
     raise UnknownNameError(
-        "dictionary", specification[:60], [*FAMILIES, "polynomial:3", "a file of terms", "terms separated by commas"]
+        "dictionary",
+        specification[:60],
+        [*FAMILIES, "polynomial:3", "a file of terms", "terms separated by commas"],
     )
 
 

@@ -114,11 +114,7 @@ class Evaluator:
 
     def _power(self, base: Node, exponent: FloatArray | np.float64) -> FloatArray | np.float64:
         value = self._value(base)
-        if (
-            not isinstance(exponent, np.float64)
-            or not exponent.is_integer()
-            or abs(exponent) > MAX_INTEGER_POWER
-        ):
+        if not isinstance(exponent, np.float64) or not exponent.is_integer() or abs(exponent) > MAX_INTEGER_POWER:
             result: FloatArray | np.float64 = np.power(value, exponent)
             return result
         k = int(exponent)

@@ -27,7 +27,7 @@ MAX_NODES = 500
 
 _NUMBER = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.])"
 _TOKEN = re.compile(rf"[ \t]+|(?P<number>{_NUMBER})|(?P<name>[^\W\d]\w*)|\*\*|[-+*/()]")
-_BAD_NUMBER = re.compile(r"[0-9.][\w.]*")
+_BAD_NUMBER = re.compile(r"\.?[0-9][\w.]*")
 _HINTS = {
     "^": "use ** for powers",
     ",": "a function takes exactly one argument",
@@ -62,7 +62,7 @@ def _scan(text: str) -> None:
         token = _TOKEN.match(text, at)
         if token is None:
             bad = _BAD_NUMBER.match(text, at)
-            if bad is not None and bad[0] != ".":
+            if bad is not None:
                 raise _error(text, f"{_shown(bad[0])} is not a number; write 2, 0.5 or 1e-3")
             hint = _HINTS.get(text[at], f"there are {_ALLOWED}")
             raise _error(text, f"{text[at]!r} at column {at + 1} is not allowed: {hint}")
@@ -76,9 +76,7 @@ def _check_name(text: str, name: str) -> None:
     if keyword.iskeyword(name):
         raise _error(text, f"the word {name!r} is not allowed: there are {_ALLOWED}")
     if name.startswith("__"):
-        raise _error(
-            text, f"the name {_shown(name)} is not allowed: names must not begin with two underscores"
-        )
+        raise _error(text, f"the name {_shown(name)} is not allowed: names must not begin with two underscores")
 
 
 @lru_cache(maxsize=8192)
@@ -113,9 +111,7 @@ class _Converter:
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.convert(operand, depth + 1)
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-                return Binary(
-                    _OPERATORS[type(op)], self.convert(left, depth + 1), self.convert(right, depth + 1)
-                )
+                return Binary(_OPERATORS[type(op)], self.convert(left, depth + 1), self.convert(right, depth + 1))
             case ast.Call():
                 return self._call(node, depth)
         what = type(node).__name__
@@ -144,9 +140,9 @@ class _Converter:
             raise _error(self.text, "only functions can be called; write * for products")
         name = node.func.id
         if name not in FUNCTIONS:
-            near = difflib.get_close_matches(name, FUNCTIONS, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}?" if near else "write * for products;"
-            raise _error(self.text, f"no function {_shown(name)}; {hint} There are: {', '.join(FUNCTIONS)}")
+            near = difflib.get_close_matches(name, FUNCTIONS, n=1, cutoff=0.6)
+            hint = f"did you mean {near[0]!r}?" if near else "write * for products"
+            raise _error(self.text, f"no function {_shown(name)}; {hint} (there are: {', '.join(FUNCTIONS)})")
         if node.keywords or len(node.args) != 1 or isinstance(node.args[0], ast.Starred):
             raise _error(self.text, f"{name} takes exactly one argument")
         return Call(name, self.convert(node.args[0], depth + 1))
@@ -161,9 +157,7 @@ def _parse(text: str) -> Expression:
     try:
         body = ast.parse(stripped, mode="eval").body
     except (SyntaxError, ValueError):
-        raise _error(
-            text, "malformed: an operator, an operand or a bracket is missing or out of place"
-        ) from None
+        raise _error(text, "malformed: an operator, an operand or a bracket is missing or out of place") from None
     except (MemoryError, RecursionError):
         raise _error(text, f"nested deeper than {MAX_DEPTH} levels") from None
     expression = Expression(_Converter(text).convert(body))

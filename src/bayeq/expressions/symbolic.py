@@ -10,9 +10,10 @@ from bayeq.expressions.nodes import Binary, Call, Expression, Negate, Node, Numb
 
 __all__ = ["latex", "to_sympy"]
 
-# SymPy computes powers of integers exactly, 9**9**9 with all its digits. What exceeds the range of a float
-# becomes a SymPy Float, whose size does not grow with its exponent.
+# SymPy computes powers of numbers exactly, 9**9**9 with all its digits. Numbers that do not fit into a float
+# are computed in floating point instead, as they are everywhere else.
 _MAX_BITS = 1024
+_LARGE_POWER = 64
 
 
 def to_sympy(expression: Expression) -> Any:
@@ -29,8 +30,8 @@ def to_sympy(expression: Expression) -> Any:
     Returns
     -------
     sympy.Expr
-        SymPy's automatic simplification applies (``x + x`` is ``2*x``); exact numbers beyond 1024 bits
-        become `sympy.Float`.
+        SymPy's automatic simplification applies (``x + x`` is ``2*x``); numbers beyond the range of a float
+        become infinite, as they do in evaluation.
 
     Examples
     --------
@@ -83,26 +84,29 @@ def _convert(node: Node) -> Any:
             return _bounded(a + b if op == "+" else a - b if op == "-" else a * b if op == "*" else a / b)
 
 
-def _bits(rational: Any) -> int:
-    return max(abs(int(rational.p)).bit_length(), int(rational.q).bit_length())
-
-
-def _bounded(value: Any, bits: float = _MAX_BITS) -> Any:
-    """`value`, its numerical factor as a Float if that has more than `bits` bits."""
+def _numerical(factor: Any, bits: float) -> Any:
+    """A number: exact as it is if it has up to `bits` bits, else in floating point with a float's range."""
     import sympy
 
+    if factor.is_Rational and max(abs(int(factor.p)).bit_length(), int(factor.q).bit_length()) <= bits:
+        return factor
+    approximate = factor.evalf()
+    if not approximate.is_Float:
+        return factor  # infinite, NaN or complex
+    value = float(approximate)
+    return approximate if math.isfinite(value) and (value != 0 or approximate == 0) else sympy.sympify(value)
+
+
+def _bounded(value: Any) -> Any:
+    """`value`, with its numerical factor in floating point where that is a long number."""
     factor, rest = value.as_coeff_Mul()
-    if factor.is_Rational and not factor.is_infinite and _bits(factor) > bits:
-        return sympy.Float(factor) * rest
-    return value
+    return _numerical(factor, _MAX_BITS) * rest
 
 
 def _power(base: Any, exponent: Any) -> Any:
-    import sympy
-
-    if exponent.is_Rational and exponent.is_finite and exponent != 0:
-        size = abs(float(exponent))
-        if size > _MAX_BITS:
-            exponent = sympy.Float(exponent)
-        base = _bounded(base, _MAX_BITS / max(size, 1.0) if size < math.inf else 0)
-    return base**exponent
+    if exponent.is_Number and exponent.is_finite:
+        size = max(abs(float(exponent)), 1.0)
+        factor, rest = base.as_independent(*base.free_symbols, as_Add=False)
+        if factor.is_Rational or size > _LARGE_POWER:
+            base = _numerical(factor, _MAX_BITS / size) * rest
+    return _bounded(base**exponent)

@@ -109,7 +109,7 @@ def run_tape(code: IndexArray, registers: FloatArray) -> None:
         elif opcode == ABS:
             value = abs(a)
         elif opcode == SIGN:
-            value = 1.0 if a > 0.0 else -1.0 if a < 0.0 else 0.0 * a
+            value = 1.0 if a > 0.0 else -1.0 if a < 0.0 else 0.0 if a == 0.0 else a
         else:
             value = apply_function(opcode, a)
         registers[code[i, 1]] = value

@@ -46,8 +46,8 @@ class Prior:
             A value outside its range, or a p_0 of the wrong length.
         """
         for name in ("slab_variance", "noise_shape", "noise_rate"):
-            value = getattr(self, name)
-            if not (np.isscalar(value) and np.isfinite(value) and value > 0):
+            value: object = getattr(self, name)
+            if not (isinstance(value, (int, float, np.floating, np.integer)) and 0 < value < np.inf):
                 raise InputError(f"{name} must be a positive number, got {value!r}")
         p0 = np.asarray(self.prior_inclusion, dtype=np.float64)
         if p0.ndim > 1 or (p0.ndim == 1 and len(p0) != terms):

@@ -14,10 +14,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.gram import GramLike, dense
 from bayeq.inference.prior import Prior
+from bayeq.inference.problem import Bools, Floats
 from bayeq.inference.tableau import build, flip
 from bayeq.kernels import kernel
 from bayeq.posterior import Posterior
@@ -29,7 +29,7 @@ MIN_GAIN = 1e-6
 
 
 @kernel
-def _best_action(M, lam, beta):  # type: ignore[no-untyped-def]
+def _best_action(M: Floats, lam: Floats, beta: float) -> tuple[int, float, float]:
     """The term whose action gains most, its new lambda (inf: leave out) and the gain."""
     p = len(lam)
     best, best_j, best_lam = MIN_GAIN, -1, math.inf
@@ -66,7 +66,7 @@ def _best_action(M, lam, beta):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _shift_ridge(M, j, delta):  # type: ignore[no-untyped-def]
+def _shift_ridge(M: Floats, j: int, delta: float) -> None:
     """Add `delta` to the ridge of active term j: one rank-one update of the swept tableau."""
     kappa = delta / (1.0 - delta * M[j, j])
     column = M[:, j].copy()
@@ -77,13 +77,15 @@ def _shift_ridge(M, j, delta):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def rvm_ascent(DtD, Dty, yty, dof, max_iter):  # type: ignore[no-untyped-def]
+def rvm_ascent(
+    DtD: Floats, Dty: Floats, yty: float, dof: float, max_iter: int
+) -> tuple[Floats, Floats, float, int, bool]:
     """Sequential maximisation of the marginal likelihood.
 
     Returns gamma (P,), the swept tableau, the noise variance, the steps taken and whether it converged.
     """
     p = len(Dty)
-    M = build(DtD, Dty, yty, 0.0, 0.0)
+    M = build(DtD, Dty, yty, 0.0)
     lam = np.full(p, math.inf)
     floor = max(1e-14 * yty, 1e-300)
     steps, converged = 0, False
@@ -110,9 +112,7 @@ def rvm_ascent(DtD, Dty, yty, dof, max_iter):  # type: ignore[no-untyped-def]
     return gamma, M, max(M[p, p], floor) / dof, steps, converged
 
 
-def rvm(
-    gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0, max_iter: int = 10_000
-) -> Posterior:
+def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0, max_iter: int = 10_000) -> Posterior:
     """Relevance vector machine.
 
     Parameters
@@ -134,9 +134,9 @@ def rvm(
     """
     del prior
     gamma, M, noise, steps, converged = rvm_ascent(dense(gram), gram.Dty, gram.yty, gram.dof, max_iter)
-    support: NDArray[np.bool_] = gamma > 0.0
+    support: Bools = gamma > 0.0
     for j in np.flatnonzero(support & (gamma <= least_gamma)):
-        flip(M, j)
+        flip(M, int(j))
         support[j] = False
     mu = np.where(support, M[:-1, -1], 0.0)
     kept = np.flatnonzero(support)

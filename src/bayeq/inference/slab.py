@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.gram import Gram, GramLike
+from bayeq.gram import Gram, GramLike, dense
 from bayeq.inference.prior import Prior
-from bayeq.inference.search import SearchProblem, best_models
+from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.search import best_models
 from bayeq.inference.tableau import score
 from bayeq.kernels import kernel
 
@@ -21,6 +20,9 @@ LOG_RANGE = math.log(1e15)
 GRID = 41
 GOLDEN_STEPS = 30
 
+# Turns of maximising the model, then v_s.
+MAX_TURNS = 10
+
 # A column whose variance left by earlier ones is a smaller share of its own depends on them.
 DEPENDENT = 1e-13
 
@@ -29,13 +31,12 @@ LEAST_RESIDUAL = 1e-6
 
 
 @kernel
-def _best_slab(DtD, Dty, yty, active, log_odds, noise_rate, h, floor, lowest):  # type: ignore[no-untyped-def]
+def _best_slab(p: Problem, active: Bools, lowest: float) -> tuple[float, float]:
     """ln v_s >= lowest that maximises the log posterior of one model, and that maximum."""
     best, best_k = -math.inf, 0
     step = LOG_RANGE / (GRID - 1)
     for k in range(GRID):
-        v = math.exp(lowest + k * step)
-        value = score(DtD, Dty, yty, active, log_odds, v, noise_rate, h, floor)
+        value = score(p, active, math.exp(lowest + k * step))
         if value > best:
             best, best_k = value, k
     a = lowest + max(best_k - 1, 0) * step
@@ -43,14 +44,12 @@ def _best_slab(DtD, Dty, yty, active, log_odds, noise_rate, h, floor, lowest):  
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
     for _ in range(GOLDEN_STEPS):
         left, right = b - ratio * (b - a), a + ratio * (b - a)
-        f_left = score(DtD, Dty, yty, active, log_odds, math.exp(left), noise_rate, h, floor)
-        f_right = score(DtD, Dty, yty, active, log_odds, math.exp(right), noise_rate, h, floor)
-        if f_left >= f_right:
+        if score(p, active, math.exp(left)) >= score(p, active, math.exp(right)):
             b = right
         else:
             a = left
     middle = 0.5 * (a + b)
-    value = score(DtD, Dty, yty, active, log_odds, math.exp(middle), noise_rate, h, floor)
+    value = score(p, active, math.exp(middle))
     if value > best:
         return middle, value
     return lowest + best_k * step, best
@@ -72,19 +71,15 @@ def learn_slab_variance(gram: GramLike, prior: Prior, floor: float = 10.0) -> fl
     floor : float
         Least value; the paper's 10.
     """
-    problem = SearchProblem.of(gram, prior)
+    problem = Problem.of(gram, prior)
     lowest = math.log(floor)
-    ratio = gram.yty / max(_residual_sum(problem), LEAST_RESIDUAL**2 * gram.yty, 1e-300)
+    ratio = gram.yty / max(_residual_sum(gram), LEAST_RESIDUAL**2 * gram.yty, 1e-300)
     best_value, best_log = -math.inf, lowest
     for start in {lowest, max(lowest, math.log(max(ratio, 1e-300)))}:
         log_v = start
-        for _ in range(10):
-            trial = replace(problem, slab_variance=math.exp(log_v))
-            active = best_models(trial)[0][1]
-            new, value = _best_slab(
-                trial.DtD, trial.Dty, trial.yty, active, trial.log_odds, trial.noise_rate, trial.h, trial.floor,
-                lowest,
-            )  # fmt: skip
+        for _ in range(MAX_TURNS):
+            active = best_models(problem.with_slab_variance(math.exp(log_v)))[0][1]
+            new, value = _best_slab(problem, active, lowest)
             if value > best_value:
                 best_value, best_log = value, new
             if abs(new - log_v) < 1e-3:
@@ -94,7 +89,7 @@ def learn_slab_variance(gram: GramLike, prior: Prior, floor: float = 10.0) -> fl
 
 
 @kernel
-def _least_squares_rss(DtD, Dty, yty):  # type: ignore[no-untyped-def]
+def _least_squares_rss(DtD: Floats, Dty: Floats, yty: float) -> float:
     """Residual sum of squares of all terms together; columns that depend on earlier ones add nothing."""
     p = len(Dty)
     L = np.empty((p, p))
@@ -119,8 +114,8 @@ def _least_squares_rss(DtD, Dty, yty):  # type: ignore[no-untyped-def]
     return s
 
 
-def _residual_sum(problem: SearchProblem) -> float:
-    return float(_least_squares_rss(problem.DtD, problem.Dty, problem.yty))
+def _residual_sum(gram: GramLike) -> float:
+    return _least_squares_rss(dense(gram), gram.Dty, gram.yty)
 
 
 def residual_scale(gram: Gram) -> float:
@@ -136,7 +131,5 @@ def residual_scale(gram: Gram) -> float:
         return 1.0
     if spare < max(10, 0.1 * gram.n):
         return sd
-    standard = gram.standardise(sd).gram
-    problem = SearchProblem.of(standard, Prior())
-    rss = _residual_sum(problem)
+    rss = _residual_sum(gram.standardise(sd).gram)
     return sd * max(math.sqrt(max(rss, 0.0) / spare), LEAST_RESIDUAL)

@@ -21,6 +21,7 @@ import math
 
 import numpy as np
 
+from bayeq.inference.problem import Bools, Floats, Problem
 from bayeq.kernels import kernel
 
 __all__ = ["build", "climb", "flip", "flip_gain", "score", "swap_gain"]
@@ -30,21 +31,21 @@ GAIN_TOLERANCE = 1e-8
 
 
 @kernel
-def build(DtD, Dty, yty, ridge, noise_rate):  # type: ignore[no-untyped-def]
-    """Unswept tableau, (P+1, P+1), of the empty model; `ridge` is 1/v_s."""
-    p = DtD.shape[0]
+def build(DtD: Floats, Dty: Floats, yty: float, ridge: float) -> Floats:
+    """Unswept tableau, (P+1, P+1), of the empty model; `ridge` is 1/v_s, `yty` holds 2 b_sigma already."""
+    p = len(Dty)
     M = np.empty((p + 1, p + 1))
     M[:p, :p] = DtD
     M[:p, p] = Dty
     M[p, :p] = Dty
     for j in range(p):
         M[j, j] += ridge
-    M[p, p] = yty + 2.0 * noise_rate
+    M[p, p] = yty
     return M
 
 
 @kernel
-def flip(M, j):  # type: ignore[no-untyped-def]
+def flip(M: Floats, j: int) -> float:
     """Sweep M in place on term j, in or out; returns ln|pivot|, by which ln|A| changes."""
     q = M.shape[0]
     pivot = M[j, j]
@@ -66,53 +67,54 @@ def flip(M, j):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def flip_gain(M, active, j, log_odds, half_log_slab, h, floor):  # type: ignore[no-untyped-def]
+def flip_gain(p: Problem, M: Floats, active: Bools, j: int) -> float:
     """Change of the log posterior when term j is flipped."""
     y = M.shape[0] - 1
     pivot = M[j, j]
-    s = max(M[y, y], floor)
-    after = max(s - M[j, y] * M[j, y] / pivot, floor)
-    data = -0.5 * math.log(abs(pivot)) - h * math.log(after / s)
+    s = max(M[y, y], p.floor)
+    after = max(s - M[j, y] * M[j, y] / pivot, p.floor)
+    data = -0.5 * math.log(abs(pivot)) - p.h * math.log(after / s)
     if active[j]:
-        return data - log_odds[j] + half_log_slab
-    return data + log_odds[j] - half_log_slab
+        return data - p.log_odds[j] + p.half_log_slab
+    return data + p.log_odds[j] - p.half_log_slab
 
 
 @kernel
-def swap_gain(M, i, j, log_odds, h, floor):  # type: ignore[no-untyped-def]
+def swap_gain(p: Problem, M: Floats, i: int, j: int) -> float:
     """Change of the log posterior when active term i leaves and inactive term j enters."""
     y = M.shape[0] - 1
     out = M[i, i]
     link = M[i, j] / out
     pivot = M[j, j] - link * M[i, j]
     partial = M[j, y] - link * M[i, y]
-    s = max(M[y, y], floor)
-    after = max(s - M[i, y] * M[i, y] / out - partial * partial / pivot, floor)
-    data = -0.5 * (math.log(abs(out)) + math.log(abs(pivot))) - h * math.log(after / s)
-    return data + log_odds[j] - log_odds[i]
+    s = max(M[y, y], p.floor)
+    after = max(s - M[i, y] * M[i, y] / out - partial * partial / pivot, p.floor)
+    data = -0.5 * (math.log(abs(out)) + math.log(abs(pivot))) - p.h * math.log(after / s)
+    return data + p.log_odds[j] - p.log_odds[i]
 
 
 @kernel
-def climb(M, active, log_odds, half_log_slab, h, floor):  # type: ignore[no-untyped-def]
+def climb(p: Problem, M: Floats, active: Bools) -> float:
     """Steepest ascent from the model in `active` by flips, and by swaps where no flip improves.
 
-    M and `active` are changed in place; returns the log posterior gained. Forced terms (log-odds +inf) come
-    in first and stay, forbidden ones (-inf) leave first and never return.
+    M and `active` are changed in place; returns the log posterior gained. Forced and forbidden terms are left
+    as they are.
     """
-    p = M.shape[0] - 1
+    terms = len(active)
     gained = 0.0
-    for _ in range(20 * p + 20):
+    for _ in range(20 * terms + 20):
         best, best_i, best_j = GAIN_TOLERANCE, -1, -1
-        for j in range(p):
-            gain = flip_gain(M, active, j, log_odds, half_log_slab, h, floor)
-            if gain > best:
-                best, best_j = gain, j
+        for j in range(terms):
+            if not math.isinf(p.log_odds[j]):
+                gain = flip_gain(p, M, active, j)
+                if gain > best:
+                    best, best_j = gain, j
         if best_j < 0:
-            for i in range(p):
-                if active[i] and log_odds[i] < math.inf:
-                    for j in range(p):
-                        if not active[j] and log_odds[j] > -math.inf:
-                            gain = swap_gain(M, i, j, log_odds, h, floor)
+            for i in range(terms):
+                if active[i] and not math.isinf(p.log_odds[i]):
+                    for j in range(terms):
+                        if not active[j] and not math.isinf(p.log_odds[j]):
+                            gain = swap_gain(p, M, i, j)
                             if gain > best:
                                 best, best_i, best_j = gain, i, j
         if best_j < 0:
@@ -127,8 +129,8 @@ def climb(M, active, log_odds, half_log_slab, h, floor):  # type: ignore[no-unty
 
 
 @kernel
-def score(DtD, Dty, yty, active, log_odds, slab_variance, noise_rate, h, floor):  # type: ignore[no-untyped-def]
-    """Log posterior of one model up to the constant of `inference.search.log_constant`, from scratch.
+def score(p: Problem, active: Bools, slab_variance: float) -> float:
+    """Log posterior of one model up to the constant of `search.log_constant`, from scratch, at any v_s.
 
     Cholesky of A, so that it carries none of a tableau's drift.
     """
@@ -137,12 +139,12 @@ def score(DtD, Dty, yty, active, log_odds, slab_variance, noise_rate, h, floor):
     L = np.empty((r, r))
     half = np.empty(r)
     total = 0.0
-    s = yty + 2.0 * noise_rate
+    s = p.yty + 2.0 * p.noise_rate
     for a in range(r):
-        if log_odds[index[a]] < math.inf:
-            total += log_odds[index[a]]
+        if p.log_odds[index[a]] < math.inf:
+            total += p.log_odds[index[a]]
         for b in range(a + 1):
-            value = DtD[index[a], index[b]]
+            value = p.DtD[index[a], index[b]]
             if a == b:
                 value += 1.0 / slab_variance
             for k in range(b):
@@ -151,10 +153,10 @@ def score(DtD, Dty, yty, active, log_odds, slab_variance, noise_rate, h, floor):
                 L[a, a] = math.sqrt(max(value, 1e-300))
             else:
                 L[a, b] = value / L[b, b]
-        value = Dty[index[a]]
+        value = p.Dty[index[a]]
         for k in range(a):
             value -= L[a, k] * half[k]
         half[a] = value / L[a, a]
         s -= half[a] * half[a]
         total -= 0.5 * math.log(slab_variance) + math.log(L[a, a])
-    return total - h * math.log(0.5 * max(s, floor))
+    return total - p.h * math.log(0.5 * max(s, p.floor))

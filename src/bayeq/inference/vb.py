@@ -18,21 +18,22 @@ from numpy.typing import NDArray
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
 from bayeq.inference.prior import Prior
+from bayeq.inference.problem import Floats, Problem
 from bayeq.inference.rvm import rvm_ascent
-from bayeq.inference.search import SearchProblem, candidate_models
+from bayeq.inference.search import candidate_models
 from bayeq.kernels import kernel
 from bayeq.posterior import Posterior
 
 __all__ = ["spike_slab_vb"]
 
-Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 # Below this log-odds (w = 1e-20) a term counts as out: exp underflows soon after, and w = 0 is exact.
 ETA_OUT = -46.0
 
 
 @kernel
-def _factorise(A, C):  # type: ignore[no-untyped-def]
+def _factorise(A: Floats, C: Floats) -> float:
     """C = A^-1 by Cholesky (A is overwritten); returns ln|A|, or NaN if A is not positive definite."""
     r = A.shape[0]
     logdet = 0.0
@@ -69,7 +70,7 @@ def _factorise(A, C):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _expit(eta):  # type: ignore[no-untyped-def]
+def _expit(eta: float) -> float:
     if eta >= 0.0:
         return 1.0 / (1.0 + math.exp(-eta))
     e = math.exp(eta)
@@ -77,7 +78,7 @@ def _expit(eta):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _indicator_bound(w, log_odds):  # type: ignore[no-untyped-def]
+def _indicator_bound(w: Floats, log_odds: Floats) -> float:
     """Sum of w ln(p0/w) + (1-w) ln((1-p0)/(1-w)): minus the divergence of q(z) from its prior."""
     total = 0.0
     for i in range(len(w)):
@@ -91,44 +92,44 @@ def _indicator_bound(w, log_odds):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _update_indicators(DtD, Dty, w, index, mu, C, tau_old, tau, log_odds, slab_variance):  # type: ignore[no-untyped-def]
+def _update_indicators(p: Problem, w: Floats, index: Ints, mu: Floats, C: Floats, tau_old: float, tau: float) -> None:
     """Eqs. (25)-(26) for each term in turn, with the newest w of the others."""
     position = np.full(len(w), -1)
     for a in range(len(index)):
         position[index[a]] = a
     for i in range(len(w)):
-        if math.isinf(log_odds[i]):
+        if math.isinf(p.log_odds[i]):
             continue
         a = position[i]
         if a < 0:
-            eta = log_odds[i] - 0.5 * tau * slab_variance / tau_old * DtD[i, i]
+            eta = p.log_odds[i] - 0.5 * tau * p.slab_variance / tau_old * p.DtD[i, i]
         else:
-            eta = log_odds[i] - 0.5 * tau * (mu[a] * mu[a] + C[a, a] / tau_old) * DtD[i, i]
-            cross = mu[a] * Dty[i]
+            eta = p.log_odds[i] - 0.5 * tau * (mu[a] * mu[a] + C[a, a] / tau_old) * p.DtD[i, i]
+            cross = mu[a] * p.Dty[i]
             for b in range(len(index)):
                 if b != a:
-                    cross -= w[index[b]] * DtD[i, index[b]] * (mu[a] * mu[b] + C[a, b] / tau_old)
+                    cross -= w[index[b]] * p.DtD[i, index[b]] * (mu[a] * mu[b] + C[a, b] / tau_old)
             eta += tau * cross
         w[i] = 0.0 if eta < ETA_OUT else _expit(eta)
 
 
 @kernel
-def vb_ascent(  # type: ignore[no-untyped-def]
-    DtD, Dty, yty, dof, w, tau, log_odds, slab_variance, noise_shape, noise_rate, tolerance, max_iter
-):
+def vb_ascent(
+    p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int
+) -> tuple[Floats, Floats, Ints, float, float, Floats]:
     """Coordinate ascent from inclusion probabilities `w` (changed in place) and noise precision `tau`.
 
     tau <= 0 asks for the precision that is optimal for `w`. Returns mu (P,), Sigma of the active terms, their
     indices, a, b and the ELBO trace; the trace is empty if D'D is not positive semi-definite.
     """
-    p = len(w)
-    shape = noise_shape + 0.5 * dof + 0.5 * p
+    terms = len(w)
+    shape = p.noise_shape + 0.5 * p.dof + 0.5 * terms
     trace = np.empty(max_iter)
     steps = 0
-    for i in range(p):
-        if log_odds[i] == math.inf:
+    for i in range(terms):
+        if p.log_odds[i] == math.inf:
             w[i] = 1.0
-        elif log_odds[i] == -math.inf:
+        elif p.log_odds[i] == -math.inf:
             w[i] = 0.0
     while True:
         index = np.flatnonzero(w > 0.0)
@@ -137,52 +138,43 @@ def vb_ascent(  # type: ignore[no-untyped-def]
         for a in range(r):
             i = index[a]
             for b in range(a):
-                A[a, b] = w[i] * w[index[b]] * DtD[i, index[b]]
+                A[a, b] = w[i] * w[index[b]] * p.DtD[i, index[b]]
                 A[b, a] = A[a, b]
-            A[a, a] = w[i] * DtD[i, i] + 1.0 / slab_variance
+            A[a, a] = w[i] * p.DtD[i, i] + 1.0 / p.slab_variance
         logdet = _factorise(A, C)
         if math.isnan(logdet):
-            return np.zeros(p), C, index, shape, math.nan, trace[:0], tau
+            return np.zeros(terms), C, index, shape, math.nan, trace[:0]
         explained = 0.0
         for a in range(r):
             for b in range(r):
-                mu[a] += C[a, b] * w[index[b]] * Dty[index[b]]
-            explained += mu[a] * w[index[a]] * Dty[index[a]]
-        residual = max(yty - explained, 0.0)
+                mu[a] += C[a, b] * w[index[b]] * p.Dty[index[b]]
+            explained += mu[a] * w[index[a]] * p.Dty[index[a]]
+        residual = max(p.yty - explained, 0.0)
         if tau <= 0.0:
-            tau = (shape - 0.5 * p) / (noise_rate + 0.5 * residual)
-        rate = noise_rate + 0.5 * (residual + p / tau)
+            tau = (shape - 0.5 * terms) / (p.noise_rate + 0.5 * residual)
+        rate = p.noise_rate + 0.5 * (residual + terms / tau)
         tau_new = shape / rate
-        log_det_sigma = (p - r) * math.log(slab_variance) - logdet - p * math.log(tau)
-        elbo = 0.5 * p - 0.5 * dof * math.log(2.0 * math.pi) - 0.5 * p * math.log(slab_variance)
-        elbo += noise_shape * math.log(noise_rate) - math.lgamma(noise_shape) + math.lgamma(shape)
-        elbo += 0.5 * log_det_sigma - shape * math.log(rate) + _indicator_bound(w, log_odds)
+        log_det_sigma = (terms - r) * math.log(p.slab_variance) - logdet - terms * math.log(tau)
+        elbo = 0.5 * terms - 0.5 * p.dof * math.log(2.0 * math.pi) - 0.5 * terms * math.log(p.slab_variance)
+        elbo += p.noise_shape * math.log(p.noise_rate) - math.lgamma(p.noise_shape) + math.lgamma(shape)
+        elbo += 0.5 * log_det_sigma - shape * math.log(rate) + _indicator_bound(w, p.log_odds)
         trace[steps] = elbo
         steps += 1
         done = steps > 1 and elbo - trace[steps - 2] < tolerance
         if done or steps == max_iter:
             break
-        _update_indicators(DtD, Dty, w, index, mu, C, tau, tau_new, log_odds, slab_variance)
+        _update_indicators(p, w, index, mu, C, tau, tau_new)
         tau = tau_new
-    full = np.zeros(p)
+    full = np.zeros(terms)
     for a in range(r):
         full[index[a]] = mu[a]
-    return full, C / tau, index, shape, rate, trace[:steps], tau
+    return full, C / tau, index, shape, rate, trace[:steps]
 
 
-def _rvm_start(problem: SearchProblem) -> tuple[Floats, float]:
+def _rvm_start(problem: Problem) -> tuple[Floats, float]:
     """The paper's start (section 3.2): w = gamma of the RVM, tau = 1000."""
     p = problem
-    gamma = rvm_ascent(p.DtD, p.Dty, p.yty, p.dof, 50 * len(p.Dty) + 100)[0]
-    return gamma, 1000.0
-
-
-def _ascend(problem: SearchProblem, w: Floats, tau: float, tolerance: float, max_iter: int):  # type: ignore[no-untyped-def]
-    p = problem
-    return vb_ascent(
-        p.DtD, p.Dty, p.yty, p.dof, w, tau, p.log_odds, p.slab_variance, p.noise_shape, p.noise_rate,
-        tolerance, max_iter,
-    )
+    return rvm_ascent(p.DtD, p.Dty, p.yty, p.dof, 50 * len(p.Dty) + 100)[0], 1000.0
 
 
 def spike_slab_vb(
@@ -216,7 +208,7 @@ def spike_slab_vb(
     Posterior
         `pip` holds w, `elbo` the bound (28) with its misprint corrected.
     """
-    problem = SearchProblem.of(gram, prior or Prior())
+    problem = Problem.of(gram, prior or Prior())
     if isinstance(init, str):
         if init == "rvm":
             starts = [_rvm_start(problem)]
@@ -232,11 +224,11 @@ def spike_slab_vb(
         starts = [(w, 0.0)]
     best = None
     for w, tau in starts:
-        run = _ascend(problem, w, tau, tolerance, max_iter)
+        run = vb_ascent(problem, w, tau, tolerance, max_iter)
         if best is None or run[5][-1] > best[5][-1]:
             best, best_w = run, w
     assert best is not None
-    mu, sigma, index, shape, rate, trace, _ = best
+    mu, sigma, index, shape, rate, trace = best
     kept = np.flatnonzero(best_w[index] > 0.5)
     support = np.zeros(len(best_w), dtype=np.bool_)
     support[index[kept]] = True

@@ -32,15 +32,11 @@ def _prefix(where: str) -> str:
 def as_column(values: Any, what: str, where: str = "") -> FloatArray:
     """A float64 array of one dimension, or a RecordError that says what is wrong with it."""
     try:
-        array = (
-            np.ma.filled(values.astype(float), np.nan) if np.ma.isMaskedArray(values) else np.asarray(values)
-        )
+        array = np.ma.filled(values.astype(float), np.nan) if np.ma.isMaskedArray(values) else np.asarray(values)
     except ValueError as error:  # nested lists of unequal lengths
         raise RecordError(f"{_prefix(where)}{what} is not an array of numbers: {error}") from None
     if array.dtype.kind == "c":
-        raise RecordError(
-            f"{_prefix(where)}{what} is complex; give its real and imaginary parts as two channels"
-        )
+        raise RecordError(f"{_prefix(where)}{what} is complex; give its real and imaginary parts as two channels")
     if array.dtype.kind not in "biuf":
         raise RecordError(f"{_prefix(where)}{what} does not hold numbers (dtype {array.dtype})")
     if array.ndim != 1:
@@ -92,13 +88,9 @@ def check_time(time: FloatArray, where: str = "", starts: NDArray[np.intp] | Non
         return
     row = int(rows[0])
     before, after = float(time[row]), float(time[row + 1])
-    message = (
-        f"{_prefix(where)}time must increase strictly, but goes from {before!r} to {after!r} in row {row + 2}"
-    )
+    message = f"{_prefix(where)}time must increase strictly, but goes from {before!r} to {after!r} in row {row + 2}"
     if after < before and row > 0 and after - time[0] <= 0.1 * (before - time[0]):
-        message += (
-            "; it restarts there: if the rows are several trials, name the column that counts them (--group)"
-        )
+        message += "; it restarts there: if the rows are several trials, name the column that counts them (--group)"
     elif after == before:
         message += "; leave out the repeated row"
     else:
@@ -122,9 +114,7 @@ def check_name(name: object, where: str) -> None:
         raise RecordError(f"{where}: {name!r} cannot name a channel in a term; call it {cleaned!r}, say")
 
 
-def checked_units(
-    units: Mapping[str, str], names: Iterable[str], has_time: bool, where: str
-) -> dict[str, str]:
+def checked_units(units: Mapping[str, str], names: Iterable[str], has_time: bool, where: str) -> dict[str, str]:
     """Units of channels that exist, as text that fits in a header."""
     names = list(names)
     known = [*names, "t"] if has_time and "t" not in names else names
@@ -133,9 +123,7 @@ def checked_units(
         if name not in known:
             raise UnknownNameError("channel", str(name), known, f"{where}: units")
         if not isinstance(unit, str) or any(c in "[]" or not c.isprintable() for c in unit):
-            raise RecordError(
-                f"{where}: the unit of {name!r} must be text without square brackets, not {unit!r}"
-            )
+            raise RecordError(f"{where}: the unit of {name!r} must be text without square brackets, not {unit!r}")
         if text := " ".join(unit.split()):
             checked[name] = text
     if "t" in checked and "t" not in names and SECONDS.get(checked["t"], 1.0) != 1.0:
@@ -160,9 +148,7 @@ def trial_starts(labels: Any, n: int, where: str) -> list[int]:
     """The first row of each run of equal labels."""
     labels = np.asarray(labels)
     if labels.shape != (n,):
-        raise RecordError(
-            f"{where}: the group has shape {labels.shape}; it needs one label for each of {n} rows"
-        )
+        raise RecordError(f"{where}: the group has shape {labels.shape}; it needs one label for each of {n} rows")
     if labels.dtype.kind == "f" and np.isnan(labels).any():
         row = int(np.flatnonzero(np.isnan(labels))[0])
         raise RecordError(f"{where}: the group is missing (NaN) in row {row + 1}")

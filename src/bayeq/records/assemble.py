@@ -36,9 +36,7 @@ def assemble(
     known_units: dict[int, str | None] = dict(enumerate(data.headers.units))
     for key, unit in (units or {}).items():
         known_units[data.headers.find(key)] = unit
-    time_column = (
-        None if fs is not None else data.headers.find(time) if time is not None else data.headers.time
-    )
+    time_column = None if fs is not None else data.headers.find(time) if time is not None else data.headers.time
     group_column = None if group is None else data.headers.find(group)
     wanted = None if columns is None else {data.headers.find(c) for c in listed(columns)}
 

@@ -93,9 +93,7 @@ class Headers:
 Select = Callable[[Headers], Iterable[int]]
 
 
-def select(
-    columns: Sequence[str] | str | None, time: str | None, fs: float | None, group: str | None
-) -> Select:
+def select(columns: Sequence[str] | str | None, time: str | None, fs: float | None, group: str | None) -> Select:
     """Which columns `read` needs: the named ones, time and the group; all of them without names."""
 
     def chosen(headers: Headers) -> list[int]:
@@ -133,11 +131,7 @@ class Columns:
             try:
                 arrays.append(as_time(raw) if raw.dtype.kind in "mM" else as_column(raw, what))
             except RecordError as error:
-                hint = (
-                    "; name the columns to read if this one is not needed"
-                    if raw.dtype.kind not in "biufc"
-                    else ""
-                )
+                hint = "; name the columns to read if this one is not needed" if raw.dtype.kind not in "biufc" else ""
                 raise FileFormatError(f"{headers.where}: {error}{hint}") from None
         parts = [[column[i] for i in rows] for column in (headers.texts, headers.names)]
         return cls(Headers(parts[0], parts[1], [headers.units[i] for i in rows], headers.where), arrays)
@@ -151,9 +145,7 @@ class Columns:
             spellings = ("t", "time", "Time", "timestamp")
             time = next((name for name in spellings if name not in record.channels), None)
             if time is None:
-                raise RecordError(
-                    f"{record.name or 'record'}: no name is left for time; rename the channel 't'"
-                )
+                raise RecordError(f"{record.name or 'record'}: no name is left for time; rename the channel 't'")
             names, values = [time, *names], [record.time, *values]
             units = [record.units.get("t") if time == "t" else None, *units]
         return cls(Headers(names, names, units, record.name), values)

@@ -149,15 +149,11 @@ def write(record: Record, path: str | os.PathLike[str]) -> None:
     path = Path(path)
     module = FORMATS.get(path.suffix.lower())
     if module is None:
-        raise FileFormatError(
-            f"{path}: no format for the suffix {path.suffix!r}; known: {', '.join(FORMATS)}"
-        )
+        raise FileFormatError(f"{path}: no format for the suffix {path.suffix!r}; known: {', '.join(FORMATS)}")
     try:
         module.write(record, path)
     except OSError as error:
-        raise FileFormatError(
-            f"{path}: cannot be written ({error.strerror or type(error).__name__})"
-        ) from None
+        raise FileFormatError(f"{path}: cannot be written ({error.strerror or type(error).__name__})") from None
 
 
 def _format_of(path: Path) -> Format:

@@ -26,12 +26,8 @@ MISSING = frozenset({"", "na", "n/a", "#n/a", "nan", "+nan", "-nan", "null", "no
 _SAMPLE_LINES = 50
 _SAMPLE_BYTES = 65536
 _WORD = re.compile(r"\"[^\"]*\"|'[^']*'|[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?|\S+")
-_UNIT_ATOM = (
-    r"(?:[numkMGµμ]?(?:m|s|g|N|Nm|V|A|K|Pa|Hz|rad|Ohm|W|J)|mm|deg|°C?|degC|%|rpm|bar|min|h|in|ft|lbf|-|1)"
-)
-_UNIT_CELL = re.compile(
-    rf"^(?:\[.*\]|\(.*\)|{_UNIT_ATOM}(?:\^?-?[0-9²³])?(?:[/*·. ]{_UNIT_ATOM}(?:\^?-?[0-9²³])?)*)$"
-)
+_UNIT_ATOM = r"(?:[numkMGµμ]?(?:m|s|g|N|Nm|V|A|K|Pa|Hz|rad|Ohm|W|J)|mm|deg|°C?|degC|%|rpm|bar|min|h|in|ft|lbf|-|1)"
+_UNIT_CELL = re.compile(rf"^(?:\[.*\]|\(.*\)|{_UNIT_ATOM}(?:\^?-?[0-9²³])?(?:[/*·. ]{_UNIT_ATOM}(?:\^?-?[0-9²³])?)*)$")
 _COMMA_CELL = re.compile(r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?")
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
@@ -104,9 +100,7 @@ def split(line: str, delimiter: str | None) -> list[str]:
         try:
             return [
                 cell.strip()
-                for cell in next(
-                    csv.reader([line.strip(" \r\n")], delimiter=delimiter, skipinitialspace=True)
-                )
+                for cell in next(csv.reader([line.strip(" \r\n")], delimiter=delimiter, skipinitialspace=True))
             ]
         except (csv.Error, StopIteration):  # a cell beyond the csv module's limit
             return [cell.strip() for cell in line.split(delimiter)]
@@ -148,9 +142,7 @@ def _delimiter(lines: list[str]) -> str | None:
         words = [line.split() for line in lines]
         if mark == "\t" and all(_is_number(word) for row in words for word in row):
             # Tabs and blanks mixed, as by editors: every run of white space separates.
-            mixed = any(
-                len(row) > line.strip().count(mark) + 1 for row, line in zip(words, lines, strict=True)
-            )
+            mixed = any(len(row) > line.strip().count(mark) + 1 for row, line in zip(words, lines, strict=True))
             return None if mixed else mark
         if mark == "," and all(len(row) > 1 and all(map(_COMMA_CELL.fullmatch, row)) for row in words):
             return None  # decimal commas, which the reader refuses by name

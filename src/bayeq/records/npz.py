@@ -25,9 +25,7 @@ _FAULTS = (
 )  # fmt: skip
 
 
-def read_columns(
-    path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None
-) -> Columns:
+def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
     """Read the arrays of an archive; pickled objects are refused, single numbers are passed over.
 
     Parameters
@@ -48,16 +46,12 @@ def read_columns(
         arrays, units = _load(path)
     except _FAULTS as error:
         if "allow_pickle" in str(error) and zipfile.is_zipfile(path):
-            raise FileFormatError(
-                f"{where}: holds pickled objects, which are refused; save plain arrays"
-            ) from None
+            raise FileFormatError(f"{where}: holds pickled objects, which are refused; save plain arrays") from None
         raise FileFormatError(f"{where}: not a readable .npz archive ({type(error).__name__})") from None
     if not arrays:
         raise FileFormatError(f"{where}: the archive holds no arrays")
     headers = Headers.parse(arrays, where)
-    headers = headers.with_units(
-        [units.get(key) or unit for key, unit in zip(arrays, headers.units, strict=True)]
-    )
+    headers = headers.with_units([units.get(key) or unit for key, unit in zip(arrays, headers.units, strict=True)])
     values = list(arrays.values())
     lengths = {len(v) for v in values}
     if len(lengths) > 1:

@@ -26,9 +26,7 @@ def _pyarrow() -> tuple[Any, Any]:
     return pyarrow, pyarrow.parquet
 
 
-def read_columns(
-    path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None
-) -> Columns:
+def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
     """Read the columns of a Parquet file; nulls become NaN, dates seconds since the first.
 
     Parameters
@@ -56,9 +54,7 @@ def read_columns(
     if table.num_columns == 0 or table.num_rows == 0:
         raise FileFormatError(f"{where}: no {'rows' if table.num_columns else 'columns'}")
     headers = Headers.parse(table.column_names, where)
-    headers = headers.with_units(
-        [units.get(t) or u for t, u in zip(table.column_names, headers.units, strict=True)]
-    )
+    headers = headers.with_units([units.get(t) or u for t, u in zip(table.column_names, headers.units, strict=True)])
 
     def values(i: int) -> Any:
         column = table.column(i)

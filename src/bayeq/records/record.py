@@ -292,8 +292,7 @@ class Record:
         else:
             same_time = np.array_equal(self.time, other.time)
         return same_time and all(
-            np.array_equal(values, other.channels[name], equal_nan=True)
-            for name, values in self.channels.items()
+            np.array_equal(values, other.channels[name], equal_nan=True) for name, values in self.channels.items()
         )
 
     def to_dataframe(self) -> pd.DataFrame:

@@ -27,9 +27,7 @@ _FORTRAN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))[dD]([+-]?\d+)")
 _ROWS_AT_ONCE = 20_000
 
 
-def read_columns(
-    path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None
-) -> Columns:
+def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
     """Read the columns of a text file.
 
     Comment lines begin with ``#`` or ``%``; the one directly before the data names the columns if there is
@@ -78,9 +76,7 @@ def _read(path: Path, encoding: str, names: list[str] | str | None, chosen: Sele
         # The names say which columns may be passed over, unless it takes the data to know the names.
         skipped: set[int] = set()
         if chosen is not None and (given is not None or texts is not None or not readings):
-            named = (
-                headers if given is None else headers.renamed([*given, *[""] * (layout.width - len(given))])
-            )
+            named = headers if given is None else headers.renamed([*given, *[""] * (layout.width - len(given))])
             skipped = set(range(layout.width)) - set(chosen(named))
         lines = _Lines(path, layout, headers, skipped)
         data = lines.read()

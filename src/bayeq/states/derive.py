@@ -111,9 +111,7 @@ def _require_varying(record: Record, name: str) -> None:
         )
 
 
-def _fill(
-    columns: dict[str, Floats], record: Record, source: str, name: str, order: int, smooth: Smooth
-) -> None:
+def _fill(columns: dict[str, Floats], record: Record, source: str, name: str, order: int, smooth: Smooth) -> None:
     """Put the `order`-th derivative of the measured channel `source` into `columns`."""
     where = record.name or "record"
     if record.time is None:

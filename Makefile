@@ -1,0 +1,48 @@
+# bayeq: the two commands are `make demo` and `make test`. Everything is installed into $(VENV).
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test lint types tests bench lock clean
+
+demo: $(VENV)/.runtime
+	@mkdir -p demo
+	$(BIN)/bayeq simulate duffing --seed 1 -o demo/duffing.csv
+	$(BIN)/bayeq discover demo/duffing.csv --disp x --vel v --acc a --force u
+
+test: lint types tests
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check src tests perf
+	$(BIN)/ruff format --check src tests perf
+
+types: $(VENV)/.dev
+	$(BIN)/mypy
+
+tests: $(VENV)/.dev
+	$(BIN)/python -m pytest -n auto
+
+# Fits against their peers in one run; the table goes to perf/results.
+bench: $(VENV)/.dev
+	$(BIN)/python -m perf.fit_against_lstsq
+
+# Pin what is installed now, after an upgrade that the tests have passed.
+lock: $(VENV)/.dev
+	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
+
+clean:
+	rm -rf $(VENV) demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "bayeq needs Python 3.11 or later; set PYTHON=/path/to/python3.11" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.runtime: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@ $(VENV)/.runtime

@@ -1,0 +1,54 @@
+"""What the four oscillators of Nayek, Worden and Cross have in common (section 4 of the paper)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from bayeq.systems.system import BandLimitedForce, System
+
+__all__ = ["oscillator"]
+
+CITATION = (
+    "R. Nayek, K. Worden, E. J. Cross, Equation discovery using an efficient variational Bayesian approach "
+    "with spike-and-slab priors, section 4 and Table 1"
+)
+
+
+def oscillator(
+    name: str,
+    title: str,
+    restoring: str = "",
+    terms: Mapping[str, str] | None = None,
+    parameters: Mapping[str, float] | None = None,
+) -> System:
+    """``m*a + c*v + k*x + g(x, v) = u`` with a band-limited Gaussian force.
+
+    Parameters
+    ----------
+    name, title : str
+        Of the system.
+    restoring : str, optional
+        The nonlinear force ``g``, to be subtracted.
+    terms : mapping of str to str, optional
+        Its terms in the acceleration, with their coefficients.
+    parameters : mapping of str to float, optional
+        Its parameters.
+    """
+    force = "u-c*v-k*x" + (f"-{restoring}" if restoring else "")
+    return System(
+        name=name,
+        title=title,
+        chains=("x:v:a",),
+        inputs=("u",),
+        rhs={"x": "v", "v": f"({force})/m"},
+        terms={"a": {"x": "-k/m", "v": "-c/m", **(terms or {}), "u": "1/m"}},
+        parameters={"m": 1.0, "c": 2.0, "k": 1e3, **(parameters or {})},
+        fixed=("m",),
+        initial={"x": 0.0, "v": 0.0},
+        force=BandLimitedForce(std=50.0, band=(0.0, 100.0)),
+        n=4000,
+        fs=1000.0,
+        noise=0.05,
+        units={"x": "m", "v": "m/s", "a": "m/s^2", "u": "N"},
+        citation=CITATION,
+    )

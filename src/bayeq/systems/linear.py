@@ -1,0 +1,7 @@
+"""Linear oscillator, ``m*a + c*v + k*x = u``."""
+
+from bayeq.systems._oscillator import oscillator
+
+__all__ = ["LINEAR"]
+
+LINEAR = oscillator("linear", "Linear oscillator")

@@ -1,0 +1,289 @@
+"""``simulate``: a record of a known system, with the truth beside it."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.expressions import Evaluator, Expression, FloatArray, parse
+from bayeq.records import Record, Truth
+from bayeq.systems.system import BandLimitedForce, System
+
+if TYPE_CHECKING:
+    from bayeq.expressions import Tape
+
+__all__ = ["band_limited_noise", "simulate"]
+
+
+def simulate(
+    system: str | System,
+    *,
+    n: int | None = None,
+    fs: float | None = None,
+    seed: int | Sequence[int] = 0,
+    noise: float | Mapping[str, float] | None = None,
+    parameters: Mapping[str, float] | None = None,
+    perturb: float = 0.0,
+    force: ArrayLike | None = None,
+) -> Record:
+    """Simulate a known system and measure it with noise.
+
+    Fixed-step RK4 at the sampling rate (times the system's `substeps`), the force interpolated linearly in
+    between; then white Gaussian noise on every channel. A derivative among the channels (the acceleration) is
+    the right-hand side at the samples.
+
+    Parameters
+    ----------
+    system : str or System
+        A name from `SYSTEMS`, or a system of your own.
+    n : int, optional
+        Number of samples, at least 2; the system's own, or the length of `force`.
+    fs : float, optional
+        Sampling rate [Hz].
+    seed : int or sequence of int
+        Non-negative. Parameters, force and each channel's noise have streams of their own: another noise
+        ratio leaves the force as it was.
+    noise : float or mapping of str to float, optional
+        Ratio of the noise's standard deviation to that of the clean channel, or, for systems of pooled
+        noise, to that of all clean states together; one for all channels, or by channel (others 0).
+    parameters : mapping of str to float, optional
+        Values in place of the nominal ones; these are not perturbed.
+    perturb : float
+        The other perturbable parameters are multiplied by ``1 + perturb*N(0, 1)``, each by its own.
+    force : (n,) or (n, inputs) array_like, optional
+        The clean force samples, instead of the system's random force.
+
+    Returns
+    -------
+    Record
+        Noisy channels, SI units, ``time = arange(n)/fs`` [s]; `Record.truth` has the parameters used, the
+        true coefficients by target and term, and the clean channels and targets.
+
+    Raises
+    ------
+    UnknownNameError
+        No such system, parameter or channel.
+    InputError
+        An argument out of range, or the simulation diverged.
+
+    Examples
+    --------
+    >>> record = simulate("duffing", n=100, seed=1)
+    >>> list(record.channels), record.truth.coefficients["a"]["x**3"]
+    (['x', 'v', 'a', 'u'], -100000.0)
+    """
+    if isinstance(system, str):
+        from bayeq.systems import get_system
+
+        system = get_system(system)
+    fs = _positive("fs", system.fs if fs is None else fs)
+    parameter_stream, force_stream, *noise_streams = _streams(seed, 2 + len(system.channels))
+    values = _parameters(system, parameters, perturb, parameter_stream)
+    ratios = _ratios(system, noise)
+    if force is not None:
+        inputs = _own_force(system, force, n)
+        n = len(inputs)
+    else:
+        n = _count(system.n if n is None else n)
+        inputs = _random_force(system, n, fs, force_stream)
+
+    states = _integrate(system, values, inputs, fs)
+    columns = dict(zip(system.states, states.T, strict=True))
+    columns |= dict(zip(system.inputs, inputs.T, strict=True))
+    evaluate = Evaluator({**values, **columns})
+    for target, state in system.targets.items():
+        columns[target] = evaluate(_parsed(system)[state])
+
+    scales = {c: float(np.std(columns[c])) for c in system.channels}
+    if system.noise_scale == "pooled":
+        scales = dict.fromkeys(scales, float(np.std(states)))
+    noise_sd = {c: ratios[c] * scales[c] for c in system.channels}
+    measured = {
+        c: columns[c] + noise_sd[c] * np.random.default_rng(stream).standard_normal(n)
+        for c, stream in zip(system.channels, noise_streams, strict=True)
+    }
+    evaluate_coefficient = Evaluator(values)
+    coefficients = {
+        target: {term: float(evaluate_coefficient(parse(text))) for term, text in terms.items()}
+        for target, terms in system.terms.items()
+    }
+    return Record(
+        channels=measured,
+        time=np.arange(n) / fs,
+        units=dict(system.units),
+        name=system.name,
+        truth=Truth(system.name, values, coefficients, columns, noise_sd),
+    )
+
+
+def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.random.Generator) -> FloatArray:
+    """Samples of Gaussian noise with a flat spectrum inside a band, made in the frequency domain.
+
+    Parameters
+    ----------
+    force : BandLimitedForce
+        Standard deviation and band.
+    n : int
+        Number of samples.
+    fs : float
+        Sampling rate [Hz].
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    (n,) float array
+        Zero mean and the given standard deviation in expectation. Periodic, unless `n` is short for the
+        band: then a piece of a longer sequence.
+
+    Raises
+    ------
+    InputError
+        If no frequency below ``fs/2`` lies in the band.
+    """
+    lo, hi = force.band
+    if not 0.0 <= lo < min(hi, fs / 2):
+        raise InputError(f"the force's band {lo:g} to {hi:g} Hz is not below half the sampling rate ({fs:g} Hz)")
+    # At least 20 lines of the spectrum inside the band, else the force would be a sine, or nothing.
+    length = max(n, math.ceil(20 * fs / (min(hi, fs / 2) - lo)))
+    line = np.arange(length // 2 + 1)
+    inside = (line * fs > lo * length) & (line * fs <= hi * length)
+    # Lines stand for two frequencies, +f and -f, except the one at fs/2, which is real.
+    paired = np.where(2 * line == length, 1.0, 2.0)
+    spectrum = rng.standard_normal(len(line)) + 1j * rng.standard_normal(len(line))
+    spectrum *= math.sqrt(0.5)
+    if length % 2 == 0:
+        spectrum[-1] = math.sqrt(2.0) * spectrum[-1].real
+    spectrum *= np.where(inside, force.std * length / math.sqrt(np.sum(paired, where=inside)), 0.0)
+    return np.fft.irfft(spectrum, length)[:n]
+
+
+@lru_cache(maxsize=64)
+def _parsed(system: System) -> dict[str, Expression]:
+    """State -> right-hand side."""
+    known = [*system.states, *system.inputs, *system.parameters]
+    return {state: parse(text, known) for state, text in system.rhs.items()}
+
+
+@lru_cache(maxsize=64)
+def _tape(system: System) -> Tape:
+    """The right-hand side in states, inputs and parameters, so that parameters change without compiling."""
+    from bayeq.expressions import Tape
+
+    return Tape.compile(_parsed(system).values(), [*system.states, *system.inputs, *system.parameters])
+
+
+def _integrate(system: System, values: Mapping[str, float], inputs: FloatArray, fs: float) -> FloatArray:
+    """States at the samples, (n, states)."""
+    from bayeq.systems.integrate import rk4
+
+    tape = _tape(system)
+    n = len(inputs)
+    states = np.empty((n, len(system.states)))
+    x0 = np.array([system.initial[s] for s in system.states], dtype=np.float64)
+    registers = tape.registers([*x0, *inputs[0], *values.values()])
+    done = rk4(tape.code, tape.outputs, registers, x0, inputs, 1.0 / fs, system.substeps, states)
+    if done < n:
+        raise InputError(
+            f"the simulation of {system.name!r} diverged at {done / fs:g} s (row {done}): "
+            f"raise fs (now {fs:g} Hz), or check the parameters and the force"
+        )
+    return states
+
+
+def _streams(seed: int | Sequence[int], count: int) -> list[np.random.SeedSequence]:
+    try:
+        entropy = [operator.index(s) for s in seed] if isinstance(seed, Sequence) else operator.index(seed)
+        return np.random.SeedSequence(entropy).spawn(count)
+    except (TypeError, ValueError):
+        raise InputError(f"seed must be a non-negative int or a sequence of them, not {seed!r}") from None
+
+
+def _parameters(
+    system: System, given: Mapping[str, float] | None, perturb: float, stream: np.random.SeedSequence
+) -> dict[str, float]:
+    given = given or {}
+    for name in given:
+        if name not in system.parameters:
+            raise UnknownNameError("parameter", name, system.parameters, where=f"system {system.name!r}")
+    perturb = _finite("perturb", perturb)
+    factors = 1.0 + perturb * np.random.default_rng(stream).standard_normal(len(system.parameters))
+    values = {}
+    for (name, nominal), factor in zip(system.parameters.items(), factors, strict=True):
+        if name in given:
+            values[name] = _finite(f"parameter {name!r}", given[name])
+        else:
+            values[name] = nominal if name in system.fixed else nominal * float(factor)
+    return values
+
+
+def _ratios(system: System, noise: float | Mapping[str, float] | None) -> dict[str, float]:
+    if noise is None:
+        noise = system.noise
+    given = noise if isinstance(noise, Mapping) else dict.fromkeys(system.channels, noise)
+    ratios = dict.fromkeys(system.channels, 0.0)
+    for name, ratio in given.items():
+        if name not in ratios:
+            raise UnknownNameError("channel", name, ratios, where=f"noise of system {system.name!r}")
+        ratios[name] = _finite("noise", ratio)
+        if ratios[name] < 0:
+            raise InputError(f"noise must not be negative, not {ratio!r}")
+    return ratios
+
+
+def _own_force(system: System, force: ArrayLike, n: int | None) -> FloatArray:
+    if not system.inputs:
+        raise InputError(f"system {system.name!r} has no input: it takes no force")
+    samples = np.array(force, dtype=np.float64)
+    if samples.ndim == 1 and len(system.inputs) == 1:
+        samples = samples[:, np.newaxis]
+    rows = len(samples) if n is None and samples.ndim else n
+    if samples.shape != (rows, len(system.inputs)) or len(samples) < 2:
+        raise InputError(f"force must have n >= 2 samples of {len(system.inputs)} input(s), not shape {samples.shape}")
+    if not np.all(np.isfinite(samples)):
+        raise InputError("force has samples that are not finite")
+    return samples
+
+
+def _random_force(system: System, n: int, fs: float, stream: np.random.SeedSequence) -> FloatArray:
+    inputs = np.empty((n, len(system.inputs)))
+    rng = np.random.default_rng(stream)
+    for column in inputs.T:
+        if system.force is None:
+            raise InputError(f"system {system.name!r} has no force of its own: give force=")
+        column[:] = band_limited_noise(system.force, n, fs, rng)
+    return inputs
+
+
+def _count(n: int) -> int:
+    try:
+        count = operator.index(n)
+    except TypeError:
+        raise InputError(f"n must be a whole number, not {n!r}") from None
+    if count < 2:
+        raise InputError(f"n must be at least 2, not {count}")
+    return count
+
+
+def _finite(what: str, value: float) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} must be a number, not {value!r}") from None
+    if not math.isfinite(number):
+        raise InputError(f"{what} must be finite, not {value!r}")
+    return number
+
+
+def _positive(what: str, value: float) -> float:
+    number = _finite(what, value)
+    if number <= 0:
+        raise InputError(f"{what} must be positive, not {value!r}")
+    return number
