@@ -31,6 +31,9 @@ from bayeq.records.columns import Headers
         ("x(t)", "x", None),
         ("dx/dt [m/s]", "dx_dt", "m/s"),
         ("θ [rad]", "θ", "rad"),
+        ("x (a[b])", "x_a_b", None),  # a unit has no square brackets
+        ("x [m\u200b/s]", "x", "m/s"),  # nor what cannot be seen
+        ("x [\n m\u00a0s ]", "x", "m s"),
         ("nan", "nan_", None),
         ("\ufefft", "t", None),
     ],

@@ -57,6 +57,12 @@ def test_sampling_rate_must_be_positive(fs: Any) -> None:
         Record.from_arrays(x=[1.0], fs=fs)
 
 
+@pytest.mark.parametrize("fs", [1e-320, 1e-308])
+def test_sampling_rate_must_give_times_that_differ(fs: float) -> None:
+    with pytest.raises(RecordError, match=r"sampling rate .* out of range for 40 rows"):
+        Record.from_arrays(x=np.arange(40.0), fs=fs)
+
+
 def test_time_and_rate_exclude_each_other() -> None:
     with pytest.raises(RecordError, match="both given"):
         Record.from_arrays(x=[1.0, 2.0], time=[0, 1], fs=1)
@@ -65,8 +71,19 @@ def test_time_and_rate_exclude_each_other() -> None:
 def test_units_belong_to_channels() -> None:
     with pytest.raises(UnknownNameError, match="no channel named 'y'"):
         Record({"x": [1.0]}, units={"y": "m"})
-    with pytest.raises(RecordError, match="without square brackets"):
+    with pytest.raises(RecordError, match="unit of 'x', 'm]', cannot be written in a header: leave out square br"):
         Record({"x": [1.0]}, units={"x": "m]"})
+    for unit, what in {
+        "[m": "square",
+        "m\ns": r"'\\n'",
+        "\u00a0": r"'\\xa0'",
+        "m\ts": r"'\\t'",
+        "\ud800": r"ud800",
+    }.items():
+        with pytest.raises(RecordError, match=f"unit of 'x'.*leave out .*{what}"):
+            Record({"x": [1.0]}, units={"x": unit})
+    with pytest.raises(RecordError, match=r"unit of 'x' must be text, not 3"):
+        Record({"x": [1.0]}, units={"x": 3})  # type: ignore[dict-item]
     with pytest.raises(RecordError, match=r"time is kept in seconds, not ms; multiply it by 0.001"):
         Record({"x": [1.0]}, [0.0], units={"t": "ms"})
 

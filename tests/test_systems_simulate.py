@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Tape, parse
 from bayeq.systems import BandLimitedForce, System, get_system, simulate
+from bayeq.systems.force import band_limited_noise
 from bayeq.systems.integrate import rk4
-from bayeq.systems.simulate import band_limited_noise
 
 
 def with_substeps(name: str, substeps: int) -> System:
@@ -100,7 +100,7 @@ def test_a_run_that_diverges_stops_and_names_the_row() -> None:
     assert np.all(np.isfinite(out[:row]))
     assert np.all(out[row:] == -1)
     with pytest.raises(InputError, match=r"'duffing' diverged at .* s \(row \d+\): raise fs"):
-        simulate("duffing", fs=30.0, force=50 * np.ones(100))
+        simulate("duffing", fs=30.0, force=5000 * np.ones(100))
 
 
 def test_the_force_is_band_limited_gaussian_with_the_given_std() -> None:
@@ -118,13 +118,16 @@ def test_the_force_is_band_limited_gaussian_with_the_given_std() -> None:
     assert np.mean(standard**3) == pytest.approx(0, abs=0.03)
 
 
-@pytest.mark.parametrize(("n", "fs", "band"), [(500, 150.0, (0, 100)), (501, 150.0, (0, 100)), (5, 1000.0, (0, 100))])
+@pytest.mark.parametrize(
+    ("n", "fs", "band"),
+    [(500, 150.0, (0, 100)), (501, 150.0, (0, 100)), (5, 1000.0, (0, 100)), (8, 50.0, (0, 100)), (9, 1e9, (20, 90))],
+)
 def test_the_force_keeps_its_std_where_the_band_meets_nyquist_or_the_record_is_short(
     n: int, fs: float, band: tuple[float, float]
 ) -> None:
     rng = np.random.default_rng(1)
-    draws = [band_limited_noise(BandLimitedForce(2.0, band), n, fs, rng) for _ in range(20000 // n)]
-    assert np.sqrt(np.mean(np.square(draws))) == pytest.approx(2, rel=0.03)
+    draws = [band_limited_noise(BandLimitedForce(2.0, band), n, fs, rng) for _ in range(3000)]
+    assert np.sqrt(np.mean(np.square(draws))) == pytest.approx(2, rel=0.04)
     with pytest.raises(InputError, match="not below half the sampling rate"):
         band_limited_noise(BandLimitedForce(1.0, (80.0, 90.0)), n, 150.0, rng)
 
@@ -211,6 +214,24 @@ def test_an_own_system_with_two_coupled_coordinates() -> None:
     np.testing.assert_allclose(record["x"], 0.5 + 0.5 * np.cos(np.sqrt(6) * time), atol=1e-6)
     copied = pickle.loads(pickle.dumps(system))  # noqa: S301
     assert simulate(copied, force=force)["x"].tobytes() == record["x"].tobytes()
+
+
+def test_what_overflows_after_the_last_step_is_a_divergence_too() -> None:
+    growing = System(
+        name="growing",
+        title="Exponential growth",
+        chains=("x",),
+        rhs={"x": "k*x"},
+        terms={"dx": {"x": "k"}},
+        parameters={"k": 1.0},
+        initial={"x": 1e200},
+        n=10,
+        fs=10.0,
+        noise=0.0,
+        citation="test",
+    )
+    with pytest.raises(InputError, match="'growing' diverged"):
+        simulate(growing)
 
 
 @pytest.mark.parametrize(

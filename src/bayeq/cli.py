@@ -117,7 +117,7 @@ def discover(
     method: Annotated[Method, typer.Option(help="Engine; auto is vb.")] = Method.auto,
     smooth: Annotated[
         Smoothing,
-        typer.Option(help="Derivatives not measured: smoothing spline (auto) or differences (none)."),
+        typer.Option(help="Derivatives not measured: smoothed (auto) or differences (none)."),
     ] = Smoothing.auto,
     holdout: Annotated[float, typer.Option(help="Share of the rows, the last, to judge the equation by.")] = 0.2,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,

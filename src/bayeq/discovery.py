@@ -201,6 +201,11 @@ def _chains(
             "no coordinate given: name the displacement (and, where measured, velocity and acceleration), or a chain"
             " such as x:v:a"
         )
+    for role, channel in (("displacement", displacement), ("velocity", velocity), ("acceleration", acceleration)):
+        if channel is not None and (not channel.strip() or ":" in channel):
+            raise ChainError(
+                f"{role} {channel[:60]!r} is not a channel's name; name one, or give a chain such as x:v:a instead"
+            )
     return parse_chains([f"{displacement}:{velocity or ''}:{acceleration or ''}"])
 
 
@@ -211,6 +216,9 @@ def _split(
     train: list[Mapping[str, Floats]] = []
     held_out: list[Mapping[str, Floats]] = []
     total = sum(len(next(iter(piece.values()))) for piece in columns)
+    if total < LEAST_TRAINING_ROWS:
+        rows = f"{total} row{'s' * (total != 1)}"
+        raise RecordError(f"{where}: {rows}: too few for a regression (at least {LEAST_TRAINING_ROWS}); measure more")
     share = holdout if total >= LEAST_ROWS_TO_HOLD_OUT else 0.0
     for piece in columns:
         n = len(next(iter(piece.values())))

@@ -36,17 +36,17 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
     )  # fmt: skip
     for equation in eq.equations:
         _render_equation(console, equation, eq.method, terminal)
-    files = ", ".join(f for f in eq.data.files if f)
-    console.print(
-        f"{eq.data.n} rows{f' of {escape(files)}' if files else ''}, {eq.data.n_train} used;"
-        f" method: {METHODS.get(eq.method, eq.method)}"
-    )
+    names = [name for name in eq.data.files if name]
+    source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
+    console.print(f"{eq.data.n} rows{source}, {eq.data.n_train} used; method: {METHODS.get(eq.method, eq.method)}")
     if eq.data.estimated:
-        how = "a smoothing spline" if eq.smooth == "auto" else "central differences"
+        how = "smoothing" if eq.smooth == "auto" else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
     for message in eq.warnings if with_warnings else ():
         console.print(f"[yellow]warning:[/yellow] {escape(message)}")
-    return "\n".join(line.rstrip() for line in buffer.getvalue().rstrip().splitlines())
+    lines = [line.rstrip() for line in buffer.getvalue().rstrip().splitlines()]
+    # tables bring empty lines of their own
+    return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
 
 
 def _render_equation(console: Console, equation: Equation, method: str, terminal: bool) -> None:
@@ -64,11 +64,13 @@ def _render_equation(console: Console, equation: Equation, method: str, terminal
         others = [p for p, s in zip(equation.posterior.pip, equation.posterior.support, strict=True) if not s]
         low = [p for p in others if p < NOTEWORTHY_PIP]
         console.print(f"\n{rest} more candidates not included, PIP at most {max(low, default=0.0):.2g}")
-    console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}; " + "; ".join(_fits(equation)))
+    console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
+    for line in _fits(equation):
+        console.print(line)
     if equation.runners_up:
-        console.print("runners-up (posterior odds against the equation above):")
+        console.print("runners-up, with their posterior odds against this equation:")
         for r in equation.runners_up:
-            console.print(f"  {r.odds:>8}  {escape(str(r))}")
+            console.print(f"{r.odds:>10}  {escape(str(r))}")
     console.print("")
 
 
@@ -76,7 +78,9 @@ def _fits(equation: Equation) -> list[str]:
     out = []
     for label, fit in (("training", equation.train), ("held-out", equation.held_out)):
         if fit is not None:
-            out.append(f"R2 {fit.r2:.4f}, error {100 * fit.nrmse:.2g} % on {fit.n} {label} rows")
+            error = 100 * fit.nrmse
+            percent = f"{error:.0f}" if error >= 10 else f"{error:.2g}"
+            out.append(f"{label} rows ({fit.n}): R2 {fit.r2:.4f}, normalised RMS error {percent} %")
     return out
 
 

@@ -14,6 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from bayeq.errors import FileFormatError, UnknownNameError
 from bayeq.records import FORMATS, Record, clean_name, read, write
+from bayeq.records._check import SECONDS
 from bayeq.records.names import is_time_name
 
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -23,7 +24,13 @@ channel_names = (
     .map(lambda text: clean_name(text)[0])
     .filter(lambda name: name.isprintable() and not is_time_name(name) and clean_name(name)[0] == name)
 )
-units = st.sampled_from(["m", "m/s^2", "µm", "°", "N m", "-", "a, b", 'in"', "1;2", "m²", "(a)"])
+PLAIN_UNITS = ["m", "m/s^2", "µm", "°", "N m", "-", "m²", "year"]
+HARD_UNITS = [
+    *('in"', '"', '""', '"in"', '"1"', "'", "'in'", "a, b", "1;2", "1 2", "1 2 3", "3", "nan", "nan nan", "-1e5"),
+    *("(a)", "(1", "1)", ")(", "{}", "#", "% #", "sep=;", ";", ",", ",,", "t", "\\", "Ω", "米", "é è", "𝒳", "  m  s "),
+]
+any_text = st.text(st.characters(exclude_characters="[]", codec="utf-8"), max_size=8).filter(str.isprintable)
+units = st.sampled_from([*PLAIN_UNITS, *HARD_UNITS]) | any_text
 
 
 @st.composite
@@ -36,7 +43,10 @@ def records(draw: st.DrawFn) -> Record:
     if draw(st.booleans()):
         times = st.floats(-1e300, 1e300, allow_subnormal=True)
         time = np.sort(draw(hnp.arrays(np.float64, n, elements=times, unique=True)))
-    chosen = draw(st.dictionaries(st.sampled_from(names), units))
+    with_unit = [*names, "t"] if time is not None and "t" not in names else names
+    chosen = draw(st.dictionaries(st.sampled_from(with_unit), units))
+    if "t" not in names and SECONDS.get(" ".join(chosen.get("t", "").split()), 1.0) != 1.0:
+        del chosen["t"]  # time is kept in seconds
     return Record(channels, time, chosen, "r")
 
 
@@ -78,6 +88,27 @@ def test_units_are_kept(suffix: str, tmp_path: Path) -> None:
     record = Record({"x": [1.0, 2.0], "v": [3.0, 4.0]}, [0.0, 1.0], {"x": "mm", "v": "m/s", "t": "year"})
     write(record, tmp_path / f"r{suffix}")
     assert dict(read(tmp_path / f"r{suffix}").units) == {"t": "year", "x": "mm", "v": "m/s"}
+
+
+@pytest.mark.parametrize("unit", HARD_UNITS)
+def test_units_of_any_text_are_kept(suffix: str, tmp_path: Path, unit: str) -> None:
+    path = tmp_path / f"r{suffix}"
+    kept = " ".join(unit.split())
+    one = Record({"x": [1.0, 2.0]}, None, {"x": unit})
+    two = Record({"x": [1.0, 2.0], "v": [3.0, np.nan]}, [0.0, 1.0], {"x": unit, "v": unit, "t": unit})
+    row = Record({"x": [np.nan]}, None, {"x": unit})
+    for record in (one, two, row):
+        write(record, path)
+        back = read(path)
+        assert_same(back, record)
+        assert back.units["x"] == kept
+
+
+def test_every_spelling_of_seconds_is_s(suffix: str, tmp_path: Path) -> None:
+    record = Record({"x": [1.0, 2.0]}, [0.0, 1.0], {"t": "sec"})
+    write(record, tmp_path / f"r{suffix}")
+    assert_same(read(tmp_path / f"r{suffix}"), record)
+    assert record.units["t"] == "s"
 
 
 def test_a_channel_t_stays_apart_from_time(suffix: str, tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -32,7 +34,7 @@ def test_names_fit_together(system: System) -> None:
     # In a chain each name but the first is the derivative of the one before.
     for chain in system.chains:
         names = chain.split(":")
-        for lower, higher in zip(names[:-2], names[1:-1], strict=True):
+        for lower, higher in itertools.pairwise(names[:-1]):
             assert system.rhs[lower] == higher
 
 

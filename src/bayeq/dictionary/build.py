@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from math import comb
+from os.path import isdir, isfile
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,8 @@ from bayeq.dictionary import oscillator, polynomial
 from bayeq.dictionary.family import Variables
 from bayeq.errors import ExpressionError, FileFormatError, InputError, UnknownNameError
 from bayeq.expressions import Evaluator, Expression, parse
+from bayeq.expressions.functions import FUNCTIONS
+from bayeq.records.io import near_files
 
 __all__ = ["FAMILIES", "MAX_TERMS", "build_dictionary", "evaluate_terms", "read_terms"]
 
@@ -22,6 +26,7 @@ FAMILIES = {"oscillator": oscillator.terms, "polynomial": polynomial.terms}
 MAX_TERMS = 20_000
 MAX_DEGREE = 20
 MAX_FILE_BYTES = 1_000_000
+MAX_PATH = 250
 
 Floats = NDArray[np.float64]
 
@@ -55,19 +60,51 @@ def build_dictionary(specification: str | Sequence[str], variables: Variables) -
     if name in FAMILIES:
         texts = _family_terms(name, argument if colon else None, variables)
         return _parse_terms([(text, f"dictionary {specification!r}") for text in texts], variables)
-    path = Path(specification)
-    if "," not in specification and len(specification) < 1000 and "\0" not in specification and path.is_file():
-        return _parse_terms(read_terms(path), variables)
-    if "," in specification:
-        texts = [text.strip() for text in specification.split(",")]
-        return _parse_terms([(text, f"term {k + 1}") for k, text in enumerate(texts)], variables)
-    if "/" in specification or path.suffix in {".txt", ".csv", ".terms"}:
-        raise FileFormatError(f"no such file: {specification[:200]!r} (the dictionary's terms, one per line)")
-    raise UnknownNameError(
-        "dictionary",
-        specification[:60],
-        [*FAMILIES, "polynomial:3", "a file of terms", "terms separated by commas"],
-    )
+    if isfile(specification):
+        found = read_terms(specification)
+        if not found:
+            raise FileFormatError(f"{specification}: no terms in the file; write one per line")
+        return _parse_terms(found, variables)
+    texts = _split_at_commas(specification)
+    if len(texts) > 1:
+        return _parse_terms([(text, f"dictionary, term {k + 1}") for k, text in enumerate(texts)], variables)
+    try:
+        return _parse_terms([(specification, "dictionary")], variables)
+    except InputError as error:
+        raise _not_a_dictionary(specification.strip(), variables, error) from None
+
+
+def _split_at_commas(text: str) -> list[str]:
+    """The parts between the commas outside of brackets.
+
+    Examples
+    --------
+    >>> _split_at_commas("x, sin(x, v)")
+    ['x', 'sin(x, v)']
+    """
+    parts, depth = [""], 0
+    for c in text:
+        depth += (c == "(") - (c == ")")
+        if c == "," and depth <= 0:
+            parts.append("")
+        else:
+            parts[-1] += c
+    return [part.strip() for part in parts]
+
+
+def _not_a_dictionary(text: str, variables: Variables, error: InputError) -> InputError:
+    """What is wrong with a specification that is no term: what it looks like decides."""
+    if re.fullmatch(r"[\w-]*(:.*)?", text) and text not in FUNCTIONS:
+        ways = [*FAMILIES, "polynomial:3", "a file of terms", f"terms of {', '.join(variables.names)}"]
+        return UnknownNameError("dictionary", text[:60], ways)
+    if len(text) < MAX_PATH and isdir(text):
+        return FileFormatError(f"{text}: is a directory; name a file of terms, one per line")
+    if len(text) < MAX_PATH and re.fullmatch(r"[\w./~ -]*[./][\w./~ -]*", text):
+        reason = str(error).removeprefix("dictionary: ")
+        return FileFormatError(
+            f"no such file of terms: {text!r}{near_files(Path(text))}; and it is not a term either ({reason})"
+        )
+    return error
 
 
 def read_terms(path: str | Path) -> list[tuple[str, str]]:
@@ -94,7 +131,7 @@ def read_terms(path: str | Path) -> list[tuple[str, str]]:
 def _family_terms(name: str, argument: str | None, variables: Variables) -> list[str]:
     if argument is None:
         return FAMILIES[name](variables, None)
-    if not (argument.isascii() and argument.isdigit() and 1 <= int(argument[:4]) <= MAX_DEGREE):
+    if not (argument.isascii() and argument.isdigit() and len(argument) < 4 and 1 <= int(argument) <= MAX_DEGREE):
         raise InputError(
             f"dictionary '{name}:{argument[:40]}': the degree after the colon must be a whole number from 1 to"
             f" {MAX_DEGREE}, as in {name}:3"
@@ -110,15 +147,17 @@ def _family_terms(name: str, argument: str | None, variables: Variables) -> list
 
 def _parse_terms(texts: Sequence[tuple[str, str]], variables: Variables) -> tuple[Expression, ...]:
     if not texts:
-        raise InputError("the dictionary has no terms")
+        raise InputError("the dictionary has no terms; give at least one")
     if len(texts) > MAX_TERMS:
         raise InputError(f"the dictionary has {len(texts)} terms; at most {MAX_TERMS} are allowed")
     terms: dict[Expression, str] = {}
     for text, where in texts:
+        if not text.strip():
+            raise ExpressionError(f"{where}: empty; write a term there, or leave out the comma before or after")
         try:
             term = parse(text, variables.names)
         except UnknownNameError as error:
-            raise InputError(f"{where}: {text[:80]!r}: {error}") from error
+            raise InputError(f"{where}: {error}") from error
         except ExpressionError as error:
             raise ExpressionError(f"{where}: {error}") from error
         if term in terms:

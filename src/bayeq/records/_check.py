@@ -122,13 +122,21 @@ def checked_units(units: Mapping[str, str], names: Iterable[str], has_time: bool
     for name, unit in units.items():
         if name not in known:
             raise UnknownNameError("channel", str(name), known, f"{where}: units")
-        if not isinstance(unit, str) or any(c in "[]" or not c.isprintable() for c in unit):
-            raise RecordError(f"{where}: the unit of {name!r} must be text without square brackets, not {unit!r}")
+        if not isinstance(unit, str):
+            raise RecordError(f"{where}: the unit of {name!r} must be text, not {unit!r}")
+        bad = next((c for c in unit if c in "[]" or not c.isprintable()), None)
+        if bad is not None:
+            what = "square brackets" if bad in "[]" else f"the character {bad!r}"
+            raise RecordError(
+                f"{where}: the unit of {name!r}, {unit!r}, cannot be written in a header: leave out {what}"
+            )
         if text := " ".join(unit.split()):
             checked[name] = text
-    if "t" in checked and "t" not in names and SECONDS.get(checked["t"], 1.0) != 1.0:
+    if "t" in checked and "t" not in names and checked["t"] in SECONDS:
         factor = SECONDS[checked["t"]]
-        raise RecordError(f"{where}: time is kept in seconds, not {checked['t']}; multiply it by {factor:g}")
+        if factor != 1.0:
+            raise RecordError(f"{where}: time is kept in seconds, not {checked['t']}; multiply it by {factor:g}")
+        checked["t"] = "s"
     return checked
 
 
@@ -151,7 +159,10 @@ def trial_starts(labels: Any, n: int, where: str) -> list[int]:
         raise RecordError(f"{where}: the group has shape {labels.shape}; it needs one label for each of {n} rows")
     if labels.dtype.kind == "f" and np.isnan(labels).any():
         row = int(np.flatnonzero(np.isnan(labels))[0])
-        raise RecordError(f"{where}: the group is missing (NaN) in row {row + 1}")
+        raise RecordError(
+            f"{where}: the group is missing (NaN) in row {row + 1}; give every row the number of its trial, or"
+            " leave such rows out"
+        )
     return [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1).tolist()]
 
 
@@ -164,4 +175,8 @@ def time_from(channels: Mapping[str, Any], time: Any, fs: float | None, where: s
     if not (isinstance(fs, (int, float, np.number)) and 0 < fs < np.inf):
         raise RecordError(f"{_prefix(where)}the sampling rate fs must be positive and finite, not {fs!r}")
     n = max((len(np.atleast_1d(values)) for values in channels.values()), default=0)
-    return np.arange(n) / float(fs)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        seconds = np.arange(n) / float(fs)
+    if n > 1 and not (np.isfinite(seconds[-1]) and seconds[1] > 0):
+        raise RecordError(f"{_prefix(where)}a sampling rate of {fs!r} Hz is out of range for {n} rows")
+    return seconds

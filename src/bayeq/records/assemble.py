@@ -41,7 +41,10 @@ def assemble(
     wanted = None if columns is None else {data.headers.find(c) for c in listed(columns)}
 
     n = len(data.values[0]) if data.values else 0
-    starts = [0] if group_column is None else trial_starts(data.values[group_column], n, where)
+    starts = [0]
+    if group_column is not None:
+        place = f"{where}, column {data.headers.texts[group_column] or data.names[group_column]!r}"
+        starts = trial_starts(data.values[group_column], n, place)
     stops = [*starts[1:], n]
     seconds, kept_units = _time(data, time_column, known_units, np.asarray(starts, dtype=np.intp))
 

@@ -161,7 +161,7 @@ def _format_of(path: Path) -> Format:
     if path.is_dir():
         raise FileFormatError(f"{path}: is a directory; name a file in it")
     if not path.exists():
-        raise FileFormatError(f"no such file: {path}{_near(path)}")
+        raise FileFormatError(f"no such file: {path}{near_files(path)}")
     known = FORMATS.get(path.suffix.lower())
     if known is not None:
         return known
@@ -172,10 +172,13 @@ def _format_of(path: Path) -> Format:
     )
 
 
-def _near(path: Path) -> str:
-    """Names in the same directory that the missing one may have meant."""
-    if not path.parent.is_dir():
-        return f" (there is no directory {path.parent})"
-    folded = {entry.name.casefold(): entry.name for entry in path.parent.iterdir()}
+def near_files(path: Path) -> str:
+    """The end of a message: names in the same directory that the missing one may have meant, if any."""
+    try:
+        if not path.parent.is_dir():
+            return f" (there is no directory {path.parent})"
+        folded = {entry.name.casefold(): entry.name for entry in path.parent.iterdir()}
+    except OSError:
+        return ""
     near = difflib.get_close_matches(path.name.casefold(), list(folded), n=3, cutoff=0.6)
     return f"; did you mean {' or '.join(repr(folded[m]) for m in near)}?" if near else ""

@@ -28,6 +28,8 @@ _SAMPLE_BYTES = 65536
 _WORD = re.compile(r"\"[^\"]*\"|'[^']*'|[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?|\S+")
 _UNIT_ATOM = r"(?:[numkMGµμ]?(?:m|s|g|N|Nm|V|A|K|Pa|Hz|rad|Ohm|W|J)|mm|deg|°C?|degC|%|rpm|bar|min|h|in|ft|lbf|-|1)"
 _UNIT_CELL = re.compile(rf"^(?:\[.*\]|\(.*\)|{_UNIT_ATOM}(?:\^?-?[0-9²³])?(?:[/*·. ]{_UNIT_ATOM}(?:\^?-?[0-9²³])?)*)$")
+# A line that is one cell in quotes, as the csv module writes it: a quote within is doubled.
+_QUOTED_LINE = re.compile(r"\s*\"((?:[^\"]|\"\")*)\"\s*")
 _COMMA_CELL = re.compile(r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?")
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
@@ -114,9 +116,25 @@ def _words(line: str, delimiter: str | None, width: int) -> list[str]:
     if delimiter is not None:
         return split(line, delimiter)
     if width == 1:
-        return [line.strip().strip('"')]
-    words = [word.strip("\"'") for word in _WORD.findall(line)]
+        return [_unquoted(line).strip()]
+    words = _bracketed_words(line)
     return words if len(words) == width else split(line, None)
+
+
+def _bracketed_words(line: str) -> list[str]:
+    return [word.strip("\"'") for word in _WORD.findall(line)]
+
+
+def _unquoted(line: str) -> str:
+    """The line without the quotes of a file of one column, where no delimiter tells that it is a cell.
+
+    Examples
+    --------
+    >>> _unquoted('"x [in""]"'), _unquoted('"x" "v"')
+    ('x [in"]', '"x" "v"')
+    """
+    match = _QUOTED_LINE.fullmatch(line)
+    return match[1].replace('""', '"') if match else line
 
 
 def _is_number(cell: str, comma: bool = True) -> bool:
@@ -185,7 +203,8 @@ def sniff(path: Path, encoding: str) -> Layout:
     delimiter = asked[1] if asked else _delimiter(rows[1:] or rows)
     header: list[str] | None = None
     first = 0
-    if _is_words(split(rows[0], delimiter)):
+    head = split(rows[0], delimiter) if delimiter is not None else _bracketed_words(_unquoted(rows[0]))
+    if _is_words(head):
         if len(rows) == 1:
             raise FileFormatError(f"{path}: a header but no rows")
         first = 1

@@ -24,7 +24,7 @@ RESERVED: frozenset[str] = frozenset(
 # A header made of these alone would read as a row of missing numbers.
 _NUMBER_WORDS = frozenset({"nan", "inf", "infinity", "na", "null", "none"})
 _TIME_NAMES = frozenset({"t", "time", "time_s", "timestamp"})
-_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))$", re.DOTALL)
+_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()\[\]]*)\))$", re.DOTALL)
 
 
 def clean_name(header: str, position: int = 1) -> tuple[str, str | None]:
@@ -57,7 +57,8 @@ def clean_name(header: str, position: int = 1) -> tuple[str, str | None]:
     unit: str | None = None
     if match := _UNIT.match(text):
         text = match["name"]
-        unit = " ".join((match["square"] or match["round"] or "").split()) or None
+        unit = " ".join((match["square"] or match["round"] or "").split())
+        unit = "".join(c for c in unit if c.isprintable()) or None
         if unit == "t" and match["round"]:  # "x(t)" says that x depends on time, not that its unit is t
             unit = None
     return _identifier(text, position), unit

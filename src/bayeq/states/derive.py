@@ -1,6 +1,6 @@
 """From measured channels to states: what is measured is taken, derivatives that are missing are estimated.
 
-This is the one place where derivatives come from.
+This is the one place where derivatives come from; `smoothing` holds the filters.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
 from bayeq.records import Record
 from bayeq.states.chain import Chain
+from bayeq.states.smoothing import smooth_derivative
 
 __all__ = ["Smooth", "States", "derive_states"]
 
 Floats = NDArray[np.float64]
 Smooth = Literal["auto", "none"]
 
-# Fewer rows than this cannot carry a smoothing spline.
+# Fewer rows than this cannot carry a smoother.
 LEAST_ROWS = 5
 
 
@@ -60,8 +61,8 @@ def derive_states(
         Channels of forces or other inputs.
     smooth : "auto" or "none"
         Measured channels are used as they are. A derivative that is not measured comes from the highest
-        measured one below it: with "auto" from a cubic smoothing spline, its weight chosen by generalised
-        cross-validation (both sides of the equation then see the spline), with "none" by central differences.
+        measured one below it: with "auto" from a smoother tuned by generalised cross-validation (both sides of
+        the equation then see the smoothed channel), with "none" by central differences.
 
     Raises
     ------
@@ -124,21 +125,4 @@ def _fill(columns: dict[str, Floats], record: Record, source: str, name: str, or
             values = np.gradient(values, record.time)
         columns[name] = values
         return
-    spline = _smoothing_spline(record.time, record[source])
-    columns[source] = spline(record.time)
-    columns[name] = spline(record.time, order)
-
-
-def _smoothing_spline(time: Floats, values: Floats):  # type: ignore[no-untyped-def]
-    """Cubic smoothing spline by generalised cross-validation, on unit step and unit scale."""
-    from scipy.interpolate import make_smoothing_spline
-
-    step = (time[-1] - time[0]) / (len(time) - 1)
-    offset, scale = values.mean(), values.std()
-    spline = make_smoothing_spline((time - time[0]) / step, (values - offset) / scale)
-
-    def evaluate(t: Floats, derivative: int = 0) -> Floats:
-        out: Floats = scale / step**derivative * spline((t - time[0]) / step, derivative)
-        return out + offset if derivative == 0 else out
-
-    return evaluate
+    columns[source], columns[name] = smooth_derivative(record.time, record[source], order)

@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Evaluator, Expression, FloatArray, parse
 from bayeq.records import Record, Truth
-from bayeq.systems.system import BandLimitedForce, System
+from bayeq.systems.force import band_limited_noise
+from bayeq.systems.system import System
 
 if TYPE_CHECKING:
     from bayeq.expressions import Tape
 
-__all__ = ["band_limited_noise", "simulate"]
+__all__ = ["simulate"]
 
 
 def simulate(
@@ -101,10 +102,7 @@ def simulate(
     for target, state in system.targets.items():
         columns[target] = evaluate(_parsed(system)[state])
 
-    scales = {c: float(np.std(columns[c])) for c in system.channels}
-    if system.noise_scale == "pooled":
-        scales = dict.fromkeys(scales, float(np.std(states)))
-    noise_sd = {c: ratios[c] * scales[c] for c in system.channels}
+    noise_sd = _noise_sd(system, ratios, columns, states)
     measured = {
         c: columns[c] + noise_sd[c] * np.random.default_rng(stream).standard_normal(n)
         for c, stream in zip(system.channels, noise_streams, strict=True)
@@ -121,48 +119,6 @@ def simulate(
         name=system.name,
         truth=Truth(system.name, values, coefficients, columns, noise_sd),
     )
-
-
-def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.random.Generator) -> FloatArray:
-    """Samples of Gaussian noise with a flat spectrum inside a band, made in the frequency domain.
-
-    Parameters
-    ----------
-    force : BandLimitedForce
-        Standard deviation and band.
-    n : int
-        Number of samples.
-    fs : float
-        Sampling rate [Hz].
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    (n,) float array
-        Zero mean and the given standard deviation in expectation. Periodic, unless `n` is short for the
-        band: then a piece of a longer sequence.
-
-    Raises
-    ------
-    InputError
-        If no frequency below ``fs/2`` lies in the band.
-    """
-    lo, hi = force.band
-    if not 0.0 <= lo < min(hi, fs / 2):
-        raise InputError(f"the force's band {lo:g} to {hi:g} Hz is not below half the sampling rate ({fs:g} Hz)")
-    # At least 20 lines of the spectrum inside the band, else the force would be a sine, or nothing.
-    length = max(n, math.ceil(20 * fs / (min(hi, fs / 2) - lo)))
-    line = np.arange(length // 2 + 1)
-    inside = (line * fs > lo * length) & (line * fs <= hi * length)
-    # Lines stand for two frequencies, +f and -f, except the one at fs/2, which is real.
-    paired = np.where(2 * line == length, 1.0, 2.0)
-    spectrum = rng.standard_normal(len(line)) + 1j * rng.standard_normal(len(line))
-    spectrum *= math.sqrt(0.5)
-    if length % 2 == 0:
-        spectrum[-1] = math.sqrt(2.0) * spectrum[-1].real
-    spectrum *= np.where(inside, force.std * length / math.sqrt(np.sum(paired, where=inside)), 0.0)
-    return np.fft.irfft(spectrum, length)[:n]
 
 
 @lru_cache(maxsize=64)
@@ -191,11 +147,26 @@ def _integrate(system: System, values: Mapping[str, float], inputs: FloatArray, 
     registers = tape.registers([*x0, *inputs[0], *values.values()])
     done = rk4(tape.code, tape.outputs, registers, x0, inputs, 1.0 / fs, system.substeps, states)
     if done < n:
-        raise InputError(
-            f"the simulation of {system.name!r} diverged at {done / fs:g} s (row {done}): "
-            f"raise fs (now {fs:g} Hz), or check the parameters and the force"
-        )
+        raise _diverged(system, f"at {done / fs:g} s (row {done})")
     return states
+
+
+def _diverged(system: System, where: str) -> InputError:
+    return InputError(
+        f"the simulation of {system.name!r} diverged {where}: raise fs, or check the parameters and the force"
+    )
+
+
+def _noise_sd(
+    system: System, ratios: Mapping[str, float], clean: Mapping[str, FloatArray], states: FloatArray
+) -> dict[str, float]:
+    with np.errstate(all="ignore"):
+        scales = {c: float(np.std(clean[c])) for c in system.channels}
+        if system.noise_scale == "pooled":
+            scales = dict.fromkeys(scales, float(np.std(states)))
+    if not all(math.isfinite(scale) for scale in scales.values()):
+        raise _diverged(system, "(overflow)")
+    return {c: ratios[c] * scales[c] for c in system.channels}
 
 
 def _streams(seed: int | Sequence[int], count: int) -> list[np.random.SeedSequence]:

@@ -1,0 +1,69 @@
+"""The kernel cache follows callees: an edit anywhere below recompiles what stands above."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import bayeq
+from bayeq.kernels import kernel_digest
+
+CALLEE = "from bayeq.kernels import kernel\n\n@kernel\ndef inner(x):\n    return x + {shift}\n"
+MIDDLE = "from bayeq.kernels import kernel\nfrom callee import inner\n\n@kernel\ndef middle(x):\n    return inner(x)\n"
+CALLER = """
+from bayeq.kernels import kernel
+from middle import middle
+
+SCALE = {scale}
+
+@kernel
+def outer(x):
+    return SCALE * middle(x)
+
+value = outer(1.0)
+hits = sum(outer.stats.cache_hits.values())
+print(value, hits)
+"""
+
+
+def run(folder: Path) -> tuple[float, int]:
+    out = subprocess.run([sys.executable, "caller.py"], cwd=folder, capture_output=True, text=True, check=True)
+    value, hits = out.stdout.split()
+    return float(value), int(hits)
+
+
+def test_editing_a_callee_or_a_constant_recompiles_its_callers(tmp_path):
+    (tmp_path / "callee.py").write_text(CALLEE.format(shift=1.0))
+    (tmp_path / "middle.py").write_text(MIDDLE)
+    (tmp_path / "caller.py").write_text(CALLER.format(scale=10.0))
+    assert run(tmp_path) == (20.0, 0)
+    assert run(tmp_path) == (20.0, 1)  # from the cache
+    (tmp_path / "callee.py").write_text(CALLEE.format(shift=2.0))  # two files below
+    assert run(tmp_path) == (30.0, 0)
+    (tmp_path / "caller.py").write_text(CALLER.format(scale=100.0))
+    assert run(tmp_path) == (300.0, 0)
+    # comments and places do not matter
+    (tmp_path / "callee.py").write_text("# a comment\n\n" + CALLEE.format(shift=2.0))
+    assert run(tmp_path) == (300.0, 1)
+
+
+def all_kernels():
+    for info in pkgutil.walk_packages(bayeq.__path__, "bayeq."):
+        if info.name == "bayeq.__main__":
+            continue
+        module = importlib.import_module(info.name)
+        for name, value in vars(module).items():
+            if hasattr(value, "py_func") and value.py_func.__module__ == info.name:
+                yield f"{info.name}.{name}", value
+
+
+@pytest.mark.parametrize(("name", "function"), list(all_kernels()), ids=lambda v: v if isinstance(v, str) else "")
+def test_every_callee_was_known_when_its_caller_was_decorated(name, function):
+    # the digest now, with all globals in place, is the one that the cache was keyed with
+    stamp = function._cache._impl.locator.get_source_stamp()
+    assert function._cache._cache_file._source_stamp == stamp == kernel_digest(function)
