@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayeq.errors import InputError
-from bayeq.gram import BLOCK_ROWS, Gram, dense, grams_from_blocks
+from bayeq.gram import BLOCK_ROWS, SMALL, Gram, dense, grams_from_blocks
 from bayeq.posterior import Posterior
+from tests.reference import centred
 
 
 def direct(D, y):
@@ -38,6 +39,19 @@ def close(gram, D, y, rtol):
 def test_equals_the_direct_formula(order):
     D, y = data(0)
     close(Gram.from_data(np.asarray(D, order=order), y), D, y, 1e-14)
+
+
+@pytest.mark.parametrize("P", [1, 7, SMALL - 1, SMALL + 5])
+@pytest.mark.parametrize("n", [1, 2, 15, 16, 101])
+def test_narrow_and_wide_products(n, P):
+    # narrow ones by our kernel, wide ones by BLAS
+    rng = np.random.default_rng(n + P)
+    D, y = rng.normal(size=(n, P)), rng.normal(size=n)
+    Z, t = centred(D, y)
+    gram = Gram.from_data(D, y)
+    np.testing.assert_allclose(gram.DtD, Z.T @ Z, atol=1e-11)
+    np.testing.assert_allclose(gram.Dty, Z.T @ t, atol=1e-11)
+    np.testing.assert_array_equal(gram.DtD, gram.DtD.T)
 
 
 def test_many_blocks_equal_one():

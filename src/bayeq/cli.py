@@ -11,13 +11,14 @@ import sys
 import time as clock
 import warnings
 from enum import StrEnum
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.exceptions import TyperException
 
-from bayeq.errors import BayeqWarning, InputError, MissingExtraError
+from bayeq.errors import BayeqWarning, FileFormatError, InputError, MissingExtraError
 
 if TYPE_CHECKING:
     from bayeq.records import Record
@@ -27,7 +28,6 @@ __all__ = ["app", "main"]
 app = typer.Typer(
     name="bayeq",
     help="Bayesian equation discovery: measured motion in, governing equation with honest uncertainty out.",
-    no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -80,6 +80,7 @@ class Progress:
 
 @app.callback(invoke_without_command=True)
 def _root(
+    context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
 ) -> None:
     if version:
@@ -87,6 +88,9 @@ def _root(
 
         typer.echo(__version__)
         raise typer.Exit
+    if context.invoked_subcommand is None:
+        known = ", ".join(c.name or c.callback.__name__ for c in app.registered_commands if c.callback)
+        raise InputError(f"no command given; there are: {known} (see bayeq --help)")
 
 
 @app.command()
@@ -128,13 +132,18 @@ def discover(
     from bayeq.discovery import discover as run
     from bayeq.render import render
 
+    if save is not None:
+        _require_place(save)  # before the work
     columns = [c.strip() for c in names.split(",")] if names is not None else None
+    used = [
+        c for text in (*(chain or ()), disp, vel, acc, force, *(inputs or ())) for c in (text or "").split(":") if c
+    ]
     records: list[Record] = []
     progress = Progress()
     try:
         for k, file in enumerate(files):
             progress("reading", k, len(files))
-            records.extend(_read(file, time=time, fs=fs, names=columns, group=group))
+            records.extend(_read(file, used, time=time, fs=fs, names=columns, group=group))
         answer = run(
             records,
             chains=chain or None,
@@ -160,11 +169,23 @@ def discover(
         typer.echo(render(answer, with_warnings=False))
 
 
-def _read(file: Path, **options: Any) -> list[Record]:
+def _read(file: Path, used: list[str], **options: Any) -> list[Record]:
     from bayeq.records import read
 
-    found = read(file, **options)
+    try:
+        found = read(file, **options)
+    except FileFormatError:
+        # Perhaps it is in a column that is not used, where words are welcome.
+        found = read(file, columns=used or None, **options)
     return found if isinstance(found, list) else [found]
+
+
+def _require_place(path: Path) -> None:
+    """Refuse a file to write that cannot be there."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a directory; name a file in it")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: cannot be written: there is no directory {path.parent}")
 
 
 @app.command()
@@ -220,11 +241,15 @@ def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__
 
 
 def _one_line(text: str) -> str:
-    return " ".join(text.split())
+    """A message without line breaks and without what a terminal would obey."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split()))
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # a name that the terminal's encoding lacks is no reason to fail
+            stream.reconfigure(errors="backslashreplace")
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", BayeqWarning)
     try:
@@ -237,10 +262,13 @@ def main(arguments: list[str] | None = None) -> int:
         return int(stop.exit_code)
     except (KeyboardInterrupt, typer.Abort):
         return _fail("interrupted", 130)
-    except BrokenPipeError:
-        # The reader of the pipe has gone (`bayeq ... | head`); nothing is left to say to it.
+    except (BrokenPipeError, SystemExit):
+        # The reader of the pipe has gone (`bayeq ... | head`), which typer turns into an exit; nothing is left to
+        # say to it.
         sys.stdout = None
         return 0
+    except MemoryError:
+        return _fail("not enough memory; use fewer samples or fewer terms", 1)
     except OSError as error:
         return _fail(f"{error.filename or 'system'}: {error.strerror or error}", 2 if error.filename else 1)
     return code if isinstance(code, int) else 0

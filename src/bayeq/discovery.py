@@ -143,7 +143,9 @@ def discover(
         states.append(derive_states(piece, parsed, all_inputs, smooth))
     variables = Variables(tuple(name for chain in parsed for name in chain.states), all_inputs)
     terms = build_dictionary(dictionary, variables)
-    train, held_out = _split([s.columns for s in states], holdout, notes)
+    train, held_out = _split(
+        [s.columns for s in states], holdout, notes, ", ".join(p.name or "record" for p in pieces[:3])
+    )
     targets = [chain.target for chain in parsed]
     design = build_design(terms, targets, train, held_out, lambda done, total: step("dictionary", done, total))
     _check_size(design, notes)
@@ -210,7 +212,7 @@ def _chains(
 
 
 def _split(
-    columns: Sequence[Mapping[str, Floats]], holdout: float, notes: _Notes
+    columns: Sequence[Mapping[str, Floats]], holdout: float, notes: _Notes, where: str
 ) -> tuple[list[Mapping[str, Floats]], list[Mapping[str, Floats]]]:
     """Training rows and the last rows of each record, held out."""
     train: list[Mapping[str, Floats]] = []

@@ -94,8 +94,8 @@ def _split_at_commas(text: str) -> list[str]:
 
 def _not_a_dictionary(text: str, variables: Variables, error: InputError) -> InputError:
     """What is wrong with a specification that is no term: what it looks like decides."""
-    if re.fullmatch(r"[\w-]*(:.*)?", text) and text not in FUNCTIONS:
-        ways = [*FAMILIES, "polynomial:3", "a file of terms", f"terms of {', '.join(variables.names)}"]
+    if re.fullmatch(r"(?:[^\W\d]\w*)?(?::.*)?", text) and text not in FUNCTIONS:
+        ways = [*FAMILIES, "polynomial:3", "a file (one term per line)", f"terms of {', '.join(variables.names)}"]
         return UnknownNameError("dictionary", text[:60], ways)
     if len(text) < MAX_PATH and isdir(text):
         return FileFormatError(f"{text}: is a directory; name a file of terms, one per line")

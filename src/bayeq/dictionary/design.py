@@ -25,6 +25,9 @@ Columns = Mapping[str, Floats]
 # Rows evaluated at a time.
 BLOCK_ROWS = 65_536
 
+# The largest value whose square can be summed over any number of rows.
+LARGEST = 1e150
+
 # A column counts as constant below this relative spread, and as a copy above this correlation: both are the
 # rounding of the centred sums of squares.
 CONSTANT_SPREAD = 1e-13
@@ -135,10 +138,9 @@ def _grams(
             for start in range(0, _rows(piece), BLOCK_ROWS):
                 block = {name: values[start : start + BLOCK_ROWS] for name, values in piece.items()}
                 D = evaluate_terms(terms, block)
-                # a sum is finite only if all of its terms are, which spares a pass over each value
-                suspects = np.flatnonzero(~np.isfinite(np.abs(D).max(axis=0)))
+                suspects = np.flatnonzero(~(np.abs(D).max(axis=0) <= LARGEST))
                 for j in suspects:
-                    bad[j] += int(np.count_nonzero(~np.isfinite(D[:, j])))
+                    bad[j] += int(np.count_nonzero(~(np.abs(D[:, j]) <= LARGEST)))
                     D[:, j] = 0.0
                 yield D, np.column_stack([block[target] for target in targets])
                 counter.add(len(D))
@@ -152,7 +154,7 @@ def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int) -> dict[int, str]:
     out: dict[int, str] = {}
     for j in range(len(sd)):
         if bad[j]:
-            out[j] = f"not finite in {bad[j]} of {rows} rows"
+            out[j] = f"not finite, or too large to square, in {bad[j]} of {rows} rows"
         elif not sd[j] > CONSTANT_SPREAD * abs(gram.mean[j]):
             out[j] = "constant on the data"
     usable = np.array([j for j in range(len(sd)) if j not in out], dtype=np.intp)

@@ -165,6 +165,8 @@ class _Lines:
             hint = "; write the decimal mark as a point, without marks for thousands"
         elif number == self.layout.skip + 1 and self.layout.header is None:
             hint = "; if the line is a header, no name in it may be a number"
+        elif self.skipped:
+            hint = "; correct it, or leave out the row"
         elif self.layout.header is not None:
             hint = "; if the column is not needed, name the columns to read"
         return FileFormatError(f"{self.path}, line {number}, column {name!r}: {shown} is not a number{hint}")

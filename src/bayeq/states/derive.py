@@ -25,6 +25,9 @@ Smooth = Literal["auto", "none"]
 # Fewer rows than this cannot carry a smoother.
 LEAST_ROWS = 5
 
+# Samples beyond, and channels that vary by less than its inverse, have no square in floating point.
+LARGEST = 1e150
+
 
 @dataclass(frozen=True, slots=True)
 class States:
@@ -110,6 +113,17 @@ def _require_varying(record: Record, name: str) -> None:
             f"{record.name or 'record'}: channel {name!r} is constant ({values[0]:g} in all {record.n} rows):"
             " nothing can be learned from it; leave it out"
         )
+    row = int(np.argmax(np.abs(values)))
+    if abs(values[row]) > LARGEST:
+        raise RecordError(
+            f"{record.name or 'record'}: channel {name!r} is {values[row]:g} in row {row + 1}, too large to square;"
+            " correct it, or give the channel in a larger unit"
+        )
+    if record.n > 1 and values.max() - values.min() < 1 / LARGEST:
+        raise RecordError(
+            f"{record.name or 'record'}: channel {name!r} varies by {values.max() - values.min():g} only, too little"
+            " to square; give the channel in a smaller unit"
+        )
 
 
 def _fill(columns: dict[str, Floats], record: Record, source: str, name: str, order: int, smooth: Smooth) -> None:
@@ -119,10 +133,16 @@ def _fill(columns: dict[str, Floats], record: Record, source: str, name: str, or
         raise RecordError(f"{where}: {name!r} has to be estimated from {source!r}, which needs a time column or fs")
     if record.n < LEAST_ROWS:
         raise RecordError(f"{where}: {record.n} rows are too few to estimate {name!r} (at least {LEAST_ROWS})")
-    if smooth == "none":
-        values = record[source]
-        for _ in range(order):
-            values = np.gradient(values, record.time)
-        columns[name] = values
-        return
-    columns[source], columns[name] = smooth_derivative(record.time, record[source], order)
+    with np.errstate(all="ignore"):
+        smoothed = values = record[source]
+        if smooth == "none":
+            for _ in range(order):
+                values = np.gradient(values, record.time)
+        else:
+            smoothed, values = smooth_derivative(record.time, values, order)
+    if not (np.abs(values) <= LARGEST).all():
+        raise RecordError(
+            f"{where}: {name!r}, estimated from {source!r}, is out of range: steps of time are about {record.dt:g} s;"
+            " check the time column or fs"
+        )
+    columns[source], columns[name] = smoothed, values

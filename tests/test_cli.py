@@ -1,0 +1,174 @@
+"""The command as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayeq as bq
+from bayeq.cli import main
+
+
+def bayeq(*arguments, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "bayeq", *map(str, arguments)], capture_output=True, text=True, check=False, **options
+    )
+
+
+@pytest.fixture(scope="module")
+def duffing(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "duffing.csv"
+    assert main(["simulate", "duffing", "-o", str(path), "--seed", "1"]) == 0
+    return path
+
+
+OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
+
+
+def test_simulate_then_discover_as_json(duffing):
+    done = bayeq("discover", duffing, *OSCILLATOR, "--smooth", "none", "--json")
+    assert done.returncode == 0
+    out = json.loads(done.stdout)
+    assert out["version"] == bq.__version__
+    assert out["method"] == "vb"
+    assert out["data"]["file"] == "duffing.csv"
+    assert out["data"]["n"] == 4000
+    (equation,) = out["equations"]
+    assert equation["target"] == "a"
+    assert {t["name"] for t in equation["terms"] if t["included"]} == {"x", "v", "x**3", "u"}
+    assert done.stderr == "" or done.stderr.startswith("bayeq: warning: ")
+
+
+def test_the_installed_command_is_the_module(duffing):
+    command = Path(sys.executable).parent / "bayeq"
+    done = subprocess.run([command, "discover", duffing, *OSCILLATOR], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stdout == bayeq("discover", duffing, *OSCILLATOR).stdout
+    assert done.stdout.startswith("a = ")
+    assert "\x1b" not in done.stdout
+
+
+def test_all_of_the_paper_s_systems_through_the_command(tmp_path, capsys):
+    # a sample of the 100 seeds that the Python tests run: the command gives the same answers
+    for system in ("linear", "duffing"):
+        for seed in range(5):
+            path = tmp_path / f"{system}{seed}.csv"
+            assert main(["simulate", system, "-o", str(path), "--seed", str(seed)]) == 0
+            capsys.readouterr()
+            assert main(["discover", str(path), *OSCILLATOR, "--smooth", "none", "--json"]) == 0
+            found = {t["name"] for t in json.loads(capsys.readouterr().out)["equations"][0]["terms"] if t["included"]}
+            record = bq.simulate(system, seed=seed)
+            direct = bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", smooth="none")
+            assert found == set(direct[0].included)
+
+
+pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+
+
+def test_chains_inputs_and_dictionary_file(tmp_path, capsys):
+    terms = tmp_path / "terms.txt"
+    terms.write_text("x\nv\nx**3\nu\n")
+    path = tmp_path / "run.csv"
+    main(["simulate", "duffing", "-o", str(path)])
+    capsys.readouterr()
+    assert main(["discover", str(path), "--chain", "x:v:a", "--input", "u", "--dictionary", str(terms), "--json"]) == 0
+    out = json.loads(capsys.readouterr().out)
+    assert [t["name"] for t in out["equations"][0]["terms"]] == ["x", "v", "x**3", "u"]
+
+
+def test_first_order_system(tmp_path, capsys):
+    path = tmp_path / "lorenz.npz"
+    main(["simulate", "lorenz", "-o", str(path), "--noise", "0"])
+    capsys.readouterr()
+    arguments = ["--chain", "x", "--chain", "y", "--chain", "z", "--dictionary", "polynomial:2", "--json"]
+    assert main(["discover", str(path), *arguments]) == 0
+    out = json.loads(capsys.readouterr().out)
+    assert [e["target"] for e in out["equations"]] == ["dx", "dy", "dz"]
+    assert all(len(e["terms"]) == 9 for e in out["equations"])
+
+
+def test_trials_within_a_file_and_several_files(tmp_path, capsys):
+    a, b = (bq.simulate("linear", n=500, seed=seed) for seed in (0, 1))
+    both = tmp_path / "both.csv"
+    rows = ["run,t,x,v,a,u"]
+    for k, rec in enumerate((a, b)):
+        columns = [np.full(500, k), rec.time, *(rec[c] for c in "xvau")]
+        rows += [",".join(map(repr, map(float, row))) for row in zip(*columns, strict=True)]
+    both.write_text("\n".join(rows) + "\n")
+    bq.write(a, tmp_path / "a.parquet")
+    bq.write(b, tmp_path / "b.npz")
+    assert main(["discover", str(both), "--group", "run", *OSCILLATOR, "--json"]) == 0
+    grouped = json.loads(capsys.readouterr().out)
+    assert main(["discover", str(tmp_path / "a.parquet"), str(tmp_path / "b.npz"), *OSCILLATOR, "--json"]) == 0
+    separate = json.loads(capsys.readouterr().out)
+    assert grouped["equations"] == separate["equations"]
+    assert grouped["data"]["n"] == 1000
+
+
+def test_save_and_load(duffing, tmp_path, capsys):
+    path = tmp_path / "eq.json"
+    assert main(["discover", str(duffing), *OSCILLATOR, "--save", str(path)]) == 0
+    assert bq.load(path)[0].included == ("x", "v", "x**3", "u")
+    capsys.readouterr()
+
+
+def test_simulate_is_reproducible_and_systems_are_listed(tmp_path, capsys):
+    paths = [tmp_path / f"{k}.csv" for k in range(3)]
+    for path, seed in zip(paths, (4, 4, 5), strict=True):
+        assert main(["simulate", "coulomb", "-o", str(path), "--seed", str(seed), "--n", "50"]) == 0
+    assert paths[0].read_bytes() == paths[1].read_bytes() != paths[2].read_bytes()
+    assert capsys.readouterr().out == ""
+    assert main(["systems"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in bq.SYSTEMS)
+    assert main(["systems", "--json"]) == 0
+    assert [s["name"] for s in json.loads(capsys.readouterr().out)["systems"]] == list(bq.SYSTEMS)
+
+
+def test_version_help_and_what_is_not_built_is_absent(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == bq.__version__
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert "discover" in text
+    assert "study" not in text
+    assert main(["discover", "--help"]) == 0
+    text = capsys.readouterr().out
+    assert "--report" not in text
+    assert "gibbs" not in text
+
+
+def test_colour_on_a_terminal_only(duffing):
+    leader, follower = pty.openpty()
+    done = subprocess.Popen(
+        [sys.executable, "-m", "bayeq", "discover", str(duffing), *OSCILLATOR],
+        stdout=follower, stderr=subprocess.PIPE, env={**os.environ, "TERM": "xterm"},
+    )  # fmt: skip
+    os.close(follower)
+    shown = b""
+    while True:
+        try:
+            chunk = os.read(leader, 4096)
+        except OSError:  # the other end has closed: how a pseudo-terminal says end of file on Linux
+            break
+        if not chunk:
+            break
+        shown += chunk
+    done.communicate()
+    os.close(leader)
+    assert done.returncode == 0
+    assert b"\x1b[1m" in shown
+
+
+def test_a_closed_pipe_is_no_error(duffing):
+    command = f"'{sys.executable}' -m bayeq discover '{duffing}' --disp x --vel v --acc a --force u --json | true"
+    done = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr
+    assert done.returncode == 0

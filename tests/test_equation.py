@@ -1,0 +1,216 @@
+"""The answer as text, SymPy, LaTeX, numbers and files."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+
+import bayeq as bq
+from bayeq.equation import RunnerUp, round_to
+from bayeq.errors import CorrelatedResidualsWarning, FileFormatError, InputError
+
+RECORD = bq.simulate("duffing", seed=3, noise={"a": 0.02})
+EQ = bq.discover(RECORD, displacement="x", velocity="v", acceleration="a", force="u")
+LORENZ = bq.simulate("lorenz", seed=0, noise=0.0)
+FLOW = bq.Record.from_arrays({**LORENZ.channels, **{k: LORENZ.truth.clean[k] for k in ("dx", "dz")}}, fs=100)
+with warnings.catch_warnings():
+    # without noise the residuals are rounding, and correlated
+    warnings.simplefilter("ignore", CorrelatedResidualsWarning)
+    PAIR = bq.discover(FLOW, chains=["x:dx", "z:dz"], inputs=["y"], dictionary=["x", "y", "z", "x*y"])
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [
+        (-1001.2345, 5.6, "-1001.2"),
+        (0.99756, 0.0019, "0.9976"),
+        (95012.0, 200.0, "9.501e+04"),
+        (2.0, 0.0, "2"),
+        (0.0, 1.0, "0"),
+        (1.0, 100.0, "1"),
+        (1.23456789, 1e-300, "1.23456789"),
+    ],
+)
+def test_numbers_to_a_tenth_of_their_standard_deviation(value, sd, text):
+    assert round_to(value, sd) == text
+    assert abs(float(round_to(value, sd)) - value) <= max(0.05 * sd, 1e-11 * abs(value)) or abs(value) < sd
+
+
+def test_table_lists_every_candidate():
+    table = EQ.table()
+    assert list(table.columns) == ["target", "term", "coef", "sd", "ci_low", "ci_high", "pip", "included"]
+    assert len(table) == 36
+    chosen = table[table.included]
+    assert chosen.term.tolist() == ["x", "v", "x**3", "u"]
+    np.testing.assert_allclose((chosen.ci_high - chosen.ci_low) / chosen.sd, 2 * 1.959964, rtol=1e-6)
+    assert not table[~table.included][["coef", "sd", "ci_low", "ci_high"]].to_numpy().any()
+
+
+def test_sympy_and_text_are_the_same_equation():
+    equation = EQ.to_sympy()
+    x, v, u = sympy.symbols("x v u")
+    assert equation.lhs == sympy.Symbol("a")
+    values = {x: 0.02, v: -0.3, u: 4.0}
+    exact = sum(c * float(sympy.sympify(t).subs(values)) for t, c in EQ[0].coef.items())
+    assert float(equation.rhs.subs(values)) == pytest.approx(
+        exact + (EQ[0].posterior.intercept if EQ[0].intercept_matters else 0)
+    )
+    left, right = EQ[0].text.split(" = ")
+    assert left == "a"
+    assert float(sympy.sympify(right).subs(values)) == pytest.approx(exact, rel=1e-2)
+    assert isinstance(PAIR.to_sympy(), list)
+
+
+def test_latex_writes_derivatives_as_dots():
+    latex = EQ.to_latex()
+    assert latex.startswith(r"\ddot{x} = ")
+    assert r"\dot{x}" in latex
+    assert "x^{3}" in latex
+    assert PAIR.to_latex().count("\n") == 1
+
+
+def test_terms_that_are_sums_are_put_in_parentheses():
+    rng = np.random.default_rng(0)
+    x, u = rng.normal(size=(2, 300))
+    rec = bq.Record.from_arrays(x=x, dx=2 * (x + u) ** 2 - 3 * (x - u * x) + 0.01 * rng.normal(size=300), u=u)
+    eq = bq.discover(rec, chains=["x:dx"], inputs=["u"], dictionary=["(x+u)**2", "x-u*x", "u**3"])
+    assert "*(x+u)**2" in eq[0].text
+    assert "*(x-u*x)" in eq[0].text
+    value = float(sympy.sympify(eq[0].text.split(" = ")[1]).subs({"x": 0.5, "u": -1.0}))
+    assert value == pytest.approx(float(eq[0].evaluate({"x": 0.5, "u": -1.0})), rel=1e-2)
+
+
+def test_rhs_is_what_a_solver_takes():
+    assert EQ.states == ("x", "v")
+    clean = RECORD.truth.clean
+    dx, dv = EQ.rhs(0.0, [clean["x"][100], clean["v"][100]], clean["u"][100])
+    assert dx == clean["v"][100]
+    assert dv == pytest.approx(clean["a"][100], abs=0.05 * np.std(clean["a"]))
+    solution = solve_ivp(lambda t, s: EQ.rhs(t, s, 0.0), (0, 0.5), [0.02, 0.0], rtol=1e-8)
+    assert solution.success
+    # a free oscillation at about sqrt(k/m) rad/s, damped by exp(-c t/2m)
+    envelope = np.abs(solution.y[0][solution.t > 0.3]).max()
+    assert 0.5 * 0.02 < envelope < 0.02 * np.exp(-0.3) * 1.1
+    with pytest.raises(InputError, match="2 entries"):
+        EQ.rhs(0.0, [1.0], 0.0)
+    with pytest.raises(InputError, match="input"):
+        EQ.rhs(0.0, [1.0, 2.0])
+
+
+def test_prediction_of_a_record():
+    mean, sd = EQ.predict(RECORD, return_std=True)
+    np.testing.assert_allclose(mean, EQ[0].evaluate(RECORD.channels), rtol=1e-10)
+    inside = np.mean(np.abs(RECORD["a"] - mean) < 1.96 * sd)
+    assert 0.93 < inside < 0.97
+    both, spread = PAIR.predict(FLOW, return_std=True)
+    assert both.shape == spread.shape == (LORENZ.n, 2)
+
+
+def test_indexing_by_position_and_target():
+    assert PAIR["dz"] is PAIR[1]
+    assert len(PAIR) == len(list(PAIR)) == 2
+    with pytest.raises(KeyError):
+        PAIR["dy"]
+
+
+def test_plain_text_for_a_pipe_and_style_for_a_terminal(monkeypatch):
+    plain = str(EQ)
+    assert plain.isascii()
+    assert plain.splitlines()[0] == EQ[0].text
+    assert "| x**3 " in plain
+    assert "held-out rows (800)" in plain
+    assert "\x1b" not in plain
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert "\x1b[1m" in str(EQ)
+    assert EQ[0].text in repr(EQ)
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.CorrelatedResidualsWarning")
+def test_markup_in_names_is_not_interpreted():
+    rec = bq.Record.from_arrays(x=RECORD["x"], v=RECORD["v"], a=RECORD["a"], fs=1000, name="[red]run[/red].csv")
+    assert "[red]run[/red].csv" in str(bq.discover(rec, chains="x:v:a", dictionary="x,v", holdout=0.0))
+
+
+@pytest.mark.parametrize(
+    ("runner_up", "text", "odds"),
+    [
+        (RunnerUp("x", None, -2.0), "without x", "1:7.4"),
+        (RunnerUp(None, "v", 0.5), "with v added", "1.6:1"),
+        (RunnerUp("x", "v", -30.0), "v instead of x", "1:1e+13"),
+        (RunnerUp("x", "v", -5.0), "v instead of x", "1:148"),
+        (RunnerUp("x", "v", -1e9), "v instead of x", "1:1e+304"),
+    ],
+)
+def test_runners_up_in_words(runner_up, text, odds):
+    assert str(runner_up) == text
+    assert runner_up.odds == odds
+
+
+# Files --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("eq", [EQ, PAIR], ids=["one", "two"])
+def test_saved_and_loaded(eq, tmp_path):
+    path = tmp_path / "eq.json"
+    eq.save(path)
+    again = bq.load(path)
+    assert again.to_dict() == eq.to_dict()
+    assert str(again) == str(eq)
+    state = np.full(len(eq.states), 0.1)
+    u = np.full(len(eq.inputs), 0.2)
+    np.testing.assert_array_equal(again.rhs(0, state, u), eq.rhs(0, state, u))
+    if eq is EQ:
+        for a, b in zip(again.predict(RECORD, True), eq.predict(RECORD, True), strict=True):
+            np.testing.assert_array_equal(a, b)
+    again.save(tmp_path / "twice.json")
+    assert (tmp_path / "twice.json").read_bytes() == path.read_bytes()
+
+
+def test_json_has_the_shape_of_the_contract():
+    out = EQ.to_dict()
+    json.dumps(out, allow_nan=False)
+    assert list(out) == ["version", "method", "data", "equations", "diagnostics"]
+    assert {"file", "n"} <= set(out["data"])
+    equation = out["equations"][0]
+    assert {"target", "intercept", "noise_sd", "elbo", "equation", "latex", "terms"} <= set(equation)
+    assert len(equation["terms"]) == 36
+    assert list(equation["terms"][0]) == ["name", "coef", "sd", "ci95", "pip", "included"]
+    for term in equation["terms"]:
+        assert term["included"] == (term["pip"] > 0.5)
+    assert isinstance(equation["intercept"], float)
+    assert equation["intercept_sd"] > 0
+    low, high = equation["intercept_ci95"]
+    assert low < equation["intercept"] < high
+
+
+def test_damaged_files_are_refused(tmp_path):
+    path = tmp_path / "eq.json"
+    EQ.save(path)
+    good = json.loads(path.read_text())
+    with pytest.raises(FileFormatError):
+        bq.load(tmp_path / "missing.json")
+    for text in ("", "[1]", "{}", "null", "[" * 100_000, '{"format": "other"}', path.read_text()[:-40]):
+        path.write_text(text)
+        with pytest.raises(FileFormatError):
+            bq.load(path)
+
+    def spoiled(change):
+        copy = json.loads(json.dumps(good))
+        change(copy)
+        path.write_text(json.dumps(copy))
+        with pytest.raises(FileFormatError, match="damaged"):
+            bq.load(path)
+
+    spoiled(lambda c: c.pop("equations"))
+    spoiled(lambda c: c["equations"][0]["terms"][0].update(name="__import__('os').system('true')"))
+    spoiled(lambda c: c["equations"][0]["terms"][0].update(coef="NaN"))
+    spoiled(lambda c: c["posteriors"][0].update(center=[1.0]))
+    spoiled(lambda c: c["posteriors"][0].update(covariance=[[1.0]]))
+    spoiled(lambda c: c["data"].update(chains=["x:v:a", "y"]))
+    spoiled(lambda c: c["data"].update(chains="::"))

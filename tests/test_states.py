@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bayeq import Record
+from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
+from bayeq.states import derive_states, parse_chain, parse_chains
+from bayeq.states.smoothing import smooth_derivative
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "order"),
+    [
+        ("x:v:a", ("x", "v", "a"), 2),
+        ("x::", ("x", "dx", "ddx"), 2),
+        ("x:v:", ("x", "v", "ddx"), 2),
+        ("x::a", ("x", "dx", "a"), 2),
+        ("x", ("x", "dx"), 1),
+        ("x:xdot", ("x", "xdot"), 1),
+        (" x : v : a ", ("x", "v", "a"), 2),
+    ],
+)
+def test_chains(text, names, order):
+    chain = parse_chain(text)
+    assert chain.names == names
+    assert chain.order == order
+    assert chain.target == names[-1]
+    assert parse_chain(str(chain)) == chain
+
+
+@pytest.mark.parametrize(
+    "text", ["", ":", "::", "::a", ":v:a", "x:x", "x:1v", "x y", "x:v:a:b:c:d", "lambda", "x;v", "x.v"]
+)
+def test_wrong_chains(text):
+    with pytest.raises(ChainError):
+        parse_chain(text)
+
+
+@given(st.text(max_size=30))
+def test_any_text_is_a_chain_or_a_chain_error(text):
+    try:
+        chain = parse_chain(text)
+    except ChainError:
+        return
+    assert len(chain.names) == chain.order + 1
+
+
+def test_names_of_several_chains_are_distinct():
+    assert [c.target for c in parse_chains(["x", "y:dy"])] == ["dx", "dy"]
+    with pytest.raises(ChainError, match="'x' occurs"):
+        parse_chains(["x", "x:v:a"])
+    with pytest.raises(ChainError):
+        parse_chains([])
+
+
+def motion(n=2000, fs=200.0, noise=0.0, seed=0):
+    t = np.arange(n) / fs
+    x, v, a = np.sin(5 * t), 5 * np.cos(5 * t), -25 * np.sin(5 * t)
+    rng = np.random.default_rng(seed)
+    return Record.from_arrays(time=t, x=x + noise * rng.normal(size=n), v=v, a=a, u=np.cos(t)), (x, v, a)
+
+
+def test_measured_channels_are_used_as_they_are():
+    rec, _ = motion(noise=0.1)
+    states = derive_states(rec, parse_chains(["x:v:a"]), ["u"])
+    assert list(states.columns) == ["x", "v", "a", "u"]
+    assert states.estimated == ()
+    for name in states.columns:
+        np.testing.assert_array_equal(states.columns[name], rec[name])
+
+
+@pytest.mark.parametrize(("smooth", "tolerance"), [("auto", 0.01), ("none", 0.05)])
+def test_missing_derivatives_of_clean_motion(smooth, tolerance):
+    rec, (_, v, a) = motion()
+    states = derive_states(rec, parse_chains(["x::"]), smooth=smooth)
+    assert states.estimated == ("dx", "ddx")
+    inner = slice(20, -20)
+    assert np.max(np.abs(states.columns["dx"] - v)[inner]) < tolerance * 5
+    assert np.max(np.abs(states.columns["ddx"] - a)[inner]) < tolerance * 25
+
+
+def test_smoothing_beats_differences_on_noisy_motion_and_smooths_the_channel_too():
+    rec, (x, _, a) = motion(noise=0.02)
+    smoothed = derive_states(rec, parse_chains(["x::"])).columns
+    rough = derive_states(rec, parse_chains(["x::"]), smooth="none").columns
+    inner = slice(50, -50)
+    error = [np.std((columns["ddx"] - a)[inner]) / np.std(a) for columns in (smoothed, rough)]
+    assert error[0] < 0.3
+    assert error[1] > 5
+    assert np.std(smoothed["x"] - x) < 0.5 * np.std(rec["x"] - x)
+    np.testing.assert_array_equal(rough["x"], rec["x"])
+
+
+def test_irregular_sampling():
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.uniform(0, 5, size=400))
+    x, dx = smooth_derivative(t, np.sin(3 * t), 1)
+    inner = slice(20, -20)
+    assert np.max(np.abs(dx - 3 * np.cos(3 * t))[inner]) < 0.05
+    assert np.max(np.abs(x - np.sin(3 * t))[inner]) < 0.01
+
+
+def test_derivatives_scale_with_units():
+    rec, _ = motion(noise=0.02)
+    x, ddx = smooth_derivative(rec.time, rec["x"], 2)
+    big, ddbig = smooth_derivative(rec.time * 1e3, rec["x"] * 1e6 + 5e6, 2)
+    np.testing.assert_allclose(big - 5e6, x * 1e6, rtol=1e-6, atol=1e-2)
+    np.testing.assert_allclose(ddbig, ddx, rtol=1e-6, atol=1e-6)
+
+
+def test_what_cannot_be_used_is_refused():
+    rec, _ = motion(n=50)
+    x = np.array(rec["x"])
+    with pytest.raises(UnknownNameError, match="'V'"):
+        derive_states(rec, parse_chains(["x:V:a"]))
+    with pytest.raises(InputError, match="smooth"):
+        derive_states(rec, parse_chains(["x"]), smooth="much")
+    with pytest.raises(ChainError, match="both an input"):
+        derive_states(rec, parse_chains(["x:v:a"]), ["v"])
+    with pytest.raises(RecordError, match="constant"):
+        derive_states(Record.from_arrays(time=rec.time, x=x, q=np.ones(50)), parse_chains(["x"]), ["q"])
+    with pytest.raises(RecordError, match="time"):
+        derive_states(Record.from_arrays(x=x), parse_chains(["x"]))
+    with pytest.raises(RecordError, match="too few"):
+        derive_states(Record.from_arrays(x=x[:4], fs=1.0), parse_chains(["x"]))
+    with pytest.raises(ChainError, match="dx"):
+        derive_states(Record.from_arrays(x=x, dx=x, fs=1.0), parse_chains(["x"]))
+    x[7] = np.nan
+    with pytest.raises(RecordError, match="'x'"):
+        derive_states(Record.from_arrays(x=x, fs=1.0), parse_chains(["x"]))
