@@ -187,6 +187,13 @@ def test_both_paths_agree(tmp_path: Path, rows: list[tuple[str, str, str]], mark
         assert np.array_equal(np.signbit(fast[name]), np.signbit(slow[:, column]))
 
 
+@pytest.mark.parametrize("blank", ["\x85", "\u3000\n", "\xa0\n\x1a", "\t \v\n"])
+def test_white_space_of_any_script_is_blank(tmp_path: Path, blank: str) -> None:
+    with pytest.raises(FileFormatError, match="the file is empty"):
+        read(put(tmp_path, blank))
+    assert read(put(tmp_path, f"{blank}\nx,y\n1,2\n{blank}\n3,4\n{blank}"))["x"].tolist() == [1.0, 3.0]
+
+
 printable = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_size=60)
 tabular = st.text(st.sampled_from("0123456789.,;-+eEdDx#%\"'[]() \t\n\r"), max_size=80)
 

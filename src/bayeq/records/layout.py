@@ -15,6 +15,7 @@ __all__ = [
     "Layout",
     "comment_header",
     "encodings",
+    "is_blank",
     "is_comment",
     "looks_like_text",
     "split",
@@ -88,6 +89,11 @@ def is_comment(line: str) -> bool:
     """Whether a line is a comment (``#`` or ``%`` in front); ``#N/A`` is a missing number."""
     line = line.lstrip()
     return line[:1] in ("#", "%") and line[:4].upper() != "#N/A"
+
+
+def is_blank(line: str) -> bool:
+    """Whether a line is white space of any script, or the mark of the end that old systems write."""
+    return not line.strip().strip("\x1a")
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
@@ -175,7 +181,7 @@ def _content(file: Iterator[str]) -> tuple[list[tuple[int, str]], str]:
     for number, line in enumerate(file, 1):
         if is_comment(line):
             comment = line.strip().lstrip("#% ") if not lines else comment
-        elif line.strip(" \t\r\n\v\f\x1a"):
+        elif not is_blank(line):
             lines.append((number, line))
             if len(lines) == _SAMPLE_LINES:
                 break

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import FileFormatError
 from .columns import Columns, Headers, Select
-from .layout import MISSING, Layout, comment_header, encodings, is_comment, looks_like_text, sniff, split
+from .layout import MISSING, Layout, comment_header, encodings, is_blank, is_comment, looks_like_text, sniff, split
 from .record import Record
 from .truth import FloatArray
 
@@ -109,7 +109,7 @@ class _Lines:
         rows = last = 0
         with self.path.open(encoding=layout.encoding) as file:
             for number, line in enumerate(file, 1):
-                if number <= layout.skip or not line.strip(" \t\r\n\v\f\x1a") or is_comment(line):
+                if number <= layout.skip or is_blank(line) or is_comment(line):
                     continue
                 plain = mark is not None and '"' not in line
                 cells = line.rstrip("\n").split(mark) if plain else split(line, mark)  # float() strips
