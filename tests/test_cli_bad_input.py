@@ -424,7 +424,7 @@ def test_dictionaries_that_are_fine(run: Run, folder: Path, text: str) -> None:
         (["duffing", "-o", "r.csv", "--fs", "0"], ["fs must be positive, not 0.0"]),
         (["duffing", "-o", "r.csv", "--fs", "nan"], ["fs must be finite, not nan"]),
         (["duffing", "-o", "r.csv", "--fs", "0.001"], ["diverged", "raise fs"]),
-        (["duffing", "-o", "r.csv", "--noise", "-1"], ["noise must not be negative, not -1.0"]),
+        (["duffing", "-o", "r.csv", "--noise", "-1"], ["noise is a ratio of the signal, from 0 to 1e+06, not -1.0"]),
         (["duffing", "-o", "r.csv", "--noise", "inf"], ["noise must be finite, not inf"]),
         (["duffing", "-o", "r.csv", "--perturb", "nan"], ["perturb must be finite, not nan"]),
         (["duffing", "-o", "r.csv", "--seed", "-1"], ["seed must be a non-negative int", "not -1"]),

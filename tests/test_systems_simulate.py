@@ -243,7 +243,7 @@ def test_what_overflows_after_the_last_step_is_a_divergence_too() -> None:
         ({"fs": 0}, InputError, "fs must be positive, not 0"),
         ({"fs": float("nan")}, InputError, "fs must be finite"),
         ({"fs": "fast"}, InputError, "fs must be a number, not 'fast'"),
-        ({"noise": -0.1}, InputError, "noise must not be negative"),
+        ({"noise": -0.1}, InputError, "noise is a ratio of the signal"),
         ({"noise": {"x": float("inf")}}, InputError, "noise must be finite"),
         ({"noise": {"w": 0.1}}, UnknownNameError, "no channel named 'w'"),
         ({"parameters": {"k9": 1.0}}, UnknownNameError, "no parameter named 'k9'"),

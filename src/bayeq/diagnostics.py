@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -39,7 +40,7 @@ class Residuals:
     @property
     def correlated(self) -> bool:
         """Whether standard deviations that assume white residuals are too small to be trusted."""
-        return self.n_eff < LEAST_EFFECTIVE_SHARE * self.n and self.lag1 > SIGNIFICANT / np.sqrt(self.n)
+        return bool(self.n_eff < LEAST_EFFECTIVE_SHARE * self.n and self.lag1 > SIGNIFICANT / math.sqrt(self.n))
 
 
 def inspect_residuals(pieces: Sequence[Floats]) -> Residuals:

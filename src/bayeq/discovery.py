@@ -155,6 +155,8 @@ def discover(
         step("inference", k, len(parsed))
         equations.append(_solve(chain, k, design, train, engine, prior, notes))
     step("inference", len(parsed), len(parsed))
+    for message, category in notes.collected:
+        warnings.warn(message, category, stacklevel=2)
     return Equations(
         equations=tuple(equations),
         inputs=all_inputs,
@@ -169,7 +171,7 @@ def discover(
             estimated=states[0].estimated,
         ),
         dropped=design.dropped,
-        warnings=tuple(notes.messages),
+        warnings=tuple(message for message, _ in notes.collected),
     )
 
 
@@ -178,14 +180,13 @@ def _silent(stage: str, done: int, total: int) -> None:
 
 
 class _Notes:
-    """Warnings given so far, kept for the answer as well as raised."""
+    """Warnings collected on the way: given at the end, and kept in the answer."""
 
     def __init__(self) -> None:
-        self.messages: list[str] = []
+        self.collected: list[tuple[str, type[BayeqWarning]]] = []
 
     def warn(self, message: str, category: type[BayeqWarning]) -> None:
-        self.messages.append(message)
-        warnings.warn(message, category, stacklevel=4)
+        self.collected.append((message, category))
 
 
 def _chains(

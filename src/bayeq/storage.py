@@ -89,7 +89,7 @@ def _diagnostics(equation: Equation) -> dict[str, Any]:
             "train": asdict(equation.train),
             "held_out": None if equation.held_out is None else asdict(equation.held_out),
         },
-        "residuals": {**asdict(equation.residuals), "correlated": bool(equation.residuals.correlated)},
+        "residuals": {**asdict(equation.residuals), "correlated": equation.residuals.correlated},
         "runners_up": [asdict(r) for r in equation.runners_up],
     }
 

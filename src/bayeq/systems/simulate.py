@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 __all__ = ["simulate"]
 
 
+# More samples in one record than anybody measures, and noise that drowns any signal: mistakes of typing.
+MAX_SAMPLES = 100_000_000
+MAX_NOISE = 1e6
+
+
 def simulate(
     system: str | System,
     *,
@@ -204,8 +209,8 @@ def _ratios(system: System, noise: float | Mapping[str, float] | None) -> dict[s
         if name not in ratios:
             raise UnknownNameError("channel", name, ratios, where=f"noise of system {system.name!r}")
         ratios[name] = _finite("noise", ratio)
-        if ratios[name] < 0:
-            raise InputError(f"noise must not be negative, not {ratio!r}")
+        if not 0 <= ratios[name] <= MAX_NOISE:
+            raise InputError(f"noise is a ratio of the signal, from 0 to {MAX_NOISE:g}, not {ratio!r}")
     return ratios
 
 
@@ -240,6 +245,8 @@ def _count(n: int) -> int:
         raise InputError(f"n must be a whole number, not {n!r}") from None
     if count < 2:
         raise InputError(f"n must be at least 2, not {count}")
+    if count > MAX_SAMPLES:
+        raise InputError(f"n must be at most {MAX_SAMPLES} samples, not {count}; simulate several records instead")
     return count
 
 
@@ -257,4 +264,6 @@ def _positive(what: str, value: float) -> float:
     number = _finite(what, value)
     if number <= 0:
         raise InputError(f"{what} must be positive, not {value!r}")
+    if not 1e-12 <= number <= 1e12:
+        raise InputError(f"{what} must lie between 1e-12 and 1e12, not {value!r}")
     return number
