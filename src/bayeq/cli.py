@@ -42,7 +42,9 @@ class Method(StrEnum):
 
     auto = "auto"
     vb = "vb"
+    gibbs = "gibbs"
     rvm = "rvm"
+    stlsq = "stlsq"
 
 
 class Smoothing(StrEnum):
@@ -126,7 +128,7 @@ def discover(
     holdout: Annotated[float, typer.Option(help="Share of the rows, the last, to judge the equation by.")] = 0.2,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     save: Annotated[Path | None, typer.Option(help="Write the equations to a JSON file, for bayeq.load.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of methods that draw random numbers (none so far).")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of methods that draw random numbers (gibbs).")] = 0,
 ) -> None:
     """Find the equation of motion of a measured record."""
     from bayeq.discovery import discover as run

@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,7 @@ def discover(
     dictionary : str or sequence of str
         ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, a file of terms, or terms.
     method : str
-        ``"auto"`` (variational Bayes), ``"vb"`` or ``"rvm"``.
+        ``"auto"`` (variational Bayes), ``"vb"``, ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
     smooth : "auto" or "none"
         How derivatives that are not measured are had, see `bayeq.states.derive_states`.
     holdout : float
@@ -94,7 +95,7 @@ def discover(
         the noise in units of the least-squares residual. A given prior applies to standardised columns and
         those units; its v_s is used as it is.
     seed : int
-        Seed of methods that draw random numbers; those built so far do not.
+        Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional
         Called with (stage, done, total).
 
@@ -121,7 +122,6 @@ def discover(
     >>> eq[0].included
     ('x', 'v', 'x**3', 'u')
     """
-    del seed
     pieces = [records] if isinstance(records, Record) else list(records)
     if not pieces or not all(isinstance(piece, Record) for piece in pieces):
         raise InputError("discover needs a Record or a list of Records (bayeq.read, Record.from_arrays)")
@@ -153,7 +153,7 @@ def discover(
     equations = []
     for k, chain in enumerate(parsed):
         step("inference", k, len(parsed))
-        equations.append(_solve(chain, k, design, train, engine, prior, notes))
+        equations.append(_solve(chain, k, design, train, engine, prior, seed, notes))
     step("inference", len(parsed), len(parsed))
     for message, category in notes.collected:
         warnings.warn(message, category, stacklevel=2)
@@ -257,6 +257,7 @@ def _solve(
     train: Sequence[Mapping[str, Floats]],
     engine: str,
     prior: Prior | None,
+    seed: int,
     notes: _Notes,
 ) -> Equation:
     """Infer one equation and inspect it."""
@@ -265,11 +266,16 @@ def _solve(
     if prior is None:
         prior = Prior()
         prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
-    raw = ENGINES[engine](standard.gram, prior)
+    method = ENGINES[engine]
+    options: dict[str, Any] = {"seed": (seed, k)} if method.random else {}
+    if method.held_out and design.held_out:
+        options["held_out"] = standard.apply(design.held_out[k])
+    raw = method.run(standard.gram, prior, **options)
     posterior = standard.restore(raw)
     if not posterior.converged:
-        notes.warn(f"{chain.target}: {engine} stopped after {posterior.n_iter} steps unconverged", ConvergenceWarning)
-    runners_up = _runners_up(standard.gram, prior, raw) if raw.elbo is not None else ()
+        chains = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
+        notes.warn(f"{chain.target}: {engine} not converged after {posterior.n_iter} steps{chains}", ConvergenceWarning)
+    runners_up = _runners_up(standard.gram, prior, raw) if method.spike_slab else ()
     residuals = inspect_residuals([_residual(chain.target, design, posterior, piece) for piece in train])
     _warn_of_ambiguity(chain.target, runners_up, notes)
     if residuals.correlated:

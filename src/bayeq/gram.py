@@ -220,12 +220,24 @@ class Standardised:
     scale: Floats
     target_scale: float
 
+    def apply(self, other: Gram) -> Gram:
+        """The Gram of other rows in the same units: about the same centre, by the same scales."""
+        return replace(
+            other,
+            mean=(other.mean - self.source.mean) / self.scale,
+            target_mean=(other.target_mean - self.source.target_mean) / self.target_scale,
+            DtD=other.DtD / self.scale[:, None] / self.scale,
+            Dty=other.Dty / self.scale / self.target_scale,
+            yty=other.yty / self.target_scale**2,
+        )
+
     def restore(self, posterior: Posterior) -> Posterior:
         """The posterior in the original units: theta_i = s_y theta_i^s / s_i, and so its covariance."""
         factor = self.target_scale / self.scale
         kept = factor[posterior.support]
         variance = self.target_scale**2
         jacobian = self.source.dof * float(np.log(self.target_scale))
+        draws = posterior.draws
         return replace(
             posterior,
             coef=posterior.coef * factor,
@@ -235,6 +247,11 @@ class Standardised:
             noise_variance=posterior.noise_variance * variance,
             elbo=None if posterior.elbo is None else posterior.elbo - jacobian,
             elbo_trace=posterior.elbo_trace - jacobian,
+            averaged_coef=None if posterior.averaged_coef is None else posterior.averaged_coef * factor,
+            averaged_sd=None if posterior.averaged_sd is None else posterior.averaged_sd * factor,
+            draws=None
+            if draws is None
+            else replace(draws, theta=draws.theta * factor, noise_variance=draws.noise_variance * variance),
         )
 
 

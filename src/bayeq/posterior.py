@@ -7,9 +7,34 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Posterior"]
+__all__ = ["Draws", "Posterior"]
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Draws:
+    """Samples of the posterior by Markov chains, burn-in left out.
+
+    Attributes
+    ----------
+    z : (chains, samples, P) bool array
+        Indicators.
+    theta : (chains, samples, P) array
+        Coefficients, 0 where z is 0.
+    noise_variance : (chains, samples) array
+        sigma^2.
+    log_posterior : (chains, samples) array
+        ln p(y, z) of each sample's model, up to a constant.
+    pip : (chains, P) array
+        Rao-Blackwellised inclusion probabilities of each chain: means of p(z_i = 1 | z_-i, y).
+    """
+
+    z: NDArray[np.bool_]
+    theta: Floats
+    noise_variance: Floats
+    log_posterior: Floats
+    pip: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +71,13 @@ class Posterior:
         False if the engine stopped at its iteration limit.
     slab_variance : float or None
         v_s under which the posterior was computed.
+    averaged_coef, averaged_sd : (P,) arrays or None
+        Posterior mean and standard deviation of each coefficient over all models, zeros included, where models
+        are averaged.
+    rhat : float or None
+        Multivariate potential scale reduction factor of the chains, where there are any.
+    draws : Draws or None
+        The samples, where they were kept.
     """
 
     method: str
@@ -63,6 +95,10 @@ class Posterior:
     n_iter: int = 0
     converged: bool = True
     slab_variance: float | None = None
+    averaged_coef: Floats | None = None
+    averaged_sd: Floats | None = None
+    rhat: float | None = None
+    draws: Draws | None = None
 
     @property
     def sd(self) -> Floats:

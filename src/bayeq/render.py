@@ -13,17 +13,13 @@ from rich.table import Table
 
 from bayeq.equation import Equation, round_to
 from bayeq.equations import Equations
+from bayeq.inference import ENGINES
 
 __all__ = ["render"]
 
 # Candidates that are not included are listed from this PIP on.
 NOTEWORTHY_PIP = 0.01
 PLAIN_WIDTH = 110
-
-METHODS = {
-    "vb": "variational Bayes, spike-and-slab prior",
-    "rvm": "relevance vector machine; PIP is its gamma, a relevance and not a probability",
-}
 
 
 def render(eq: Equations, with_warnings: bool = True) -> str:
@@ -38,7 +34,7 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
         _render_equation(console, equation, eq.method, terminal)
     names = [name for name in eq.data.files if name]
     source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
-    console.print(f"{eq.data.n} rows{source}, {eq.data.n_train} used; method: {METHODS.get(eq.method, eq.method)}")
+    console.print(f"{eq.data.n} rows{source}, {eq.data.n_train} used; method: {ENGINES[eq.method].title}")
     if eq.data.estimated:
         how = "smoothing" if eq.smooth == "auto" else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
@@ -53,7 +49,7 @@ def _render_equation(console: Console, equation: Equation, method: str, terminal
     console.print(f"[bold]{escape(equation.text)}[/bold]\n")
     table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
     table.add_column("term")
-    for name in ("coefficient", "sd", "95 % interval", "gamma" if method == "rvm" else "PIP"):
+    for name in ("coefficient", "sd", "95 % interval", ENGINES[method].score):
         table.add_column(name, justify="right")
     for row in _rows(equation):
         table.add_row(*row)
@@ -63,7 +59,9 @@ def _render_equation(console: Console, equation: Equation, method: str, terminal
     if rest:
         others = [p for p, s in zip(equation.posterior.pip, equation.posterior.support, strict=True) if not s]
         low = [p for p in others if p < NOTEWORTHY_PIP]
-        console.print(f"\n{rest} more candidates not included, PIP at most {max(low, default=0.0):.2g}")
+        console.print(
+            f"\n{rest} more candidates not included, {ENGINES[method].score} at most {max(low, default=0.0):.2g}"
+        )
     console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
     for line in _fits(equation):
         console.print(line)

@@ -75,16 +75,25 @@ def _equation(equation: Equation) -> dict[str, Any]:
                 "ci95": [float(ci[j, 0]), float(ci[j, 1])],
                 "pip": float(p.pip[j]),
                 "included": bool(p.support[j]),
+                **_averaged(p, j),
             }
             for j, term in enumerate(equation.terms)
         ],
     }
 
 
+def _averaged(p: Posterior, j: int) -> dict[str, float]:
+    """Moments over all models, where models are averaged."""
+    if p.averaged_coef is None or p.averaged_sd is None:
+        return {}
+    return {"averaged_coef": float(p.averaged_coef[j]), "averaged_sd": float(p.averaged_sd[j])}
+
+
 def _diagnostics(equation: Equation) -> dict[str, Any]:
     return {
         "converged": equation.posterior.converged,
         "slab_variance": equation.posterior.slab_variance,
+        "rhat": equation.posterior.rhat,
         "fit": {
             "train": asdict(equation.train),
             "held_out": None if equation.held_out is None else asdict(equation.held_out),
@@ -170,6 +179,10 @@ def _restore(content: Mapping[str, Any]) -> Equations:
     )
 
 
+def _column(terms: list[Mapping[str, Any]], name: str) -> Any:
+    return np.array([float(t[name]) for t in terms]) if terms and name in terms[0] else None
+
+
 def _restore_equation(
     chain: str, saved: Mapping[str, Any], state: Mapping[str, Any], checks: Mapping[str, Any], method: str
 ) -> Equation:
@@ -192,6 +205,9 @@ def _restore_equation(
         n_iter=int(state["n_iter"]),
         converged=bool(checks["converged"]),
         slab_variance=checks["slab_variance"],
+        averaged_coef=_column(saved["terms"], "averaged_coef"),
+        averaged_sd=_column(saved["terms"], "averaged_sd"),
+        rhat=checks["rhat"],
     )
     if not all(math.isfinite(v) for v in (*posterior.coef, *posterior.center, posterior.noise_variance)):
         raise ValueError("numbers that are not finite")

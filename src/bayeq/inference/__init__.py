@@ -6,19 +6,62 @@ An engine is a function ``engine(gram, prior, **options) -> Posterior``; a new o
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
+from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm
+from bayeq.inference.stlsq import stlsq, sweep_stlsq
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.posterior import Posterior
 
-__all__ = ["AUTO", "ENGINES", "Prior", "rvm", "spike_slab_vb"]
+__all__ = ["AUTO", "ENGINES", "Engine", "Prior", "rvm", "spike_slab_gibbs", "spike_slab_vb", "stlsq", "sweep_stlsq"]
 
-# Engines that `discover` offers, selecting by PIP > 0.5 (the RVM by its gamma, which stands in for a PIP).
-ENGINES: dict[str, Callable[..., Posterior]] = {
-    "vb": spike_slab_vb,
-    "rvm": partial(rvm, least_gamma=0.5),
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """A row of the table.
+
+    Attributes
+    ----------
+    run : callable
+        ``run(gram, prior, **options) -> Posterior``.
+    title : str
+        What it is, for the reader of its answer.
+    score : str
+        What stands in the column of its `pip`.
+    spike_slab : bool
+        Whether its prior is the spike-and-slab prior, under which models can be compared.
+    random : bool
+        Whether it draws random numbers: it then takes ``seed``.
+    held_out : bool
+        Whether it uses rows not used for the fit: it then takes ``held_out``, their Gram in the same units.
+    """
+
+    run: Callable[..., Posterior]
+    title: str
+    score: str = "PIP"
+    spike_slab: bool = False
+    random: bool = False
+    held_out: bool = False
+
+
+# Engines that `discover` offers; all of them select the terms whose `pip` exceeds 0.5.
+ENGINES: dict[str, Engine] = {
+    "vb": Engine(spike_slab_vb, "variational Bayes, spike-and-slab prior", spike_slab=True),
+    "gibbs": Engine(spike_slab_gibbs, "Gibbs sampling (MCMC), spike-and-slab prior", spike_slab=True, random=True),
+    "rvm": Engine(
+        partial(rvm, least_gamma=0.5),
+        "relevance vector machine; gamma is a relevance, not a probability",
+        score="gamma",
+    ),
+    "stlsq": Engine(
+        partial(sweep_stlsq, columns="raw"),
+        "sequentially thresholded least squares (SINDy), threshold chosen by the held-out error; no probabilities",
+        score="in",
+        held_out=True,
+    ),
 }
 
 # What method="auto" means.

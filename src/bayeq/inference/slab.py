@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from bayeq.gram import Gram, GramLike, dense
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.problem import Bools, Problem
 from bayeq.inference.search import best_models
-from bayeq.inference.tableau import score
+from bayeq.inference.tableau import least_squares_rss, score
 from bayeq.kernels import kernel
 
 __all__ = ["learn_slab_variance", "residual_scale"]
@@ -22,9 +20,6 @@ GOLDEN_STEPS = 30
 
 # Turns of maximising the model, then v_s.
 MAX_TURNS = 10
-
-# A column whose variance left by earlier ones is a smaller share of its own depends on them.
-DEPENDENT = 1e-13
 
 # Below this share of the target's standard deviation a residual is rounding of the Gram matrix.
 LEAST_RESIDUAL = 1e-6
@@ -88,34 +83,8 @@ def learn_slab_variance(gram: GramLike, prior: Prior, floor: float = 10.0) -> fl
     return math.exp(best_log)
 
 
-@kernel
-def _least_squares_rss(DtD: Floats, Dty: Floats, yty: float) -> float:
-    """Residual sum of squares of all terms together; columns that depend on earlier ones add nothing."""
-    p = len(Dty)
-    L = np.empty((p, p))
-    half = np.empty(p)
-    s = yty
-    for i in range(p):
-        for j in range(i + 1):
-            value = DtD[i, j]
-            for k in range(j):
-                value -= L[i, k] * L[j, k]
-            if j < i:
-                L[i, j] = value / L[j, j]
-            elif value > DEPENDENT * DtD[i, i]:
-                L[i, i] = math.sqrt(value)
-            else:
-                L[i, i] = math.inf
-        value = Dty[i]
-        for k in range(i):
-            value -= L[i, k] * half[k]
-        half[i] = value / L[i, i]
-        s -= half[i] * half[i]
-    return s
-
-
 def _residual_sum(gram: GramLike) -> float:
-    return _least_squares_rss(dense(gram), gram.Dty, gram.yty)
+    return least_squares_rss(dense(gram), gram.Dty, gram.yty)
 
 
 def residual_scale(gram: Gram) -> float:

@@ -24,10 +24,13 @@ import numpy as np
 from bayeq.inference.problem import Bools, Floats, Problem
 from bayeq.kernels import kernel
 
-__all__ = ["build", "climb", "flip", "flip_gain", "score", "swap_gain"]
+__all__ = ["build", "climb", "flip", "flip_gain", "least_squares_rss", "score", "swap_gain"]
 
 # A climb stops when no move gains this much log posterior: above the rounding of h ln(s).
 GAIN_TOLERANCE = 1e-8
+
+# A column whose variance left by earlier ones is a smaller share of its own depends on them.
+DEPENDENT = 1e-13
 
 
 @kernel
@@ -50,14 +53,14 @@ def flip(M: Floats, j: int) -> float:
     q = M.shape[0]
     pivot = M[j, j]
     size = abs(pivot)
+    # Both factors of the rank-one update are row j: taken from row and column they would let the rounding
+    # asymmetry of M grow from flip to flip.
     for i in range(q):
         if i != j:
-            factor = M[i, j] / pivot
+            factor = M[j, i] / pivot
             if factor != 0.0:
                 for k in range(q):
                     M[i, k] -= factor * M[j, k]
-                # column j is set below from row j, which stays as it was
-                M[i, j] += factor * pivot
     for i in range(q):
         value = M[j, i] / size
         M[j, i] = value
@@ -160,3 +163,29 @@ def score(p: Problem, active: Bools, slab_variance: float) -> float:
         s -= half[a] * half[a]
         total -= 0.5 * math.log(slab_variance) + math.log(L[a, a])
     return total - p.h * math.log(0.5 * max(s, p.floor))
+
+
+@kernel
+def least_squares_rss(DtD: Floats, Dty: Floats, yty: float) -> float:
+    """Residual sum of squares of all terms together; columns that depend on earlier ones add nothing."""
+    p = len(Dty)
+    L = np.empty((p, p))
+    half = np.empty(p)
+    s = yty
+    for i in range(p):
+        for j in range(i + 1):
+            value = DtD[i, j]
+            for k in range(j):
+                value -= L[i, k] * L[j, k]
+            if j < i:
+                L[i, j] = value / L[j, j]
+            elif value > DEPENDENT * DtD[i, i]:
+                L[i, i] = math.sqrt(value)
+            else:
+                L[i, i] = math.inf
+        value = Dty[i]
+        for k in range(i):
+            value -= L[i, k] * half[k]
+        half[i] = value / L[i, i]
+        s -= half[i] * half[i]
+    return s

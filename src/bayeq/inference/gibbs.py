@@ -1,0 +1,360 @@
+"""The collapsed Gibbs sampler, eqs. (33)-(34), on the tableau.
+
+Each z_i is drawn from its conditional with theta and sigma^2 integrated out: the log-odds of a flip are O(1)
+on the tableau, a flip is one rank-one update. sigma^2 | y, z is inverse-Gamma and theta | y, z, sigma^2 Gaussian,
+both read off the same tableau.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayeq.errors import InputError
+from bayeq.gram import GramLike
+from bayeq.inference.prior import Prior
+from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.tableau import build, flip, flip_gain, least_squares_rss, score, swap_gain
+from bayeq.kernels import kernel
+from bayeq.posterior import Draws, Posterior
+
+__all__ = ["multivariate_rhat", "sample_chain", "sample_posterior", "spike_slab_gibbs"]
+
+# Flips after which the tableau is swept anew, against drift.
+REFRESH = 20_000
+
+# Multivariate R-hat below which chains count as converged (the paper, section 4).
+RHAT_LIMIT = 1.1
+
+
+@kernel
+def _tableau(p: Problem, active: Bools) -> Floats:
+    M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
+    for j in range(len(active)):
+        if active[j]:
+            flip(M, j)
+    return M
+
+
+@kernel
+def greedy_start(p: Problem, size: int) -> Bools:
+    """The paper's start: terms activated one by one, each time the one that lowers the squared error most."""
+    terms = len(p.Dty)
+    active = np.zeros(terms, dtype=np.bool_)
+    M = _tableau(p, active)
+    for j in range(terms):
+        if p.log_odds[j] == math.inf:
+            flip(M, j)
+            active[j] = True
+    for _ in range(size):
+        best, best_j = 0.0, -1
+        for j in range(terms):
+            if not active[j] and not math.isinf(p.log_odds[j]):
+                drop = M[j, terms] * M[j, terms] / M[j, j]
+                if drop > best:
+                    best, best_j = drop, j
+        if best_j < 0:
+            break
+        flip(M, best_j)
+        active[best_j] = True
+    return active
+
+
+@kernel
+def _draw_theta(M: Floats, active: Bools, variance: float, rng: np.random.Generator, out: Floats) -> None:
+    """theta_r ~ N(a_r, sigma^2 A_r) into `out`, zero elsewhere; the Cholesky factor of A_r = -M_rr is taken here."""
+    terms = len(active)
+    index = np.flatnonzero(active)
+    r = len(index)
+    L = np.empty((r, r))
+    for a in range(r):
+        for b in range(a + 1):
+            value = -M[index[a], index[b]]
+            for k in range(b):
+                value -= L[a, k] * L[b, k]
+            L[a, b] = math.sqrt(max(value, 0.0)) if a == b else value / L[b, b] if L[b, b] > 0.0 else 0.0
+    for j in range(terms):
+        out[j] = 0.0
+    noise = np.empty(r)
+    for a in range(r):
+        noise[a] = rng.standard_normal()
+    scale = math.sqrt(variance)
+    for a in range(r):
+        value = M[index[a], terms]
+        for k in range(a + 1):
+            value += scale * L[a, k] * noise[k]
+        out[index[a]] = value
+
+
+@kernel
+def _scan(p: Problem, M: Floats, active: Bools, rng: np.random.Generator, inclusion: Floats) -> int:
+    """One sweep over the indicators in order; writes p(z_i = 1 | z_-i, y), returns the number of flips."""
+    flips = 0
+    for j in range(len(active)):
+        if math.isinf(p.log_odds[j]):
+            inclusion[j] = 1.0 if active[j] else 0.0
+            continue
+        gain = flip_gain(p, M, active, j)
+        # log-odds of the flip -> probability of inclusion, formed without cancellation near 0 and 1
+        log_odds_in = -gain if active[j] else gain
+        if log_odds_in >= 0.0:
+            inside = 1.0 / (1.0 + math.exp(-log_odds_in))
+        else:
+            e = math.exp(log_odds_in)
+            inside = e / (1.0 + e)
+        inclusion[j] = inside
+        if (rng.random() < inside) != active[j]:
+            flip(M, j)
+            active[j] = not active[j]
+            flips += 1
+    return flips
+
+
+@kernel
+def _exchange(p: Problem, M: Floats, active: Bools, rng: np.random.Generator, weight: Floats) -> int:
+    """Draw anew which term stands in the place of a random active one; returns the number of flips.
+
+    The model without term i is kept, and the term that completes it is drawn from its conditional among i and all
+    inactive ones. i is drawn uniformly from the active terms, whose number stays the same, so that the step is
+    reversible. It carries a chain between models that differ by a swap of correlated terms, which single flips
+    reach only through a model that hardly ever occurs.
+    """
+    terms = len(active)
+    candidates = 0
+    for i in range(terms):
+        if active[i] and not math.isinf(p.log_odds[i]):
+            candidates += 1
+    if candidates == 0:
+        return 0
+    which = int(rng.random() * candidates)
+    leaves = -1
+    for i in range(terms):
+        if active[i] and not math.isinf(p.log_odds[i]):
+            if which == 0:
+                leaves = i
+                break
+            which -= 1
+    top = 0.0
+    for j in range(terms):
+        weight[j] = -math.inf
+        if not active[j] and not math.isinf(p.log_odds[j]):
+            weight[j] = swap_gain(p, M, leaves, j)
+            top = max(top, weight[j])
+    total = math.exp(-top)
+    for j in range(terms):
+        weight[j] = math.exp(weight[j] - top)
+        total += weight[j]
+    left = rng.random() * total - math.exp(-top)
+    if left < 0.0:
+        return 0
+    for j in range(terms):
+        left -= weight[j]
+        if left < 0.0:
+            flip(M, leaves)
+            flip(M, j)
+            active[leaves] = False
+            active[j] = True
+            return 2
+    return 0
+
+
+@kernel
+def sample_chain(
+    p: Problem,
+    active: Bools,
+    variance: float,
+    burn_in: int,
+    exchange: bool,
+    rng: np.random.Generator,
+    z: Bools,
+    theta: Floats,
+    noise: Floats,
+    log_posterior: Floats,
+    pip: Floats,
+) -> None:
+    """Run one chain from the model `active` (changed in place) and the noise variance `variance`.
+
+    One sample is theta | sigma^2, z, then sigma^2 | z, then z (by a scan of flips, and with `exchange` one step of
+    `_exchange` before it); after `burn_in` of them the
+    rows of z (S, P), theta (S, P), noise (S,) and log_posterior (S,) are filled and pip (P,) summed up.
+    """
+    terms = len(active)
+    inclusion = np.empty(terms)
+    draw = np.empty(terms)
+    M = _tableau(p, active)
+    y = terms
+    flips = 0
+    for t in range(burn_in + len(noise)):
+        s = max(M[y, y], p.floor)
+        if t > 0:
+            variance = 0.5 * s / rng.standard_gamma(p.h)
+        _draw_theta(M, active, variance, rng, draw)
+        k = t - burn_in
+        if k >= 0:
+            z[k] = active
+            theta[k] = draw
+            noise[k] = variance
+            log_posterior[k] = score(p, active, p.slab_variance)
+        before = flips
+        if exchange:
+            flips += _exchange(p, M, active, rng, draw)
+        flips += _scan(p, M, active, rng, inclusion)
+        if k >= 0:
+            for j in range(terms):
+                pip[j] += inclusion[j]
+        if flips // REFRESH != before // REFRESH:
+            M = _tableau(p, active)
+
+
+def sample_posterior(
+    problem: Problem,
+    *,
+    chains: int = 4,
+    samples: int = 5000,
+    burn_in: int = 1000,
+    exchange: bool = True,
+    seed: int | Sequence[int] = 0,
+) -> Draws:
+    """Draws of z, theta and sigma^2 from independent chains.
+
+    Parameters
+    ----------
+    problem : Problem
+        Gram and prior.
+    chains, samples, burn_in : int
+        `samples` in all per chain, of which the first `burn_in` are left out, as in the paper.
+    exchange : bool
+        Also exchange terms in one step; False is the paper's sampler, which flips one indicator at a time.
+    seed : int or sequence of int
+        Each chain draws from a stream of its own, spawned from this seed.
+
+    Raises
+    ------
+    InputError
+        No chains, or no samples after the burn-in.
+    """
+    if chains < 1 or burn_in < 0 or samples <= burn_in:
+        raise InputError(f"need chains >= 1 and samples > burn_in >= 0, got {chains}, {samples}, {burn_in}")
+    terms, kept = len(problem.Dty), samples - burn_in
+    z = np.empty((chains, kept, terms), dtype=np.bool_)
+    theta, pip = np.empty((chains, kept, terms)), np.zeros((chains, terms))
+    noise, levels = np.empty((chains, kept)), np.empty((chains, kept))
+    finite = problem.log_odds[np.isfinite(problem.log_odds)]
+    expected = float(np.sum(1.0 / (1.0 + np.exp(-finite))))
+    start = greedy_start(problem, max(1, round(expected)))
+    rss = least_squares_rss(problem.DtD, problem.Dty, problem.yty)
+    nominal = max(rss, problem.floor) / max(problem.dof - terms, 1.0)
+    for k, stream in enumerate(np.random.SeedSequence(seed).spawn(chains)):
+        rng = np.random.Generator(np.random.PCG64(stream))
+        variance = nominal * math.exp(0.1 * rng.standard_normal())
+        sample_chain(
+            problem, start.copy(), variance, burn_in, exchange, rng, z[k], theta[k], noise[k], levels[k], pip[k]
+        )
+    return Draws(z=z, theta=theta, noise_variance=noise, log_posterior=levels, pip=pip / kept)
+
+
+def multivariate_rhat(theta: Floats) -> float:
+    """Multivariate potential scale reduction factor of several chains.
+
+    The square root of (n-1)/n + (m+1)/m lambda, lambda the largest eigenvalue of W^-1 B/n, with W the mean
+    covariance within the chains and B/n that of their means (Brooks and Gelman 1998, section 4.1; the square root
+    as in R's coda). Coefficients that are zero in every sample are left out.
+
+    Parameters
+    ----------
+    theta : (m, n, P) array
+        m >= 2 chains of n samples.
+
+    Returns
+    -------
+    float
+        1 if nothing varies, inf if a coefficient differs between chains but never within one.
+    """
+    m, n, _ = theta.shape
+    theta = theta[:, :, np.any(theta != 0.0, axis=(0, 1))]
+    if m < 2 or n < 2 or theta.shape[2] == 0:
+        return 1.0
+    means = theta.mean(axis=1)
+    centred = theta - means[:, None, :]
+    within = np.einsum("mni,mnj->ij", centred, centred) / (m * (n - 1))
+    between = np.atleast_2d(np.cov(means, rowvar=False))
+    sd = np.sqrt(np.diagonal(within))
+    if np.any((sd == 0.0) & (np.diagonal(between) > 0.0)):
+        return math.inf
+    kept = sd > 0.0
+    if not kept.any():
+        return 1.0
+    scale = np.outer(sd[kept], sd[kept])
+    values, vectors = np.linalg.eigh(within[np.ix_(kept, kept)] / scale)
+    # directions in which the samples never move (a pair always in and out together, in one ratio) say nothing
+    moving = values > 1e-10 * values[-1]
+    root = vectors[:, moving] / np.sqrt(values[moving])
+    largest = np.linalg.eigvalsh(root.T @ (between[np.ix_(kept, kept)] / scale) @ root)[-1]
+    return float(math.sqrt((n - 1) / n + (m + 1) / m * max(float(largest), 0.0)))
+
+
+def spike_slab_gibbs(
+    gram: GramLike,
+    prior: Prior | None = None,
+    *,
+    chains: int = 4,
+    samples: int = 5000,
+    burn_in: int = 1000,
+    exchange: bool = True,
+    seed: int | Sequence[int] = 0,
+    keep_draws: bool = True,
+) -> Posterior:
+    """Posterior under spike-and-slab priors by collapsed Gibbs sampling.
+
+    Parameters
+    ----------
+    gram : GramLike
+        Sufficient statistics, standardised.
+    prior : Prior, optional
+        By default the paper's.
+    chains, samples, burn_in : int
+        The paper's 4 chains of 5000 samples, the first 1000 left out.
+    exchange : bool
+        Let chains exchange one term for another in one step; False is the paper's sampler.
+    seed : int or sequence of int
+        Every chain has a stream of its own.
+    keep_draws : bool
+        Keep the samples in the answer.
+
+    Returns
+    -------
+    Posterior
+        `pip` is Rao-Blackwellised: the mean of p(z_i = 1 | z_-i, y) over the samples. Coefficients and covariance
+        are those of the median probability model, exact given the model; `averaged_coef` and `averaged_sd` are
+        over all samples. `converged` says whether the multivariate R-hat is below 1.1.
+    """
+    problem = Problem.of(gram, prior or Prior())
+    draws = sample_posterior(problem, chains=chains, samples=samples, burn_in=burn_in, exchange=exchange, seed=seed)
+    pip = draws.pip.mean(axis=0)
+    support = pip > 0.5
+    kept = np.flatnonzero(support)
+    M = _tableau(problem, support)
+    # sigma^2 | y, z ~ IG(h, s/2): its mean scales the covariance of the coefficients
+    variance = 0.5 * max(M[-1, -1], problem.floor) / max(problem.h - 1.0, 0.5)
+    rhat = multivariate_rhat(draws.theta)
+    return Posterior(
+        method="gibbs",
+        names=gram.names,
+        pip=pip,
+        support=support,
+        coef=np.where(support, M[:-1, -1], 0.0),
+        covariance=-variance * M[np.ix_(kept, kept)],
+        center=np.zeros(len(pip)),
+        target_mean=0.0,
+        noise_variance=float(draws.noise_variance.mean()),
+        n=round(gram.dof) + 1,
+        n_iter=samples,
+        converged=rhat < RHAT_LIMIT,
+        slab_variance=problem.slab_variance,
+        averaged_coef=draws.theta.mean(axis=(0, 1)),
+        averaged_sd=draws.theta.std(axis=(0, 1)),
+        rhat=rhat,
+        draws=draws if keep_draws else None,
+    )
