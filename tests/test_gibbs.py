@@ -136,19 +136,8 @@ def test_geweke_joint_distribution(exchange):
     blank = Problem.of(Gram.from_data(D, np.zeros(n)), prior)
     for _ in range(sweeps):
         y = D @ theta + centring @ (math.sqrt(noise) * rng.normal(size=n))
-        p = Problem(
-            gram,
-            D.T @ y,
-            float(y @ y),
-            n - 1.0,
-            prior.log_odds(P),
-            2.0,
-            3.0,
-            3.0,
-            0.5 * math.log(2.0),
-            3.0 + 0.5 * (n - 1),
-            6.0,
-        )
+        # floor = 2 b_sigma whatever y, which is small here
+        p = blank._replace(Dty=D.T @ y, yty=float(y @ y))
         sample_chain(p, z.copy(), noise, 0, exchange, rng, zs, thetas, noises, levels, np.zeros(P))
         z, theta, noise = zs[1].copy(), thetas[1].copy(), float(noises[1])
         # theta of row 1 was drawn given row 1's sigma^2 and z
