@@ -9,10 +9,10 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from bayeq import RVM, SpikeSlabVB
+from bayeq import RVM, STLSQ, SpikeSlabGibbs, SpikeSlabVB
 from tests import reference
 
-ESTIMATORS = [SpikeSlabVB(), RVM()]
+ESTIMATORS = [SpikeSlabVB(), RVM(), SpikeSlabGibbs(samples=300, burn_in=50, chains=2), STLSQ(standardise=True)]
 
 
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
@@ -69,6 +69,25 @@ def test_prior_and_start_reach_the_engine():
     assert SpikeSlabVB(init="rvm").fit(D, y).elbo_ <= SpikeSlabVB().fit(D, y).elbo_ + 1e-6
     with pytest.raises(ValueError, match="slab_variance"):
         SpikeSlabVB(slab_variance=-1).fit(D, y)
+
+
+def test_gibbs_keeps_its_draws_in_original_units():
+    D, y = problem()
+    fit = SpikeSlabGibbs(samples=600, burn_in=100, random_state=3).fit(D * 1e3, y)
+    assert fit.rhat_ < 1.1
+    assert fit.draws_.theta.shape == (4, 500, 8)
+    np.testing.assert_allclose(fit.draws_.theta.mean(axis=(0, 1)), fit.averaged_coef_, rtol=1e-9, atol=1e-15)
+    assert fit.averaged_coef_[1] == pytest.approx(2.0e-3, rel=0.05)
+    assert fit.averaged_sd_[1] == pytest.approx(np.sqrt(fit.covariance_[0, 0]), rel=0.1)
+
+
+def test_stlsq_on_raw_columns():
+    D, y = problem()
+    raw = STLSQ(threshold=0.5, ridge=0.0, fit_intercept=False).fit(D, y)
+    assert raw.intercept_ == 0
+    assert raw.support_.tolist() == [False, True, False, False, True, False, False, False]
+    with pytest.raises(ValueError, match="fit_intercept"):
+        STLSQ(standardise=True, fit_intercept=False).fit(D, y)
 
 
 def test_frames_and_pipelines():

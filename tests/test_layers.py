@@ -23,7 +23,9 @@ LEVELS = [
     {"estimators", "equation", "equations", "storage", "render"},
     {"discovery"},
     {"study"},
-    {"cli", "__main__"},
+    {"cli_study"},
+    {"cli"},
+    {"__main__"},
 ]
 LEVEL = {room: k for k, rooms in enumerate(LEVELS) for room in rooms}
 STAGES = LEVELS[3]

@@ -12,6 +12,7 @@ import bayeq as bq
 def test_public_names():
     assert set(bq.__all__) == {
         "RVM",
+        "STLSQ",
         "SYSTEMS",
         "Equation",
         "Equations",
@@ -19,6 +20,7 @@ def test_public_names():
         "Posterior",
         "Prior",
         "Record",
+        "SpikeSlabGibbs",
         "SpikeSlabVB",
         "System",
         "Truth",

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from bayeq.discovery import discover
     from bayeq.equation import Equation
     from bayeq.equations import Equations
-    from bayeq.estimators import RVM, SpikeSlabVB
+    from bayeq.estimators import RVM, STLSQ, SpikeSlabGibbs, SpikeSlabVB
     from bayeq.gram import Gram
     from bayeq.inference.prior import Prior
     from bayeq.posterior import Posterior
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "RVM": "estimators",
+    "STLSQ": "estimators",
     "SYSTEMS": "systems",
     "Equation": "equation",
     "Equations": "equations",
@@ -32,6 +33,7 @@ _HOME = {
     "Posterior": "posterior",
     "Prior": "inference.prior",
     "Record": "records",
+    "SpikeSlabGibbs": "estimators",
     "SpikeSlabVB": "estimators",
     "System": "systems",
     "Truth": "records",
@@ -44,6 +46,7 @@ _HOME = {
 
 __all__ = [
     "RVM",
+    "STLSQ",
     "SYSTEMS",
     "Equation",
     "Equations",
@@ -51,6 +54,7 @@ __all__ = [
     "Posterior",
     "Prior",
     "Record",
+    "SpikeSlabGibbs",
     "SpikeSlabVB",
     "System",
     "Truth",

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.exceptions import TyperException
 
-from bayeq.errors import BayeqWarning, FileFormatError, InputError, MissingExtraError
+from bayeq.cli_study import study_app
+from bayeq.errors import BayeqError, BayeqWarning, FileFormatError, InputError, MissingExtraError
 
 if TYPE_CHECKING:
     from bayeq.records import Record
@@ -32,6 +33,8 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+
+app.add_typer(study_app, name="study")
 
 # Work that takes longer shows its progress.
 PATIENCE = 1.0
@@ -258,6 +261,8 @@ def main(arguments: list[str] | None = None) -> int:
         code = app(arguments, prog_name="bayeq", standalone_mode=False)
     except (InputError, MissingExtraError) as error:
         return _fail(str(error), 2)
+    except BayeqError as error:
+        return _fail(str(error), 1)
     except TyperException as error:
         return _fail(error.format_message(), error.exit_code)
     except typer.Exit as stop:

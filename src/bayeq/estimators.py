@@ -6,6 +6,7 @@ units of D and y. The prior applies in the units of y, as in the paper.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -13,13 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from bayeq.errors import InputError
 from bayeq.gram import Gram, GramLike
+from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm
+from bayeq.inference.stlsq import stlsq
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.posterior import Posterior
 
-__all__ = ["RVM", "SpikeSlabVB"]
+__all__ = ["RVM", "STLSQ", "SpikeSlabGibbs", "SpikeSlabVB"]
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +36,10 @@ class _SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def _engine(self, gram: GramLike) -> Posterior:
         raise NotImplementedError
 
+    def _solve(self, gram: Gram) -> Posterior:
+        standard = gram.standardise()
+        return standard.restore(self._engine(standard.gram))
+
     def fit(self, D: ArrayLike, y: ArrayLike) -> Self:
         """Fit to a dictionary matrix D (n, P) and a target y (n,).
 
@@ -42,8 +50,7 @@ class _SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """
         D, y = validate_data(self, D, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2)
         names = getattr(self, "feature_names_in_", None)
-        standard = Gram.from_data(D, y, names).standardise()
-        posterior = standard.restore(self._engine(standard.gram))
+        posterior = self._solve(Gram.from_data(D, y, names))
         self.posterior_ = posterior
         self.coef_ = posterior.coef
         self.intercept_ = posterior.intercept
@@ -147,6 +154,135 @@ class SpikeSlabVB(_SparseRegressor):
         return self
 
     fit.__doc__ = _SparseRegressor.fit.__doc__
+
+
+class SpikeSlabGibbs(_SparseRegressor):
+    """Sparse linear regression by collapsed Gibbs sampling with spike-and-slab priors.
+
+    Parameters
+    ----------
+    slab_variance, prior_inclusion, noise_shape, noise_rate
+        The prior, as in `SpikeSlabVB`.
+    chains, samples, burn_in : int
+        The paper's 4 chains of 5000 samples, the first 1000 left out.
+    exchange : bool
+        Let chains exchange one term for another in one step; False is the paper's sampler.
+    random_state : int or sequence of int
+        Seed.
+
+    Attributes
+    ----------
+    pip_ : (P,) array
+        Rao-Blackwellised posterior inclusion probabilities.
+    coef_, covariance_ : (P,) array, (r, r) array
+        Of the median probability model, exact given the model.
+    averaged_coef_, averaged_sd_ : (P,) array
+        Over all samples.
+    rhat_ : float
+        Multivariate potential scale reduction factor of the coefficients (Brooks and Gelman 1998).
+    draws_ : Draws
+        Samples of z, theta (original units) and sigma^2.
+    intercept_, support_, noise_variance_, n_iter_, posterior_
+        As in `SpikeSlabVB`.
+    """
+
+    def __init__(
+        self,
+        slab_variance: float = 10.0,
+        prior_inclusion: ArrayLike = 0.1,
+        noise_shape: float = 1e-4,
+        noise_rate: float = 1e-4,
+        chains: int = 4,
+        samples: int = 5000,
+        burn_in: int = 1000,
+        exchange: bool = True,
+        random_state: int | Sequence[int] = 0,
+    ) -> None:
+        self.slab_variance = slab_variance
+        self.prior_inclusion = prior_inclusion
+        self.noise_shape = noise_shape
+        self.noise_rate = noise_rate
+        self.chains = chains
+        self.samples = samples
+        self.burn_in = burn_in
+        self.exchange = exchange
+        self.random_state = random_state
+
+    def _engine(self, gram: GramLike) -> Posterior:
+        prior = Prior(self.slab_variance, self.prior_inclusion, self.noise_shape, self.noise_rate)
+        return spike_slab_gibbs(
+            gram,
+            prior,
+            chains=self.chains,
+            samples=self.samples,
+            burn_in=self.burn_in,
+            exchange=self.exchange,
+            seed=self.random_state,
+        )
+
+    def fit(self, D: ArrayLike, y: ArrayLike) -> Self:
+        super().fit(D, y)
+        self.averaged_coef_ = self.posterior_.averaged_coef
+        self.averaged_sd_ = self.posterior_.averaged_sd
+        self.rhat_ = self.posterior_.rhat
+        self.draws_ = self.posterior_.draws
+        return self
+
+    fit.__doc__ = _SparseRegressor.fit.__doc__
+
+
+class STLSQ(_SparseRegressor):
+    """Sequentially thresholded least squares (SINDy).
+
+    Parameters
+    ----------
+    threshold : float
+        Terms with a smaller coefficient are dropped.
+    ridge : float
+        Added to the diagonal of D'D.
+    standardise : bool
+        Compare the threshold with coefficients of standardised columns instead of raw ones.
+    fit_intercept : bool
+        Estimate an intercept; False regresses on the raw columns about zero, as PySINDy does.
+    max_iter : int
+        Limit on the regressions.
+
+    Attributes
+    ----------
+    pip_ : (P,) array
+        1 for a term that is in, 0 for one that is out: there are no probabilities.
+    coef_, intercept_, support_, covariance_, noise_variance_, n_iter_, posterior_
+        As in `SpikeSlabVB`.
+
+    References
+    ----------
+    S. L. Brunton, J. L. Proctor, J. N. Kutz, Discovering governing equations from data by sparse identification of
+    nonlinear dynamical systems, PNAS 113 (2016).
+    """
+
+    def __init__(
+        self,
+        threshold: float = 0.1,
+        ridge: float = 0.05,
+        standardise: bool = False,
+        fit_intercept: bool = True,
+        max_iter: int = 20,
+    ) -> None:
+        self.threshold = threshold
+        self.ridge = ridge
+        self.standardise = standardise
+        self.fit_intercept = fit_intercept
+        self.max_iter = max_iter
+
+    def _solve(self, gram: Gram) -> Posterior:
+        if self.standardise and not self.fit_intercept:
+            raise InputError("standardised columns are centred: they go with fit_intercept=True")
+        return super()._solve(gram) if self.standardise else self._engine(gram)
+
+    def _engine(self, gram: GramLike) -> Posterior:
+        return stlsq(
+            gram, threshold=self.threshold, ridge=self.ridge, centred=self.fit_intercept, max_iter=self.max_iter
+        )
 
 
 class RVM(_SparseRegressor):

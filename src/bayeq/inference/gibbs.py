@@ -278,7 +278,8 @@ def multivariate_rhat(theta: Floats) -> float:
         return 1.0
     means = theta.mean(axis=1)
     centred = theta - means[:, None, :]
-    within = np.einsum("mni,mnj->ij", centred, centred) / (m * (n - 1))
+    rows = centred.reshape(m * n, -1)
+    within = rows.T @ rows / (m * (n - 1))
     between = np.atleast_2d(np.cov(means, rowvar=False))
     sd = np.sqrt(np.diagonal(within))
     if np.any((sd == 0.0) & (np.diagonal(between) > 0.0)):

@@ -13,7 +13,7 @@ from bayeq.inference.rvm import rvm_ascent
 from bayeq.inference.tableau import build, climb, flip, flip_gain, score, swap_gain
 from bayeq.kernels import kernel
 
-__all__ = ["Move", "best_models", "candidate_models", "log_evidence", "neighbours"]
+__all__ = ["Move", "best_models", "candidate_models", "greedy_model", "log_evidence", "neighbours"]
 
 Ints = NDArray[np.int64]
 
@@ -22,7 +22,7 @@ FULL_START_TERMS = 128
 
 
 @kernel
-def _climb_all(p: Problem, models: Bools) -> Floats:
+def _climb_all(p: Problem, models: Bools, swaps: bool) -> Floats:
     """Climb from each row of `models`, in place; returns their final scores."""
     base = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
     scores = np.empty(len(models))
@@ -34,7 +34,7 @@ def _climb_all(p: Problem, models: Bools) -> Floats:
                 active[j] = p.log_odds[j] > 0.0
             if active[j]:
                 flip(M, j)
-        climb(p, M, active)
+        climb(p, M, active, swaps)
         scores[k] = score(p, active, p.slab_variance)
     return scores
 
@@ -114,7 +114,7 @@ def best_models(problem: Problem, starts: list[Bools] | None = None) -> list[tup
         if terms <= FULL_START_TERMS:
             starts.append(np.ones(terms, dtype=np.bool_))
     models = np.array(starts, dtype=np.bool_)
-    scores = _climb_all(problem, models)
+    scores = _climb_all(problem, models, True)
     found: dict[bytes, tuple[float, Bools]] = {}
     for k in np.argsort(-scores, kind="stable"):
         found.setdefault(models[k].tobytes(), (float(scores[k]), models[k]))
@@ -147,6 +147,13 @@ def neighbours(problem: Problem, active: Bools, window: float = math.inf) -> lis
         Move(float(gains[k]), int(out[k]) if out[k] >= 0 else None, int(into[k]) if into[k] >= 0 else None)
         for k in order
     ]
+
+
+def greedy_model(problem: Problem) -> Bools:
+    """The local optimum that adding and dropping single terms reaches from the empty model: no swaps."""
+    models = np.zeros((1, len(problem.Dty)), dtype=np.bool_)
+    _climb_all(problem, models, False)
+    return models[0]
 
 
 def candidate_models(problem: Problem, window: float = 2.0, limit: int = 6) -> list[Bools]:

@@ -97,8 +97,8 @@ def swap_gain(p: Problem, M: Floats, i: int, j: int) -> float:
 
 
 @kernel
-def climb(p: Problem, M: Floats, active: Bools) -> float:
-    """Steepest ascent from the model in `active` by flips, and by swaps where no flip improves.
+def climb(p: Problem, M: Floats, active: Bools, swaps: bool = True) -> float:
+    """Steepest ascent from the model in `active` by flips, and with `swaps` by swaps where no flip improves.
 
     M and `active` are changed in place; returns the log posterior gained. Forced and forbidden terms are left
     as they are.
@@ -112,7 +112,7 @@ def climb(p: Problem, M: Floats, active: Bools) -> float:
                 gain = flip_gain(p, M, active, j)
                 if gain > best:
                     best, best_j = gain, j
-        if best_j < 0:
+        if best_j < 0 and swaps:
             for i in range(terms):
                 if active[i] and not math.isinf(p.log_odds[i]):
                     for j in range(terms):

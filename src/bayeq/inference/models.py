@@ -1,0 +1,292 @@
+"""Many models at once: best-first search and exhaustive enumeration on the collapsed tableau.
+
+The posterior over models is known up to a constant, eq. (34). Best-first search (after Occam's window, Madigan and
+Raftery 1994) keeps every model seen, takes the likeliest whose neighbours have not been looked at, and adds those:
+each flip and each swap is O(1) on the tableau. It stops when what is left to find is negligible.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.search import best_models
+from bayeq.inference.tableau import build, flip, flip_gain, score, swap_gain
+from bayeq.kernels import kernel
+
+__all__ = ["ModelSet", "enumerate_models", "search_models"]
+
+Ints = NDArray[np.int64]
+Words = NDArray[np.uint64]
+
+# The tableau is swept anew after so many flips.
+REFRESH = 20_000
+
+# Models less likely than the best by more nats are counted as mass left out and not kept.
+KEEP = 18.0
+
+# Room for models: this many, or as many as fit into this many bytes.
+MOST_MODELS = 200_000
+MOST_BYTES = 100_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class ModelSet:
+    """Models with their log posteriors.
+
+    Attributes
+    ----------
+    models : (K, P) bool array
+        Best first.
+    log_posterior : (K,) array
+        Up to the constant of `search.log_constant`.
+    left_out : float
+        Share of the posterior mass outside the set: 0 if all models were enumerated, otherwise an estimate that
+        errs upwards.
+    expanded : int
+        Models all of whose neighbours were looked at.
+    """
+
+    models: Bools
+    log_posterior: Floats
+    left_out: float
+    expanded: int
+
+    @property
+    def weights(self) -> Floats:
+        """Posterior probabilities within the set, (K,)."""
+        w = np.exp(self.log_posterior - self.log_posterior[0])
+        return w / w.sum()
+
+
+@kernel
+def _fresh(p: Problem, active: Bools) -> Floats:
+    M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
+    for j in range(len(active)):
+        if active[j]:
+            flip(M, j)
+    return M
+
+
+@kernel
+def _enumerate(p: Problem, free: Ints, base: Bools) -> Floats:
+    """Scores of all models over the `free` terms; entry g belongs to the Gray code g ^ (g >> 1) of their bits."""
+    levels = np.empty(1 << len(free))
+    current = base.copy()
+    M = _fresh(p, current)
+    value = score(p, current, p.slab_variance)
+    levels[0] = value
+    for g in range(1, len(levels)):
+        bit, k = 0, g
+        while k % 2 == 0:
+            k //= 2
+            bit += 1
+        j = free[bit]
+        value += flip_gain(p, M, current, j)
+        flip(M, j)
+        current[j] = not current[j]
+        if g % REFRESH == 0:
+            M = _fresh(p, current)
+            value = score(p, current, p.slab_variance)
+        levels[g] = value
+    return levels
+
+
+def enumerate_models(problem: Problem) -> ModelSet:
+    """All models, by Gray code: one flip each. Meant for up to about 20 terms that are neither forced nor forbidden."""
+    free = np.flatnonzero(np.isfinite(problem.log_odds))
+    base = problem.log_odds == math.inf
+    levels = _enumerate(problem, free, base)
+    order = np.argsort(-levels, kind="stable")
+    # models too unlikely to matter in double precision are dropped
+    order = order[levels[order] > levels[order[0]] - 40.0]
+    codes = order ^ (order >> 1)
+    models = np.repeat(base[None, :], len(order), axis=0)
+    for bit, j in enumerate(free):
+        models[:, j] = (codes >> bit) & 1
+    return ModelSet(models, levels[order], 0.0, len(levels))
+
+
+@kernel
+def _find(table: Ints, keys: Words, key: np.uint64) -> int:
+    """Slot of `key` in the open-addressing table: where it is, or the empty slot where it belongs."""
+    mask = np.uint64(len(table) - 1)
+    slot = key & mask
+    while table[slot] >= 0 and keys[table[slot]] != key:
+        slot = (slot + np.uint64(1)) & mask
+    return int(slot)
+
+
+@kernel
+def _push(heap: Ints, size: int, scores: Floats, item: int) -> None:
+    heap[size] = item
+    k = size
+    while k > 0:
+        parent = (k - 1) // 2
+        if scores[heap[parent]] >= scores[heap[k]]:
+            break
+        heap[parent], heap[k] = heap[k], heap[parent]
+        k = parent
+
+
+@kernel
+def _pop(heap: Ints, size: int, scores: Floats) -> int:
+    top = heap[0]
+    heap[0] = heap[size - 1]
+    k = 0
+    while True:
+        child = 2 * k + 1
+        if child >= size - 1:
+            break
+        if child + 1 < size - 1 and scores[heap[child + 1]] > scores[heap[child]]:
+            child += 1
+        if scores[heap[k]] >= scores[heap[child]]:
+            break
+        heap[child], heap[k] = heap[k], heap[child]
+        k = child
+    return top
+
+
+@kernel
+def _search(
+    p: Problem, starts: Bools, start_scores: Floats, zobrist: Words, room: int, tolerance: float, keep: float
+) -> tuple[Bools, Floats, float, int]:
+    """Best-first search; returns models, scores, the estimate of the mass left out, and the number expanded."""
+    terms = len(p.Dty)
+    models = np.zeros((room, terms), dtype=np.bool_)
+    scores = np.empty(room)
+    keys = np.empty(room, dtype=np.uint64)
+    slots = 1
+    while slots < 2 * room:
+        slots *= 2
+    table = np.full(slots, -1)
+    heap = np.empty(room, dtype=np.int64)
+    count = size = 0
+    top = start_scores[0]
+    for k in range(len(starts)):
+        key = np.uint64(0)
+        for j in range(terms):
+            if starts[k, j]:
+                key ^= zobrist[j]
+        slot = _find(table, keys, key)
+        if table[slot] < 0:
+            table[slot] = count
+            models[count] = starts[k]
+            scores[count] = start_scores[k]
+            keys[count] = key
+            _push(heap, size, scores, count)
+            size += 1
+            count += 1
+            top = max(top, start_scores[k])
+    # masses relative to exp(top of the starts): of all models kept, of the frontier, and too small to keep
+    reference = top
+    total = frontier = dropped = 0.0
+    for k in range(count):
+        total += math.exp(scores[k] - reference)
+    frontier = total
+    recent_found = recent_spent = 0.0
+    current = starts[0].copy()
+    M = _fresh(p, current)
+    flips = expanded = 0
+    ratio = 1.0
+    while size > 0 and count < room:
+        # what an expansion of the frontier is likely to bring in all, by the yield of recent expansions
+        if frontier * ratio / (1.0 - min(ratio, 0.9)) + dropped < tolerance * total:
+            break
+        item = _pop(heap, size, scores)
+        size -= 1
+        for j in range(terms):
+            if models[item, j] != current[j]:
+                flip(M, j)
+                current[j] = not current[j]
+                flips += 1
+        if flips > REFRESH:
+            M = _fresh(p, current)
+            flips = 0
+        spent = math.exp(scores[item] - reference)
+        found = 0.0
+        frontier -= spent
+        expanded += 1
+        for i in range(-1, terms):
+            # i < 0: flips of single terms; otherwise swaps of the active term i
+            if i >= 0 and (not current[i] or math.isinf(p.log_odds[i])):
+                continue
+            for j in range(terms):
+                if math.isinf(p.log_odds[j]) or (i >= 0 and current[j]):
+                    continue
+                key = keys[item] ^ zobrist[j]
+                if i < 0:
+                    gain = flip_gain(p, M, current, j)
+                else:
+                    key ^= zobrist[i]
+                    gain = swap_gain(p, M, i, j)
+                value = scores[item] + gain
+                slot = _find(table, keys, key)
+                if table[slot] >= 0:
+                    continue
+                mass = math.exp(value - reference)
+                if value < top - keep:
+                    dropped += mass
+                    continue
+                if count == room:
+                    frontier += mass
+                    continue
+                table[slot] = count
+                models[count] = current
+                models[count, j] = not current[j]
+                if i >= 0:
+                    models[count, i] = False
+                scores[count] = value
+                keys[count] = key
+                _push(heap, size, scores, count)
+                size += 1
+                count += 1
+                top = max(top, value)
+                found += mass
+        total += found
+        frontier += found
+        recent_found = 0.9 * recent_found + found
+        recent_spent = 0.9 * recent_spent + spent
+        ratio = max(recent_found / recent_spent, 1e-3)
+    left = (frontier * ratio / (1.0 - min(ratio, 0.9)) + dropped) if size > 0 or count == room else dropped
+    return models[:count], scores[:count], left / (total + left), expanded
+
+
+def search_models(
+    problem: Problem, starts: list[tuple[float, Bools]] | None = None, tolerance: float = 1e-3
+) -> ModelSet:
+    """Models that hold nearly all of the posterior mass.
+
+    Parameters
+    ----------
+    problem : Problem
+        What to search.
+    starts : list of (score, model), optional
+        Where to begin; by default the local optima that `search.best_models` finds.
+    tolerance : float
+        Share of the mass that may be left out.
+
+    Returns
+    -------
+    ModelSet
+        The search also ends when the room for models is used up: `left_out` then tells.
+    """
+    found = best_models(problem) if starts is None else starts
+    terms = len(problem.Dty)
+    room = int(min(MOST_MODELS, max(1000, MOST_BYTES // max(terms, 1))))
+    zobrist = np.random.default_rng(0x5EED).integers(1, 2**63, size=terms, dtype=np.uint64)
+    models, scores, left, expanded = _search(
+        problem,
+        np.array([model for _, model in found], dtype=np.bool_),
+        np.array([value for value, _ in found]),
+        zobrist,
+        room,
+        tolerance,
+        KEEP,
+    )
+    order = np.argsort(-scores, kind="stable")
+    return ModelSet(models[order], scores[order], float(left), int(expanded))

@@ -1,0 +1,199 @@
+"""The look of all figures, and how they are written: for print, in colour or grey, the same bytes every time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayeq.errors import InputError, MissingExtraError
+from bayeq.expressions import parse, to_sympy
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "BLACK",
+    "BLUE",
+    "FULL_WIDTH",
+    "ORANGE",
+    "PALE",
+    "RED",
+    "SINGLE_COLUMN",
+    "add_axes",
+    "mathtext",
+    "new_figure",
+    "require_matplotlib",
+    "save",
+    "style",
+]
+
+# Widths of a journal's page [mm].
+SINGLE_COLUMN = 90.0
+FULL_WIDTH = 190.0
+
+MM_PER_INCH = 25.4
+DPI = 300
+
+# Colours that the colour-blind can tell apart (Okabe and Ito 2008) and that differ in lightness when printed in grey.
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+RED = "#D50000"
+PALE = "#E4E4E4"
+BLACK = "#000000"
+
+# Fonts that come with matplotlib, so that a figure is the same on every machine.
+RC: dict[Any, Any] = {
+    "font.family": "STIXGeneral",
+    "mathtext.fontset": "stix",
+    "font.size": 8.0,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "legend.fontsize": 8.0,
+    "legend.title_fontsize": 8.0,
+    "legend.frameon": False,
+    "axes.linewidth": 0.6,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 3.0,
+    "axes.labelpad": 2.0,
+    "xtick.major.width": 0.5,
+    "ytick.major.width": 0.5,
+    "xtick.major.size": 2.0,
+    "ytick.major.size": 2.0,
+    "xtick.major.pad": 2.0,
+    "ytick.major.pad": 2.0,
+    "lines.linewidth": 0.9,
+    "patch.linewidth": 0.5,
+    "hatch.linewidth": 0.5,
+    "figure.facecolor": "white",
+    "savefig.dpi": DPI,
+    "figure.dpi": DPI,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "bayeq",
+}
+
+
+def require_matplotlib() -> None:
+    """Check that figures can be drawn, before anything is computed for them.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("matplotlib", "plot", "drawing figures") from error
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The settings under which a figure is made and written; the caller's own are left as they were.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    require_matplotlib()
+    import matplotlib
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(RC)
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, of a size in mm."""
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))
+
+
+def add_axes(
+    figure: Figure,
+    left: float,
+    top: float,
+    width: float,
+    height: float,
+    sharex: Axes | None = None,
+    sharey: Axes | None = None,
+) -> Axes:
+    """Axes at a place in mm, counted from the upper left corner of the figure."""
+    across, down = (MM_PER_INCH * float(inches) for inches in figure.get_size_inches())
+    place = (left / across, 1.0 - (top + height) / down, width / across, height / down)
+    return figure.add_axes(place, sharex=sharex, sharey=sharey)
+
+
+def save(figure: Figure, stem: Path) -> list[Path]:
+    """Write a figure as PNG (300 dpi) and SVG, without dates; call it inside `style`.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        What to write.
+    stem : Path
+        Path without suffix; folders are made where missing.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    InputError
+        The files cannot be written.
+    """
+    unsigned: dict[str, dict[str, Any]] = {
+        "png": {"Software": None},
+        "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
+    }
+    paths = []
+    try:
+        stem.parent.mkdir(parents=True, exist_ok=True)
+        for suffix, metadata in unsigned.items():
+            path = stem.with_name(f"{stem.name}.{suffix}")
+            figure.savefig(path, format=suffix, dpi=DPI, metadata=metadata)
+            paths.append(path)
+    except OSError as error:
+        raise InputError(f"{error.filename or stem}: cannot write the figure: {error.strerror or error}") from error
+    return paths
+
+
+def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
+    r"""A term or a coefficient as matplotlib sets it.
+
+    Parameters
+    ----------
+    expression : str
+        As `bayeq.expressions.parse` reads it.
+    order : tuple of str
+        Names in the order in which factors are to stand; otherwise alphabetical.
+
+    Examples
+    --------
+    >>> print(mathtext("x**2*v", order=("x", "v")), mathtext("v*abs(x)"), mathtext("sign(v)"), mathtext("-cF/m"))
+    $x^{2} v$ $v\,|x|$ $\mathrm{sgn}(v)$ $-c_{F}/m$
+    """
+    import sympy
+
+    # SymPy sorts factors by name: stand-ins bring them into the wanted order.
+    stand_in = {sympy.Symbol(name): sympy.Symbol(f"A{k:03d}") for k, name in enumerate(order)}
+    names = {stand: sympy.latex(symbol) for symbol, stand in stand_in.items()}
+    text = sympy.latex(to_sympy(parse(expression)).xreplace(stand_in), fold_short_frac=True, symbol_names=names)
+    text = text.replace(r"\operatorname{sign}", r"\mathrm{sgn}").replace(" / ", "/")
+    # matplotlib needs no brackets that grow, and sets them too wide
+    text = re.sub(r"\{\\left\((\S+) \\right\)\}", r"(\1)", text)
+    text = re.sub(r"\\left\|\{(\S+)\}\\right\|", r"|\1|", text)
+    text = re.sub(r"\b([a-z])([A-Z])\b", r"\1_{\2}", text)
+    text = text.replace(" |", r"\,|")
+    return f"${re.sub('^- ', '-', text)}$"

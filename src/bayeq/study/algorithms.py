@@ -1,0 +1,132 @@
+"""The algorithms of a study, a table: a new one is a function and a row.
+
+Each sees the training Gram in original units, the held-out Gram (only SINDy looks at it, to choose its threshold
+as the paper does), the study's numbers and a seed of its own, and answers in original units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.gram import Gram
+from bayeq.inference import Prior, rvm, spike_slab_gibbs, spike_slab_vb, sweep_stlsq
+from bayeq.inference.problem import Problem
+from bayeq.inference.search import greedy_model
+from bayeq.posterior import Posterior
+from bayeq.study.config import StudyConfig
+
+__all__ = ["ALGORITHMS", "Algorithm", "Estimate", "estimate"]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What an algorithm answers.
+
+    Attributes
+    ----------
+    support : (P,) bool array
+        The selected terms.
+    coef : (P,) array
+        Coefficients in original units, 0 for a term that is not selected.
+    converged : bool
+        Whether it says it has converged.
+    extras : mapping of str to plain data
+        What else is worth keeping.
+    """
+
+    support: NDArray[np.bool_]
+    coef: NDArray[np.float64]
+    converged: bool = True
+    extras: Mapping[str, Any] = field(default_factory=dict)
+
+
+Algorithm = Callable[[Gram, Gram, StudyConfig, tuple[int, ...]], Estimate]
+
+
+def estimate(posterior: Posterior) -> Estimate:
+    """The estimate in a posterior that is in original units already."""
+    extras: dict[str, Any] = {"n_iter": int(posterior.n_iter)}
+    for name in ("elbo", "rhat"):
+        value = getattr(posterior, name)
+        if value is not None and math.isfinite(value):
+            extras[name] = float(value)
+    return Estimate(posterior.support, posterior.coef, bool(posterior.converged), extras)
+
+
+def _prior(config: StudyConfig) -> Prior:
+    return Prior(config.slab_variance, config.prior_inclusion, config.noise_shape, config.noise_rate)
+
+
+def _sindy(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    """Sequential threshold least squares on raw columns, its threshold swept on the held-out error."""
+    del config, seed
+    return estimate(sweep_stlsq(train, held_out=held_out, columns="raw"))
+
+
+def _sindy_std(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    """The same, the threshold compared with coefficients of standardised columns."""
+    del config, seed
+    return estimate(sweep_stlsq(train, held_out=held_out, columns="standardised"))
+
+
+def _rvm(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    """Relevance vector machine; selected is what is left in the machine."""
+    del held_out, config, seed
+    standard = train.standardise()
+    return estimate(standard.restore(rvm(standard.gram)))
+
+
+def _gibbs(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    """SS-MCMC: the collapsed Gibbs sampler, eqs. (33)-(34), as in the paper without exchange steps."""
+    del held_out
+    standard = train.standardise()
+    posterior = spike_slab_gibbs(
+        standard.gram,
+        _prior(config),
+        chains=config.chains,
+        samples=config.samples,
+        burn_in=config.burn_in,
+        exchange=False,
+        seed=seed,
+        keep_draws=False,
+    )
+    return estimate(standard.restore(posterior))
+
+
+def _vb(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    """SS-VB, from several starts."""
+    del held_out, seed
+    standard = train.standardise()
+    return estimate(standard.restore(spike_slab_vb(standard.gram, _prior(config))))
+
+
+def _vb_greedy(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    """SS-VB started from a greedy search that adds and drops terms but never swaps them."""
+    del held_out, seed
+    standard = train.standardise()
+    start = greedy_model(Problem.of(standard.gram, _prior(config))).astype(np.float64)
+    return estimate(standard.restore(spike_slab_vb(standard.gram, _prior(config), init=start)))
+
+
+def _vb_rvm(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    """SS-VB started from the RVM alone, as the paper's section 3.2 says."""
+    del held_out, seed
+    standard = train.standardise()
+    return estimate(standard.restore(spike_slab_vb(standard.gram, _prior(config), init="rvm")))
+
+
+ALGORITHMS: dict[str, Algorithm] = {
+    "sindy": _sindy,
+    "sindy-std": _sindy_std,
+    "rvm": _rvm,
+    "gibbs": _gibbs,
+    "vb": _vb,
+    "vb-rvm": _vb_rvm,
+    "vb-greedy": _vb_greedy,
+}

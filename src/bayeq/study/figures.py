@@ -1,0 +1,275 @@
+"""The paper's Figs. 4 and 5: one realisation of each system with nominal parameters, computed and drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayeq.expressions import parse, to_sympy
+from bayeq.inference import Prior, spike_slab_gibbs, spike_slab_vb
+from bayeq.posterior import Posterior
+from bayeq.report.figures import Inclusion, JointPosterior, draw_inclusion, draw_joint
+from bayeq.report.style import mathtext, require_matplotlib, save, style
+from bayeq.study.config import STUDY_SYSTEMS, StudyConfig, choose
+from bayeq.study.realise import ALGORITHM_STREAM, draw
+from bayeq.systems import System, get_system
+
+__all__ = ["Comparison", "compare", "confidence_ellipse", "inclusion", "joint_posterior", "write_figures"]
+
+Floats = NDArray[np.float64]
+
+# Values from here on are given in powers of ten on the axis.
+LARGE = 1e4
+
+# Share of a coefficient's draws that its axis spans, so that a few stray ones do not shrink all others to a dot.
+SPAN = 0.998
+
+# Room beyond that, of the axis' length.
+MARGIN = 0.06
+
+FIG_4_TERMS = "candidate term ($x$ displacement, $v$ velocity, $u$ force)"
+FIG_5_NOTE = (
+    "Coefficients of the acceleration (term: coefficient [unit]);\n"
+    f"axes span the central {100 * SPAN:.1f} % of the SS-MCMC samples"
+)
+
+# Points on the outline of an ellipse.
+OUTLINE = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """MCMC and VB on the same realisation, in original units.
+
+    Attributes
+    ----------
+    system : System
+        The system, with nominal parameters.
+    truth : (P,) array
+        True coefficients of the candidate terms.
+    mcmc, vb : Posterior
+        By `spike_slab_gibbs`, with draws, and by `spike_slab_vb`.
+    """
+
+    system: System
+    truth: Floats
+    mcmc: Posterior
+    vb: Posterior
+
+
+def compare(name: str, config: StudyConfig) -> Comparison:
+    """Infer one realisation by MCMC and by VB.
+
+    Parameters
+    ----------
+    name : str
+        One of `STUDY_SYSTEMS`.
+    config : StudyConfig
+        Seed, noise, rows and chains; `perturb` 0 for nominal parameters.
+    """
+    data = draw(config, name, 0)
+    standard = data.train.standardise()
+    prior = Prior(config.slab_variance, config.prior_inclusion, config.noise_shape, config.noise_rate)
+    mcmc = spike_slab_gibbs(
+        standard.gram,
+        prior,
+        chains=config.chains,
+        samples=config.samples,
+        burn_in=config.burn_in,
+        seed=(config.seed, STUDY_SYSTEMS.index(name), 0, ALGORITHM_STREAM),
+    )
+    vb = spike_slab_vb(standard.gram, prior)
+    return Comparison(get_system(name), data.truth, standard.restore(mcmc), standard.restore(vb))
+
+
+def confidence_ellipse(mean: ArrayLike, covariance: ArrayLike, level: float = 0.95) -> Floats:
+    """Outline of the region that holds a share `level` of a bivariate Gaussian.
+
+    The points where ``(t - mean)' C^-1 (t - mean)`` is the chi-square quantile with 2 degrees of freedom,
+    ``-2 ln(1 - level)``.
+
+    Parameters
+    ----------
+    mean : (2,) array_like
+        Centre.
+    covariance : (2, 2) array_like
+        Positive definite.
+    level : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    (2, 200) array
+        A closed curve.
+
+    Examples
+    --------
+    >>> outline = confidence_ellipse([0.0, 0.0], [[1.0, 0.0], [0.0, 4.0]])
+    >>> outline.max(axis=1).round(2)
+    array([2.45, 4.9 ])
+    """
+    radius = math.sqrt(-2.0 * math.log1p(-level))
+    angle = np.linspace(0.0, 2.0 * np.pi, OUTLINE)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(mean, dtype=np.float64)[:, None] + radius * np.linalg.cholesky(np.asarray(covariance)) @ circle
+
+
+def inclusion(comparison: Comparison) -> Inclusion:
+    """The panel of Fig. 4: Rao-Blackwellised probabilities of MCMC beside VB's w."""
+    states = comparison.system.states
+    return Inclusion(
+        title=comparison.system.title,
+        terms=tuple(mathtext(name, order=states) for name in comparison.vb.names),
+        true=comparison.truth != 0.0,
+        mcmc=comparison.mcmc.pip,
+        vb=comparison.vb.pip,
+    )
+
+
+def joint_posterior(comparison: Comparison) -> JointPosterior:
+    """The triangle of Fig. 5: the coefficients of the true terms, in original units.
+
+    Draws in which a coefficient is out of the model are in no pair of that coefficient. Large values are
+    divided by a power of ten, which the label names.
+    """
+    system, vb, draws = comparison.system, comparison.vb, comparison.mcmc.draws
+    assert draws is not None
+    true = np.flatnonzero(comparison.truth)
+    scale = np.array([_power_of_ten(value) for value in comparison.truth[true]])
+    ((target, symbols),) = system.terms.items()
+    names = tuple(vb.names[j] for j in true)
+    mean = vb.coef[true] / scale
+    place = {int(j): k for k, j in enumerate(np.flatnonzero(vb.support))}
+    ellipses = {}
+    for j, term in enumerate(true):
+        for i, other in enumerate(true[:j]):
+            if vb.support[term] and vb.support[other]:
+                rows = [place[int(other)], place[int(term)]]
+                covariance = vb.covariance[np.ix_(rows, rows)] / np.outer(scale[[i, j]], scale[[i, j]])
+                ellipses[i, j] = confidence_ellipse(mean[[i, j]], covariance)
+    z = draws.z.reshape(-1, len(vb.names))
+    samples = draws.theta.reshape(z.shape)[:, true] / scale
+    truth = comparison.truth[true] / scale
+    return JointPosterior(
+        title=system.title,
+        labels=tuple(
+            _label(system, target, name, symbols[name], size) for name, size in zip(names, scale, strict=True)
+        ),
+        names=tuple(mathtext(name, order=system.states) for name in names),
+        samples=samples,
+        included=z[:, true],
+        same_model=np.all(z == vb.support, axis=1),
+        truth=truth,
+        vb_mean=mean,
+        vb_included=vb.support[true],
+        ellipses=ellipses,
+        limits=np.array([_limits(samples[z[:, j], k], k, truth[k], ellipses) for k, j in enumerate(true)]),
+    )
+
+
+def _limits(draws: Floats, k: int, truth: float, ellipses: Mapping[tuple[int, int], Floats]) -> Floats:
+    """Ends of the axis of coefficient `k`: the central draws, the truth and the ellipses."""
+    values = [np.atleast_1d(truth), *(outline[pair.index(k)] for pair, outline in ellipses.items() if k in pair)]
+    if len(draws):
+        values.append(np.quantile(draws, [0.5 - SPAN / 2, 0.5 + SPAN / 2]))
+    ends = np.array([min(v.min() for v in values), max(v.max() for v in values)])
+    room = MARGIN * (ends[1] - ends[0]) or abs(truth)
+    return ends + np.array([-room, room])
+
+
+def _power_of_ten(value: float) -> float:
+    return float(10.0 ** math.floor(math.log10(abs(value)))) if abs(value) >= LARGE else 1.0
+
+
+def _label(system: System, target: str, term: str, coefficient: str, scale: float) -> str:
+    """Term, coefficient in physical parameters, and its unit."""
+    power = rf"$10^{{{round(math.log10(scale))}}}$ " if scale != 1.0 else ""
+    unit = f"{power}{_unit(system, target, term)}".strip()
+    return f"{mathtext(term, order=system.states)}:  {mathtext(coefficient)}\n[{unit or '1'}]"
+
+
+def _unit(system: System, target: str, term: str) -> str:
+    """Unit of a term's coefficient: of the target over that of the term, in SI base units."""
+    import sympy
+
+    # positive, so that SymPy knows that |m/s| is m/s and sgn(m/s) is 1
+    base = {name: sympy.Symbol(name, positive=True) for name in ("kg", "m", "s")}
+    newton = {sympy.Symbol("N"): base["kg"] * base["m"] / base["s"] ** 2}
+    plain = {sympy.Symbol(name): symbol for name, symbol in base.items()}
+
+    def unit(channel: str) -> object:
+        text = system.units[channel].replace("^", "**")
+        return to_sympy(parse(text)).subs(newton).subs(plain)
+
+    channels = {sympy.Symbol(name): unit(name) for name in system.units}
+    powers = (unit(target) / to_sympy(parse(term)).subs(channels)).as_powers_dict()
+    parts = ((str(symbol), int(power)) for symbol, power in powers.items() if symbol != 1)
+    return " ".join(symbol if power == 1 else f"{symbol}$^{{{power}}}$" for symbol, power in sorted(parts))
+
+
+def write_figures(
+    folder: Path,
+    *,
+    seed: int = 0,
+    systems: Iterable[str] | None = None,
+    noise: float = 0.05,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Path]:
+    """Compute and draw the paper's Figs. 4 and 5: one realisation per system by the protocol of section 4.
+
+    Nominal parameters, 2000 rows, columns standardised by eq. (32), the paper's prior and chains. Fig. 4 shows the
+    inclusion probabilities of all terms, Fig. 5 the pairwise posteriors of the true terms' coefficients of the
+    nonlinear systems; without such systems there is none.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to write ``fig4_inclusion`` and ``fig5_joint``, each as ``.png`` and ``.svg``; made if missing.
+    seed : int
+        The same seed gives the same files, byte by byte.
+    systems : iterable of str, optional
+        Some of `STUDY_SYSTEMS`; by default all.
+    noise : float
+        Noise relative to each clean channel's standard deviation.
+    progress : callable, optional
+        Called with (steps done, steps in all).
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    UnknownNameError
+        No such system.
+    InputError
+        An argument is out of range, or the files cannot be written.
+    """
+    require_matplotlib()
+    names = choose("system", STUDY_SYSTEMS if systems is None else systems, STUDY_SYSTEMS)
+    config = StudyConfig(seed=seed, noise=noise, perturb=0.0)
+    config.validate()
+    nonlinear = [name for name in names if name != "linear"]
+    steps = len(names) + 1 + bool(nonlinear)
+    tell = progress or (lambda done, total: None)
+    results = {}
+    for done, name in enumerate(names, 1):
+        results[name] = compare(name, config)
+        tell(done, steps)
+    with style():
+        figure = draw_inclusion([inclusion(results[name]) for name in names], FIG_4_TERMS)
+        paths = save(figure, Path(folder) / "fig4_inclusion")
+        tell(len(names) + 1, steps)
+        if nonlinear:
+            figure = draw_joint([joint_posterior(results[name]) for name in nonlinear], FIG_5_NOTE)
+            paths += save(figure, Path(folder) / "fig5_joint")
+            tell(steps, steps)
+    return paths
