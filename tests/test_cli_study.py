@@ -7,7 +7,8 @@ from bayeq.cli import main
 
 def test_study_through_the_command(tmp_path, capsys):
     store = str(tmp_path / "study.db")
-    arguments = ["--realisations", "2", "--jobs", "1", "--systems", "linear", "--algorithms", "vb,rvm", "--store", store]
+    size = ["--realisations", "2", "--jobs", "1", "--systems", "linear"]
+    arguments = [*size, "--algorithms", "vb,rvm", "--store", store]
     assert main(["study", "table2", *arguments]) == 0
     assert "linear" in capsys.readouterr().out
     assert main(["study", "show", store, "--json"]) == 0
