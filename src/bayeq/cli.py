@@ -45,6 +45,7 @@ class Method(StrEnum):
 
     auto = "auto"
     vb = "vb"
+    bma = "bma"
     gibbs = "gibbs"
     rvm = "rvm"
     stlsq = "stlsq"
@@ -123,7 +124,9 @@ def discover(
         str,
         typer.Option(help="Candidate terms: oscillator, polynomial:3, a file of terms, or terms separated by commas."),
     ] = "oscillator",
-    method: Annotated[Method, typer.Option(help="Engine; auto is vb.")] = Method.auto,
+    method: Annotated[
+        Method, typer.Option(help="Engine; auto: optimum by VB, probabilities by model averaging.")
+    ] = Method.auto,
     smooth: Annotated[
         Smoothing,
         typer.Option(help="Derivatives not measured: smoothed (auto) or differences (none)."),

@@ -28,7 +28,7 @@ from bayeq.errors import (
     UnknownNameError,
 )
 from bayeq.gram import Gram
-from bayeq.inference import AUTO, ENGINES, Prior
+from bayeq.inference import ENGINES, Prior
 from bayeq.inference.problem import Problem
 from bayeq.inference.search import neighbours
 from bayeq.inference.slab import learn_slab_variance, residual_scale
@@ -85,7 +85,8 @@ def discover(
     dictionary : str or sequence of str
         ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, a file of terms, or terms.
     method : str
-        ``"auto"`` (variational Bayes), ``"vb"``, ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
+        ``"auto"`` (the optimum of variational Bayes, probabilities by model averaging), ``"vb"``, ``"bma"``,
+        ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
     smooth : "auto" or "none"
         How derivatives that are not measured are had, see `bayeq.states.derive_states`.
     holdout : float
@@ -129,9 +130,8 @@ def discover(
     all_inputs = ((force,) if force is not None else ()) + tuple(inputs)
     if len(set(all_inputs)) < len(all_inputs):
         raise InputError(f"an input is named twice: {', '.join(all_inputs)}")
-    engine = AUTO if method == "auto" else method
-    if engine not in ENGINES:
-        raise UnknownNameError("method", method, ["auto", *ENGINES])
+    if method not in ENGINES:
+        raise UnknownNameError("method", method, ENGINES)
     if not 0 <= holdout < 1:
         raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
 
@@ -153,14 +153,14 @@ def discover(
     equations = []
     for k, chain in enumerate(parsed):
         step("inference", k, len(parsed))
-        equations.append(_solve(chain, k, design, train, engine, prior, seed, notes))
+        equations.append(_solve(chain, k, design, train, method, prior, seed, notes))
     step("inference", len(parsed), len(parsed))
     for message, category in notes.collected:
         warnings.warn(message, category, stacklevel=2)
     return Equations(
         equations=tuple(equations),
         inputs=all_inputs,
-        method=engine,
+        method=method,
         dictionary=dictionary if isinstance(dictionary, str) else ", ".join(str(t) for t in dictionary),
         smooth=smooth,
         data=DataSummary(
@@ -276,6 +276,13 @@ def _solve(
         chains = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
         notes.warn(f"{chain.target}: {engine} not converged after {posterior.n_iter} steps{chains}", ConvergenceWarning)
     runners_up = _runners_up(standard.gram, prior, raw) if method.spike_slab else ()
+    if posterior.optimum is not None and bool((posterior.optimum != posterior.support).any()):
+        other = [n for n, kept in zip(gram.names, posterior.optimum, strict=True) if kept]
+        notes.warn(
+            f"{chain.target}: the optimum of variational Bayes is another model ({', '.join(other) or 'no terms'});"
+            " the terms shown are those with a model-averaged PIP above 0.5",
+            AmbiguityWarning,
+        )
     residuals = inspect_residuals([_residual(chain.target, design, posterior, piece) for piece in train])
     _warn_of_ambiguity(chain.target, runners_up, notes)
     if residuals.correlated:

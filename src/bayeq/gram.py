@@ -237,7 +237,7 @@ class Standardised:
         kept = factor[posterior.support]
         variance = self.target_scale**2
         jacobian = self.source.dof * float(np.log(self.target_scale))
-        draws = posterior.draws
+        draws, average = posterior.draws, posterior.average
         return replace(
             posterior,
             coef=posterior.coef * factor,
@@ -252,6 +252,11 @@ class Standardised:
             draws=None
             if draws is None
             else replace(draws, theta=draws.theta * factor, noise_variance=draws.noise_variance * variance),
+            average=None
+            if average is None
+            else replace(
+                average, covariance=average.covariance * np.outer(factor[average.terms], factor[average.terms])
+            ),
         )
 
 

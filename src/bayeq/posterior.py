@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Draws", "Posterior"]
+__all__ = ["Draws", "ModelAverage", "Posterior"]
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +35,36 @@ class Draws:
     noise_variance: Floats
     log_posterior: Floats
     pip: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class ModelAverage:
+    """The posterior over models.
+
+    Attributes
+    ----------
+    models : (K, P) bool array
+        Likeliest first.
+    probability : (K,) array
+        Posterior probabilities within the set; they sum to 1.
+    left_out : float
+        Estimate, erring upwards, of the posterior mass of all other models.
+    terms : (Q,) int array
+        Terms that are in at least one of the models.
+    covariance : (Q, Q) array
+        Posterior covariance of the coefficients of these terms over all models: within and between.
+    """
+
+    models: NDArray[np.bool_]
+    probability: Floats
+    left_out: float
+    terms: NDArray[np.intp]
+    covariance: Floats
+
+    def joint_inclusion(self) -> Floats:
+        """Probability that terms i and j are both in, (P, P); the diagonal holds the PIPs."""
+        weighted = self.models * self.probability[:, None]
+        return np.asarray(weighted.T @ self.models.astype(np.float64))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +108,10 @@ class Posterior:
         Multivariate potential scale reduction factor of the chains, where there are any.
     draws : Draws or None
         The samples, where they were kept.
+    average : ModelAverage or None
+        The models that were averaged over.
+    optimum : (P,) bool array or None
+        Terms at the optimum of variational Bayes, where the support is another engine's.
     """
 
     method: str
@@ -99,6 +133,8 @@ class Posterior:
     averaged_sd: Floats | None = None
     rhat: float | None = None
     draws: Draws | None = None
+    average: ModelAverage | None = None
+    optimum: NDArray[np.bool_] | None = None
 
     @property
     def sd(self) -> Floats:

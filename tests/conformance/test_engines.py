@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayeq.gram import Gram
-from bayeq.inference import AUTO, ENGINES, Prior
+from bayeq.inference import ENGINES, Prior
 from bayeq.posterior import Posterior
 from tests import reference
 
@@ -27,10 +27,6 @@ def run(name, D, y, prior=None):
 def cheap(name):
     """Options that make a sampler quick."""
     return {"samples": 600, "burn_in": 100, "seed": 1} if ENGINES[name].random else {}
-
-
-def test_auto_is_an_engine(name):
-    assert AUTO in ENGINES
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from bayeq.inference.auto import spike_slab_auto
+from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm
@@ -16,7 +18,18 @@ from bayeq.inference.stlsq import stlsq, sweep_stlsq
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.posterior import Posterior
 
-__all__ = ["AUTO", "ENGINES", "Engine", "Prior", "rvm", "spike_slab_gibbs", "spike_slab_vb", "stlsq", "sweep_stlsq"]
+__all__ = [
+    "ENGINES",
+    "Engine",
+    "Prior",
+    "rvm",
+    "spike_slab_auto",
+    "spike_slab_bma",
+    "spike_slab_gibbs",
+    "spike_slab_vb",
+    "stlsq",
+    "sweep_stlsq",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +62,13 @@ class Engine:
 
 # Engines that `discover` offers; all of them select the terms whose `pip` exceeds 0.5.
 ENGINES: dict[str, Engine] = {
+    "auto": Engine(
+        spike_slab_auto,
+        "auto: PIPs by model averaging, coefficients exact given the included terms, ELBO by variational Bayes;"
+        " spike-and-slab prior",
+        spike_slab=True,
+    ),
+    "bma": Engine(spike_slab_bma, "model averaging with exact weights, spike-and-slab prior", spike_slab=True),
     "vb": Engine(spike_slab_vb, "variational Bayes, spike-and-slab prior", spike_slab=True),
     "gibbs": Engine(spike_slab_gibbs, "Gibbs sampling (MCMC), spike-and-slab prior", spike_slab=True, random=True),
     "rvm": Engine(
@@ -63,6 +83,3 @@ ENGINES: dict[str, Engine] = {
         held_out=True,
     ),
 }
-
-# What method="auto" means.
-AUTO = "vb"

@@ -29,6 +29,11 @@ REFRESH = 20_000
 # Models less likely than the best by more nats are counted as mass left out and not kept.
 KEEP = 18.0
 
+# The estimate of the mass left out is multiplied by this, so as to err upwards; the yield of the latest expansions
+# in it fades by this factor per expansion.
+CAUTION = 3.0
+MEMORY = 0.95
+
 # Room for models: this many, or as many as fit into this many bytes.
 MOST_MODELS = 200_000
 MOST_BYTES = 100_000_000
@@ -188,14 +193,14 @@ def _search(
     for k in range(count):
         total += math.exp(scores[k] - reference)
     frontier = total
-    recent_found = recent_spent = 0.0
+    recent_found = recent_spent = all_found = all_spent = 0.0
     current = starts[0].copy()
     M = _fresh(p, current)
     flips = expanded = 0
     ratio = 1.0
     while size > 0 and count < room:
         # what an expansion of the frontier is likely to bring in all, by the yield of recent expansions
-        if frontier * ratio / (1.0 - min(ratio, 0.9)) + dropped < tolerance * total:
+        if CAUTION * frontier * ratio / (1.0 - min(ratio, 0.9)) + dropped < tolerance * total:
             break
         item = _pop(heap, size, scores)
         size -= 1
@@ -249,15 +254,20 @@ def _search(
                 found += mass
         total += found
         frontier += found
-        recent_found = 0.9 * recent_found + found
-        recent_spent = 0.9 * recent_spent + spent
-        ratio = max(recent_found / recent_spent, 1e-3)
-    left = (frontier * ratio / (1.0 - min(ratio, 0.9)) + dropped) if size > 0 or count == room else dropped
+        recent_found = MEMORY * recent_found + found
+        recent_spent = MEMORY * recent_spent + spent
+        # at least half of what the whole search has yielded per mass spent, for a lull may be chance
+        all_found += found
+        all_spent += spent
+        ratio = max(recent_found / recent_spent, 0.5 * all_found / all_spent, 1e-3)
+    left = dropped
+    if size > 0 or count == room:
+        left += CAUTION * frontier * ratio / (1.0 - min(ratio, 0.9))
     return models[:count], scores[:count], left / (total + left), expanded
 
 
 def search_models(
-    problem: Problem, starts: list[tuple[float, Bools]] | None = None, tolerance: float = 1e-3
+    problem: Problem, starts: list[tuple[float, Bools]] | None = None, tolerance: float = 5e-3
 ) -> ModelSet:
     """Models that hold nearly all of the posterior mass.
 

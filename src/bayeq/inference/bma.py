@@ -1,0 +1,165 @@
+"""Bayesian model averaging on the collapsed marginal likelihood (34): exact weights, no sampling.
+
+A few terms are averaged over all models by Gray-code enumeration, more over the models that a best-first search finds
+to hold nearly all of the mass (`inference.models`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.gram import GramLike
+from bayeq.inference.models import ModelSet, enumerate_models, search_models
+from bayeq.inference.prior import Prior
+from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.search import best_models
+from bayeq.inference.tableau import build, flip
+from bayeq.kernels import kernel
+from bayeq.posterior import ModelAverage, Posterior
+
+__all__ = ["average_models", "sample_average", "spike_slab_bma"]
+
+# Up to this many free terms all models are enumerated.
+ENUMERATE = 14
+
+# Models beyond this share of the mass add nothing to moments that a user could see.
+MOMENT_MASS = 1e-6
+
+
+@kernel
+def _mixture_moments(p: Problem, models: Bools, weights: Floats) -> tuple[Floats, Floats, float]:
+    """Mean (P,), second moment (P, P) of theta and mean of sigma^2 over weighted models.
+
+    Each model's moments are entries of the tableau swept on it; the flips lead from one model to the next.
+    """
+    terms = len(p.Dty)
+    mean, second, noise = np.zeros(terms), np.zeros((terms, terms)), 0.0
+    current = np.zeros(terms, dtype=np.bool_)
+    M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
+    flips = 0
+    for k in range(len(models)):
+        for j in range(terms):
+            if models[k, j] != current[j]:
+                flip(M, j)
+                current[j] = not current[j]
+                flips += 1
+        if flips > 20_000:
+            flips = 0
+            M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
+            for j in range(terms):
+                if current[j]:
+                    flip(M, j)
+        index = np.flatnonzero(current)
+        variance = 0.5 * max(M[terms, terms], p.floor) / max(p.h - 1.0, 0.5)
+        noise += weights[k] * variance
+        for a in index:
+            mean[a] += weights[k] * M[a, terms]
+            for b in index:
+                second[a, b] += weights[k] * (M[a, terms] * M[b, terms] - variance * M[a, b])
+    return mean, second, noise
+
+
+@kernel
+def _swept(p: Problem, active: Bools) -> Floats:
+    M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
+    for j in range(len(active)):
+        if active[j]:
+            flip(M, j)
+    return M
+
+
+def average_models(problem: Problem, *, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE) -> ModelSet:
+    """The models to average over: all of them, or those that hold all but `tolerance` of the mass."""
+    if int(np.isfinite(problem.log_odds).sum()) <= enumerate_up_to:
+        return enumerate_models(problem)
+    return search_models(problem, best_models(problem), tolerance)
+
+
+def spike_slab_bma(
+    gram: GramLike,
+    prior: Prior | None = None,
+    *,
+    tolerance: float = 5e-3,
+    enumerate_up_to: int = ENUMERATE,
+) -> Posterior:
+    """Posterior under spike-and-slab priors by averaging over models with their exact weights.
+
+    Parameters
+    ----------
+    gram : GramLike
+        Sufficient statistics, standardised.
+    prior : Prior, optional
+        By default the paper's.
+    tolerance : float
+        Posterior mass that a search may leave out.
+    enumerate_up_to : int
+        Number of free terms up to which all models are enumerated instead of searched.
+
+    Returns
+    -------
+    Posterior
+        `pip`, `averaged_coef` and `averaged_sd` are over all models; `coef` and `covariance` those of the median
+        probability model (Barbieri and Berger 2004), exact given the model. `average` lists the models with their
+        probabilities. `converged` is False if the room for models was used up before the tolerance was reached.
+    """
+    problem = Problem.of(gram, prior or Prior())
+    found = average_models(problem, tolerance=tolerance, enumerate_up_to=enumerate_up_to)
+    weights = found.weights
+    pip = np.minimum(weights @ found.models, 1.0)
+    enough = int(np.searchsorted(np.cumsum(weights), 1.0 - MOMENT_MASS)) + 1
+    share = weights[:enough] / weights[:enough].sum()
+    mean, second, noise = _mixture_moments(problem, np.ascontiguousarray(found.models[:enough]), share)
+    covariance = second - np.outer(mean, mean)
+    support = pip > 0.5
+    kept = np.flatnonzero(support)
+    M = _swept(problem, support)
+    variance = 0.5 * max(M[-1, -1], problem.floor) / max(problem.h - 1.0, 0.5)
+    terms = np.flatnonzero(found.models.any(axis=0))
+    return Posterior(
+        method="bma",
+        names=gram.names,
+        pip=pip,
+        support=support,
+        coef=np.where(support, M[:-1, -1], 0.0),
+        covariance=-variance * M[np.ix_(kept, kept)],
+        center=np.zeros(len(pip)),
+        target_mean=0.0,
+        noise_variance=float(noise),
+        n=round(gram.dof) + 1,
+        n_iter=found.expanded,
+        converged=found.left_out <= tolerance * (1.0 + 1e-9),
+        slab_variance=problem.slab_variance,
+        averaged_coef=mean,
+        averaged_sd=np.sqrt(np.maximum(np.diagonal(covariance), 0.0)),
+        average=ModelAverage(
+            models=found.models,
+            probability=weights,
+            left_out=found.left_out,
+            terms=terms,
+            covariance=covariance[np.ix_(terms, terms)],
+        ),
+    )
+
+
+def sample_average(
+    problem: Problem, average: ModelAverage, n: int, rng: np.random.Generator
+) -> tuple[Floats, Floats, NDArray[np.intp]]:
+    """Independent draws from the mixture: theta (n, P), sigma^2 (n,), and the model (n,) each came from.
+
+    sigma^2 | z, y is inverse-Gamma(h, s/2), theta | sigma^2, z, y Gaussian, eq. (33), on the columns of `problem`.
+    """
+    which = rng.choice(len(average.probability), size=n, p=average.probability)
+    theta, noise = np.zeros((n, len(problem.Dty))), np.empty(n)
+    for k in np.unique(which):
+        rows = np.flatnonzero(which == k)
+        active = average.models[k]
+        M = _swept(problem, active)
+        kept = np.flatnonzero(active)
+        s = max(float(M[-1, -1]), problem.floor)
+        noise[rows] = 0.5 * s / rng.standard_gamma(problem.h, size=len(rows))
+        if len(kept):
+            root = np.linalg.cholesky(-M[np.ix_(kept, kept)])
+            normal = rng.standard_normal((len(rows), len(kept))) @ root.T
+            theta[np.ix_(rows, kept)] = M[kept, -1] + np.sqrt(noise[rows])[:, None] * normal
+    return theta, noise, which.astype(np.intp)
