@@ -37,7 +37,7 @@ def test_simulate_then_discover_as_json(duffing):
     assert done.returncode == 0
     out = json.loads(done.stdout)
     assert out["version"] == bq.__version__
-    assert out["method"] == "vb"
+    assert out["method"] == "auto"
     assert out["data"]["file"] == "duffing.csv"
     assert out["data"]["n"] == 4000
     (equation,) = out["equations"]
@@ -142,7 +142,6 @@ def test_version_help_and_what_is_not_built_is_absent(capsys):
     assert main(["discover", "--help"]) == 0
     text = capsys.readouterr().out
     assert "--report" not in text
-    assert "bma" not in text
 
 
 def test_colour_on_a_terminal_only(duffing):

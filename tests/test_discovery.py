@@ -163,6 +163,10 @@ def test_warnings_in_plain_words():
     x = rec["x"]
     twin = rec.with_channels({"w": x + 1e-4 * np.std(x) * np.random.default_rng(0).normal(size=300)})
     messages = quietly(twin, **OSCILLATOR, inputs=["w"], dictionary=["x", "v", "w", "u"]).warnings
+    (group,) = [w for w in messages if "hardly tell apart" in w]
+    assert "x (PIP" in group
+    assert "w (PIP" in group
+    messages = quietly(twin, **OSCILLATOR, inputs=["w"], dictionary=["x", "v", "w", "u"], method="vb").warnings
     assert any("hardly tell apart" in w and ("w instead of x" in w or "x instead of w" in w) for w in messages)
 
 

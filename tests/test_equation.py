@@ -180,7 +180,9 @@ def test_json_has_the_shape_of_the_contract():
     equation = out["equations"][0]
     assert {"target", "intercept", "noise_sd", "elbo", "equation", "latex", "terms"} <= set(equation)
     assert len(equation["terms"]) == 36
-    assert list(equation["terms"][0]) == ["name", "coef", "sd", "ci95", "pip", "included"]
+    assert list(equation["terms"][0]) == [
+        "name", "coef", "sd", "ci95", "pip", "included", "averaged_coef", "averaged_sd",
+    ]  # fmt: skip
     for term in equation["terms"]:
         assert term["included"] == (term["pip"] > 0.5)
     assert isinstance(equation["intercept"], float)

@@ -9,10 +9,16 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from bayeq import RVM, STLSQ, SpikeSlabGibbs, SpikeSlabVB
+from bayeq import RVM, STLSQ, SpikeSlabBMA, SpikeSlabGibbs, SpikeSlabVB
 from tests import reference
 
-ESTIMATORS = [SpikeSlabVB(), RVM(), SpikeSlabGibbs(samples=300, burn_in=50, chains=2), STLSQ(standardise=True)]
+ESTIMATORS = [
+    SpikeSlabVB(),
+    RVM(),
+    SpikeSlabBMA(),
+    SpikeSlabGibbs(samples=300, burn_in=50, chains=2),
+    STLSQ(standardise=True),
+]
 
 
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")

@@ -20,6 +20,7 @@ def test_public_names():
         "Posterior",
         "Prior",
         "Record",
+        "SpikeSlabBMA",
         "SpikeSlabGibbs",
         "SpikeSlabVB",
         "System",

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from bayeq.discovery import discover
     from bayeq.equation import Equation
     from bayeq.equations import Equations
-    from bayeq.estimators import RVM, STLSQ, SpikeSlabGibbs, SpikeSlabVB
+    from bayeq.estimators import RVM, STLSQ, SpikeSlabBMA, SpikeSlabGibbs, SpikeSlabVB
     from bayeq.gram import Gram
     from bayeq.inference.prior import Prior
     from bayeq.posterior import Posterior
@@ -33,6 +33,7 @@ _HOME = {
     "Posterior": "posterior",
     "Prior": "inference.prior",
     "Record": "records",
+    "SpikeSlabBMA": "estimators",
     "SpikeSlabGibbs": "estimators",
     "SpikeSlabVB": "estimators",
     "System": "systems",
@@ -54,6 +55,7 @@ __all__ = [
     "Posterior",
     "Prior",
     "Record",
+    "SpikeSlabBMA",
     "SpikeSlabGibbs",
     "SpikeSlabVB",
     "System",

@@ -284,7 +284,10 @@ def _solve(
             AmbiguityWarning,
         )
     residuals = inspect_residuals([_residual(chain.target, design, posterior, piece) for piece in train])
-    _warn_of_ambiguity(chain.target, runners_up, notes)
+    if posterior.average is None:
+        _warn_of_ambiguity(chain.target, runners_up, notes)
+    else:
+        _warn_of_groups(chain.target, posterior, notes)
     if residuals.correlated:
         notes.warn(
             f"{chain.target}: the residuals are correlated in time (lag-1 autocorrelation {residuals.lag1:.2f},"
@@ -321,6 +324,21 @@ def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], notes: _Note
     if swaps:
         listed = "; ".join(f"{r} (odds {r.odds})" for r in swaps)
         notes.warn(f"{target}: columns that the data hardly tell apart: {listed}", AmbiguityWarning)
+
+
+def _warn_of_groups(target: str, posterior: Posterior, notes: _Notes) -> None:
+    assert posterior.average is not None
+    for members, some in posterior.average.credible_groups():
+        if some <= 0.5:
+            continue  # more likely than not that none of them is in
+        listed = ", ".join(f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members)
+        included = [posterior.names[j] for j in members if posterior.support[j]]
+        advice = "" if len(included) == 1 else "; keep one of them in the dictionary, or decide by other knowledge"
+        notes.warn(
+            f"{target}: columns that the data hardly tell apart: {listed}; at least one of them is in with"
+            f" probability {some:.2f}; included here: {', '.join(included) or 'none'}{advice}",
+            AmbiguityWarning,
+        )
 
 
 def _residual(target: str, design: Design, posterior: Posterior, piece: Mapping[str, Floats]) -> Floats:

@@ -16,14 +16,16 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from bayeq.errors import InputError
 from bayeq.gram import Gram, GramLike
+from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.prior import Prior
+from bayeq.inference.problem import Problem
 from bayeq.inference.rvm import rvm
 from bayeq.inference.stlsq import stlsq
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.posterior import Posterior
 
-__all__ = ["RVM", "STLSQ", "SpikeSlabGibbs", "SpikeSlabVB"]
+__all__ = ["RVM", "STLSQ", "SpikeSlabBMA", "SpikeSlabGibbs", "SpikeSlabVB"]
 
 Floats = NDArray[np.float64]
 
@@ -229,6 +231,106 @@ class SpikeSlabGibbs(_SparseRegressor):
         return self
 
     fit.__doc__ = _SparseRegressor.fit.__doc__
+
+
+class SpikeSlabBMA(_SparseRegressor):
+    """Sparse linear regression by Bayesian model averaging with spike-and-slab priors: exact weights, no sampling.
+
+    Parameters
+    ----------
+    slab_variance, prior_inclusion, noise_shape, noise_rate
+        The prior, as in `SpikeSlabVB`.
+    tolerance : float
+        Posterior mass that the search over models may leave out.
+    enumerate_up_to : int
+        Number of free terms up to which all models are enumerated instead.
+
+    Attributes
+    ----------
+    pip_ : (P,) array
+        Posterior inclusion probabilities over all models.
+    coef_, covariance_ : (P,) array, (r, r) array
+        Of the median probability model, exact given the model.
+    averaged_coef_, averaged_sd_ : (P,) array
+        Over all models, zeros included.
+    average_ : ModelAverage
+        The models with their probabilities, the mass left out and the covariance over all models.
+    intercept_, support_, noise_variance_, n_iter_, posterior_
+        As in `SpikeSlabVB`.
+
+    References
+    ----------
+    D. Madigan, A. E. Raftery, Model selection and accounting for model uncertainty in graphical models using Occam's
+    window, JASA 89 (1994).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(1)
+    >>> x = rng.normal(size=200)
+    >>> D = np.column_stack([x, x + 0.02 * rng.normal(size=200)])
+    >>> fit = SpikeSlabBMA().fit(D, x + rng.normal(size=200))
+    >>> [members for members, probability in fit.average_.credible_groups()]
+    [(0, 1)]
+    """
+
+    def __init__(
+        self,
+        slab_variance: float = 10.0,
+        prior_inclusion: ArrayLike = 0.1,
+        noise_shape: float = 1e-4,
+        noise_rate: float = 1e-4,
+        tolerance: float = 5e-3,
+        enumerate_up_to: int = 14,
+    ) -> None:
+        self.slab_variance = slab_variance
+        self.prior_inclusion = prior_inclusion
+        self.noise_shape = noise_shape
+        self.noise_rate = noise_rate
+        self.tolerance = tolerance
+        self.enumerate_up_to = enumerate_up_to
+
+    def _prior(self) -> Prior:
+        return Prior(self.slab_variance, self.prior_inclusion, self.noise_shape, self.noise_rate)
+
+    def _solve(self, gram: Gram) -> Posterior:
+        self._standard = gram.standardise()
+        return self._standard.restore(self._engine(self._standard.gram))
+
+    def _engine(self, gram: GramLike) -> Posterior:
+        return spike_slab_bma(gram, self._prior(), tolerance=self.tolerance, enumerate_up_to=self.enumerate_up_to)
+
+    def fit(self, D: ArrayLike, y: ArrayLike) -> Self:
+        super().fit(D, y)
+        self.averaged_coef_ = self.posterior_.averaged_coef
+        self.averaged_sd_ = self.posterior_.averaged_sd
+        self.average_ = self.posterior_.average
+        return self
+
+    fit.__doc__ = _SparseRegressor.fit.__doc__
+
+    def sample(self, n: int = 1000, random_state: int | Sequence[int] = 0) -> tuple[Floats, Floats]:
+        """Independent draws from the exact mixture over models.
+
+        Parameters
+        ----------
+        n : int
+            Number of draws.
+        random_state : int or sequence of int
+            Seed.
+
+        Returns
+        -------
+        theta, noise_variance : (n, P) array, (n,) array
+            Coefficients, 0 for a term that is not in the draw's model, in original units.
+        """
+        check_is_fitted(self)
+        problem = Problem.of(self._standard.gram, self._prior())
+        rng = np.random.default_rng(random_state)
+        average = self.posterior_.average
+        assert average is not None
+        theta, noise, _ = sample_average(problem, average, n, rng)
+        return theta / self._standard.scale, noise
 
 
 class STLSQ(_SparseRegressor):

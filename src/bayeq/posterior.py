@@ -66,6 +66,34 @@ class ModelAverage:
         weighted = self.models * self.probability[:, None]
         return np.asarray(weighted.T @ self.models.astype(np.float64))
 
+    def credible_groups(self, least: float = 0.05) -> list[tuple[tuple[int, ...], float]]:
+        """Terms that stand in for each other: undecided, and rarely in together.
+
+        Two terms are linked if each has a PIP between `least` and 1 - `least` and they are in together less than half
+        as often as if they were independent; groups are what links connect.
+
+        Returns
+        -------
+        list of (terms, probability)
+            The members of each group and the probability that at least one of them is in.
+        """
+        joint = self.joint_inclusion()
+        pip = np.diagonal(joint)
+        undecided = np.flatnonzero((pip > least) & (pip < 1.0 - least))
+        groups: list[set[int]] = []
+        for a in undecided:
+            linked = {int(b) for b in undecided if b != a and joint[a, b] < 0.5 * pip[a] * pip[b]}
+            if linked:
+                touched = [g for g in groups if g & (linked | {int(a)})]
+                merged = {int(a)}.union(linked, *touched)
+                groups = [g for g in groups if g not in touched] + [merged]
+        out = []
+        for group in groups:
+            members = sorted(group, key=lambda j: -pip[j])
+            some = float(self.probability @ self.models[:, members].any(axis=1))
+            out.append((tuple(members), some))
+        return out
+
 
 @dataclass(frozen=True, slots=True)
 class Posterior:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import bayeq
 from bayeq.diagnostics import Residuals
@@ -21,7 +22,7 @@ from bayeq.equation import Equation, Fit, RunnerUp
 from bayeq.equations import DataSummary, Equations
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.expressions import parse
-from bayeq.posterior import Posterior
+from bayeq.posterior import ModelAverage, Posterior
 from bayeq.states import parse_chain
 
 __all__ = ["FORMAT", "load", "to_dict", "to_saved"]
@@ -89,11 +90,34 @@ def _averaged(p: Posterior, j: int) -> dict[str, float]:
     return {"averaged_coef": float(p.averaged_coef[j]), "averaged_sd": float(p.averaged_sd[j])}
 
 
+def _average(p: Posterior) -> dict[str, Any] | None:
+    """The models that were averaged over, in short."""
+    if p.average is None:
+        return None
+    top = range(min(10, len(p.average.probability)))
+    return {
+        "models": len(p.average.probability),
+        "left_out": p.average.left_out,
+        "likeliest": [
+            {
+                "probability": float(p.average.probability[k]),
+                "terms": [p.names[j] for j in np.flatnonzero(p.average.models[k])],
+            }
+            for k in top
+        ],
+        "groups": [
+            {"terms": [p.names[j] for j in members], "probability": some}
+            for members, some in p.average.credible_groups()
+        ],
+    }
+
+
 def _diagnostics(equation: Equation) -> dict[str, Any]:
     return {
         "converged": equation.posterior.converged,
         "slab_variance": equation.posterior.slab_variance,
         "rhat": equation.posterior.rhat,
+        "average": _average(equation.posterior),
         "fit": {
             "train": asdict(equation.train),
             "held_out": None if equation.held_out is None else asdict(equation.held_out),
@@ -117,10 +141,39 @@ def to_saved(eq: Equations) -> dict[str, Any]:
                 "n": e.posterior.n,
                 "n_iter": e.posterior.n_iter,
                 "elbo_trace": e.posterior.elbo_trace.tolist(),
+                "optimum": None if e.posterior.optimum is None else np.flatnonzero(e.posterior.optimum).tolist(),
+                "average": None if e.posterior.average is None else _saved_average(e.posterior.average),
             }
             for e in eq.equations
         ],
     }
+
+
+def _saved_average(average: ModelAverage) -> dict[str, Any]:
+    return {
+        "models": [np.flatnonzero(model).tolist() for model in average.models],
+        "probability": average.probability.tolist(),
+        "left_out": average.left_out,
+        "terms": average.terms.tolist(),
+        "covariance": average.covariance.tolist(),
+    }
+
+
+def _indicator(members: list[int], terms: int) -> NDArray[np.bool_]:
+    out = np.zeros(terms, dtype=np.bool_)
+    out[np.array(members, dtype=np.intp)] = True
+    return out
+
+
+def _restored_average(saved: Mapping[str, Any], terms: int) -> ModelAverage:
+    index = np.array(saved["terms"], dtype=np.intp)
+    return ModelAverage(
+        models=np.array([_indicator(model, terms) for model in saved["models"]], dtype=np.bool_),
+        probability=np.array(saved["probability"], dtype=np.float64),
+        left_out=float(saved["left_out"]),
+        terms=index,
+        covariance=np.array(saved["covariance"], dtype=np.float64).reshape(len(index), len(index)),
+    )
 
 
 def load(path: str | Path) -> Equations:
@@ -208,6 +261,8 @@ def _restore_equation(
         averaged_coef=_column(saved["terms"], "averaged_coef"),
         averaged_sd=_column(saved["terms"], "averaged_sd"),
         rhat=checks["rhat"],
+        optimum=None if state["optimum"] is None else _indicator(state["optimum"], len(terms)),
+        average=None if state["average"] is None else _restored_average(state["average"], len(terms)),
     )
     if not all(math.isfinite(v) for v in (*posterior.coef, *posterior.center, posterior.noise_variance)):
         raise ValueError("numbers that are not finite")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.gram import Gram
-from bayeq.inference import Prior, rvm, spike_slab_gibbs, spike_slab_vb, sweep_stlsq
+from bayeq.inference import Prior, rvm, spike_slab_bma, spike_slab_gibbs, spike_slab_vb, sweep_stlsq
 from bayeq.inference.problem import Problem
 from bayeq.inference.search import greedy_model
 from bayeq.posterior import Posterior
@@ -99,6 +99,13 @@ def _gibbs(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ..
     return estimate(standard.restore(posterior))
 
 
+def _bma(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    """Model averaging with exact weights; selected is the median probability model."""
+    del held_out, seed
+    standard = train.standardise()
+    return estimate(standard.restore(spike_slab_bma(standard.gram, _prior(config))))
+
+
 def _vb(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-VB, from several starts."""
     del held_out, seed
@@ -126,6 +133,7 @@ ALGORITHMS: dict[str, Algorithm] = {
     "sindy-std": _sindy_std,
     "rvm": _rvm,
     "gibbs": _gibbs,
+    "bma": _bma,
     "vb": _vb,
     "vb-rvm": _vb_rvm,
     "vb-greedy": _vb_greedy,

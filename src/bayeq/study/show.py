@@ -29,6 +29,7 @@ TABLE_3_HEAD = ("algorithm", "n", "ms per run", "to RVM", "to SS-VB", "paper: s"
 NOTES = {
     "sindy": "threshold on raw columns, chosen by the held-out error",
     "sindy-std": "threshold on standardised columns, chosen by the held-out error",
+    "bma": "median probability model of model averaging",
     "vb": "SS-VB from several starts, the highest ELBO kept",
     "vb-rvm": "SS-VB started from the RVM alone, as the paper's section 3.2 says",
     "vb-greedy": "SS-VB started from a greedy search that adds and drops terms but does not swap them",
