@@ -35,6 +35,7 @@ CAUTION = 3.0
 MEMORY = 0.95
 
 # Room for models: this many, or as many as fit into this many bytes.
+FIRST_ROOM = 8192
 MOST_MODELS = 200_000
 MOST_BYTES = 100_000_000
 
@@ -287,16 +288,16 @@ def search_models(
     """
     found = best_models(problem) if starts is None else starts
     terms = len(problem.Dty)
-    room = int(min(MOST_MODELS, max(1000, MOST_BYTES // max(terms, 1))))
+    most = int(min(MOST_MODELS, max(1000, MOST_BYTES // max(terms, 1))))
     zobrist = np.random.default_rng(0x5EED).integers(1, 2**63, size=terms, dtype=np.uint64)
-    models, scores, left, expanded = _search(
-        problem,
-        np.array([model for _, model in found], dtype=np.bool_),
-        np.array([value for value, _ in found]),
-        zobrist,
-        room,
-        tolerance,
-        KEEP,
-    )
+    starting = np.array([model for _, model in found], dtype=np.bool_)
+    values = np.array([value for value, _ in found])
+    room = min(FIRST_ROOM, most)
+    while True:
+        models, scores, left, expanded = _search(problem, starting, values, zobrist, room, tolerance, KEEP)
+        if left <= tolerance or room == most:
+            break
+        # rarely needed, and cheaper than to clear a large table every time
+        room = min(16 * room, most)
     order = np.argsort(-scores, kind="stable")
     return ModelSet(models[order], scores[order], float(left), int(expanded))
