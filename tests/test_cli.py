@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import pty
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -171,3 +173,45 @@ def test_a_closed_pipe_is_no_error(duffing):
     done = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, check=False)
     assert "Traceback" not in done.stderr
     assert done.returncode == 0
+
+
+def test_an_interrupt_is_one_line_and_leaves_no_half_file(tmp_path):
+    target = tmp_path / "big.csv"
+    target.write_text("what was there before")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bayeq", "simulate", "duffing", "--n", "3000000", "-o", str(target)],
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline and not list(tmp_path.glob(".big.*")):
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate()
+    assert process.returncode == 130
+    assert err == "bayeq: interrupted\n"
+    assert target.read_text() == "what was there before"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_inputs_are_not_overwritten_nor_counted_twice(duffing, tmp_path, capsys):
+    assert main(["discover", str(duffing), *OSCILLATOR, "--save", str(duffing)]) == 2
+    assert "is a record that is read" in capsys.readouterr().err
+    assert main(["discover", str(duffing), str(duffing), *OSCILLATOR]) == 2
+    assert "named twice" in capsys.readouterr().err
+    assert main(["discover", str(duffing), *OSCILLATOR, "--fs", "500"]) == 2
+    assert "contradicts column 't'" in capsys.readouterr().err
+    assert main(["discover", str(duffing), *OSCILLATOR, "--seed", "-1", "--method", "gibbs"]) == 2
+    assert "a seed is a whole number" in capsys.readouterr().err
+    assert main(["discover", str(duffing), *OSCILLATOR, "--holdout", "0.9999"]) == 2
+    assert "too few" in capsys.readouterr().err
+
+
+def test_channels_by_their_headers(tmp_path, capsys):
+    record = bq.simulate("linear", n=400, seed=0)
+    path = tmp_path / "odd.csv"
+    rows = zip(record.time, *(record[c] for c in "xvau"), strict=True)
+    lines = ['t,Displ. (m),"Vel, ""rel""",Acc-1,F#1', *(",".join(map(repr, map(float, row))) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    arguments = ["--disp", "Displ. (m)", "--vel", 'Vel, "rel"', "--acc", "Acc-1", "--force", "F#1", "--json"]
+    assert main(["discover", str(path), *arguments]) == 0
+    assert json.loads(capsys.readouterr().out)["equations"][0]["target"] == "Acc_1"

@@ -15,7 +15,7 @@ SOURCE = Path(bayeq.__file__).parent
 
 # Rooms from the ground up; a module imports from rooms below its own, and from its own room.
 LEVELS = [
-    {"errors", "kernels"},
+    {"errors", "files", "kernels"},
     {"expressions", "records", "posterior", "diagnostics"},
     {"gram"},
     {"systems", "states", "dictionary", "inference"},
@@ -57,6 +57,12 @@ def test_imports_point_down(path):
         if here in STAGES and other in STAGES:
             pytest.fail(f"{path.name}: stages do not import each other ({here} imports {other})")
         assert LEVEL[other] < LEVEL[here] or (LEVEL[other] == LEVEL[here] and here not in STAGES), (here, other)
+
+
+def test_no_relative_imports_which_the_rule_would_not_see():
+    for path in modules():
+        for node in ast.walk(ast.parse(path.read_text())):
+            assert not (isinstance(node, ast.ImportFrom) and node.level), path
 
 
 def test_the_reader_of_imports_sees_them():

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from typer.exceptions import TyperException
 
+from bayeq.cli import main
 from bayeq.cli_study import study_app
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 from bayeq.study import realise as realise_module
@@ -384,7 +385,7 @@ def test_an_interrupted_command_says_how_to_go_on(tmp_path, capsys, monkeypatch)
         raise KeyboardInterrupt
 
     monkeypatch.setattr("bayeq.study.runner.run_study", stopped)
-    assert command("table2", "--store", tmp_path / "study.db") == 130
+    assert main(["study", "table2", "--store", str(tmp_path / "study.db")]) == 130
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert "7 realisations were added" in err

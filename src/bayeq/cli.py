@@ -19,7 +19,7 @@ import typer
 from typer.exceptions import TyperException
 
 from bayeq.cli_study import study_app
-from bayeq.errors import BayeqError, BayeqWarning, FileFormatError, InputError, MissingExtraError
+from bayeq.errors import BayeqError, BayeqWarning, FileFormatError, InputError, InterruptedRun, MissingExtraError
 
 if TYPE_CHECKING:
     from bayeq.records import Record
@@ -35,6 +35,9 @@ app = typer.Typer(
 )
 
 app.add_typer(study_app, name="study")
+
+# Exit code of an interrupted command, as shells count it.
+INTERRUPTED = 130
 
 # Work that takes longer shows its progress.
 PATIENCE = 1.0
@@ -95,7 +98,8 @@ def _root(
         typer.echo(__version__)
         raise typer.Exit
     if context.invoked_subcommand is None:
-        known = ", ".join(c.name or c.callback.__name__ for c in app.registered_commands if c.callback)
+        names = [c.name or c.callback.__name__ for c in app.registered_commands if c.callback]
+        known = ", ".join([*names, *(g.name for g in app.registered_groups if g.name)])
         raise InputError(f"no command given; there are: {known} (see bayeq --help)")
 
 
@@ -142,6 +146,13 @@ def discover(
 
     if save is not None:
         _require_place(save)  # before the work
+        if save.exists() and any(file.exists() and save.samefile(file) for file in files):
+            raise InputError(f"{save}: is a record that is read; name another file to save the equations to")
+    for k, file in enumerate(files):
+        if file.exists() and any(other.exists() and file.samefile(other) for other in files[:k]):
+            raise InputError(f"{file}: named twice; the same rows twice are not twice the evidence")
+    disp, vel, acc, force = (_channel(name) for name in (disp, vel, acc, force))
+    inputs = [name for name in map(_channel, inputs or ()) if name]
     columns = [c.strip() for c in names.split(",")] if names is not None else None
     used = [
         c for text in (*(chain or ()), disp, vel, acc, force, *(inputs or ())) for c in (text or "").split(":") if c
@@ -185,7 +196,33 @@ def _read(file: Path, used: list[str], **options: Any) -> list[Record]:
     except FileFormatError:
         # Perhaps it is in a column that is not used, where words are welcome.
         found = read(file, columns=used or None, **options)
-    return found if isinstance(found, list) else [found]
+    records = found if isinstance(found, list) else [found]
+    for record in records:
+        for name in {"t", "time", "Time"} & set(record.names):
+            _require_rate(record, name)
+    return records
+
+
+def _require_rate(record: Record, name: str) -> None:
+    """Refuse an --fs that contradicts a column that looks like time (with --fs it is read as a channel)."""
+    import numpy as np
+
+    steps = np.diff(record[name])
+    step = float(np.median(steps)) if len(steps) else 0.0
+    if record.fs is not None and step > 0 and not 0.99 < record.fs * step < 1.01:
+        raise InputError(
+            f"{record.name}: --fs {record.fs:g} contradicts column {name!r}, whose median step is {step:g}; leave --fs"
+            f" out to use the column, or rename it if it is not time"
+        )
+
+
+def _channel(name: str | None) -> str | None:
+    """A channel by its name or by its header in the file, such as ``Displ. (m)``."""
+    if not name or name.isidentifier() or ":" in name:
+        return name
+    from bayeq.records import clean_name
+
+    return clean_name(name)[0]
 
 
 def _require_place(path: Path) -> None:
@@ -264,6 +301,9 @@ def main(arguments: list[str] | None = None) -> int:
         code = app(arguments, prog_name="bayeq", standalone_mode=False)
     except (InputError, MissingExtraError) as error:
         return _fail(str(error), 2)
+    except InterruptedRun as stop:
+        print(f"bayeq: {_one_line(str(stop))}", file=sys.stderr)
+        return INTERRUPTED
     except BayeqError as error:
         return _fail(str(error), 1)
     except TyperException as error:
@@ -271,7 +311,7 @@ def main(arguments: list[str] | None = None) -> int:
     except typer.Exit as stop:
         return int(stop.exit_code)
     except (KeyboardInterrupt, typer.Abort):
-        return _fail("interrupted", 130)
+        code = INTERRUPTED
     except (BrokenPipeError, SystemExit):
         # The reader of the pipe has gone (`bayeq ... | head`), which typer turns into an exit; nothing is left to
         # say to it.
@@ -281,6 +321,8 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail("not enough memory; use fewer samples or fewer terms", 1)
     except OSError as error:
         return _fail(f"{error.filename or 'system'}: {error.strerror or error}", 2 if error.filename else 1)
+    if code == INTERRUPTED:  # typer turns the interrupt into this code
+        print("bayeq: interrupted", file=sys.stderr)
     return code if isinstance(code, int) else 0
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Literal, cast
 
 import typer
 
-from bayeq.errors import InputError
+from bayeq.errors import InputError, InterruptedRun
 
 __all__ = ["study_app"]
 
@@ -82,11 +82,9 @@ def table2(
         )
     except KeyboardInterrupt:
         progress.close()
-        typer.echo(
-            f"bayeq: interrupted: {progress.done} realisations were added to {store}; the same command continues",
-            err=True,
-        )
-        raise typer.Exit(130) from None
+        raise InterruptedRun(
+            f"interrupted: {progress.done} realisations were added to {store}; the same command continues"
+        ) from None
     finally:
         progress.close()
     if outcome.realisations:
@@ -139,7 +137,7 @@ def figures(
     seed: Annotated[int, typer.Option(help="Seed of the realisation that is drawn.")] = 0,
     systems: Annotated[str, typer.Option(help="Systems, separated by commas.")] = "linear,duffing,quadratic,coulomb",
 ) -> None:
-    """Draw the paper's Figs. 4 and 5 from one realisation, as PNG and SVG."""
+    """Draw the paper's figures 4 and 5 from one realisation, as PNG and SVG."""
     from bayeq.study.figures import write_figures
 
     for path in write_figures(folder, seed=seed, systems=_names(systems)):

@@ -45,6 +45,9 @@ Progress = Callable[[str, int, int], None]
 LEAST_ROWS_TO_HOLD_OUT = 50
 LEAST_TRAINING_ROWS = 3
 
+# Residuals smaller than this share of the target are rounding of the Gram, and correlated.
+ROUNDING = 1e-6
+
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
 RUNNER_UP_WINDOW = 12.0
 RUNNERS_UP = 5
@@ -229,6 +232,9 @@ def _split(
         train.append({name: values[:cut] for name, values in piece.items()})
         if cut < n:
             held_out.append({name: values[cut:] for name, values in piece.items()})
+    left = sum(len(next(iter(piece.values()))) for piece in train)
+    if left < LEAST_TRAINING_ROWS:
+        raise RecordError(f"holdout {holdout:g} leaves {left} training rows, too few for a regression; lower it")
     if holdout > 0 and share == 0:
         notes.warn(f"only {total} rows: all are used, none held out to judge the equation by", DataWarning)
     return train, held_out
@@ -268,8 +274,6 @@ def _solve(
         prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
     method = ENGINES[engine]
     options: dict[str, Any] = {"seed": (seed, k)} if method.random else {}
-    if method.held_out and design.held_out:
-        options["held_out"] = standard.apply(design.held_out[k])
     raw = method.run(standard.gram, prior, **options)
     posterior = standard.restore(raw)
     if not posterior.converged:
@@ -288,7 +292,7 @@ def _solve(
         _warn_of_ambiguity(chain.target, runners_up, notes)
     else:
         _warn_of_groups(chain.target, posterior, notes)
-    if residuals.correlated:
+    if residuals.correlated and _fit(gram, posterior).nrmse > ROUNDING:
         notes.warn(
             f"{chain.target}: the residuals are correlated in time (lag-1 autocorrelation {residuals.lag1:.2f},"
             f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}): standard deviations and intervals"

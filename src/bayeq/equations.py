@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayeq.dictionary import DroppedTerm
 from bayeq.equation import Equation
 from bayeq.errors import InputError
+from bayeq.files import replacing
 from bayeq.records import Record
 from bayeq.states import Chain, Smooth, derive_states
 
@@ -185,7 +186,9 @@ class Equations:
         """Write to a JSON file that `bayeq.load` reads."""
         from bayeq.storage import to_saved
 
-        Path(path).write_text(json.dumps(to_saved(self), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        text = json.dumps(to_saved(self), indent=1, allow_nan=False) + "\n"
+        with replacing(Path(path)) as part:
+            part.write_text(text, encoding="utf-8")
 
     def __str__(self) -> str:
         """The answer as a person reads it: in colour on a terminal, plain (Markdown) elsewhere."""

@@ -9,7 +9,8 @@
     │   ├── UnknownNameError          no such channel, system, dictionary ...; near names are offered
     │   ├── ChainError                a kinematic chain that cannot be read or differentiated
     │   └── ExpressionError           a term that is malformed, or not allowed
-    └── MissingExtraError (ImportError)   an optional dependency is not installed; names the extra
+    ├── MissingExtraError (ImportError)   an optional dependency is not installed; names the extra
+    └── InterruptedRun                long work was stopped by the user; says what was kept
 
     BayeqWarning (UserWarning)
     ├── TermWarning                   candidate terms left out, and why
@@ -35,6 +36,7 @@ __all__ = [
     "ExpressionError",
     "FileFormatError",
     "InputError",
+    "InterruptedRun",
     "MissingExtraError",
     "RecordError",
     "TermWarning",
@@ -110,6 +112,10 @@ class MissingExtraError(BayeqError, ImportError):
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         super().__init__(f"{purpose} needs {package}: install it with `pip install bayeq[{extra}]`")
+
+
+class InterruptedRun(BayeqError):
+    """Long work was stopped by the user; the message says what was kept and how to go on."""
 
 
 class BayeqWarning(UserWarning):

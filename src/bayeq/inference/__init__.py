@@ -48,8 +48,6 @@ class Engine:
         Whether its prior is the spike-and-slab prior, under which models can be compared.
     random : bool
         Whether it draws random numbers: it then takes ``seed``.
-    held_out : bool
-        Whether it uses rows not used for the fit: it then takes ``held_out``, their Gram in the same units.
     """
 
     run: Callable[..., Posterior]
@@ -57,7 +55,6 @@ class Engine:
     score: str = "PIP"
     spike_slab: bool = False
     random: bool = False
-    held_out: bool = False
 
 
 # Engines that `discover` offers; all of them select the terms whose `pip` exceeds 0.5.
@@ -78,8 +75,8 @@ ENGINES: dict[str, Engine] = {
     ),
     "stlsq": Engine(
         partial(sweep_stlsq, columns="raw"),
-        "sequentially thresholded least squares (SINDy), threshold chosen by the held-out error; no probabilities",
+        "sequentially thresholded least squares (SINDy), threshold by the Bayesian information criterion;"
+        " no probabilities",
         score="in",
-        held_out=True,
     ),
 }

@@ -208,6 +208,13 @@ def sample_chain(
             M = _tableau(p, active)
 
 
+def _seed(seed: int | Sequence[int]) -> np.random.SeedSequence:
+    try:
+        return np.random.SeedSequence(seed)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"a seed is a whole number, 0 or more (or a sequence of them), not {seed!r}") from error
+
+
 def sample_posterior(
     problem: Problem,
     *,
@@ -246,7 +253,7 @@ def sample_posterior(
     start = greedy_start(problem, max(1, round(expected)))
     rss = least_squares_rss(problem.DtD, problem.Dty, problem.yty)
     nominal = max(rss, problem.floor) / max(problem.dof - terms, 1.0)
-    for k, stream in enumerate(np.random.SeedSequence(seed).spawn(chains)):
+    for k, stream in enumerate(_seed(seed).spawn(chains)):
         rng = np.random.Generator(np.random.PCG64(stream))
         variance = nominal * math.exp(0.1 * rng.standard_normal())
         sample_chain(

@@ -106,13 +106,8 @@ def best_models(problem: Problem, starts: list[Bools] | None = None) -> list[tup
     list of (score, (P,) bool array)
         The score is ln p(y, z) up to `log_constant`.
     """
-    p = problem
-    terms = len(p.Dty)
     if starts is None:
-        gamma = rvm_ascent(p.DtD, p.Dty, p.yty, p.dof, 50 * terms + 100)[0]
-        starts = [np.zeros(terms, dtype=np.bool_), gamma > 0]
-        if terms <= FULL_START_TERMS:
-            starts.append(np.ones(terms, dtype=np.bool_))
+        starts = default_starts(problem)
     models = np.array(starts, dtype=np.bool_)
     scores = _climb_all(problem, models, True)
     found: dict[bytes, tuple[float, Bools]] = {}
@@ -156,13 +151,29 @@ def greedy_model(problem: Problem) -> Bools:
     return models[0]
 
 
-def candidate_models(problem: Problem, window: float = 2.0, limit: int = 6) -> list[Bools]:
+def default_starts(problem: Problem, gamma: Floats | None = None) -> list[Bools]:
+    """Where a search climbs from: the empty model, the RVM's support and, for small dictionaries, the full model.
+
+    `gamma` is the RVM's, if it has been run already.
+    """
+    terms = len(problem.Dty)
+    if gamma is None:
+        gamma = rvm_ascent(problem.DtD, problem.Dty, problem.yty, problem.dof, 50 * terms + 100)[0]
+    starts = [np.zeros(terms, dtype=np.bool_), gamma > 0.0]
+    if terms <= FULL_START_TERMS:
+        starts.append(np.ones(terms, dtype=np.bool_))
+    return starts
+
+
+def candidate_models(
+    problem: Problem, starts: list[Bools] | None = None, window: float = 2.0, limit: int = 6
+) -> list[Bools]:
     """The best models found and those one move away, within `window` nats of the best and at most `limit`.
 
     Mean-field indicators let VB gain a fraction of a nat on a model with undecided terms, so that its optimum
     may belong to a model slightly below the best one.
     """
-    found = best_models(problem)
+    found = best_models(problem, starts)
     top, best = found[0]
     pool = [(value - top, model) for value, model in found[1:] if value > top - window]
     pool += [(move.gain, move.apply(best)) for move in neighbours(problem, best, window)]

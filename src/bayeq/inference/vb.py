@@ -20,7 +20,7 @@ from bayeq.gram import GramLike
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Floats, Problem
 from bayeq.inference.rvm import rvm_ascent
-from bayeq.inference.search import candidate_models
+from bayeq.inference.search import candidate_models, default_starts
 from bayeq.kernels import kernel
 from bayeq.posterior import Posterior
 
@@ -213,8 +213,9 @@ def spike_slab_vb(
         if init == "rvm":
             starts = [_rvm_start(problem)]
         elif init == "search":
-            starts = [(model.astype(np.float64), 0.0) for model in candidate_models(problem)]
-            starts.append(_rvm_start(problem))
+            from_rvm = _rvm_start(problem)
+            models = candidate_models(problem, default_starts(problem, from_rvm[0]))
+            starts = [*((model.astype(np.float64), 0.0) for model in models), from_rvm]
         else:
             raise InputError(f"init must be 'search', 'rvm' or an array of inclusion probabilities, got {init!r}")
     else:

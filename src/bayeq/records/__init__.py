@@ -4,10 +4,10 @@
 `Truth` what is known about a simulated one. Nothing here imports pandas or pyarrow before it is needed.
 """
 
-from .io import FORMATS, Format, read, write
-from .names import RESERVED, clean_name, clean_names
-from .record import Record
-from .truth import FloatArray, Truth
+from bayeq.records.io import FORMATS, Format, read, write
+from bayeq.records.names import RESERVED, clean_name, clean_names
+from bayeq.records.record import Record
+from bayeq.records.truth import FloatArray, Truth
 
 __all__ = [
     "FORMATS",

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import RecordError, UnknownNameError
-from .names import clean_name
-from .truth import FloatArray
+from bayeq.errors import RecordError, UnknownNameError
+from bayeq.records.names import clean_name
+from bayeq.records.truth import FloatArray
 
 __all__ = [
     "SECONDS",

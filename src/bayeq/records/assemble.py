@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import RecordError
-from ._check import SECONDS, check_time, time_from, trial_starts
-from .columns import Columns, listed
-from .record import Record
-from .truth import FloatArray
+from bayeq.errors import RecordError
+from bayeq.records._check import SECONDS, check_time, time_from, trial_starts
+from bayeq.records.columns import Columns, listed
+from bayeq.records.record import Record
+from bayeq.records.truth import FloatArray
 
 __all__ = ["assemble"]
 

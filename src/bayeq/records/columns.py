@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import FileFormatError, RecordError, UnknownNameError
-from ._check import as_column, as_time
-from .names import clean_name, clean_names, is_time_name
-from .truth import FloatArray
+from bayeq.errors import FileFormatError, RecordError, UnknownNameError
+from bayeq.records._check import as_column, as_time
+from bayeq.records.names import clean_name, clean_names, is_time_name
+from bayeq.records.truth import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from .record import Record
+    from bayeq.records.record import Record
 
 __all__ = ["Columns", "Headers", "Select", "listed", "select"]
 

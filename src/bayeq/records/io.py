@@ -11,11 +11,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol, overload
 
-from ..errors import FileFormatError
-from . import npz, parquet, text
-from .assemble import assemble
-from .columns import Columns, Select, select
-from .record import Record
+from bayeq.errors import FileFormatError
+from bayeq.files import replacing
+from bayeq.records import npz, parquet, text
+from bayeq.records.assemble import assemble
+from bayeq.records.columns import Columns, Select, select
+from bayeq.records.record import Record
 
 __all__ = ["FORMATS", "Format", "read", "write"]
 
@@ -151,7 +152,8 @@ def write(record: Record, path: str | os.PathLike[str]) -> None:
     if module is None:
         raise FileFormatError(f"{path}: no format for the suffix {path.suffix!r}; known: {', '.join(FORMATS)}")
     try:
-        module.write(record, path)
+        with replacing(path) as part:
+            module.write(record, part)
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be written ({error.strerror or type(error).__name__})") from None
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import FileFormatError
+from bayeq.errors import FileFormatError
 
 __all__ = [
     "MISSING",

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FileFormatError
-from .columns import Columns, Headers, Select
-from .record import Record
+from bayeq.errors import FileFormatError
+from bayeq.records.columns import Columns, Headers, Select
+from bayeq.records.record import Record
 
 __all__ = ["read_columns", "write"]
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FileFormatError, MissingExtraError
-from .columns import Columns, Headers, Select
-from .record import Record
+from bayeq.errors import FileFormatError, MissingExtraError
+from bayeq.records.columns import Columns, Headers, Select
+from bayeq.records.record import Record
 
 __all__ = ["read_columns", "write"]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from ..errors import RecordError, UnknownNameError
-from ._check import (
+from bayeq.errors import RecordError, UnknownNameError
+from bayeq.records._check import (
     as_column,
     as_time,
     check_name,
@@ -21,7 +21,7 @@ from ._check import (
     time_from,
     trial_starts,
 )
-from .truth import FloatArray, Truth, frozen_array
+from bayeq.records.truth import FloatArray, Truth, frozen_array
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -170,8 +170,8 @@ class Record:
         >>> Record.from_dataframe(pd.DataFrame({"t": [0.0, 0.1], "x [m]": [1.0, 2.0]}))
         Record('data frame': 2 rows at 10 Hz; x [m])
         """
-        from .assemble import assemble
-        from .columns import Columns
+        from bayeq.records.assemble import assemble
+        from bayeq.records.columns import Columns
 
         data = Columns.from_dataframe(df, time=time, columns=columns)
         made = assemble(data, time=time, fs=fs, units=units, columns=columns)[0]
@@ -299,7 +299,7 @@ class Record:
         """A pandas data frame of the channels; the column ``t`` comes first if there is time."""
         import pandas as pd
 
-        from .columns import Columns
+        from bayeq.records.columns import Columns
 
         columns = Columns.from_record(self)
         return pd.DataFrame(dict(zip(columns.names, columns.values, strict=True)))

@@ -15,11 +15,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FileFormatError
-from .columns import Columns, Headers, Select
-from .layout import MISSING, Layout, comment_header, encodings, is_blank, is_comment, looks_like_text, sniff, split
-from .record import Record
-from .truth import FloatArray
+from bayeq.errors import FileFormatError
+from bayeq.records.columns import Columns, Headers, Select
+from bayeq.records.layout import (
+    MISSING,
+    Layout,
+    comment_header,
+    encodings,
+    is_blank,
+    is_comment,
+    looks_like_text,
+    sniff,
+    split,
+)
+from bayeq.records.record import Record
+from bayeq.records.truth import FloatArray
 
 __all__ = ["looks_like_text", "read_columns", "write", "write_text"]
 

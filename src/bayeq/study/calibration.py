@@ -84,7 +84,7 @@ def calibrate_one(kind: str, rows: int, seed: tuple[int, ...]) -> Outcome:
     D = _design(kind, rows, rng)
     terms = D.shape[1]
     variance = PRIOR.noise_rate / rng.standard_gamma(PRIOR.noise_shape)
-    true = rng.random(terms) < 0.1
+    true = np.asarray(rng.random(terms) < 0.1)
     theta = np.where(true, np.sqrt(variance * PRIOR.slab_variance) * rng.standard_normal(terms), 0.0)
     y = 7.0 + D @ theta + np.sqrt(variance) * rng.standard_normal(rows)
     gram = Gram.from_data(D, y)
