@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint types tests bench lock clean
+.PHONY: demo test lint types tests bench study lock clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -25,6 +25,19 @@ tests: $(VENV)/.dev
 # Fits against their peers in one run; the table goes to perf/results.
 bench: $(VENV)/.dev
 	$(BIN)/python -m perf.fit_against_lstsq
+
+# The statistical studies behind docs/reproduction.md and the README: hours are not needed, half an hour is.
+study: $(VENV)/.dev
+	$(BIN)/bayeq study table2 --realisations 1000 --store study.db \
+		--algorithms sindy,rvm,gibbs,vb,bma,vb-rvm,vb-greedy,sindy-std
+	$(BIN)/bayeq study show study.db --format markdown > docs/tables/table2.md
+	$(BIN)/bayeq study show study.db --format csv > docs/tables/table2.csv
+	$(BIN)/bayeq study show study.db --table 3 --format markdown > docs/tables/table3.md
+	$(BIN)/bayeq study ablation --realisations 500 > docs/tables/ablation.csv
+	$(BIN)/python -m bayeq.study.coverage > docs/tables/coverage.csv
+	$(BIN)/python -m bayeq.study.coverage --clean-states > docs/tables/coverage_clean.csv
+	$(BIN)/python -m bayeq.study.calibration --problems 300 > docs/tables/calibration.csv
+	$(BIN)/bayeq study figures docs/figures
 
 # Pin what is installed now, after an upgrade that the tests have passed.
 lock: $(VENV)/.dev

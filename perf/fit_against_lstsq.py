@@ -1,4 +1,6 @@
-"""The whole SS-VB fit against one least-squares solve, on the paper's dictionary matrix (N=2000, P=36).
+"""Whole fits against one least-squares solve, on the paper's dictionary matrix (N=2000, P=36).
+
+With one BLAS thread and with as many as there are cores: `lstsq` is the slower for two threads on a matrix this small.
 
     make bench        # or: python -m perf.fit_against_lstsq
 
@@ -13,6 +15,7 @@ import platform
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
@@ -23,29 +26,36 @@ RESULTS = Path(__file__).parent / "results" / "fit_against_lstsq.csv"
 SYSTEMS = ("linear", "duffing", "quadratic", "coulomb")
 
 
+def measure(system: str, threads: int) -> dict[str, object]:
+    """One line of the table."""
+    record = bq.simulate(system, n=2000, seed=0)
+    terms = build_dictionary("oscillator", Variables(("x", "v"), ("u",)))
+    D, y = np.ascontiguousarray(evaluate_terms(terms, record.channels)), np.array(record["a"])
+    standard = bq.Gram.from_data(D, y).standardise().gram
+    contestants = {
+        "lstsq": lambda: np.linalg.lstsq(D, y, rcond=None),
+        "fit": lambda: bq.SpikeSlabVB().fit(D, y),
+        "gram": lambda: bq.Gram.from_data(D, y),
+        "engine": lambda: spike_slab_vb(standard),
+        "rvm_fit": lambda: bq.RVM().fit(D, y),
+        "bma_fit": lambda: bq.SpikeSlabBMA().fit(D, y),
+        "gibbs_2000_fit": lambda: bq.SpikeSlabGibbs(chains=1, samples=2000, burn_in=200).fit(D, y),
+    }
+    with threadpool_limits(threads):
+        seconds = medians(contestants, rounds=100)
+    line: dict[str, object] = {"system": system, "blas_threads": threads}
+    line |= {f"{name}_us": round(1e6 * value) for name, value in seconds.items()}
+    line |= {f"{name}_over_lstsq": round(seconds[name] / seconds["lstsq"], 2) for name in ("fit", "bma_fit")}
+    return line
+
+
 def main() -> None:
     """Measure and write the table."""
-    rows = []
-    for system in SYSTEMS:
-        record = bq.simulate(system, n=2000, seed=0)
-        terms = build_dictionary("oscillator", Variables(("x", "v"), ("u",)))
-        D, y = np.ascontiguousarray(evaluate_terms(terms, record.channels)), record["a"]
-        standard = bq.Gram.from_data(D, y).standardise().gram
-        seconds = medians(
-            {
-                "lstsq": lambda D=D, y=y: np.linalg.lstsq(D, y, rcond=None),
-                "fit": lambda D=D, y=y: bq.SpikeSlabVB().fit(D, y),
-                "gram": lambda D=D, y=y: bq.Gram.from_data(D, y),
-                "engine": lambda g=standard: spike_slab_vb(g),
-                "rvm_fit": lambda D=D, y=y: bq.RVM().fit(D, y),
-            }
-        )
-        rows.append({"system": system, **{f"{k}_us": round(1e6 * v) for k, v in seconds.items()},
-                     "fit_over_lstsq": round(seconds["fit"] / seconds["lstsq"], 2)})  # fmt: skip
+    rows = [measure(system, threads) for threads in (1, os.cpu_count() or 1) for system in SYSTEMS]
     RESULTS.parent.mkdir(exist_ok=True)
     with RESULTS.open("w", newline="") as file:
         file.write(f"# python -m perf.fit_against_lstsq; {platform.machine()}, {os.cpu_count()} cores,")
-        file.write(f" Python {platform.python_version()}, NumPy {np.__version__}; medians of 200 turns\n")
+        file.write(f" Python {platform.python_version()}, NumPy {np.__version__}; medians of 100 turns\n")
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
         writer.writerows(rows)

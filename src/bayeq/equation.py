@@ -177,7 +177,10 @@ class Equation:
         return f"{self.target} = {' '.join(pieces) or '0'}"
 
     def to_sympy(self) -> Any:
-        """The equation as `sympy.Eq`, with full-precision coefficients (the intercept where it matters)."""
+        """The equation as `sympy.Eq`, with full-precision coefficients.
+
+        The intercept is in it where its 95 % interval excludes zero; `evaluate` and `predict` always add it.
+        """
         import sympy
 
         return sympy.Eq(sympy.Symbol(self.target), self._right_hand_side(digits=None), evaluate=False)
