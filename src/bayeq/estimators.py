@@ -92,7 +92,19 @@ class _SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return tags
 
 
-class SpikeSlabVB(_SparseRegressor):
+class _SpikeSlabRegressor(_SparseRegressor):
+    """An estimator with the spike-and-slab prior among its parameters."""
+
+    slab_variance: float
+    prior_inclusion: ArrayLike
+    noise_shape: float
+    noise_rate: float
+
+    def _prior(self) -> Prior:
+        return Prior(self.slab_variance, self.prior_inclusion, self.noise_shape, self.noise_rate)
+
+
+class SpikeSlabVB(_SpikeSlabRegressor):
     """Sparse linear regression by variational Bayes with spike-and-slab priors.
 
     Parameters
@@ -162,8 +174,7 @@ class SpikeSlabVB(_SparseRegressor):
         self.max_iter = max_iter
 
     def _engine(self, gram: GramLike) -> Posterior:
-        prior = Prior(self.slab_variance, self.prior_inclusion, self.noise_shape, self.noise_rate)
-        return spike_slab_vb(gram, prior, init=self.init, tolerance=self.tol, max_iter=self.max_iter)
+        return spike_slab_vb(gram, self._prior(), init=self.init, tolerance=self.tol, max_iter=self.max_iter)
 
     def fit(self, D: ArrayLike, y: ArrayLike) -> Self:
         super().fit(D, y)
@@ -174,7 +185,7 @@ class SpikeSlabVB(_SparseRegressor):
     fit.__doc__ = _SparseRegressor.fit.__doc__
 
 
-class SpikeSlabGibbs(_SparseRegressor):
+class SpikeSlabGibbs(_SpikeSlabRegressor):
     """Sparse linear regression by collapsed Gibbs sampling with spike-and-slab priors.
 
     Parameters
@@ -227,10 +238,9 @@ class SpikeSlabGibbs(_SparseRegressor):
         self.random_state = random_state
 
     def _engine(self, gram: GramLike) -> Posterior:
-        prior = Prior(self.slab_variance, self.prior_inclusion, self.noise_shape, self.noise_rate)
         return spike_slab_gibbs(
             gram,
-            prior,
+            self._prior(),
             chains=self.chains,
             samples=self.samples,
             burn_in=self.burn_in,
@@ -249,7 +259,7 @@ class SpikeSlabGibbs(_SparseRegressor):
     fit.__doc__ = _SparseRegressor.fit.__doc__
 
 
-class SpikeSlabBMA(_SparseRegressor):
+class SpikeSlabBMA(_SpikeSlabRegressor):
     """Sparse linear regression by Bayesian model averaging with spike-and-slab priors: exact weights, no sampling.
 
     Parameters
@@ -305,9 +315,6 @@ class SpikeSlabBMA(_SparseRegressor):
         self.noise_rate = noise_rate
         self.tolerance = tolerance
         self.enumerate_up_to = enumerate_up_to
-
-    def _prior(self) -> Prior:
-        return Prior(self.slab_variance, self.prior_inclusion, self.noise_shape, self.noise_rate)
 
     def _solve(self, gram: Gram) -> Posterior:
         self._standard = gram.standardise()

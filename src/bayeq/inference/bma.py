@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.gram import GramLike
+from bayeq.inference.conditional import given_model
 from bayeq.inference.models import ModelSet, enumerate_models, search_models
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Floats, Problem
 from bayeq.inference.search import best_models
-from bayeq.inference.tableau import build, flip
+from bayeq.inference.tableau import flip, swept
 from bayeq.kernels import kernel
 from bayeq.posterior import ModelAverage, Posterior
 
@@ -36,7 +37,7 @@ def _mixture_moments(p: Problem, models: Bools, weights: Floats) -> tuple[Floats
     terms = len(p.Dty)
     mean, second, noise = np.zeros(terms), np.zeros((terms, terms)), 0.0
     current = np.zeros(terms, dtype=np.bool_)
-    M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
+    M = swept(p, current)
     flips = 0
     for k in range(len(models)):
         for j in range(terms):
@@ -46,10 +47,7 @@ def _mixture_moments(p: Problem, models: Bools, weights: Floats) -> tuple[Floats
                 flips += 1
         if flips > 20_000:
             flips = 0
-            M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
-            for j in range(terms):
-                if current[j]:
-                    flip(M, j)
+            M = swept(p, current)
         index = np.flatnonzero(current)
         variance = 0.5 * max(M[terms, terms], p.floor) / max(p.h - 1.0, 0.5)
         noise += weights[k] * variance
@@ -58,15 +56,6 @@ def _mixture_moments(p: Problem, models: Bools, weights: Floats) -> tuple[Floats
             for b in index:
                 second[a, b] += weights[k] * (M[a, terms] * M[b, terms] - variance * M[a, b])
     return mean, second, noise
-
-
-@kernel
-def _swept(p: Problem, active: Bools) -> Floats:
-    M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
-    for j in range(len(active)):
-        if active[j]:
-            flip(M, j)
-    return M
 
 
 def average_models(problem: Problem, *, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE) -> ModelSet:
@@ -112,17 +101,15 @@ def spike_slab_bma(
     mean, second, noise = _mixture_moments(problem, np.ascontiguousarray(found.models[:enough]), share)
     covariance = second - np.outer(mean, mean)
     support = pip > 0.5
-    kept = np.flatnonzero(support)
-    M = _swept(problem, support)
-    variance = 0.5 * max(M[-1, -1], problem.floor) / max(problem.h - 1.0, 0.5)
+    coef, conditional = given_model(problem, support)
     terms = np.flatnonzero(found.models.any(axis=0))
     return Posterior(
         method="bma",
         names=gram.names,
         pip=pip,
         support=support,
-        coef=np.where(support, M[:-1, -1], 0.0),
-        covariance=-variance * M[np.ix_(kept, kept)],
+        coef=coef,
+        covariance=conditional,
         center=np.zeros(len(pip)),
         target_mean=0.0,
         noise_variance=float(noise),
@@ -154,7 +141,7 @@ def sample_average(
     for k in np.unique(which):
         rows = np.flatnonzero(which == k)
         active = average.models[k]
-        M = _swept(problem, active)
+        M = swept(problem, active)
         kept = np.flatnonzero(active)
         s = max(float(M[-1, -1]), problem.floor)
         noise[rows] = 0.5 * s / rng.standard_gamma(problem.h, size=len(rows))

@@ -14,9 +14,10 @@ import numpy as np
 
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
+from bayeq.inference.conditional import given_model
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Floats, Problem
-from bayeq.inference.tableau import build, flip, flip_gain, least_squares_rss, score, swap_gain
+from bayeq.inference.tableau import flip, flip_gain, least_squares_rss, score, swap_gain, swept
 from bayeq.kernels import kernel
 from bayeq.posterior import Draws, Posterior
 
@@ -30,20 +31,11 @@ RHAT_LIMIT = 1.1
 
 
 @kernel
-def _tableau(p: Problem, active: Bools) -> Floats:
-    M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
-    for j in range(len(active)):
-        if active[j]:
-            flip(M, j)
-    return M
-
-
-@kernel
 def greedy_start(p: Problem, size: int) -> Bools:
     """The paper's start: terms activated one by one, each time the one that lowers the squared error most."""
     terms = len(p.Dty)
     active = np.zeros(terms, dtype=np.bool_)
-    M = _tableau(p, active)
+    M = swept(p, active)
     for j in range(terms):
         if p.log_odds[j] == math.inf:
             flip(M, j)
@@ -183,7 +175,7 @@ def sample_chain(
     terms = len(active)
     inclusion = np.empty(terms)
     draw = np.empty(terms)
-    M = _tableau(p, active)
+    M = swept(p, active)
     y = terms
     flips = 0
     for t in range(burn_in + len(noise)):
@@ -205,7 +197,7 @@ def sample_chain(
             for j in range(terms):
                 pip[j] += inclusion[j]
         if flips // REFRESH != before // REFRESH:
-            M = _tableau(p, active)
+            M = swept(p, active)
 
 
 def _seed(seed: int | Sequence[int]) -> np.random.SeedSequence:
@@ -342,18 +334,15 @@ def spike_slab_gibbs(
     draws = sample_posterior(problem, chains=chains, samples=samples, burn_in=burn_in, exchange=exchange, seed=seed)
     pip = draws.pip.mean(axis=0)
     support = pip > 0.5
-    kept = np.flatnonzero(support)
-    M = _tableau(problem, support)
-    # sigma^2 | y, z ~ IG(h, s/2): its mean scales the covariance of the coefficients
-    variance = 0.5 * max(M[-1, -1], problem.floor) / max(problem.h - 1.0, 0.5)
+    coef, covariance = given_model(problem, support)
     rhat = multivariate_rhat(draws.theta)
     return Posterior(
         method="gibbs",
         names=gram.names,
         pip=pip,
         support=support,
-        coef=np.where(support, M[:-1, -1], 0.0),
-        covariance=-variance * M[np.ix_(kept, kept)],
+        coef=coef,
+        covariance=covariance,
         center=np.zeros(len(pip)),
         target_mean=0.0,
         noise_variance=float(draws.noise_variance.mean()),

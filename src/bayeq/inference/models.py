@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bayeq.inference.problem import Bools, Floats, Problem
 from bayeq.inference.search import best_models
-from bayeq.inference.tableau import build, flip, flip_gain, score, swap_gain
+from bayeq.inference.tableau import flip, flip_gain, score, swap_gain, swept
 from bayeq.kernels import kernel
 
 __all__ = ["ModelSet", "enumerate_models", "search_models"]
@@ -70,20 +70,11 @@ class ModelSet:
 
 
 @kernel
-def _fresh(p: Problem, active: Bools) -> Floats:
-    M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
-    for j in range(len(active)):
-        if active[j]:
-            flip(M, j)
-    return M
-
-
-@kernel
 def _enumerate(p: Problem, free: Ints, base: Bools) -> Floats:
     """Scores of all models over the `free` terms; entry g belongs to the Gray code g ^ (g >> 1) of their bits."""
     levels = np.empty(1 << len(free))
     current = base.copy()
-    M = _fresh(p, current)
+    M = swept(p, current)
     value = score(p, current, p.slab_variance)
     levels[0] = value
     for g in range(1, len(levels)):
@@ -96,7 +87,7 @@ def _enumerate(p: Problem, free: Ints, base: Bools) -> Floats:
         flip(M, j)
         current[j] = not current[j]
         if g % REFRESH == 0:
-            M = _fresh(p, current)
+            M = swept(p, current)
             value = score(p, current, p.slab_variance)
         levels[g] = value
     return levels
@@ -196,7 +187,7 @@ def _search(
     frontier = total
     recent_found = recent_spent = all_found = all_spent = 0.0
     current = starts[0].copy()
-    M = _fresh(p, current)
+    M = swept(p, current)
     flips = expanded = 0
     ratio = 1.0
     while size > 0 and count < room:
@@ -211,7 +202,7 @@ def _search(
                 current[j] = not current[j]
                 flips += 1
         if flips > REFRESH:
-            M = _fresh(p, current)
+            M = swept(p, current)
             flips = 0
         spent = math.exp(scores[item] - reference)
         found = 0.0

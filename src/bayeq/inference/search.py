@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayeq.inference.problem import Bools, Floats, Problem
 from bayeq.inference.rvm import rvm_ascent
-from bayeq.inference.tableau import build, climb, flip, flip_gain, score, swap_gain
+from bayeq.inference.tableau import climb, flip_gain, score, swap_gain, swept
 from bayeq.kernels import kernel
 
 __all__ = ["Move", "best_models", "candidate_models", "greedy_model", "log_evidence", "neighbours"]
@@ -24,16 +24,13 @@ FULL_START_TERMS = 128
 @kernel
 def _climb_all(p: Problem, models: Bools, swaps: bool) -> Floats:
     """Climb from each row of `models`, in place; returns their final scores."""
-    base = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
     scores = np.empty(len(models))
     for k in range(len(models)):
-        M = base.copy()
         active = models[k]
         for j in range(len(active)):
             if math.isinf(p.log_odds[j]):
                 active[j] = p.log_odds[j] > 0.0
-            if active[j]:
-                flip(M, j)
+        M = swept(p, active)
         climb(p, M, active, swaps)
         scores[k] = score(p, active, p.slab_variance)
     return scores
@@ -43,12 +40,8 @@ def _climb_all(p: Problem, models: Bools, swaps: bool) -> Floats:
 def _moves(p: Problem, active: Bools, window: float) -> tuple[Ints, Ints, Floats]:
     """Flips and swaps from `active` within `window` of its score: terms out, terms in (-1 for none), gains."""
     terms = len(active)
-    M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
-    r = 0
-    for j in range(terms):
-        if active[j]:
-            flip(M, j)
-            r += 1
+    M = swept(p, active)
+    r = int(active.sum())
     out = np.empty(terms + r * (terms - r), dtype=np.int64)
     into = np.empty_like(out)
     gains = np.empty(len(out))

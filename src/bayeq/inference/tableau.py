@@ -24,7 +24,7 @@ import numpy as np
 from bayeq.inference.problem import Bools, Floats, Problem
 from bayeq.kernels import kernel
 
-__all__ = ["build", "climb", "flip", "flip_gain", "least_squares_rss", "score", "swap_gain"]
+__all__ = ["build", "climb", "flip", "flip_gain", "least_squares_rss", "score", "swap_gain", "swept"]
 
 # A climb stops when no move gains this much log posterior: above the rounding of h ln(s).
 GAIN_TOLERANCE = 1e-8
@@ -67,6 +67,16 @@ def flip(M: Floats, j: int) -> float:
         M[i, j] = value
     M[j, j] = -1.0 / pivot
     return math.log(size)
+
+
+@kernel
+def swept(p: Problem, active: Bools) -> Floats:
+    """The tableau of a model, from scratch."""
+    M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
+    for j in range(len(active)):
+        if active[j]:
+            flip(M, j)
+    return M
 
 
 @kernel

@@ -1,0 +1,22 @@
+"""The posterior of the coefficients given a model, exact."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.tableau import swept
+
+__all__ = ["given_model"]
+
+
+def given_model(problem: Problem, active: Bools) -> tuple[Floats, Floats]:
+    """Mean (P,) of theta, 0 for a term that is out, and covariance (r, r) of the others, sigma^2 integrated out.
+
+    theta | sigma^2 is Gaussian with mean a_r and covariance sigma^2 A_r, eq. (33), and sigma^2 inverse-Gamma(h, s/2),
+    whose mean is s/2/(h - 1).
+    """
+    M = swept(problem, active)
+    kept = np.flatnonzero(active)
+    variance = 0.5 * max(float(M[-1, -1]), problem.floor) / max(problem.h - 1.0, 0.5)
+    return np.where(active, M[:-1, -1], 0.0), -variance * M[np.ix_(kept, kept)]
