@@ -14,6 +14,7 @@ from bayeq.diagnostics import inspect_residuals
 from bayeq.errors import (
     ChainError,
     CorrelatedResidualsWarning,
+    DataWarning,
     InputError,
     RecordError,
     TermWarning,
@@ -168,6 +169,13 @@ def test_warnings_in_plain_words():
     assert "w (PIP" in group
     messages = quietly(twin, **OSCILLATOR, inputs=["w"], dictionary=["x", "v", "w", "u"], method="vb").warnings
     assert any("hardly tell apart" in w and ("w instead of x" in w or "x instead of w" in w) for w in messages)
+
+
+def test_an_equation_that_explains_little_is_warned_of():
+    rng = np.random.default_rng(0)
+    noise = bq.Record.from_arrays(x=rng.normal(size=300), v=rng.normal(size=300))
+    with pytest.warns(DataWarning, match="explain only 0 %"):
+        bq.discover(noise, chains="x:v", dictionary="polynomial:2")
 
 
 def test_residual_diagnostics():

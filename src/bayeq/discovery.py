@@ -48,6 +48,9 @@ LEAST_TRAINING_ROWS = 3
 # Residuals smaller than this share of the target are rounding of the Gram, and correlated.
 ROUNDING = 1e-6
 
+# An equation that explains a smaller share of the target's variance is warned of.
+LITTLE = 0.5
+
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
 RUNNER_UP_WINDOW = 12.0
 RUNNERS_UP = 5
@@ -292,7 +295,15 @@ def _solve(
         _warn_of_ambiguity(chain.target, runners_up, notes)
     else:
         _warn_of_groups(chain.target, posterior, notes)
-    if residuals.correlated and _fit(gram, posterior).nrmse > ROUNDING:
+    train_fit = _fit(gram, posterior)
+    if train_fit.r2 < LITTLE:
+        estimated = " (it is estimated, not measured)" if chain.measured[-1] is None else ""
+        notes.warn(
+            f"{chain.target}: the terms explain only {100 * train_fit.r2:.0f} % of the target's variance{estimated}:"
+            " this is hardly the law; check the channels, their derivatives and the dictionary",
+            DataWarning,
+        )
+    if residuals.correlated and train_fit.nrmse > ROUNDING:
         notes.warn(
             f"{chain.target}: the residuals are correlated in time (lag-1 autocorrelation {residuals.lag1:.2f},"
             f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}): standard deviations and intervals"
@@ -303,7 +314,7 @@ def _solve(
         chain=chain,
         terms=design.terms,
         posterior=posterior,
-        train=_fit(gram, posterior),
+        train=train_fit,
         held_out=_fit(design.held_out[k], posterior) if design.held_out else None,
         residuals=residuals,
         runners_up=runners_up,
