@@ -53,7 +53,9 @@ class _SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             and len(D) == len(y) > 1
             and np.isfinite(D.sum() + y.sum())
         ):
-            validate_data(self, D, y, skip_check_array=True)
+            self.n_features_in_ = D.shape[1]
+            if hasattr(self, "feature_names_in_"):
+                del self.feature_names_in_
             return D, y
         D, y = validate_data(self, D, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2)
         return D, y
