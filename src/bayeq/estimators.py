@@ -43,7 +43,7 @@ class _SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return standard.restore(self._engine(standard.gram))
 
     def _validated(self, D: Any, y: Any) -> tuple[Floats, Floats]:
-        """The data as scikit-learn validates them; finite arrays of the right type and shape need less of it."""
+        """The data as scikit-learn validates them; arrays of the right type and shape need less of it."""
         if (
             type(D) is type(y) is np.ndarray
             and D.dtype == y.dtype == np.float64
@@ -51,7 +51,6 @@ class _SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             and y.ndim == 1
             and D.shape[1] > 0
             and len(D) == len(y) > 1
-            and np.isfinite(D.sum() + y.sum())
         ):
             self.n_features_in_ = D.shape[1]
             if hasattr(self, "feature_names_in_"):
@@ -69,8 +68,13 @@ class _SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             Shapes that do not match, non-finite values, or parameters out of range.
         """
         D, y = self._validated(D, y)
-        names = getattr(self, "feature_names_in_", None)
-        posterior = self._solve(Gram.from_data(D, y, names))
+        try:
+            gram = Gram.from_data(D, y, getattr(self, "feature_names_in_", None))
+        except InputError:
+            # values that are not finite, in scikit-learn's own words
+            validate_data(self, D, y, dtype=np.float64, y_numeric=True)
+            raise
+        posterior = self._solve(gram)
         self.posterior_ = posterior
         self.coef_ = posterior.coef
         self.intercept_ = posterior.intercept

@@ -298,23 +298,28 @@ def _centred(D: Floats, y: Floats, mean: Floats, z: Floats, rest: Floats) -> Non
 
 @kernel
 def _small_cross(z: Floats, cross: Floats) -> None:
-    """cross = z'z, eight rows at a time.
+    """cross = z'z, four rows and two columns at a time.
 
     For narrow matrices as fast as BLAS, and unlike it the same to the last bit for any number of threads (and
     not slowed down when other processes hold the cores that a threaded BLAS waits for).
     """
     n, p = z.shape
     cross[:] = 0.0
-    whole = n - n % 8
-    for i in range(0, whole, 8):
+    whole, even = n - n % 4, p - p % 2
+    for i in range(0, whole, 4):
         r0, r1, r2, r3 = z[i], z[i + 1], z[i + 2], z[i + 3]
-        r4, r5, r6, r7 = z[i + 4], z[i + 5], z[i + 6], z[i + 7]
-        for a in range(p):
+        for a in range(0, even, 2):
+            row, next_row = cross[a], cross[a + 1]
+            a0, a1, a2, a3 = r0[a], r1[a], r2[a], r3[a]
+            b0, b1, b2, b3 = r0[a + 1], r1[a + 1], r2[a + 1], r3[a + 1]
+            for b in range(a + 2):
+                x0, x1, x2, x3 = r0[b], r1[b], r2[b], r3[b]
+                row[b] += (a0 * x0 + a1 * x1) + (a2 * x2 + a3 * x3)
+                next_row[b] += (b0 * x0 + b1 * x1) + (b2 * x2 + b3 * x3)
+        for a in range(even, p):
             row = cross[a]
-            a0, a1, a2, a3, a4, a5, a6, a7 = r0[a], r1[a], r2[a], r3[a], r4[a], r5[a], r6[a], r7[a]
-            for b in range(a + 1):
-                first = (a0 * r0[b] + a1 * r1[b]) + (a2 * r2[b] + a3 * r3[b])
-                row[b] += first + ((a4 * r4[b] + a5 * r5[b]) + (a6 * r6[b] + a7 * r7[b]))
+            for b in range(p):
+                row[b] += (r0[a] * r0[b] + r1[a] * r1[b]) + (r2[a] * r2[b] + r3[a] * r3[b])
     for i in range(whole, n):
         for a in range(p):
             for b in range(a + 1):
