@@ -105,6 +105,14 @@ def eval_unit(term, scale):
     return out
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_without_noise_rounding_is_not_fitted(seed):
+    rec = bq.simulate("lorenz", seed=seed, noise=0.0, perturb=0.1)
+    full = bq.Record.from_arrays({**rec.channels, **{k: v for k, v in rec.truth.clean.items() if k[0] == "d"}}, fs=100)
+    eq = quietly(full, chains=["x:dx", "y:dy", "z:dz"], dictionary="polynomial:2")
+    assert [set(e.included) for e in eq] == [{"x", "y"}, {"x", "y", "x*z"}, {"z", "x*y"}]
+
+
 def test_first_order_systems_and_several_targets():
     # clean states, derivatives given: the estimation of derivatives from noisy states is not at stake here
     rec = bq.simulate("lorenz", seed=0, noise=0.0)

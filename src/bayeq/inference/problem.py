@@ -17,6 +17,11 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
+# Share of y'y below which a residual sum of squares is rounding of the Gram: without noise, terms would otherwise be
+# added that fit it. It stands for a noise of 3e-7 of the signal.
+ROUNDING = 1e-13
+
+
 class Problem(NamedTuple):
     """A sparse regression with its prior; made by `of`, taken whole by kernels.
 
@@ -70,7 +75,7 @@ class Problem(NamedTuple):
             noise_rate=float(prior.noise_rate),
             half_log_slab=0.5 * math.log(prior.slab_variance),
             h=float(prior.noise_shape) + 0.5 * float(gram.dof),
-            floor=max(2.0 * float(prior.noise_rate), 1e-15 * float(gram.yty)),
+            floor=max(2.0 * float(prior.noise_rate), ROUNDING * float(gram.yty)),
         )
 
     def with_slab_variance(self, slab_variance: float) -> Problem:
