@@ -206,6 +206,15 @@ def test_inputs_are_not_overwritten_nor_counted_twice(duffing, tmp_path, capsys)
     assert "too few" in capsys.readouterr().err
 
 
+def test_a_second_clock_among_the_channels_is_no_contradiction(tmp_path, capsys):
+    record = bq.simulate("linear", n=400, seed=0)
+    path = tmp_path / "clocks.csv"
+    rows = zip(record.time, 1000 * record.time, *(record[c] for c in "xvau"), strict=True)
+    path.write_text("\n".join(["t,time,x,v,a,u", *(",".join(map(repr, map(float, row))) for row in rows)]) + "\n")
+    assert main(["discover", str(path), *OSCILLATOR, "--json"]) == 0
+    capsys.readouterr()
+
+
 def test_channels_by_their_headers(tmp_path, capsys):
     record = bq.simulate("linear", n=400, seed=0)
     path = tmp_path / "odd.csv"

@@ -197,9 +197,11 @@ def _read(file: Path, used: list[str], **options: Any) -> list[Record]:
         # Perhaps it is in a column that is not used, where words are welcome.
         found = read(file, columns=used or None, **options)
     records = found if isinstance(found, list) else [found]
-    for record in records:
-        for name in {"t", "time", "Time"} & set(record.names):
-            _require_rate(record, name)
+    if options.get("fs") is not None:
+        for record in records:
+            for name in ("t", "time", "Time"):
+                if name in record.names:
+                    _require_rate(record, name)
     return records
 
 

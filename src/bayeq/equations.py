@@ -170,11 +170,12 @@ class Equations:
         (n,) array, or (n, k) for k equations; with `return_std` a pair of them
         """
         columns = derive_states(record, self.chains, self.inputs, self.smooth).columns
-        parts = [equation.predict(columns, return_std=True) for equation in self.equations]
-        mean, sd = (np.column_stack([part[k] for part in parts]) for k in (0, 1))
+        parts = [equation.predict(columns, return_std) for equation in self.equations]
         if len(parts) == 1:
-            mean, sd = mean[:, 0], sd[:, 0]
-        return (mean, sd) if return_std else mean
+            return parts[0]
+        if return_std:
+            return tuple(np.column_stack(pieces) for pieces in zip(*parts, strict=True))
+        return np.column_stack(parts)
 
     def to_dict(self) -> dict[str, Any]:
         """What ``bayeq discover --json`` prints."""
