@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayeq.errors import InputError
-from bayeq.gram import BLOCK_ROWS, SMALL, Gram, dense, grams_from_blocks
+from bayeq.gram import BLOCK_ROWS, SMALL, Gram, dense, grams_from_blocks, grams_from_data
 from bayeq.posterior import Posterior
 from tests.reference import centred
 
@@ -170,3 +170,84 @@ def test_dense_of_any_gram_like():
             return gram.column(j)
 
     np.testing.assert_array_equal(dense(Lazy()), gram.DtD)
+
+
+@pytest.mark.parametrize("P", [3, SMALL + 5])
+def test_weight_k_is_the_row_k_times_over(P):
+    D, y = data(10, n=BLOCK_ROWS + 300, P=P, offset=5.0)
+    weights = np.random.default_rng(0).integers(0, 5, len(y))
+    D[weights == 0] = np.nan
+    weighted = Gram.from_data(D, y, weights=weights)
+    repeated = Gram.from_data(D.repeat(weights, axis=0), y.repeat(weights))
+    assert (weighted.n, weighted.dof) == (repeated.n, repeated.dof)
+    assert type(weighted.n) is int
+    size = np.sqrt(np.outer(repeated.diagonal, repeated.diagonal))
+    np.testing.assert_allclose(weighted.DtD / size, repeated.DtD / size, atol=1e-13)
+    np.testing.assert_allclose(weighted.Dty / np.sqrt(repeated.diagonal), repeated.Dty / np.sqrt(repeated.diagonal))
+    assert weighted.yty == pytest.approx(repeated.yty, rel=1e-13)
+    np.testing.assert_allclose(weighted.mean, repeated.mean, rtol=1e-13)
+    assert weighted.target_mean == pytest.approx(repeated.target_mean, rel=1e-13)
+
+
+def test_fractional_weights_equal_the_direct_formula():
+    D, y = data(11, offset=1e3)
+    weights = np.random.default_rng(1).gamma(0.5, size=len(y))
+    gram = Gram.from_data(D, y, weights=weights)
+    w, Z, t = weights.astype(np.longdouble), D.astype(np.longdouble), y.astype(np.longdouble)
+    Z, t = Z - w @ Z / w.sum(), t - w @ t / w.sum()
+    scale = np.sqrt(gram.diagonal)
+    np.testing.assert_allclose(
+        gram.DtD / np.outer(scale, scale), (w[:, None] * Z).T @ Z / np.outer(scale, scale), 1e-11
+    )
+    np.testing.assert_allclose(gram.Dty / scale, (w * t) @ Z / scale, 1e-11)
+    assert gram.yty == pytest.approx(float(w * t @ t), rel=1e-12)
+    assert (gram.n, gram.dof) == (pytest.approx(weights.sum()), pytest.approx(weights.sum() - 1))
+    # parts add up, and the way back to the original units keeps the count
+    parts = Gram.from_data(D[:70], y[:70], weights=weights[:70]) + Gram.from_data(D[70:], y[70:], weights=weights[70:])
+    np.testing.assert_allclose(parts.DtD, gram.DtD, rtol=1e-10)
+    assert (parts.n, parts.dof) == (pytest.approx(gram.n), pytest.approx(gram.dof))
+    raw = Posterior(
+        method="ols", names=gram.names, pip=np.ones(5), support=np.ones(5, dtype=bool), coef=np.ones(5),
+        covariance=np.eye(5), center=np.zeros(5), target_mean=0.0, noise_variance=1.0, n=round(gram.dof) + 1,
+    )  # fmt: skip
+    assert gram.standardise().restore(raw).n == gram.n
+
+
+def test_a_constant_column_has_no_variance_whatever_the_weights():
+    rng = np.random.default_rng(2)
+    D = np.column_stack([np.full(2 * BLOCK_ROWS, 0.1), rng.normal(size=2 * BLOCK_ROWS)])
+    gram = Gram.from_data(D, D[:, 1], weights=rng.random(len(D)))
+    assert gram.DtD[0].tolist() == [0.0, 0.0]
+    assert gram.mean[0] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        (np.ones(3), r"one weight per row, shape \(200,\), got shape \(3,\)"),
+        (np.ones((200, 2)), "one weight per row"),
+        (2.0, "one weight per row"),
+        (np.r_[np.ones(150), -1.0, np.ones(49)], r"not negative: weights\[150\] is -1"),
+        (np.r_[np.nan, np.ones(199)], r"finite.*weights\[0\] is nan"),
+        (np.r_[np.ones(199), np.inf], r"finite.*weights\[199\] is inf"),
+        (np.zeros(200), "weights are all zero"),
+    ],
+)
+def test_weights_that_mean_nothing(weights, message):
+    with pytest.raises(InputError, match=message):
+        Gram.from_data(*data(12), weights=weights)
+
+
+@pytest.mark.parametrize("weights", [None, np.arange(200) % 3])
+def test_grams_of_several_targets(weights):
+    D, y = data(13)
+    Y = np.column_stack([y, y**2, D[:, 1]])
+    grams = grams_from_data(D, Y, list("abcde"), weights)
+    assert all(gram.DtD is grams[0].DtD for gram in grams)
+    for gram, target in zip(grams, Y.T, strict=True):
+        alone = Gram.from_data(D, target, list("abcde"), weights)
+        assert (gram.names, gram.n, gram.dof) == (alone.names, alone.n, alone.dof)
+        for name in ("DtD", "Dty", "yty", "mean", "target_mean"):
+            np.testing.assert_allclose(getattr(gram, name), getattr(alone, name), rtol=1e-12, atol=1e-12)
+    with pytest.raises(InputError, match="as many rows"):
+        grams_from_data(D, y)

@@ -52,6 +52,40 @@ def test_editing_a_callee_or_a_constant_recompiles_its_callers(tmp_path):
     assert run(tmp_path) == (300.0, 1)
 
 
+RECORDS = """
+from typing import NamedTuple
+
+class Inner(NamedTuple):
+    {inner}
+
+class Outer(NamedTuple):
+    inner: Inner
+    c: float
+"""
+USER = """
+from bayeq.kernels import kernel
+from layouts import Inner, Outer
+
+@kernel
+def difference(r: Outer) -> float:
+    return r.inner.a - r.inner.b
+
+r = Outer(Inner(a=3.0, b=1.0), 0.0)
+value = difference(r)
+print(value, sum(difference.stats.cache_hits.values()))
+"""
+
+
+def test_another_order_of_the_fields_of_a_record_recompiles(tmp_path):
+    (tmp_path / "caller.py").write_text(USER)
+    file = tmp_path / "layouts.py"
+    file.write_text(RECORDS.format(inner="a: float; b: float"))
+    assert run(tmp_path) == (2.0, 0)
+    assert run(tmp_path) == (2.0, 1)
+    file.write_text(RECORDS.format(inner="b: float; a: float"))
+    assert run(tmp_path) == (2.0, 0)
+
+
 def all_kernels():
     for info in pkgutil.walk_packages(bayeq.__path__, "bayeq."):
         if info.name == "bayeq.__main__":

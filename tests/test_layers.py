@@ -17,10 +17,10 @@ SOURCE = Path(bayeq.__file__).parent
 LEVELS = [
     {"errors", "files", "kernels"},
     {"expressions", "records", "posterior", "diagnostics"},
-    {"gram"},
+    {"gram", "lazy_gram"},
     {"systems", "states", "dictionary", "inference"},
     {"forecast", "report", "adapters"},
-    {"estimators", "equation", "equations", "storage", "render"},
+    {"_estimator_base", "estimators", "equation", "equations", "storage", "render"},
     {"discovery"},
     {"study"},
     {"cli_study"},

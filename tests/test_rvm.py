@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bayeq.gram import Gram
+from bayeq.inference.problem import gram_columns
 from bayeq.inference.rvm import rvm, rvm_ascent
 from tests import reference
 
@@ -11,11 +12,11 @@ from tests import reference
 def fitted(seed, **options):
     D, y, truth = reference.random_problem(np.random.default_rng(seed), **options)
     gram = Gram.from_data(D, y)
-    gamma, M, noise, _, converged = rvm_ascent(gram.DtD, gram.Dty, gram.yty, gram.dof, 10_000)
+    gamma, T, noise, _, converged = rvm_ascent(gram_columns(gram), gram.Dty, gram.yty, gram.dof, 10_000)
     assert converged
     kept = gamma > 0
     lam = np.full(len(gamma), np.inf)
-    variance = -np.diag(M)[:-1]
+    variance = -T.diagonal[:-1]
     lam[kept] = (1 - gamma[kept]) / variance[kept]
     return D, y, gram, gamma, lam / noise, noise, truth
 

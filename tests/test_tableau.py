@@ -6,12 +6,26 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import logsumexp
+from scipy.stats import beta
 
+from bayeq.errors import InputError
 from bayeq.gram import Gram
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Problem
+from bayeq.inference.problem import Columns, Problem
 from bayeq.inference.search import best_models, log_evidence, neighbours
-from bayeq.inference.tableau import build, climb, flip, flip_gain, swap_gain
+from bayeq.inference.tableau import (
+    active_block,
+    best_swap,
+    climb,
+    flip,
+    flip_gain,
+    flip_gains,
+    least_squares_rss,
+    residual_sum,
+    swap_gains,
+    swept,
+)
 from tests import reference
 
 
@@ -20,11 +34,33 @@ def problem(seed, prior=None, **options):
     return D, y, Problem.of(Gram.from_data(D, y), prior or Prior())
 
 
-def swept(p, active):
-    M = build(p.DtD, p.Dty, p.yty + 2 * p.noise_rate, 1 / p.slab_variance)
-    for j in np.flatnonzero(active):
-        flip(M, j)
+def dense_tableau(p, active):
+    """All of M by its definition, from an inverse."""
+    DtD, Dty, r = p.DtD, p.Dty, active
+    ridged = DtD + np.eye(len(Dty)) / p.slab_variance
+    inverse = np.linalg.inv(ridged[np.ix_(r, r)])
+    joint = np.column_stack([ridged, Dty])
+    M = np.block([[ridged, Dty[:, None]], [Dty[None, :], np.array([[p.yty + 2 * p.noise_rate]])]])
+    M -= joint[r].T @ inverse @ joint[r]
+    index = np.flatnonzero(r)
+    M[index] = inverse @ joint[r]
+    M[:, index] = M[index].T
+    M[np.ix_(index, index)] = -inverse
     return M
+
+
+def kept_entries(M, T):
+    """What a thin tableau keeps of M: rows of the active terms in its order, the diagonal, the column of y."""
+    return M[T.term[: T.size[0]]], np.diag(M), M[:-1, -1]
+
+
+def entries(T):
+    return T.rows[: T.size[0]], T.diagonal, T.partial
+
+
+def assert_same(T, M, **tolerance):
+    for got, expected in zip(entries(T), kept_entries(M, T), strict=True):
+        np.testing.assert_allclose(got, expected, **tolerance)
 
 
 @settings(max_examples=50, deadline=None)
@@ -38,14 +74,29 @@ def test_log_evidence_is_eq_34(seed):
 
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 10**6))
-def test_entries_are_the_posterior_of_the_model(seed):
+def test_entries_are_those_of_the_dense_tableau(seed):
     D, _, p = problem(seed)
     z = np.random.default_rng(seed).random(D.shape[1]) < 0.5
-    M = swept(p, z)
+    T, M = swept(p, z), dense_tableau(p, z)
+    assert_same(T, M, rtol=1e-7, atol=1e-11 * np.abs(M).max())
+    assert sorted(T.term[: T.size[0]]) == list(np.flatnonzero(z))
+    np.testing.assert_array_equal(T.row[T.term[: T.size[0]]], np.arange(T.size[0]))
+    index = np.flatnonzero(z)
     A = p.DtD[np.ix_(z, z)] + np.eye(z.sum()) / p.slab_variance
-    np.testing.assert_allclose(-M[:-1, :-1][np.ix_(z, z)], np.linalg.inv(A), rtol=1e-7, atol=1e-12)
-    np.testing.assert_allclose(M[:-1, -1][z], np.linalg.solve(A, p.Dty[z]), rtol=1e-7, atol=1e-12)
-    np.testing.assert_allclose(M, M.T, atol=1e-11 * np.abs(M).max())
+    np.testing.assert_allclose(active_block(T, index), np.linalg.inv(A), rtol=1e-7, atol=1e-12)
+
+
+def test_rows_that_are_computed_when_needed_are_those_of_the_whole():
+    D, _, p = problem(3, P=12)
+    centred = D - D.mean(axis=0)
+    lazy = Columns(
+        np.sum(centred**2, axis=0), np.empty((12, 12)), np.full(12, -1), np.zeros(1, dtype=np.int64), centred
+    )
+    z = np.arange(12) % 5 == 1
+    assert_same(swept(p._replace(columns=lazy), z), dense_tableau(p, z), rtol=1e-9, atol=1e-9)
+    assert lazy.used[0] == z.sum()
+    assert set(np.flatnonzero(lazy.slot >= 0)) == set(np.flatnonzero(z))
+    np.testing.assert_allclose(p._replace(columns=lazy).DtD, p.DtD, rtol=1e-10, atol=1e-9)
 
 
 @settings(max_examples=50, deadline=None)
@@ -54,19 +105,24 @@ def test_gains_of_flips_and_swaps_are_differences_of_evidence(seed):
     D, _, p = problem(seed)
     P = D.shape[1]
     z = np.random.default_rng(seed).random(P) < 0.4
-    M = swept(p, z)
+    T = swept(p, z)
     here = log_evidence(p, z)
+    flips, swaps = np.empty(P), np.empty((P, P))
+    flip_gains(p, T, flips)
+    for i in np.flatnonzero(z):
+        swap_gains(p, T, i, swaps[i])
+    assert best_swap(p, T, -np.inf)[0] == swaps[z].max(initial=-np.inf)
     for j in range(P):
         other = z.copy()
         other[j] = not z[j]
-        gain = flip_gain(p, M, z, j)
+        gain = flip_gain(p, T, j)
+        assert flips[j] == gain
         assert gain == pytest.approx(log_evidence(p, other) - here, rel=1e-7, abs=1e-7)
         for i in range(P):
             if z[i] and not z[j]:
                 other = z.copy()
                 other[i], other[j] = False, True
-                gain = swap_gain(p, M, i, j)
-                assert gain == pytest.approx(log_evidence(p, other) - here, rel=1e-7, abs=1e-7)
+                assert swaps[i, j] == pytest.approx(log_evidence(p, other) - here, rel=1e-7, abs=1e-7)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -74,18 +130,18 @@ def test_drift_stays_at_rounding_through_200_000_flips(seed):
     # factors taken from row and column instead of row alone blow up within a thousand flips here
     _, _, p = problem(seed, n=40, P=8, rho=0.9)
     active = np.zeros(8, dtype=bool)
-    M = swept(p, active)
-    size = np.abs(M).max()
+    T = swept(p, active)
+    size = np.abs(T.diagonal).max()
     for j in np.random.default_rng(seed).integers(0, 8, size=200_000):
-        flip(M, j)
+        flip(p, T, j)
         active[j] = not active[j]
-    np.testing.assert_allclose(M, swept(p, active), rtol=1e-8, atol=1e-9 * size)
+    assert_same(T, dense_tableau(p, active), rtol=1e-8, atol=1e-9 * size)
 
 
 def test_flip_returns_the_change_of_the_log_determinant():
     _, _, p = problem(4, P=6)
-    M = swept(p, np.zeros(6, dtype=bool))
-    total = flip(M, 2) + flip(M, 4) + flip(M, 2)
+    T = swept(p, np.zeros(6, dtype=bool))
+    total = flip(p, T, 2) + flip(p, T, 4) + flip(p, T, 2)
     assert total == pytest.approx(math.log(p.DtD[4, 4] + 1 / p.slab_variance), rel=1e-12)
 
 
@@ -96,8 +152,7 @@ def test_a_climb_ends_where_no_flip_or_swap_improves_and_counts_its_gain(seed):
     P = D.shape[1]
     z = np.random.default_rng(seed).random(P) < 0.5
     start = log_evidence(p, z)
-    M = swept(p, z)
-    gained = climb(p, M, z)
+    gained = climb(p, swept(p, z), z)
     top = log_evidence(p, z)
     assert top - start == pytest.approx(gained, rel=1e-7, abs=1e-6)
     for i in range(P):
@@ -142,3 +197,39 @@ def test_forced_and_forbidden_terms():
         assert not model[6]
     for move in neighbours(p, best_models(p)[0][1]):
         assert {move.leaves, move.enters}.isdisjoint({2, 6})
+
+
+def test_residual_sum_of_many_terms_is_that_of_the_kernel():
+    rng = np.random.default_rng(0)
+    D = rng.normal(size=(400, 150))
+    y = D @ rng.normal(size=150) + rng.normal(size=400)
+    for columns in (D, np.column_stack([D, D[:, :5] @ rng.normal(size=(5, 3))])):
+        p = Problem.of(Gram.from_data(columns, y), Prior())
+        by_kernel = least_squares_rss(p.DtD, p.Dty, p.yty)
+        assert residual_sum(p.columns, p.Dty, p.yty, p.dof) == pytest.approx(by_kernel, rel=1e-8)
+    assert residual_sum(p.columns, p.Dty, p.yty, 100.0) == 0.0
+
+
+def test_beta_binomial_evidence_is_the_integral_over_p0():
+    # ln of the integral of p(y, z | p_0) Beta(p_0; a, b) over p_0, by quadrature
+    D, y, p = problem(5, Prior(prior_inclusion=0.3, inclusion_beta=(1.5, 4.0)), P=7)
+    grid = (np.arange(20_000) + 0.5) / 20_000
+    for seed in range(5):
+        z = np.random.default_rng(seed).random(7) < 0.5
+        given_p0 = [
+            reference.log_evidence(D, y, z, v_s=10.0, p0=float(p0), a=1e-4, b=1e-4, N=len(y) - 1) for p0 in grid[::20]
+        ]
+        density = beta(1.5, 4.0).logpdf(grid[::20])
+        expected = logsumexp(np.array(given_p0) + density) - math.log(len(density))
+        assert log_evidence(p, z) == pytest.approx(expected, abs=2e-3)
+
+
+def test_beta_binomial_leaves_forced_and_forbidden_terms_out_of_the_count():
+    inclusion = np.array([1.0, 0.0, 0.3, 0.3, 0.3])
+    prior = Prior(prior_inclusion=inclusion, inclusion_beta=(2.0, 3.0))
+    # 2^-3 stands for log-odds of 0 of the free terms; all models over them together have probability 1
+    total = sum(math.comb(3, k) * math.exp(prior.size_prior(5)[1 + k] - 3 * math.log(2)) for k in range(4))
+    assert total == pytest.approx(1.0, rel=1e-12)
+    assert prior.log_odds(5).tolist() == [math.inf, -math.inf, 0.0, 0.0, 0.0]
+    with pytest.raises(InputError, match="inclusion_beta"):
+        Prior(inclusion_beta=(1.0, -2.0)).validate(5)

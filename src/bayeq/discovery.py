@@ -172,8 +172,8 @@ def discover(
         data=DataSummary(
             files=tuple(piece.name for piece in pieces),
             n=sum(piece.n for piece in pieces),
-            n_train=design.train[0].n,
-            n_held_out=design.held_out[0].n if design.held_out else 0,
+            n_train=round(design.train[0].n),
+            n_held_out=round(design.held_out[0].n) if design.held_out else 0,
             estimated=states[0].estimated,
         ),
         dropped=design.dropped,
@@ -366,4 +366,4 @@ def _residual(target: str, design: Design, posterior: Posterior, piece: Mapping[
 
 def _fit(gram: Gram, posterior: Posterior) -> Fit:
     share = gram.squared_error(posterior.coef, posterior.intercept) / gram.yty if gram.yty > 0 else 1.0
-    return Fit(n=gram.n, r2=1.0 - share, nrmse=math.sqrt(share))
+    return Fit(n=round(gram.n), r2=1.0 - share, nrmse=math.sqrt(share))

@@ -7,110 +7,30 @@ units of D and y. The prior applies in the units of y, as in the paper.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, Self
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from bayeq._estimator_base import Floats, Read, SparseRegressor, SpikeSlabRegressor
+from bayeq.adapters.arviz import to_arviz
 from bayeq.errors import InputError
 from bayeq.gram import Gram, GramLike
 from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.gibbs import spike_slab_gibbs
-from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Problem
 from bayeq.inference.rvm import rvm
 from bayeq.inference.stlsq import stlsq
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.posterior import Posterior
+from bayeq.lazy_gram import LazyGram
+from bayeq.posterior import Draws, Posterior
 
 __all__ = ["RVM", "STLSQ", "SpikeSlabBMA", "SpikeSlabGibbs", "SpikeSlabVB"]
 
-Floats = NDArray[np.float64]
 
-
-class _SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
-    """What all estimators share: data in, engine, fitted attributes out."""
-
-    posterior_: Posterior
-
-    def _engine(self, gram: GramLike) -> Posterior:
-        raise NotImplementedError
-
-    def _solve(self, gram: Gram) -> Posterior:
-        standard = gram.standardise()
-        return standard.restore(self._engine(standard.gram))
-
-    def _validated(self, D: Any, y: Any) -> tuple[Floats, Floats]:
-        """The data as scikit-learn validates them; arrays of the right type and shape need less of it."""
-        if (
-            type(D) is type(y) is np.ndarray
-            and D.dtype == y.dtype == np.float64
-            and D.ndim == 2
-            and y.ndim == 1
-            and D.shape[1] > 0
-            and len(D) == len(y) > 1
-        ):
-            self.n_features_in_ = D.shape[1]
-            if hasattr(self, "feature_names_in_"):
-                del self.feature_names_in_
-            return D, y
-        D, y = validate_data(self, D, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2)
-        return D, y
-
-    def fit(self, D: ArrayLike, y: ArrayLike) -> Self:
-        """Fit to a dictionary matrix D (n, P) and a target y (n,).
-
-        Raises
-        ------
-        ValueError
-            Shapes that do not match, non-finite values, or parameters out of range.
-        """
-        D, y = self._validated(D, y)
-        try:
-            gram = Gram.from_data(D, y, getattr(self, "feature_names_in_", None))
-        except InputError:
-            # values that are not finite, in scikit-learn's own words
-            validate_data(self, D, y, dtype=np.float64, y_numeric=True)
-            raise
-        posterior = self._solve(gram)
-        self.posterior_ = posterior
-        self.coef_ = posterior.coef
-        self.intercept_ = posterior.intercept
-        self.pip_ = posterior.pip
-        self.support_ = posterior.support
-        self.covariance_ = posterior.covariance
-        self.noise_variance_ = posterior.noise_variance
-        self.n_iter_ = posterior.n_iter
-        return self
-
-    def predict(self, D: ArrayLike, return_std: bool = False) -> Any:
-        """Predictive mean (29), and with `return_std` the predictive standard deviation (30), at rows of D."""
-        check_is_fitted(self)
-        D = validate_data(self, D, dtype=np.float64, reset=False)
-        mean = self.posterior_.predict(D)
-        return (mean, self.posterior_.predictive_sd(D)) if return_std else mean
-
-    def __sklearn_tags__(self) -> Any:
-        tags = super().__sklearn_tags__()
-        tags.regressor_tags.poor_score = True  # a sparse prior rightly refuses dense test problems
-        return tags
-
-
-class _SpikeSlabRegressor(_SparseRegressor):
-    """An estimator with the spike-and-slab prior among its parameters."""
-
-    slab_variance: float
-    prior_inclusion: ArrayLike
-    noise_shape: float
-    noise_rate: float
-
-    def _prior(self) -> Prior:
-        return Prior(self.slab_variance, self.prior_inclusion, self.noise_shape, self.noise_rate)
-
-
-class SpikeSlabVB(_SpikeSlabRegressor):
+class SpikeSlabVB(SpikeSlabRegressor):
     """Sparse linear regression by variational Bayes with spike-and-slab priors.
 
     Parameters
@@ -121,12 +41,17 @@ class SpikeSlabVB(_SpikeSlabRegressor):
         p_0; 1 forces a term in, 0 keeps it out.
     noise_shape, noise_rate : float
         a_sigma, b_sigma of the inverse-Gamma prior of the noise variance, in squared units of y.
+    inclusion_beta : (a, b), optional
+        Take p_0 as unknown, Beta(a, b): a beta-binomial prior of the number of terms. (1, P) suits large dictionaries.
     init : "search", "rvm" or (P,) array
         Start of the ascent: several points, keeping the highest ELBO; the paper's RVM start; or given w.
     tol : float
         Stop when the ELBO rises by less.
     max_iter : int
         Limit on the sweeps.
+    covariance : "mean-field" or "lrvb"
+        covariance_ as the factorised posterior states it, or by linear response: it then also holds what undecided
+        terms (those whose pip_ is neither 0 nor 1) leave open, and is the same where there are none.
 
     Attributes
     ----------
@@ -145,11 +70,17 @@ class SpikeSlabVB(_SpikeSlabRegressor):
     elbo_trace_ : (n_iter_,) array
     n_iter_ : int
     posterior_ : Posterior
+    posteriors_ : tuple of Posterior
+        One per target. These are the shapes of one target; `fit` says what they are for several, which have no
+        `posterior_`.
 
     References
     ----------
     R. Nayek, K. Worden, E. J. Cross, Equation Discovery Using an Efficient Variational Bayesian Approach with
     Spike-and-Slab Priors.
+
+    R. Giordano, T. Broderick, M. I. Jordan (2018), Covariances, Robustness, and Variational Bayes, Journal of Machine
+    Learning Research 19 (linear response).
 
     Examples
     --------
@@ -167,36 +98,44 @@ class SpikeSlabVB(_SpikeSlabRegressor):
         prior_inclusion: ArrayLike = 0.1,
         noise_shape: float = 1e-4,
         noise_rate: float = 1e-4,
+        inclusion_beta: tuple[float, float] | None = None,
         init: Literal["search", "rvm"] | Floats = "search",
         tol: float = 1e-6,
         max_iter: int = 1000,
+        covariance: Literal["mean-field", "lrvb"] = "mean-field",
     ) -> None:
         self.slab_variance = slab_variance
         self.prior_inclusion = prior_inclusion
         self.noise_shape = noise_shape
         self.noise_rate = noise_rate
+        self.inclusion_beta = inclusion_beta
         self.init = init
         self.tol = tol
         self.max_iter = max_iter
+        self.covariance = covariance
 
     def _engine(self, gram: GramLike) -> Posterior:
-        return spike_slab_vb(gram, self._prior(), init=self.init, tolerance=self.tol, max_iter=self.max_iter)
+        return spike_slab_vb(
+            gram,
+            self._prior(),
+            init=self.init,
+            tolerance=self.tol,
+            max_iter=self.max_iter,
+            covariance=self.covariance,
+        )
 
-    def fit(self, D: ArrayLike, y: ArrayLike) -> Self:
-        super().fit(D, y)
-        self.elbo_ = self.posterior_.elbo
-        self.elbo_trace_ = self.posterior_.elbo_trace
-        return self
-
-    fit.__doc__ = _SparseRegressor.fit.__doc__
+    def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:
+        super()._keep(grams, read)
+        self.elbo_ = read("elbo")
+        self.elbo_trace_ = read("elbo_trace", listed=True)
 
 
-class SpikeSlabGibbs(_SpikeSlabRegressor):
+class SpikeSlabGibbs(SpikeSlabRegressor):
     """Sparse linear regression by collapsed Gibbs sampling with spike-and-slab priors.
 
     Parameters
     ----------
-    slab_variance, prior_inclusion, noise_shape, noise_rate
+    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta
         The prior, as in `SpikeSlabVB`.
     chains, samples, burn_in : int
         The paper's 4 chains of 5000 samples, the first 1000 left out.
@@ -217,7 +156,7 @@ class SpikeSlabGibbs(_SpikeSlabRegressor):
         Multivariate potential scale reduction factor of the coefficients (Brooks and Gelman 1998).
     draws_ : Draws
         Samples of z, theta (original units) and sigma^2.
-    intercept_, support_, noise_variance_, n_iter_, posterior_
+    intercept_, support_, noise_variance_, n_iter_, posterior_, posteriors_
         As in `SpikeSlabVB`.
     """
 
@@ -227,6 +166,7 @@ class SpikeSlabGibbs(_SpikeSlabRegressor):
         prior_inclusion: ArrayLike = 0.1,
         noise_shape: float = 1e-4,
         noise_rate: float = 1e-4,
+        inclusion_beta: tuple[float, float] | None = None,
         chains: int = 4,
         samples: int = 5000,
         burn_in: int = 1000,
@@ -237,6 +177,7 @@ class SpikeSlabGibbs(_SpikeSlabRegressor):
         self.prior_inclusion = prior_inclusion
         self.noise_shape = noise_shape
         self.noise_rate = noise_rate
+        self.inclusion_beta = inclusion_beta
         self.chains = chains
         self.samples = samples
         self.burn_in = burn_in
@@ -254,23 +195,56 @@ class SpikeSlabGibbs(_SpikeSlabRegressor):
             seed=self.random_state,
         )
 
-    def fit(self, D: ArrayLike, y: ArrayLike) -> Self:
-        super().fit(D, y)
-        self.averaged_coef_ = self.posterior_.averaged_coef
-        self.averaged_sd_ = self.posterior_.averaged_sd
-        self.rhat_ = self.posterior_.rhat
-        self.draws_ = self.posterior_.draws
-        return self
+    def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:
+        super()._keep(grams, read)
+        self.averaged_coef_ = read("averaged_coef")
+        self.averaged_sd_ = read("averaged_sd")
+        self.rhat_ = read("rhat")
+        self.draws_ = read("draws", listed=True)
 
-    fit.__doc__ = _SparseRegressor.fit.__doc__
+    def to_arviz(
+        self,
+        D: ArrayLike | None = None,
+        y: ArrayLike | None = None,
+        *,
+        target: int | None = None,
+        random_state: int | Sequence[int] = 0,
+    ) -> Any:
+        """The draws as ArviZ keeps them, for its summaries, plots and files.
+
+        Parameters
+        ----------
+        D : (n, P) array or DataFrame, optional
+            Rows at which y is drawn from the posterior predictive distribution: a number per chain, sample and row.
+        y : (n,) array, optional
+            What was observed there.
+        target : int, optional
+            Which target, of a fit to several.
+        random_state : int or sequence of int
+            Seed of the draws of the intercept and of y.
+
+        Returns
+        -------
+        InferenceData, or DataTree from ArviZ 1.0 on
+            As `bayeq.adapters.arviz.to_arviz` says.
+
+        Raises
+        ------
+        MissingExtraError
+            ArviZ is not installed.
+        """
+        k = self._target(target)
+        if D is not None:
+            D = validate_data(self, D, dtype=np.float64, reset=False)
+        return to_arviz(self.posteriors_[k], D=D, y=y, rng=np.random.default_rng(random_state))
 
 
-class SpikeSlabBMA(_SpikeSlabRegressor):
+class SpikeSlabBMA(SpikeSlabRegressor):
     """Sparse linear regression by Bayesian model averaging with spike-and-slab priors: exact weights, no sampling.
 
     Parameters
     ----------
-    slab_variance, prior_inclusion, noise_shape, noise_rate
+    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta
         The prior, as in `SpikeSlabVB`.
     tolerance : float
         Posterior mass that the search over models may leave out.
@@ -287,7 +261,7 @@ class SpikeSlabBMA(_SpikeSlabRegressor):
         Over all models, zeros included.
     average_ : ModelAverage
         The models with their probabilities, the mass left out and the covariance over all models.
-    intercept_, support_, noise_variance_, n_iter_, posterior_
+    intercept_, support_, noise_variance_, n_iter_, posterior_, posteriors_
         As in `SpikeSlabVB`.
 
     References
@@ -312,6 +286,7 @@ class SpikeSlabBMA(_SpikeSlabRegressor):
         prior_inclusion: ArrayLike = 0.1,
         noise_shape: float = 1e-4,
         noise_rate: float = 1e-4,
+        inclusion_beta: tuple[float, float] | None = None,
         tolerance: float = 5e-3,
         enumerate_up_to: int = 14,
     ) -> None:
@@ -319,24 +294,30 @@ class SpikeSlabBMA(_SpikeSlabRegressor):
         self.prior_inclusion = prior_inclusion
         self.noise_shape = noise_shape
         self.noise_rate = noise_rate
+        self.inclusion_beta = inclusion_beta
         self.tolerance = tolerance
         self.enumerate_up_to = enumerate_up_to
-
-    def _solve(self, gram: Gram) -> Posterior:
-        self._standard = gram.standardise()
-        return self._standard.restore(self._engine(self._standard.gram))
 
     def _engine(self, gram: GramLike) -> Posterior:
         return spike_slab_bma(gram, self._prior(), tolerance=self.tolerance, enumerate_up_to=self.enumerate_up_to)
 
-    def fit(self, D: ArrayLike, y: ArrayLike) -> Self:
-        super().fit(D, y)
-        self.averaged_coef_ = self.posterior_.averaged_coef
-        self.averaged_sd_ = self.posterior_.averaged_sd
-        self.average_ = self.posterior_.average
-        return self
+    def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:
+        super()._keep(grams, read)
+        self.averaged_coef_ = read("averaged_coef")
+        self.averaged_sd_ = read("averaged_sd")
+        self.average_ = read("average", listed=True)
+        # what `sample` draws from: parameters may be set anew, and arrays written to, before the next fit
+        prior = self._prior()
+        self._sampled = (grams, replace(prior, prior_inclusion=np.array(prior.prior_inclusion, dtype=np.float64)))
 
-    fit.__doc__ = _SparseRegressor.fit.__doc__
+    def _draw(self, target: int, n: int, rng: np.random.Generator) -> tuple[Floats, Floats, NDArray[np.intp]]:
+        """theta (n, P), sigma^2 (n,) and the model (n,) of each draw."""
+        grams, prior = self._sampled
+        standard = grams[target].standardise()
+        average = self.posteriors_[target].average
+        assert average is not None
+        theta, noise, which = sample_average(Problem.of(standard.gram, prior), average, n, rng)
+        return theta / standard.scale, noise, which
 
     def sample(self, n: int = 1000, random_state: int | Sequence[int] = 0) -> tuple[Floats, Floats]:
         """Independent draws from the exact mixture over models.
@@ -351,18 +332,70 @@ class SpikeSlabBMA(_SpikeSlabRegressor):
         Returns
         -------
         theta, noise_variance : (n, P) array, (n,) array
-            Coefficients, 0 for a term that is not in the draw's model, in original units.
+            Coefficients, 0 for a term that is not in the draw's model, in original units; of shape (n, T, P) and (n, T)
+            after a fit to y of shape (n, T).
         """
-        check_is_fitted(self)
-        problem = Problem.of(self._standard.gram, self._prior())
+        check_is_fitted(self, "coef_")
         rng = np.random.default_rng(random_state)
-        average = self.posterior_.average
+        draws = [self._draw(k, n, rng)[:2] for k in range(len(self.posteriors_))]
+        if self.coef_.ndim == 1:
+            return draws[0]
+        return np.stack([theta for theta, _ in draws], axis=1), np.stack([noise for _, noise in draws], axis=1)
+
+    def to_arviz(
+        self,
+        D: ArrayLike | None = None,
+        y: ArrayLike | None = None,
+        *,
+        draws: int = 1000,
+        target: int | None = None,
+        random_state: int | Sequence[int] = 0,
+    ) -> Any:
+        """Independent draws as ArviZ keeps them, for its summaries, plots and files.
+
+        Parameters
+        ----------
+        D : (n, P) array or DataFrame, optional
+            Rows at which y is drawn from the posterior predictive distribution: a number per draw and row.
+        y : (n,) array, optional
+            What was observed there.
+        draws : int
+            Number of draws, as one chain.
+        target : int, optional
+            Which target, of a fit to several.
+        random_state : int or sequence of int
+            Seed.
+
+        Returns
+        -------
+        InferenceData, or DataTree from ArviZ 1.0 on
+            As `bayeq.adapters.arviz.to_arviz` says; among the ``sample_stats`` also ``model``, the row of
+            `average_.models` that a draw is from, and ``lp`` is the logarithm of its probability.
+
+        Raises
+        ------
+        MissingExtraError
+            ArviZ is not installed.
+        """
+        k = self._target(target)
+        if D is not None:
+            D = validate_data(self, D, dtype=np.float64, reset=False)
+        rng = np.random.default_rng(random_state)
+        theta, noise, which = self._draw(k, draws, rng)
+        posterior = self.posteriors_[k]
+        average = posterior.average
         assert average is not None
-        theta, noise, _ = sample_average(problem, average, n, rng)
-        return theta / self._standard.scale, noise
+        chain = Draws(
+            z=average.models[which][None],
+            theta=theta[None],
+            noise_variance=noise[None],
+            log_posterior=np.log(average.probability[which])[None],
+            pip=posterior.pip[None],
+        )
+        return to_arviz(posterior, chain, D=D, y=y, rng=rng, statistics={"model": which[None]})
 
 
-class STLSQ(_SparseRegressor):
+class STLSQ(SparseRegressor):
     """Sequentially thresholded least squares (SINDy).
 
     Parameters
@@ -382,7 +415,7 @@ class STLSQ(_SparseRegressor):
     ----------
     pip_ : (P,) array
         1 for a term that is in, 0 for one that is out: there are no probabilities.
-    coef_, intercept_, support_, covariance_, noise_variance_, n_iter_, posterior_
+    coef_, intercept_, support_, covariance_, noise_variance_, n_iter_, posterior_, posteriors_
         As in `SpikeSlabVB`.
 
     References
@@ -405,7 +438,7 @@ class STLSQ(_SparseRegressor):
         self.fit_intercept = fit_intercept
         self.max_iter = max_iter
 
-    def _solve(self, gram: Gram) -> Posterior:
+    def _solve(self, gram: Gram | LazyGram) -> Posterior:
         if self.standardise and not self.fit_intercept:
             raise InputError("standardised columns are centred: they go with fit_intercept=True")
         return super()._solve(gram) if self.standardise else self._engine(gram)
@@ -416,7 +449,7 @@ class STLSQ(_SparseRegressor):
         )
 
 
-class RVM(_SparseRegressor):
+class RVM(SparseRegressor):
     """Relevance vector machine: Student-t sparsity by automatic relevance determination.
 
     Parameters
@@ -428,7 +461,7 @@ class RVM(_SparseRegressor):
     ----------
     pip_ : (P,) array
         gamma_i = 1 - alpha_i Sigma_ii, how well the data determine each weight: not a probability.
-    coef_, intercept_, support_, covariance_, noise_variance_, n_iter_, posterior_
+    coef_, intercept_, support_, covariance_, noise_variance_, n_iter_, posterior_, posteriors_
         As in `SpikeSlabVB`; every term left in the machine is in the support.
 
     References

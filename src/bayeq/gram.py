@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,7 @@ from bayeq.errors import InputError
 from bayeq.kernels import kernel
 from bayeq.posterior import Posterior
 
-__all__ = ["Gram", "GramLike", "Standardised", "dense", "grams_from_blocks"]
+__all__ = ["Gram", "GramLike", "Standardised", "checked_weights", "dense", "grams_from_blocks", "grams_from_data"]
 
 Floats = NDArray[np.float64]
 
@@ -67,8 +67,8 @@ class Gram:
     ----------
     names : tuple of str
         The P columns of the dictionary.
-    n : int
-        Number of rows.
+    n : float
+        Number of rows: an int, or the sum of their weights.
     mean : (P,) array
         Column means of D.
     target_mean : float
@@ -96,7 +96,7 @@ class Gram:
     """
 
     names: tuple[str, ...]
-    n: int
+    n: float
     mean: Floats
     target_mean: float
     DtD: Floats
@@ -105,22 +105,31 @@ class Gram:
     dof: float
 
     @classmethod
-    def from_data(cls, D: ArrayLike, y: ArrayLike, names: Sequence[str] | None = None) -> Gram:
+    def from_data(
+        cls, D: ArrayLike, y: ArrayLike, names: Sequence[str] | None = None, weights: ArrayLike | None = None
+    ) -> Gram:
         """Build from a dictionary matrix (n, P) and a target (n,).
+
+        Parameters
+        ----------
+        D, y : (n, P) array, (n,) array
+            The rows.
+        names : sequence of str, optional
+            The P columns; by default x0, x1 ...
+        weights : (n,) array, optional
+            How often each row counts: k is the row k times over, 0 leaves it out. The count n of the Gram is their
+            sum, so where they state noise ratios (proportional to 1/variance), scale them to sum to the number of
+            rows.
 
         Raises
         ------
         InputError
-            Shapes that do not match, no rows, or non-finite values.
+            Shapes that do not match, no rows, non-finite values, or weights that are negative, not finite or all zero.
         """
-        D = np.asarray(D, dtype=np.float64)
         y = np.asarray(y, dtype=np.float64)
-        if D.ndim != 2 or y.ndim != 1 or len(D) != len(y):
-            raise InputError(f"need D of shape (n, P) and y of shape (n,), got {D.shape} and {y.shape}")
-        columns = tuple(names) if names is not None else tuple(f"x{j}" for j in range(D.shape[1]))
-        starts = range(0, len(D), BLOCK_ROWS)
-        blocks = ((D[i : i + BLOCK_ROWS], y[i : i + BLOCK_ROWS, None]) for i in starts)
-        return grams_from_blocks(blocks, columns)[0]
+        if y.ndim != 1:
+            raise InputError(f"need D of shape (n, P) and y of shape (n,), got {np.shape(D)} and {y.shape}")
+        return grams_from_data(D, y[:, None], names, weights)[0]
 
     def __add__(self, other: Gram) -> Gram:
         """Statistics of both sets of rows together."""
@@ -213,10 +222,10 @@ class Gram:
 
 @dataclass(frozen=True, slots=True)
 class Standardised:
-    """A standardised Gram and the way back to the original units."""
+    """A standardised Gram (or `LazyGram`) and the way back to the original units."""
 
-    gram: Gram
-    source: Gram
+    gram: Any
+    source: Any
     scale: Floats
     target_scale: float
 
@@ -240,6 +249,8 @@ class Standardised:
         draws, average = posterior.draws, posterior.average
         return replace(
             posterior,
+            # engines see the degrees of freedom only, and round
+            n=self.source.n,
             coef=posterior.coef * factor,
             covariance=posterior.covariance * kept[:, None] * kept,
             center=self.source.mean,
@@ -264,7 +275,7 @@ class Standardised:
 class _Moments:
     """Count, means and centred co-moments of the columns [D Y]."""
 
-    n: int
+    n: float
     mean: Floats
     cross: Floats
 
@@ -348,6 +359,23 @@ def _block_moments(D: Floats, Y: Floats) -> _Moments:
     return _Moments(n, mean + rest / n, cross)
 
 
+def _weighted_moments(D: Floats, Y: Floats, weights: Floats) -> _Moments:
+    """`_block_moments` of rows that count `weights` (all above 0) times."""
+    n = float(weights.sum())
+    with np.errstate(over="ignore", invalid="ignore"):
+        z = np.concatenate([D, Y], axis=1)
+        # from the first row on, so that a constant column has exactly no variance
+        first = z[0].copy()
+        z -= first
+        mean = weights @ z / n
+        z -= mean
+        rest = weights @ z
+        z *= np.sqrt(weights)[:, None]
+        cross = z.T @ z
+        cross -= np.outer(rest, rest / n)
+    return _Moments(n, first + (mean + rest / n), cross)
+
+
 def _merge(a: _Moments, b: _Moments) -> _Moments:
     n = a.n + b.n
     delta = b.mean - a.mean
@@ -358,19 +386,35 @@ def _merge(a: _Moments, b: _Moments) -> _Moments:
 def _from_moments(moments: _Moments, names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
     p = len(names)
     DtD = np.ascontiguousarray(moments.cross[:p, :p])
+    # weights that count rows give a whole number
+    n = int(moments.n) if moments.n == int(moments.n) else moments.n
     return tuple(
         Gram(
             names=names,
-            n=moments.n,
+            n=n,
             mean=moments.mean[:p],
             target_mean=float(moments.mean[p + k]),
             DtD=DtD,
             Dty=moments.cross[:p, p + k].copy(),
             yty=float(moments.cross[p + k, p + k]),
-            dof=float(moments.n - 1),
+            dof=float(n - 1),
         )
         for k in range(targets)
     )
+
+
+def _joined(parts: Iterable[_Moments], names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
+    """The Grams of the moments of all parts together."""
+    total: _Moments | None = None
+    for part in parts:
+        total = part if total is None else _merge(total, part)
+    if total is None:
+        raise InputError("no rows: a Gram needs at least one")
+    bad = np.flatnonzero(~np.isfinite(np.diagonal(total.cross)))
+    if bad.size:
+        labels = [*names, *(["the target"] * targets)]
+        raise InputError(f"non-finite values (or squares that overflow) in {', '.join(labels[j] for j in bad[:8])}")
+    return _from_moments(total, names, targets)
 
 
 def grams_from_blocks(
@@ -392,16 +436,44 @@ def grams_from_blocks(
     InputError
         No rows at all, or values that are not finite (or overflow when squared).
     """
-    columns = tuple(names)
-    total: _Moments | None = None
-    for D, Y in blocks:
-        if len(D):
-            block = _block_moments(D, Y)
-            total = block if total is None else _merge(total, block)
-    if total is None:
-        raise InputError("no rows: a Gram needs at least one")
-    bad = np.flatnonzero(~np.isfinite(np.diagonal(total.cross)))
+    return _joined((_block_moments(D, Y) for D, Y in blocks if len(D)), tuple(names), targets)
+
+
+def grams_from_data(
+    D: ArrayLike, Y: ArrayLike, names: Sequence[str] | None = None, weights: ArrayLike | None = None
+) -> tuple[Gram, ...]:
+    """One `Gram` per column of Y (n, T), all of which share D'D; otherwise as `Gram.from_data`.
+
+    Raises
+    ------
+    InputError
+        As `Gram.from_data`.
+    """
+    D = np.asarray(D, dtype=np.float64)
+    Y = np.asarray(Y, dtype=np.float64)
+    if D.ndim != 2 or Y.ndim != 2 or len(D) != len(Y):
+        raise InputError(f"need D of shape (n, P) and a target of as many rows, got {D.shape} and {Y.shape}")
+    columns = tuple(names) if names is not None else tuple(f"x{j}" for j in range(D.shape[1]))
+    if weights is None:
+        starts = range(0, len(D), BLOCK_ROWS)
+        blocks = (_block_moments(D[i : i + BLOCK_ROWS], Y[i : i + BLOCK_ROWS]) for i in starts)
+        return _joined(blocks, columns, Y.shape[1])
+    w = checked_weights(weights, len(D))
+    kept = w > 0.0
+    if not kept.all():
+        D, Y, w = D[kept], Y[kept], w[kept]
+    rows = (slice(i, i + BLOCK_ROWS) for i in range(0, len(D), BLOCK_ROWS))
+    return _joined((_weighted_moments(D[r], Y[r], w[r]) for r in rows), columns, Y.shape[1])
+
+
+def checked_weights(weights: ArrayLike, rows: int) -> Floats:
+    """Weights of `rows` rows as an array, or an `InputError` that says what is wrong with them."""
+    w = np.asarray(weights, dtype=np.float64)
+    if w.shape != (rows,):
+        raise InputError(f"need one weight per row, shape ({rows},), got shape {w.shape}")
+    bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0.0)))
     if bad.size:
-        labels = [*columns, *(["the target"] * targets)]
-        raise InputError(f"non-finite values (or squares that overflow) in {', '.join(labels[j] for j in bad[:8])}")
-    return _from_moments(total, columns, targets)
+        raise InputError(f"weights must be finite and not negative: weights[{bad[0]}] is {w[bad[0]]:g}")
+    if rows and not w.any():
+        raise InputError("weights are all zero: no row is left; give at least one a positive weight")
+    return w

@@ -2,7 +2,8 @@
 
 numba's own file cache looks only at the file of the function itself, so that an edited callee in another
 file leaves a stale caller behind. Here the key of a kernel is a digest of its code, of the global constants
-it uses and, recursively, of the kernels it calls: whatever changes the result changes the key.
+it uses, of the layout of the NamedTuples it takes and, recursively, of the kernels it calls: whatever changes
+the result changes the key.
 """
 
 from __future__ import annotations
@@ -10,9 +11,10 @@ from __future__ import annotations
 import dis
 import hashlib
 import marshal
+import sys
 from collections.abc import Callable
 from types import CodeType, ModuleType
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import numba
 import numpy as np
@@ -33,8 +35,22 @@ def _global_names(code: CodeType) -> set[str]:
     return {i.argval for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"}
 
 
+def _layout(cls: type) -> str:
+    """Fields of a NamedTuple, in order, with those of the NamedTuples among them."""
+    space = vars(sys.modules[cls.__module__])
+    fields = []
+    for name, annotation in cls.__annotations__.items():
+        inner = annotation if isinstance(annotation, type) else space.get(str(annotation))
+        fields.append(f"{name}:{_layout(inner) if _is_record(inner) else annotation}")
+    return f"{cls.__name__}({','.join(fields)})"
+
+
+def _is_record(value: object) -> TypeGuard[type]:
+    return isinstance(value, type) and issubclass(value, tuple) and hasattr(value, "_fields")
+
+
 def kernel_digest(function: Callable[..., Any]) -> str:
-    """Digest of a function's code, the constants it reads and the kernels it calls (recursively)."""
+    """Digest of a function's code, the constants it reads, the records it takes and the kernels it calls."""
     function = getattr(function, "py_func", function)
     seen: set[int] = set()
     sha = hashlib.sha256()
@@ -45,12 +61,18 @@ def kernel_digest(function: Callable[..., Any]) -> str:
         seen.add(id(f))
         sha.update(_bare(f.__code__))
         sha.update(repr(f.__defaults__).encode())
+        for annotation in f.__annotations__.values():
+            record = annotation if isinstance(annotation, type) else f.__globals__.get(str(annotation))
+            if _is_record(record):
+                sha.update(_layout(record).encode())
         for name in sorted(_global_names(f.__code__)):
             value = f.__globals__.get(name)
             sha.update(name.encode())
             compiled = getattr(value, "py_func", None)
             if compiled is not None:
                 visit(compiled)
+            elif _is_record(value):
+                sha.update(_layout(value).encode())
             elif isinstance(value, np.ndarray):
                 sha.update(value.tobytes())
             elif value is not None and not isinstance(value, ModuleType) and not callable(value):

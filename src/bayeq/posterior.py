@@ -50,7 +50,7 @@ class ModelAverage:
     left_out : float
         Estimate, erring upwards, of the posterior mass of all other models.
     terms : (Q,) int array
-        Terms that are in at least one of the models.
+        Terms that are in at least one of the models (the likeliest thousand, if there are more).
     covariance : (Q, Q) array
         Posterior covariance of the coefficients of these terms over all models: within and between.
     """
@@ -77,12 +77,15 @@ class ModelAverage:
         list of (terms, probability)
             The members of each group and the probability that at least one of them is in.
         """
-        joint = self.joint_inclusion()
-        pip = np.diagonal(joint)
+        pip = self.probability @ self.models
         undecided = np.flatnonzero((pip > least) & (pip < 1.0 - least))
+        chosen = self.models[:, undecided]
+        joint = (chosen * self.probability[:, None]).T @ chosen.astype(np.float64)
+        apart = joint < 0.5 * np.outer(pip[undecided], pip[undecided])
+        np.fill_diagonal(apart, False)
         groups: list[set[int]] = []
-        for a in undecided:
-            linked = {int(b) for b in undecided if b != a and joint[a, b] < 0.5 * pip[a] * pip[b]}
+        for a, row in zip(undecided, apart, strict=True):
+            linked = {int(b) for b in undecided[row]}
             if linked:
                 touched = [g for g in groups if g & (linked | {int(a)})]
                 merged = {int(a)}.union(linked, *touched)
@@ -117,8 +120,8 @@ class Posterior:
         Means of the columns and of the target, from which the intercept follows.
     noise_variance : float
         Posterior estimate of sigma^2.
-    n : int
-        Rows that the posterior was computed from.
+    n : float
+        Rows that the posterior was computed from: an int, or the sum of their weights.
     elbo : float or None
         Evidence lower bound, where there is one.
     elbo_trace : (n_iter,) array
@@ -151,7 +154,7 @@ class Posterior:
     center: Floats
     target_mean: float
     noise_variance: float
-    n: int
+    n: float
     elbo: float | None = None
     elbo_trace: Floats = field(default_factory=lambda: np.empty(0))
     n_iter: int = 0

@@ -6,14 +6,24 @@ from dataclasses import replace
 
 from bayeq.gram import GramLike
 from bayeq.inference.bma import spike_slab_bma
+from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.posterior import Posterior
 
 __all__ = ["spike_slab_auto"]
 
+# The ascent of VB also starts from so many of the best models.
+VB_STARTS = 3
 
-def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: float = 5e-3) -> Posterior:
+# If the models listed leave out more than this share of the mass, chains of so many samples say more; fewer samples for
+# many terms.
+MOST_LEFT_OUT = 0.02
+SAMPLES = 5000
+SAMPLED_TERMS = 10_000_000
+
+
+def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: float = 5e-3, seed: int = 0) -> Posterior:
     """SS-VB and model averaging together.
 
     Parameters
@@ -24,16 +34,23 @@ def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: fl
         By default the paper's.
     tolerance : float
         Posterior mass that the averaging may leave out.
+    seed : int
+        Of the chains that take the place of the averaging where the mass is spread over too many models to list.
 
     Returns
     -------
     Posterior
         From model averaging: `pip`, `support` (the median probability model), `coef` and `covariance` (exact given
         that model), `averaged_coef`, `averaged_sd`, `noise_variance`, `average`. From variational Bayes: `elbo`,
-        `elbo_trace`, and `optimum`, the terms at its optimum.
+        `elbo_trace`, and `optimum`, the terms at its optimum. If the models listed leave out more than 2 % of the mass,
+        collapsed Gibbs sampling gives what averaging would have; `average` is then None and `rhat` is not.
     """
-    vb = spike_slab_vb(gram, prior)
     bma = spike_slab_bma(gram, prior, tolerance=tolerance)
+    assert bma.average is not None
+    vb = spike_slab_vb(gram, prior, models=list(bma.average.models[:VB_STARTS]))
+    if bma.average.left_out > MOST_LEFT_OUT:
+        samples = min(SAMPLES, max(500, SAMPLED_TERMS // len(gram.names)))
+        bma = spike_slab_gibbs(gram, prior, samples=samples, burn_in=samples // 5, seed=seed, keep_draws=False)
     return replace(
         bma,
         method="auto",

@@ -13,9 +13,9 @@ from bayeq.gram import GramLike
 from bayeq.inference.conditional import given_model
 from bayeq.inference.models import ModelSet, enumerate_models, search_models
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.search import best_models
-from bayeq.inference.tableau import flip, swept
+from bayeq.inference.tableau import active_block, flip, swept
 from bayeq.kernels import kernel
 from bayeq.posterior import ModelAverage, Posterior
 
@@ -27,35 +27,51 @@ ENUMERATE = 14
 # Models beyond this share of the mass add nothing to moments that a user could see.
 MOMENT_MASS = 1e-6
 
+# Models in the moments of a listing that is not complete: so many, or as many as keep models times terms below this.
+MOMENT_MODELS = 100
+MOMENT_WORK = 2_000_000
+
+# The covariance over all models is kept for this many terms, the likeliest.
+MOST_COVARIANCES = 1000
+
 
 @kernel
-def _mixture_moments(p: Problem, models: Bools, weights: Floats) -> tuple[Floats, Floats, float]:
-    """Mean (P,), second moment (P, P) of theta and mean of sigma^2 over weighted models.
+def _mixture_moments(
+    p: Problem, models: Bools, weights: Floats, place: Ints, count: int
+) -> tuple[Floats, Floats, Floats, float]:
+    """Mean and second moment (P,) of theta, its second moments (Q, Q), and the mean of sigma^2 over weighted models.
 
-    Each model's moments are entries of the tableau swept on it; the flips lead from one model to the next.
+    `place` (P,) gives the place of each term among the Q = `count`, -1 where it has none. Each model's moments are
+    entries of the tableau swept on it; the flips lead from one model to the next.
     """
     terms = len(p.Dty)
-    mean, second, noise = np.zeros(terms), np.zeros((terms, terms)), 0.0
+    mean, square, second, noise = np.zeros(terms), np.zeros(terms), np.zeros((count, count)), 0.0
     current = np.zeros(terms, dtype=np.bool_)
-    M = swept(p, current)
+    T = swept(p, current)
     flips = 0
     for k in range(len(models)):
         for j in range(terms):
             if models[k, j] != current[j]:
-                flip(M, j)
+                flip(p, T, j)
                 current[j] = not current[j]
                 flips += 1
         if flips > 20_000:
             flips = 0
-            M = swept(p, current)
-        index = np.flatnonzero(current)
-        variance = 0.5 * max(M[terms, terms], p.floor) / max(p.h - 1.0, 0.5)
+            T = swept(p, current)
+        variance = 0.5 * max(T.diagonal[terms], p.floor) / max(p.h - 1.0, 0.5)
         noise += weights[k] * variance
-        for a in index:
-            mean[a] += weights[k] * M[a, terms]
-            for b in index:
-                second[a, b] += weights[k] * (M[a, terms] * M[b, terms] - variance * M[a, b])
-    return mean, second, noise
+        for m in range(T.size[0]):
+            a = T.term[m]
+            mean[a] += weights[k] * T.partial[a]
+            square[a] += weights[k] * (T.partial[a] * T.partial[a] - variance * T.diagonal[a])
+            if place[a] < 0:
+                continue
+            for n in range(T.size[0]):
+                b = T.term[n]
+                if place[b] >= 0:
+                    value = T.partial[a] * T.partial[b] - variance * T.rows[m, b]
+                    second[place[a], place[b]] += weights[k] * value
+    return mean, square, second, noise
 
 
 def average_models(problem: Problem, *, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE) -> ModelSet:
@@ -96,13 +112,21 @@ def spike_slab_bma(
     found = average_models(problem, tolerance=tolerance, enumerate_up_to=enumerate_up_to)
     weights = found.weights
     pip = np.minimum(weights @ found.models, 1.0)
+    converged = found.left_out <= tolerance * (1.0 + 1e-9)
     enough = int(np.searchsorted(np.cumsum(weights), 1.0 - MOMENT_MASS)) + 1
+    if not converged:
+        enough = min(enough, max(MOMENT_MODELS, MOMENT_WORK // len(pip)))
     share = weights[:enough] / weights[:enough].sum()
-    mean, second, noise = _mixture_moments(problem, np.ascontiguousarray(found.models[:enough]), share)
-    covariance = second - np.outer(mean, mean)
+    terms = np.flatnonzero(found.models.any(axis=0))
+    if len(terms) > MOST_COVARIANCES:
+        terms = np.sort(np.argsort(-pip, kind="stable")[:MOST_COVARIANCES])
+    place = np.full(len(pip), -1)
+    place[terms] = np.arange(len(terms))
+    mean, square, second, noise = _mixture_moments(
+        problem, np.ascontiguousarray(found.models[:enough]), share, place, len(terms)
+    )
     support = pip > 0.5
     coef, conditional = given_model(problem, support)
-    terms = np.flatnonzero(found.models.any(axis=0))
     return Posterior(
         method="bma",
         names=gram.names,
@@ -115,16 +139,16 @@ def spike_slab_bma(
         noise_variance=float(noise),
         n=round(gram.dof) + 1,
         n_iter=found.expanded,
-        converged=found.left_out <= tolerance * (1.0 + 1e-9),
+        converged=converged,
         slab_variance=problem.slab_variance,
         averaged_coef=mean,
-        averaged_sd=np.sqrt(np.maximum(np.diagonal(covariance), 0.0)),
+        averaged_sd=np.sqrt(np.maximum(square - mean * mean, 0.0)),
         average=ModelAverage(
             models=found.models,
             probability=weights,
             left_out=found.left_out,
             terms=terms,
-            covariance=covariance[np.ix_(terms, terms)],
+            covariance=second - np.outer(mean[terms], mean[terms]),
         ),
     )
 
@@ -141,12 +165,12 @@ def sample_average(
     for k in np.unique(which):
         rows = np.flatnonzero(which == k)
         active = average.models[k]
-        M = swept(problem, active)
+        T = swept(problem, active)
         kept = np.flatnonzero(active)
-        s = max(float(M[-1, -1]), problem.floor)
+        s = max(float(T.diagonal[-1]), problem.floor)
         noise[rows] = 0.5 * s / rng.standard_gamma(problem.h, size=len(rows))
         if len(kept):
-            root = np.linalg.cholesky(-M[np.ix_(kept, kept)])
+            root = np.linalg.cholesky(active_block(T, kept))
             normal = rng.standard_normal((len(rows), len(kept))) @ root.T
-            theta[np.ix_(rows, kept)] = M[kept, -1] + np.sqrt(noise[rows])[:, None] * normal
+            theta[np.ix_(rows, kept)] = T.partial[kept] + np.sqrt(noise[rows])[:, None] * normal
     return theta, noise, which.astype(np.intp)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayeq.inference.problem import Bools, Floats, Problem
-from bayeq.inference.tableau import swept
+from bayeq.inference.tableau import active_block, swept
 
 __all__ = ["given_model"]
 
@@ -16,7 +16,6 @@ def given_model(problem: Problem, active: Bools) -> tuple[Floats, Floats]:
     theta | sigma^2 is Gaussian with mean a_r and covariance sigma^2 A_r, eq. (33), and sigma^2 inverse-Gamma(h, s/2),
     whose mean is s/2/(h - 1).
     """
-    M = swept(problem, active)
-    kept = np.flatnonzero(active)
-    variance = 0.5 * max(float(M[-1, -1]), problem.floor) / max(problem.h - 1.0, 0.5)
-    return np.where(active, M[:-1, -1], 0.0), -variance * M[np.ix_(kept, kept)]
+    T = swept(problem, active)
+    variance = 0.5 * max(float(T.diagonal[-1]), problem.floor) / max(problem.h - 1.0, 0.5)
+    return np.where(active, T.partial, 0.0), variance * active_block(T, np.flatnonzero(active))

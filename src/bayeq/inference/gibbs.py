@@ -17,7 +17,7 @@ from bayeq.gram import GramLike
 from bayeq.inference.conditional import given_model
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Floats, Problem
-from bayeq.inference.tableau import flip, flip_gain, least_squares_rss, score, swap_gain, swept
+from bayeq.inference.tableau import Tableau, data_gain, flip, residual_sum, score, size_gains, swap_gains, swept
 from bayeq.kernels import kernel
 from bayeq.posterior import Draws, Posterior
 
@@ -28,6 +28,10 @@ REFRESH = 20_000
 
 # Multivariate R-hat below which chains count as converged (the paper, section 4).
 RHAT_LIMIT = 1.1
+MOST_IN_RHAT = 200
+
+# Terms that a chain starts with at most.
+MOST_AT_START = 30.0
 
 
 @kernel
@@ -35,27 +39,27 @@ def greedy_start(p: Problem, size: int) -> Bools:
     """The paper's start: terms activated one by one, each time the one that lowers the squared error most."""
     terms = len(p.Dty)
     active = np.zeros(terms, dtype=np.bool_)
-    M = swept(p, active)
+    T = swept(p, active)
     for j in range(terms):
         if p.log_odds[j] == math.inf:
-            flip(M, j)
+            flip(p, T, j)
             active[j] = True
     for _ in range(size):
         best, best_j = 0.0, -1
         for j in range(terms):
             if not active[j] and not math.isinf(p.log_odds[j]):
-                drop = M[j, terms] * M[j, terms] / M[j, j]
+                drop = T.partial[j] * T.partial[j] / T.diagonal[j]
                 if drop > best:
                     best, best_j = drop, j
         if best_j < 0:
             break
-        flip(M, best_j)
+        flip(p, T, best_j)
         active[best_j] = True
     return active
 
 
 @kernel
-def _draw_theta(M: Floats, active: Bools, variance: float, rng: np.random.Generator, out: Floats) -> None:
+def _draw_theta(T: Tableau, active: Bools, variance: float, rng: np.random.Generator, out: Floats) -> None:
     """theta_r ~ N(a_r, sigma^2 A_r) into `out`, zero elsewhere; the Cholesky factor of A_r = -M_rr is taken here."""
     terms = len(active)
     index = np.flatnonzero(active)
@@ -63,7 +67,7 @@ def _draw_theta(M: Floats, active: Bools, variance: float, rng: np.random.Genera
     L = np.empty((r, r))
     for a in range(r):
         for b in range(a + 1):
-            value = -M[index[a], index[b]]
+            value = -T.rows[T.row[index[a]], index[b]]
             for k in range(b):
                 value -= L[a, k] * L[b, k]
             L[a, b] = math.sqrt(max(value, 0.0)) if a == b else value / L[b, b] if L[b, b] > 0.0 else 0.0
@@ -74,21 +78,24 @@ def _draw_theta(M: Floats, active: Bools, variance: float, rng: np.random.Genera
         noise[a] = rng.standard_normal()
     scale = math.sqrt(variance)
     for a in range(r):
-        value = M[index[a], terms]
+        value = T.partial[index[a]]
         for k in range(a + 1):
             value += scale * L[a, k] * noise[k]
         out[index[a]] = value
 
 
 @kernel
-def _scan(p: Problem, M: Floats, active: Bools, rng: np.random.Generator, inclusion: Floats) -> int:
+def _scan(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, inclusion: Floats) -> int:
     """One sweep over the indicators in order; writes p(z_i = 1 | z_-i, y), returns the number of flips."""
     flips = 0
+    diagonal, partial, log_odds, floor, h = T.diagonal, T.partial, p.log_odds, p.floor, p.h
+    enters, leaves = size_gains(p, T)
     for j in range(len(active)):
-        if math.isinf(p.log_odds[j]):
+        if math.isinf(log_odds[j]):
             inclusion[j] = 1.0 if active[j] else 0.0
             continue
-        gain = flip_gain(p, M, active, j)
+        gain = data_gain(diagonal[j], partial[j], diagonal[-1], floor, h)
+        gain += leaves - log_odds[j] if active[j] else enters + log_odds[j]
         # log-odds of the flip -> probability of inclusion, formed without cancellation near 0 and 1
         log_odds_in = -gain if active[j] else gain
         if log_odds_in >= 0.0:
@@ -98,14 +105,15 @@ def _scan(p: Problem, M: Floats, active: Bools, rng: np.random.Generator, inclus
             inside = e / (1.0 + e)
         inclusion[j] = inside
         if (rng.random() < inside) != active[j]:
-            flip(M, j)
+            flip(p, T, j)
             active[j] = not active[j]
+            enters, leaves = size_gains(p, T)
             flips += 1
     return flips
 
 
 @kernel
-def _exchange(p: Problem, M: Floats, active: Bools, rng: np.random.Generator, weight: Floats) -> int:
+def _exchange(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, weight: Floats) -> int:
     """Draw anew which term stands in the place of a random active one; returns the number of flips.
 
     The model without term i is kept, and the term that completes it is drawn from its conditional among i and all
@@ -128,12 +136,8 @@ def _exchange(p: Problem, M: Floats, active: Bools, rng: np.random.Generator, we
                 leaves = i
                 break
             which -= 1
-    top = 0.0
-    for j in range(terms):
-        weight[j] = -math.inf
-        if not active[j] and not math.isinf(p.log_odds[j]):
-            weight[j] = swap_gain(p, M, leaves, j)
-            top = max(top, weight[j])
+    swap_gains(p, T, leaves, weight)
+    top = max(0.0, weight.max())
     total = math.exp(-top)
     for j in range(terms):
         weight[j] = math.exp(weight[j] - top)
@@ -144,8 +148,8 @@ def _exchange(p: Problem, M: Floats, active: Bools, rng: np.random.Generator, we
     for j in range(terms):
         left -= weight[j]
         if left < 0.0:
-            flip(M, leaves)
-            flip(M, j)
+            flip(p, T, leaves)
+            flip(p, T, j)
             active[leaves] = False
             active[j] = True
             return 2
@@ -175,14 +179,13 @@ def sample_chain(
     terms = len(active)
     inclusion = np.empty(terms)
     draw = np.empty(terms)
-    M = swept(p, active)
-    y = terms
+    T = swept(p, active)
     flips = 0
     for t in range(burn_in + len(noise)):
-        s = max(M[y, y], p.floor)
+        s = max(T.diagonal[terms], p.floor)
         if t > 0:
             variance = 0.5 * s / rng.standard_gamma(p.h)
-        _draw_theta(M, active, variance, rng, draw)
+        _draw_theta(T, active, variance, rng, draw)
         k = t - burn_in
         if k >= 0:
             z[k] = active
@@ -191,13 +194,13 @@ def sample_chain(
             log_posterior[k] = score(p, active, p.slab_variance)
         before = flips
         if exchange:
-            flips += _exchange(p, M, active, rng, draw)
-        flips += _scan(p, M, active, rng, inclusion)
+            flips += _exchange(p, T, active, rng, draw)
+        flips += _scan(p, T, active, rng, inclusion)
         if k >= 0:
             for j in range(terms):
                 pip[j] += inclusion[j]
         if flips // REFRESH != before // REFRESH:
-            M = swept(p, active)
+            T = swept(p, active)
 
 
 def _seed(seed: int | Sequence[int]) -> np.random.SeedSequence:
@@ -241,9 +244,10 @@ def sample_posterior(
     theta, pip = np.empty((chains, kept, terms)), np.zeros((chains, terms))
     noise, levels = np.empty((chains, kept)), np.empty((chains, kept))
     finite = problem.log_odds[np.isfinite(problem.log_odds)]
-    expected = float(np.sum(1.0 / (1.0 + np.exp(-finite))))
+    # as many terms as the prior expects, as in the paper, but not so many that they would fit anything
+    expected = min(float(np.sum(1.0 / (1.0 + np.exp(-finite)))), max(0.1 * problem.dof, 5.0), MOST_AT_START)
     start = greedy_start(problem, max(1, round(expected)))
-    rss = least_squares_rss(problem.DtD, problem.Dty, problem.yty)
+    rss = residual_sum(problem.columns, problem.Dty, problem.yty, problem.dof)
     nominal = max(rss, problem.floor) / max(problem.dof - terms, 1.0)
     for k, stream in enumerate(_seed(seed).spawn(chains)):
         rng = np.random.Generator(np.random.PCG64(stream))
@@ -259,7 +263,8 @@ def multivariate_rhat(theta: Floats) -> float:
 
     The square root of (n-1)/n + (m+1)/m lambda, lambda the largest eigenvalue of W^-1 B/n, with W the mean
     covariance within the chains and B/n that of their means (Brooks and Gelman 1998, section 4.1; the square root
-    as in R's coda). Coefficients that are zero in every sample are left out.
+    as in R's coda). Coefficients that are zero in every sample are left out, and of more than 200 those that are zero
+    most often.
 
     Parameters
     ----------
@@ -272,7 +277,10 @@ def multivariate_rhat(theta: Floats) -> float:
         1 if nothing varies, inf if a coefficient differs between chains but never within one.
     """
     m, n, _ = theta.shape
-    theta = theta[:, :, np.any(theta != 0.0, axis=(0, 1))]
+    often = np.count_nonzero(theta, axis=(0, 1))
+    # of a large dictionary the terms that are in most often
+    chosen = np.sort(np.argsort(-often, kind="stable")[: min(int((often > 0).sum()), MOST_IN_RHAT)])
+    theta = theta[:, :, chosen]
     if m < 2 or n < 2 or theta.shape[2] == 0:
         return 1.0
     means = theta.mean(axis=1)

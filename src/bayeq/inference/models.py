@@ -13,14 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.search import best_models
-from bayeq.inference.tableau import flip, flip_gain, score, swap_gain, swept
+from bayeq.inference.tableau import flip, flip_gain, flip_gains, score, swap_gains, swept
 from bayeq.kernels import kernel
 
 __all__ = ["ModelSet", "enumerate_models", "search_models"]
 
-Ints = NDArray[np.int64]
 Words = NDArray[np.uint64]
 
 # The tableau is swept anew after so many flips.
@@ -38,6 +37,12 @@ MEMORY = 0.95
 FIRST_ROOM = 8192
 MOST_MODELS = 200_000
 MOST_BYTES = 100_000_000
+
+# Models to list where all that are needed would not find room.
+HOPELESS_ROOM = 1000
+
+# Moves that a search looks at, at about 20 ns each. A posterior that needs more is spread over too many models to list.
+MOST_MOVES = 30_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +79,7 @@ def _enumerate(p: Problem, free: Ints, base: Bools) -> Floats:
     """Scores of all models over the `free` terms; entry g belongs to the Gray code g ^ (g >> 1) of their bits."""
     levels = np.empty(1 << len(free))
     current = base.copy()
-    M = swept(p, current)
+    T = swept(p, current)
     value = score(p, current, p.slab_variance)
     levels[0] = value
     for g in range(1, len(levels)):
@@ -83,11 +88,11 @@ def _enumerate(p: Problem, free: Ints, base: Bools) -> Floats:
             k //= 2
             bit += 1
         j = free[bit]
-        value += flip_gain(p, M, current, j)
-        flip(M, j)
+        value += flip_gain(p, T, j)
+        flip(p, T, j)
         current[j] = not current[j]
         if g % REFRESH == 0:
-            M = swept(p, current)
+            T = swept(p, current)
             value = score(p, current, p.slab_variance)
         levels[g] = value
     return levels
@@ -187,10 +192,11 @@ def _search(
     frontier = total
     recent_found = recent_spent = all_found = all_spent = 0.0
     current = starts[0].copy()
-    M = swept(p, current)
-    flips = expanded = 0
+    T = swept(p, current)
+    flips = expanded = moves = 0
+    gains = np.empty(terms)
     ratio = 1.0
-    while size > 0 and count < room:
+    while size > 0 and count < room and moves < MOST_MOVES:
         # what an expansion of the frontier is likely to bring in all, by the yield of recent expansions
         if CAUTION * frontier * ratio / (1.0 - min(ratio, 0.9)) + dropped < tolerance * total:
             break
@@ -198,11 +204,11 @@ def _search(
         size -= 1
         for j in range(terms):
             if models[item, j] != current[j]:
-                flip(M, j)
+                flip(p, T, j)
                 current[j] = not current[j]
                 flips += 1
         if flips > REFRESH:
-            M = swept(p, current)
+            T = swept(p, current)
             flips = 0
         spent = math.exp(scores[item] - reference)
         found = 0.0
@@ -210,18 +216,20 @@ def _search(
         expanded += 1
         for i in range(-1, terms):
             # i < 0: flips of single terms; otherwise swaps of the active term i
-            if i >= 0 and (not current[i] or math.isinf(p.log_odds[i])):
+            if i < 0:
+                flip_gains(p, T, gains)
+            elif current[i]:
+                swap_gains(p, T, i, gains)
+            else:
                 continue
+            moves += terms
             for j in range(terms):
-                if math.isinf(p.log_odds[j]) or (i >= 0 and current[j]):
+                if gains[j] == -math.inf:
                     continue
                 key = keys[item] ^ zobrist[j]
-                if i < 0:
-                    gain = flip_gain(p, M, current, j)
-                else:
+                if i >= 0:
                     key ^= zobrist[i]
-                    gain = swap_gain(p, M, i, j)
-                value = scores[item] + gain
+                value = scores[item] + gains[j]
                 slot = _find(table, keys, key)
                 if table[slot] >= 0:
                     continue
@@ -258,6 +266,29 @@ def _search(
     return models[:count], scores[:count], left / (total + left), expanded
 
 
+def _too_many(problem: Problem, best: Bools, tolerance: float) -> bool:
+    """Whether more models than there is room for are to be expected.
+
+    Around the best model terms come in, about independently, with the odds of their flips: their number is about
+    Poisson, and k of them make m^k/k! models, where m = exp(entropy of the odds) is the effective number of such terms.
+    """
+    gains = np.empty(len(best))
+    flip_gains(problem, swept(problem, best), gains)
+    odds = np.exp(np.minimum(gains[~best], 0.0))
+    expected = float(odds.sum())
+    if expected < 1e-3:
+        return False
+    share = odds[odds > 0.0] / expected
+    effective = math.exp(-float(share @ np.log(share)))
+    term, inside, k, models = math.exp(-expected), math.exp(-expected), 0, 1.0
+    while inside < 1.0 - 10.0 * tolerance and models < MOST_MODELS:
+        k += 1
+        term *= expected / k
+        inside += term
+        models *= effective / k
+    return models >= MOST_MODELS
+
+
 def search_models(
     problem: Problem, starts: list[tuple[float, Bools]] | None = None, tolerance: float = 5e-3
 ) -> ModelSet:
@@ -275,7 +306,7 @@ def search_models(
     Returns
     -------
     ModelSet
-        The search also ends when the room for models is used up: `left_out` then tells.
+        The search also ends when the room for models or the number of moves is used up: `left_out` then tells.
     """
     found = best_models(problem) if starts is None else starts
     terms = len(problem.Dty)
@@ -284,9 +315,11 @@ def search_models(
     starting = np.array([model for _, model in found], dtype=np.bool_)
     values = np.array([value for value, _ in found])
     room = min(FIRST_ROOM, most)
+    if _too_many(problem, starting[0], tolerance):
+        room = most = HOPELESS_ROOM
     while True:
         models, scores, left, expanded = _search(problem, starting, values, zobrist, room, tolerance, KEEP)
-        if left <= tolerance or room == most:
+        if left <= tolerance or room == most or len(models) < room:
             break
         # rarely needed, and cheaper than to clear a large table every time
         room = min(16 * room, most)

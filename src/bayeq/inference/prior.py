@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import lgamma, log
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +27,9 @@ class Prior:
         p_0; 1 forces a term in, 0 keeps it out.
     noise_shape, noise_rate : float
         a_sigma and b_sigma.
+    inclusion_beta : (a, b), optional
+        Take p_0 as unknown, p_0 ~ Beta(a, b), for all terms whose `prior_inclusion` is neither 0 nor 1: the number of
+        included terms is then beta-binomial (Scott and Berger 2010), and the prior adapts to how many there are.
 
     Notes
     -----
@@ -36,6 +40,7 @@ class Prior:
     prior_inclusion: ArrayLike = 0.1
     noise_shape: float = 1e-4
     noise_rate: float = 1e-4
+    inclusion_beta: tuple[float, float] | None = None
 
     def validate(self, terms: int) -> None:
         """Check the values against a dictionary of `terms` columns.
@@ -54,9 +59,34 @@ class Prior:
             raise InputError(f"prior_inclusion must be one number or one per term ({terms}), got shape {p0.shape}")
         if not bool(np.all((p0 >= 0) & (p0 <= 1))):
             raise InputError("prior_inclusion must lie between 0 and 1")
+        if self.inclusion_beta is not None:
+            shapes = np.asarray(self.inclusion_beta, dtype=np.float64)
+            if shapes.shape != (2,) or not bool(np.all((shapes > 0) & (shapes < np.inf))):
+                raise InputError(f"inclusion_beta must be two positive numbers (a, b), got {self.inclusion_beta!r}")
 
     def log_odds(self, terms: int) -> Floats:
-        """logit(p_0) of each of `terms` terms: +inf for a forced, -inf for a forbidden one."""
+        """logit(p_0) of each of `terms` terms: +inf for a forced, -inf for a forbidden one.
+
+        0 for the others if their p_0 is unknown (`inclusion_beta`): `size_prior` then says the rest.
+        """
         p0 = np.broadcast_to(np.asarray(self.prior_inclusion, dtype=np.float64), (terms,))
+        if self.inclusion_beta is not None:
+            p0 = np.where((p0 > 0) & (p0 < 1), 0.5, p0)
         with np.errstate(divide="ignore"):
             return np.log(p0) - np.log1p(-p0)
+
+    def size_prior(self, terms: int) -> Floats:
+        """What a model of r = 0..P terms has on top of the log-odds of its terms, (P+1,).
+
+        With p_0 ~ Beta(a, b) a model with k of the F free terms has probability B(k + a, F - k + b)/B(a, b); relative
+        to 2^-F, which log-odds of 0 give it.
+        """
+        out = np.zeros(terms + 1)
+        if self.inclusion_beta is not None:
+            a, b = self.inclusion_beta
+            log_odds = self.log_odds(terms)
+            free, forced = int(np.isfinite(log_odds).sum()), int((log_odds == np.inf).sum())
+            k = np.clip(np.arange(terms + 1) - forced, 0, free)
+            whole = lgamma(a + b) - lgamma(a) - lgamma(b) - lgamma(free + a + b) + free * log(2.0)
+            out += whole + np.array([lgamma(a + i) + lgamma(b + free - i) for i in k])
+        return out

@@ -15,10 +15,10 @@ import math
 
 import numpy as np
 
-from bayeq.gram import GramLike, dense
+from bayeq.gram import GramLike
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Floats
-from bayeq.inference.tableau import build, flip
+from bayeq.inference.problem import Bools, Columns, Floats, gram_columns
+from bayeq.inference.tableau import Tableau, active_block, build, enter, leave
 from bayeq.kernels import kernel
 from bayeq.posterior import Posterior
 
@@ -29,22 +29,22 @@ MIN_GAIN = 1e-6
 
 
 @kernel
-def _best_action(M: Floats, lam: Floats, beta: float) -> tuple[int, float, float]:
+def _best_action(T: Tableau, lam: Floats, beta: float) -> tuple[int, float, float]:
     """The term whose action gains most, its new lambda (inf: leave out) and the gain."""
     p = len(lam)
     best, best_j, best_lam = MIN_GAIN, -1, math.inf
     for j in range(p):
         # sparsity and quality of term j with itself left out, eqs. (23)-(24) there, in units of beta = 1
         if lam[j] < math.inf:
-            variance = -M[j, j]
+            variance = -T.diagonal[j]
             room = 1.0 - lam[j] * variance
             if room <= 0.0:
                 continue
             s = room / variance
-            q = M[j, p] / variance
+            q = T.partial[j] / variance
         else:
-            s = M[j, j]
-            q = M[j, p]
+            s = T.diagonal[j]
+            q = T.partial[j]
         if not s > 0.0:
             continue
         relevance = beta * q * q - s
@@ -66,50 +66,57 @@ def _best_action(M: Floats, lam: Floats, beta: float) -> tuple[int, float, float
 
 
 @kernel
-def _shift_ridge(M: Floats, j: int, delta: float) -> None:
+def _shift_ridge(T: Tableau, j: int, delta: float) -> None:
     """Add `delta` to the ridge of active term j: one rank-one update of the swept tableau."""
-    kappa = delta / (1.0 - delta * M[j, j])
-    column = M[:, j].copy()
-    for i in range(M.shape[0]):
-        factor = kappa * column[i]
-        for k in range(M.shape[0]):
-            M[i, k] += factor * column[k]
+    kappa = delta / (1.0 - delta * T.diagonal[j])
+    column = T.rows[T.row[j]].copy()
+    p = len(T.partial)
+    for a in range(T.size[0]):
+        factor = kappa * column[T.term[a]]
+        row = T.rows[a]
+        for k in range(p + 1):
+            row[k] += factor * column[k]
+    for k in range(p):
+        T.diagonal[k] += kappa * column[k] * column[k]
+        T.partial[k] += kappa * column[k] * column[p]
+    T.diagonal[p] += kappa * column[p] * column[p]
 
 
 @kernel
 def rvm_ascent(
-    DtD: Floats, Dty: Floats, yty: float, dof: float, max_iter: int
-) -> tuple[Floats, Floats, float, int, bool]:
+    columns: Columns, Dty: Floats, yty: float, dof: float, max_iter: int
+) -> tuple[Floats, Tableau, float, int, bool]:
     """Sequential maximisation of the marginal likelihood.
 
     Returns gamma (P,), the swept tableau, the noise variance, the steps taken and whether it converged.
     """
     p = len(Dty)
-    M = build(DtD, Dty, yty, 0.0)
+    T = build(columns, Dty, yty, 0.0)
     lam = np.full(p, math.inf)
     floor = max(1e-14 * yty, 1e-300)
     steps, converged = 0, False
     while steps < max_iter:
-        beta = dof / max(M[p, p], floor)
-        j, new, _ = _best_action(M, lam, beta)
+        beta = dof / max(T.diagonal[p], floor)
+        j, new, _ = _best_action(T, lam, beta)
         if j < 0:
             converged = True
             break
         steps += 1
         if lam[j] == math.inf:
-            M[j, j] += new
-            flip(M, j)
+            if T.size[0] == len(T.rows):
+                break
+            enter(columns, Dty, T, j, new)
         elif new == math.inf:
-            flip(M, j)
-            M[j, j] -= lam[j]
+            leave(T, j)
+            T.diagonal[j] -= lam[j]
         else:
-            _shift_ridge(M, j, new - lam[j])
+            _shift_ridge(T, j, new - lam[j])
         lam[j] = new
     gamma = np.zeros(p)
     for j in range(p):
         if lam[j] < math.inf:
-            gamma[j] = min(max(1.0 + lam[j] * M[j, j], 1e-300), 1.0)
-    return gamma, M, max(M[p, p], floor) / dof, steps, converged
+            gamma[j] = min(max(1.0 + lam[j] * T.diagonal[j], 1e-300), 1.0)
+    return gamma, T, max(T.diagonal[p], floor) / dof, steps, converged
 
 
 def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0, max_iter: int = 10_000) -> Posterior:
@@ -133,20 +140,21 @@ def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0,
         relevance, not a probability. The support is what is left in the machine.
     """
     del prior
-    gamma, M, noise, steps, converged = rvm_ascent(dense(gram), gram.Dty, gram.yty, gram.dof, max_iter)
+    gamma, T, noise, steps, converged = rvm_ascent(
+        gram_columns(gram), np.ascontiguousarray(gram.Dty), gram.yty, gram.dof, max_iter
+    )
     support: Bools = gamma > 0.0
     for j in np.flatnonzero(support & (gamma <= least_gamma)):
-        flip(M, int(j))
+        leave(T, int(j))
         support[j] = False
-    mu = np.where(support, M[:-1, -1], 0.0)
-    kept = np.flatnonzero(support)
+    mu = np.where(support, T.partial, 0.0)
     return Posterior(
         method="rvm",
         names=gram.names,
         pip=gamma,
         support=support,
         coef=mu,
-        covariance=-noise * M[np.ix_(kept, kept)],
+        covariance=noise * active_block(T, np.flatnonzero(support)),
         center=np.zeros(len(gram.names)),
         target_mean=0.0,
         noise_variance=float(noise),

@@ -6,19 +6,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.rvm import rvm_ascent
-from bayeq.inference.tableau import climb, flip_gain, score, swap_gain, swept
+from bayeq.inference.tableau import climb, flip_gains, score, swap_gains, swept
 from bayeq.kernels import kernel
 
 __all__ = ["Move", "best_models", "candidate_models", "greedy_model", "log_evidence", "neighbours"]
 
-Ints = NDArray[np.int64]
-
-# Up to this many terms a climb also starts from the full model (its cost grows as P^3).
+# Up to this many terms a climb also starts from the full model (its cost grows as P^3), and from the support of the
+# RVM, which may be large.
 FULL_START_TERMS = 128
+RVM_START_TERMS = 500
 
 
 @kernel
@@ -30,8 +29,7 @@ def _climb_all(p: Problem, models: Bools, swaps: bool) -> Floats:
         for j in range(len(active)):
             if math.isinf(p.log_odds[j]):
                 active[j] = p.log_odds[j] > 0.0
-        M = swept(p, active)
-        climb(p, M, active, swaps)
+        climb(p, swept(p, active), active, swaps)
         scores[k] = score(p, active, p.slab_variance)
     return scores
 
@@ -40,28 +38,26 @@ def _climb_all(p: Problem, models: Bools, swaps: bool) -> Floats:
 def _moves(p: Problem, active: Bools, window: float) -> tuple[Ints, Ints, Floats]:
     """Flips and swaps from `active` within `window` of its score: terms out, terms in (-1 for none), gains."""
     terms = len(active)
-    M = swept(p, active)
+    T = swept(p, active)
     r = int(active.sum())
     out = np.empty(terms + r * (terms - r), dtype=np.int64)
     into = np.empty_like(out)
     gains = np.empty(len(out))
     count = 0
+    gain = np.empty(terms)
+    flip_gains(p, T, gain)
     for j in range(terms):
-        if math.isinf(p.log_odds[j]):
-            continue
-        gain = flip_gain(p, M, active, j)
-        if gain > -window:
+        if gain[j] > -window:
             out[count], into[count] = (j, -1) if active[j] else (-1, j)
-            gains[count] = gain
+            gains[count] = gain[j]
             count += 1
     for i in range(terms):
-        if active[i] and not math.isinf(p.log_odds[i]):
+        if active[i]:
+            swap_gains(p, T, i, gain)
             for j in range(terms):
-                if not active[j] and not math.isinf(p.log_odds[j]):
-                    gain = swap_gain(p, M, i, j)
-                    if gain > -window:
-                        out[count], into[count], gains[count] = i, j, gain
-                        count += 1
+                if gain[j] > -window:
+                    out[count], into[count], gains[count] = i, j, gain[j]
+                    count += 1
     return out[:count], into[:count], gains[:count]
 
 
@@ -91,8 +87,7 @@ def best_models(problem: Problem, starts: list[Bools] | None = None) -> list[tup
     problem : Problem
         What to search.
     starts : list of (P,) bool arrays, optional
-        Where to climb from; by default the empty model, the support of the RVM and, for small dictionaries,
-        the full model.
+        Where to climb from; by default `default_starts`.
 
     Returns
     -------
@@ -145,14 +140,17 @@ def greedy_model(problem: Problem) -> Bools:
 
 
 def default_starts(problem: Problem, gamma: Floats | None = None) -> list[Bools]:
-    """Where a search climbs from: the empty model, the RVM's support and, for small dictionaries, the full model.
+    """Where a search climbs from: the empty model and, unless the dictionary is large, the RVM's support and all terms.
 
     `gamma` is the RVM's, if it has been run already.
     """
-    terms = len(problem.Dty)
-    if gamma is None:
-        gamma = rvm_ascent(problem.DtD, problem.Dty, problem.yty, problem.dof, 50 * terms + 100)[0]
-    starts = [np.zeros(terms, dtype=np.bool_), gamma > 0.0]
+    p = problem
+    terms = len(p.Dty)
+    starts = [np.zeros(terms, dtype=np.bool_)]
+    if gamma is None and terms <= RVM_START_TERMS:
+        gamma = rvm_ascent(p.columns, p.Dty, p.yty, p.dof, 50 * terms + 100)[0]
+    if gamma is not None:
+        starts.append(gamma > 0.0)
     if terms <= FULL_START_TERMS:
         starts.append(np.ones(terms, dtype=np.bool_))
     return starts

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
-from bayeq.gram import Gram, GramLike, dense
+import numpy as np
+
+from bayeq.gram import Gram, GramLike
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Problem
+from bayeq.inference.problem import Bools, Problem, gram_columns
 from bayeq.inference.search import best_models
-from bayeq.inference.tableau import least_squares_rss, score
+from bayeq.inference.tableau import residual_sum, score
 from bayeq.kernels import kernel
 
 __all__ = ["learn_slab_variance", "residual_scale"]
@@ -84,7 +86,7 @@ def learn_slab_variance(gram: GramLike, prior: Prior, floor: float = 10.0) -> fl
 
 
 def _residual_sum(gram: GramLike) -> float:
-    return least_squares_rss(dense(gram), gram.Dty, gram.yty)
+    return residual_sum(gram_columns(gram), np.ascontiguousarray(gram.Dty), gram.yty, gram.dof)
 
 
 def residual_scale(gram: Gram) -> float:

@@ -12,19 +12,40 @@ active terms. Its entries are then all that a move needs:
     inactive j      M_jj = Schur complement    M_jy = partial covariance with y
     y               M_yy = s
 
-so the log-odds of any flip or swap are O(1), and a flip is one rank-one update of M.
+so the log-odds of any flip or swap are O(1). No move asks for M_jk of two inactive terms: the tableau is thin, it keeps
+the rows of the r active terms, the diagonal and the column of y, and a flip costs O(r P) however large the dictionary.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
-from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.problem import Bools, Columns, Floats, Ints, Problem, all_rows, fetch
 from bayeq.kernels import kernel
 
-__all__ = ["build", "climb", "flip", "flip_gain", "least_squares_rss", "score", "swap_gain", "swept"]
+__all__ = [
+    "Tableau",
+    "active_block",
+    "best_swap",
+    "build",
+    "climb",
+    "data_gain",
+    "enter",
+    "flip",
+    "flip_gain",
+    "flip_gains",
+    "leave",
+    "least_squares_rss",
+    "residual_sum",
+    "score",
+    "size_gains",
+    "swap_gains",
+    "swept",
+]
 
 # A climb stops when no move gains this much log posterior: above the rounding of h ln(s).
 GAIN_TOLERANCE = 1e-8
@@ -32,110 +53,263 @@ GAIN_TOLERANCE = 1e-8
 # A column whose variance left by earlier ones is a smaller share of its own depends on them.
 DEPENDENT = 1e-13
 
+# Up to this many terms the residual sum of squares is had by our own kernel, above by LAPACK.
+SMALL = 128
+
+# Most terms that a model may hold.
+MOST_ACTIVE = 2048
+
+
+class Tableau(NamedTuple):
+    """M swept on r active terms; changed in place by `enter`, `leave` and `flip`.
+
+    Attributes
+    ----------
+    rows : (R, P+1) array
+        The first r rows are M_i. of the active terms i; the last column is that of y.
+    row, term : (P,), (R,) int arrays
+        Row of each term (-1 for an inactive one) and term of each row.
+    size : (1,) int array
+        r.
+    diagonal : (P+1,) array
+        M_jj of all terms, and s at the end.
+    partial : (P,) array
+        M_jy of all terms.
+    """
+
+    rows: Floats
+    row: Ints
+    term: Ints
+    size: Ints
+    diagonal: Floats
+    partial: Floats
+
 
 @kernel
-def build(DtD: Floats, Dty: Floats, yty: float, ridge: float) -> Floats:
-    """Unswept tableau, (P+1, P+1), of the empty model; `ridge` is 1/v_s, `yty` holds 2 b_sigma already."""
+def build(columns: Columns, Dty: Floats, yty: float, ridge: float) -> Tableau:
+    """Unswept tableau, of the empty model; `ridge` is 1/v_s, `yty` holds 2 b_sigma already."""
     p = len(Dty)
-    M = np.empty((p + 1, p + 1))
-    M[:p, :p] = DtD
-    M[:p, p] = Dty
-    M[p, :p] = Dty
+    most = min(p, MOST_ACTIVE)
+    diagonal = np.empty(p + 1)
     for j in range(p):
-        M[j, j] += ridge
-    M[p, p] = yty
-    return M
+        diagonal[j] = columns.diagonal[j] + ridge
+    diagonal[p] = yty
+    return Tableau(
+        np.empty((most, p + 1)),
+        np.full(p, -1),
+        np.full(most, -1),
+        np.zeros(1, dtype=np.int64),
+        diagonal,
+        Dty.copy(),
+    )
 
 
 @kernel
-def flip(M: Floats, j: int) -> float:
-    """Sweep M in place on term j, in or out; returns ln|pivot|, by which ln|A| changes."""
-    q = M.shape[0]
-    pivot = M[j, j]
+def _sweep(T: Tableau, pivot_row: Floats, j: int, pivot: float, skip: int) -> None:
+    """Rank-one update of everything kept but row `skip`, by the row of term j before its own scaling.
+
+    Both factors of the update are that row: taken from row and column they would let the rounding asymmetry of M grow
+    from flip to flip.
+    """
+    p = len(T.partial)
     size = abs(pivot)
-    # Both factors of the rank-one update are row j: taken from row and column they would let the rounding
-    # asymmetry of M grow from flip to flip.
-    for i in range(q):
-        if i != j:
-            factor = M[j, i] / pivot
-            if factor != 0.0:
-                for k in range(q):
-                    M[i, k] -= factor * M[j, k]
-    for i in range(q):
-        value = M[j, i] / size
-        M[j, i] = value
-        M[i, j] = value
-    M[j, j] = -1.0 / pivot
+    for a in range(T.size[0]):
+        if a == skip:
+            continue
+        i = T.term[a]
+        factor = pivot_row[i] / pivot
+        other = T.rows[a]
+        if factor != 0.0:
+            for k in range(p + 1):
+                other[k] -= factor * pivot_row[k]
+        other[j] = pivot_row[i] / size
+    last = pivot_row[p] / pivot
+    for k in range(p):
+        T.diagonal[k] -= pivot_row[k] * pivot_row[k] / pivot
+        T.partial[k] -= pivot_row[k] * last
+    T.diagonal[p] -= pivot_row[p] * last
+    T.diagonal[j] = -1.0 / pivot
+    T.partial[j] = pivot_row[p] / size
+
+
+@kernel
+def enter(columns: Columns, Dty: Floats, T: Tableau, j: int, ridge: float) -> float:
+    """Sweep inactive term j in, its diagonal raised by `ridge` in all; returns ln|pivot|, by which ln|A| changes."""
+    p = len(Dty)
+    r = T.size[0]
+    new = T.rows[r]
+    if columns.slot[j] < 0:
+        fetch(columns, j)
+    own = columns.rows[columns.slot[j]]
+    for k in range(p):
+        new[k] = own[k]
+    new[p] = Dty[j]
+    for a in range(r):
+        factor = own[T.term[a]]
+        if factor != 0.0:
+            other = T.rows[a]
+            for k in range(p + 1):
+                new[k] -= factor * other[k]
+    for a in range(r):
+        new[T.term[a]] = T.rows[a, j]
+    pivot = new[j] + ridge
+    new[j] = pivot
+    _sweep(T, new, j, pivot, -1)
+    size = abs(pivot)
+    for k in range(p + 1):
+        new[k] /= size
+    new[j] = -1.0 / pivot
+    T.row[j] = r
+    T.term[r] = j
+    T.size[0] = r + 1
     return math.log(size)
 
 
 @kernel
-def swept(p: Problem, active: Bools) -> Floats:
+def leave(T: Tableau, j: int) -> float:
+    """Sweep active term j out; returns ln|pivot|, by which ln|A| changes. M_jj then holds the ridge it entered with."""
+    a = T.row[j]
+    last = T.size[0] - 1
+    old = T.rows[a]
+    pivot = old[j]
+    _sweep(T, old, j, pivot, a)
+    T.row[j] = -1
+    if a != last:
+        moved = T.rows[last]
+        for k in range(len(moved)):
+            old[k] = moved[k]
+        T.term[a] = T.term[last]
+        T.row[T.term[a]] = a
+    T.size[0] = last
+    return math.log(abs(pivot))
+
+
+@kernel
+def flip(p: Problem, T: Tableau, j: int) -> float:
+    """Sweep term j in or out, in place; returns ln|pivot|, by which ln|A| changes."""
+    if T.row[j] >= 0:
+        return leave(T, j)
+    return enter(p.columns, p.Dty, T, j, 1.0 / p.slab_variance)
+
+
+@kernel
+def swept(p: Problem, active: Bools) -> Tableau:
     """The tableau of a model, from scratch."""
-    M = build(p.DtD, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
+    T = build(p.columns, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
     for j in range(len(active)):
         if active[j]:
-            flip(M, j)
-    return M
+            flip(p, T, j)
+    return T
 
 
 @kernel
-def flip_gain(p: Problem, M: Floats, active: Bools, j: int) -> float:
+def active_block(T: Tableau, index: Ints) -> Floats:
+    """A^-1 of the active terms `index`, (r, r)."""
+    r = len(index)
+    out = np.empty((r, r))
+    for a in range(r):
+        for b in range(r):
+            out[a, b] = -T.rows[T.row[index[a]], index[b]]
+    return out
+
+
+@kernel
+def data_gain(pivot: float, partial: float, s: float, floor: float, h: float) -> float:
+    """What a flip with this pivot changes in -1/2 ln|A| - h ln(s/2)."""
+    s = max(s, floor)
+    return -0.5 * math.log(abs(pivot)) - h * math.log(max(s - partial * partial / pivot, floor) / s)
+
+
+@kernel
+def size_gains(p: Problem, T: Tableau) -> tuple[float, float]:
+    """Change of the log prior, apart from the term's own log-odds, when any term enters and when any leaves."""
+    r = T.size[0]
+    full = r == len(T.rows)
+    enters = -math.inf if full else p.size_prior[r + 1] - p.size_prior[r] - p.half_log_slab
+    leaves = p.size_prior[r - 1] - p.size_prior[r] + p.half_log_slab if r > 0 else -math.inf
+    return enters, leaves
+
+
+@kernel
+def flip_gain(p: Problem, T: Tableau, j: int) -> float:
     """Change of the log posterior when term j is flipped."""
-    y = M.shape[0] - 1
-    pivot = M[j, j]
-    s = max(M[y, y], p.floor)
-    after = max(s - M[j, y] * M[j, y] / pivot, p.floor)
-    data = -0.5 * math.log(abs(pivot)) - p.h * math.log(after / s)
-    if active[j]:
-        return data - p.log_odds[j] + p.half_log_slab
-    return data + p.log_odds[j] - p.half_log_slab
+    enters, leaves = size_gains(p, T)
+    data = data_gain(T.diagonal[j], T.partial[j], T.diagonal[-1], p.floor, p.h)
+    return data - p.log_odds[j] + leaves if T.row[j] >= 0 else data + p.log_odds[j] + enters
 
 
 @kernel
-def swap_gain(p: Problem, M: Floats, i: int, j: int) -> float:
-    """Change of the log posterior when active term i leaves and inactive term j enters."""
-    y = M.shape[0] - 1
-    out = M[i, i]
-    link = M[i, j] / out
-    pivot = M[j, j] - link * M[i, j]
-    partial = M[j, y] - link * M[i, y]
-    s = max(M[y, y], p.floor)
-    after = max(s - M[i, y] * M[i, y] / out - partial * partial / pivot, p.floor)
-    data = -0.5 * (math.log(abs(out)) + math.log(abs(pivot))) - p.h * math.log(after / s)
-    return data + p.log_odds[j] - p.log_odds[i]
+def flip_gains(p: Problem, T: Tableau, out: Floats) -> None:
+    """Change of the log posterior when each term is flipped, into `out`; -inf for a forced or forbidden one."""
+    enters, leaves = size_gains(p, T)
+    diagonal, partial, row, log_odds = T.diagonal, T.partial, T.row, p.log_odds
+    floor, h, s = p.floor, p.h, T.diagonal[-1]
+    for j in range(len(out)):
+        if math.isinf(log_odds[j]):
+            out[j] = -math.inf
+        else:
+            data = data_gain(diagonal[j], partial[j], s, floor, h)
+            out[j] = data - log_odds[j] + leaves if row[j] >= 0 else data + log_odds[j] + enters
 
 
 @kernel
-def climb(p: Problem, M: Floats, active: Bools, swaps: bool = True) -> float:
+def swap_gains(p: Problem, T: Tableau, i: int, out: Floats) -> None:
+    """Change of the log posterior when active term i leaves and each inactive one enters, into `out`.
+
+    -inf where one of them may not.
+    """
+    diagonal, partial, row, log_odds = T.diagonal, T.partial, T.row, p.log_odds
+    own = T.rows[row[i]]
+    floor, h, s, price = p.floor, p.h, max(diagonal[-1], p.floor), log_odds[i]
+    without = max(s - partial[i] * partial[i] / diagonal[i], floor)
+    first = -0.5 * math.log(abs(diagonal[i])) - h * math.log(without / s) - price
+    mean = partial[i] / diagonal[i]
+    for j in range(len(out)):
+        if row[j] >= 0 or math.isinf(log_odds[j]) or math.isinf(price):
+            out[j] = -math.inf
+        else:
+            pivot = diagonal[j] - own[j] * own[j] / diagonal[i]
+            out[j] = first + data_gain(pivot, partial[j] - own[j] * mean, without, floor, h) + log_odds[j]
+
+
+@kernel
+def best_swap(p: Problem, T: Tableau, least: float) -> tuple[float, int, int]:
+    """The swap that gains most, if more than `least`: gain, the term that leaves and the one that enters (-1: none)."""
+    best, best_i, best_j = least, -1, -1
+    gains = np.empty(len(T.partial))
+    for a in range(T.size[0]):
+        i = T.term[a]
+        swap_gains(p, T, i, gains)
+        for j in range(len(gains)):
+            if gains[j] > best:
+                best, best_i, best_j = gains[j], i, j
+    return best, best_i, best_j
+
+
+@kernel
+def climb(p: Problem, T: Tableau, active: Bools, swaps: bool = True) -> float:
     """Steepest ascent from the model in `active` by flips, and with `swaps` by swaps where no flip improves.
 
-    M and `active` are changed in place; returns the log posterior gained. Forced and forbidden terms are left
+    T and `active` are changed in place; returns the log posterior gained. Forced and forbidden terms are left
     as they are.
     """
     terms = len(active)
     gained = 0.0
+    gains = np.empty(terms)
     for _ in range(20 * terms + 20):
-        best, best_i, best_j = GAIN_TOLERANCE, -1, -1
-        for j in range(terms):
-            if not math.isinf(p.log_odds[j]):
-                gain = flip_gain(p, M, active, j)
-                if gain > best:
-                    best, best_j = gain, j
-        if best_j < 0 and swaps:
-            for i in range(terms):
-                if active[i] and not math.isinf(p.log_odds[i]):
-                    for j in range(terms):
-                        if not active[j] and not math.isinf(p.log_odds[j]):
-                            gain = swap_gain(p, M, i, j)
-                            if gain > best:
-                                best, best_i, best_j = gain, i, j
+        flip_gains(p, T, gains)
+        best_i, best_j = -1, int(np.argmax(gains))
+        best = gains[best_j]
+        if not best > GAIN_TOLERANCE:
+            best_j = -1
+            if swaps:
+                best, best_i, best_j = best_swap(p, T, GAIN_TOLERANCE)
         if best_j < 0:
             break
         if best_i >= 0:
-            flip(M, best_i)
+            leave(T, best_i)
             active[best_i] = False
-        flip(M, best_j)
+        flip(p, T, best_j)
         active[best_j] = not active[best_j]
         gained += best
     return gained
@@ -151,13 +325,17 @@ def score(p: Problem, active: Bools, slab_variance: float) -> float:
     r = len(index)
     L = np.empty((r, r))
     half = np.empty(r)
-    total = 0.0
+    rows, slot = p.columns.rows, p.columns.slot
+    total = p.size_prior[r]
     s = p.yty + 2.0 * p.noise_rate
     for a in range(r):
+        if slot[index[a]] < 0:
+            fetch(p.columns, index[a])
+        own = rows[slot[index[a]]]
         if p.log_odds[index[a]] < math.inf:
             total += p.log_odds[index[a]]
         for b in range(a + 1):
-            value = p.DtD[index[a], index[b]]
+            value = own[index[b]]
             if a == b:
                 value += 1.0 / slab_variance
             for k in range(b):
@@ -199,3 +377,22 @@ def least_squares_rss(DtD: Floats, Dty: Floats, yty: float) -> float:
         half[i] = value / L[i, i]
         s -= half[i] * half[i]
     return s
+
+
+def residual_sum(columns: Columns, Dty: Floats, yty: float, dof: float) -> float:
+    """Residual sum of squares of all terms together; 0 where there are as many terms as degrees of freedom."""
+    terms = len(Dty)
+    if terms >= dof:
+        return 0.0
+    if terms <= SMALL:
+        return float(least_squares_rss(columns.rows, Dty, yty))
+    DtD = all_rows(columns)
+    try:
+        half = solve_triangular(np.linalg.cholesky(DtD), Dty, lower=True, check_finite=False)
+        explained = float(half @ half)
+    except np.linalg.LinAlgError:
+        # columns that depend on others
+        values, vectors = np.linalg.eigh(DtD)
+        kept = values > DEPENDENT * values[-1]
+        explained = float(np.sum((vectors[:, kept].T @ Dty) ** 2 / values[kept]))
+    return max(yty - explained, 0.0)

@@ -10,23 +10,26 @@ A term with w_i = 0 decouples (mu_i = 0, Sigma_ii = v_s/tau), so the algebra run
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
+from bayeq.inference.lrvb import linear_response
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Floats, Problem
+from bayeq.inference.problem import Bools, Floats, Ints, Problem, fetch
 from bayeq.inference.rvm import rvm_ascent
-from bayeq.inference.search import candidate_models, default_starts
+from bayeq.inference.search import RVM_START_TERMS, candidate_models, default_starts, neighbours
+from bayeq.inference.tableau import GAIN_TOLERANCE
 from bayeq.kernels import kernel
 from bayeq.posterior import Posterior
 
 __all__ = ["spike_slab_vb"]
 
-Ints = NDArray[np.int64]
+# Moves that VB restarts from when its optimum turns out to be improvable.
+RETESTS = 4
 
 # Below this log-odds (w = 1e-20) a term counts as out: exp underflows soon after, and w = 0 is exact.
 ETA_OUT = -46.0
@@ -92,9 +95,53 @@ def _indicator_bound(w: Floats, log_odds: Floats) -> float:
 
 
 @kernel
-def _update_indicators(p: Problem, w: Floats, index: Ints, mu: Floats, C: Floats, tau_old: float, tau: float) -> None:
+def _digamma(x: float) -> float:
+    """Derivative of ln Gamma at x > 0: recurrence up to x >= 6, then the asymptotic series (error below 1e-11)."""
+    value = 0.0
+    while x < 6.0:
+        value -= 1.0 / x
+        x += 1.0
+    t = 1.0 / (x * x)
+    series = t * (1.0 / 12.0 - t * (1.0 / 120.0 - t * (1.0 / 252.0 - t * (1.0 / 240.0 - t / 132.0))))
+    return value + math.log(x) - 0.5 / x - series
+
+
+@kernel
+def _inclusion_rate(p: Problem, w: Floats, log_odds: Floats) -> float:
+    """q(p_0) = Beta(a + sum w, b + sum(1 - w)) over the free terms: writes E ln p_0 - E ln(1-p_0) of each.
+
+    Returns what p(z | p_0) p(p_0) adds to the ELBO then: ln B(a', b') - ln B(a, b). At binary w this is the
+    beta-binomial prior itself.
+    """
+    a, b = p.inclusion_beta[0], p.inclusion_beta[1]
+    new_a, new_b = a, b
+    for i in range(len(w)):
+        if not math.isinf(p.log_odds[i]):
+            new_a += w[i]
+            new_b += 1.0 - w[i]
+    value = _digamma(new_a) - _digamma(new_b)
+    for i in range(len(w)):
+        log_odds[i] = p.log_odds[i] if math.isinf(p.log_odds[i]) else value
+    bound = math.lgamma(new_a) + math.lgamma(new_b) - math.lgamma(new_a + new_b)
+    return bound - math.lgamma(a) - math.lgamma(b) + math.lgamma(a + b)
+
+
+@kernel
+def _entropy(w: Floats) -> float:
+    total = 0.0
+    for i in range(len(w)):
+        if 0.0 < w[i] < 1.0:
+            total -= w[i] * math.log(w[i]) + (1.0 - w[i]) * math.log1p(-w[i])
+    return total
+
+
+@kernel
+def _update_indicators(
+    p: Problem, log_odds: Floats, w: Floats, index: Ints, mu: Floats, C: Floats, tau_old: float, tau: float
+) -> None:
     """Eqs. (25)-(26) for each term in turn, with the newest w of the others."""
     position = np.full(len(w), -1)
+    rows, slot = p.columns.rows, p.columns.slot
     for a in range(len(index)):
         position[index[a]] = a
     for i in range(len(w)):
@@ -102,13 +149,14 @@ def _update_indicators(p: Problem, w: Floats, index: Ints, mu: Floats, C: Floats
             continue
         a = position[i]
         if a < 0:
-            eta = p.log_odds[i] - 0.5 * tau * p.slab_variance / tau_old * p.DtD[i, i]
+            eta = log_odds[i] - 0.5 * tau * p.slab_variance / tau_old * p.columns.diagonal[i]
         else:
-            eta = p.log_odds[i] - 0.5 * tau * (mu[a] * mu[a] + C[a, a] / tau_old) * p.DtD[i, i]
+            own = rows[slot[i]]
+            eta = log_odds[i] - 0.5 * tau * (mu[a] * mu[a] + C[a, a] / tau_old) * own[i]
             cross = mu[a] * p.Dty[i]
             for b in range(len(index)):
                 if b != a:
-                    cross -= w[index[b]] * p.DtD[i, index[b]] * (mu[a] * mu[b] + C[a, b] / tau_old)
+                    cross -= w[index[b]] * own[index[b]] * (mu[a] * mu[b] + C[a, b] / tau_old)
             eta += tau * cross
         w[i] = 0.0 if eta < ETA_OUT else _expit(eta)
 
@@ -131,16 +179,21 @@ def vb_ascent(
             w[i] = 1.0
         elif p.log_odds[i] == -math.inf:
             w[i] = 0.0
+    log_odds = p.log_odds.copy()
+    rows, slot = p.columns.rows, p.columns.slot
     while True:
         index = np.flatnonzero(w > 0.0)
         r = len(index)
         A, C, mu = np.empty((r, r)), np.empty((r, r)), np.zeros(r)
         for a in range(r):
             i = index[a]
+            if slot[i] < 0:
+                fetch(p.columns, i)
+            own = rows[slot[i]]
             for b in range(a):
-                A[a, b] = w[i] * w[index[b]] * p.DtD[i, index[b]]
+                A[a, b] = w[i] * w[index[b]] * own[index[b]]
                 A[b, a] = A[a, b]
-            A[a, a] = w[i] * p.DtD[i, i] + 1.0 / p.slab_variance
+            A[a, a] = w[i] * own[i] + 1.0 / p.slab_variance
         logdet = _factorise(A, C)
         if math.isnan(logdet):
             return np.zeros(terms), C, index, shape, math.nan, trace[:0]
@@ -157,13 +210,17 @@ def vb_ascent(
         log_det_sigma = (terms - r) * math.log(p.slab_variance) - logdet - terms * math.log(tau)
         elbo = 0.5 * terms - 0.5 * p.dof * math.log(2.0 * math.pi) - 0.5 * terms * math.log(p.slab_variance)
         elbo += p.noise_shape * math.log(p.noise_rate) - math.lgamma(p.noise_shape) + math.lgamma(shape)
-        elbo += 0.5 * log_det_sigma - shape * math.log(rate) + _indicator_bound(w, p.log_odds)
+        elbo += 0.5 * log_det_sigma - shape * math.log(rate)
+        if len(p.inclusion_beta) > 0:
+            elbo += _inclusion_rate(p, w, log_odds) + _entropy(w)
+        else:
+            elbo += _indicator_bound(w, log_odds)
         trace[steps] = elbo
         steps += 1
         done = steps > 1 and elbo - trace[steps - 2] < tolerance
         if done or steps == max_iter:
             break
-        _update_indicators(p, w, index, mu, C, tau, tau_new)
+        _update_indicators(p, log_odds, w, index, mu, C, tau, tau_new)
         tau = tau_new
     full = np.zeros(terms)
     for a in range(r):
@@ -174,7 +231,27 @@ def vb_ascent(
 def _rvm_start(problem: Problem) -> tuple[Floats, float]:
     """The paper's start (section 3.2): w = gamma of the RVM, tau = 1000."""
     p = problem
-    return rvm_ascent(p.DtD, p.Dty, p.yty, p.dof, 50 * len(p.Dty) + 100)[0], 1000.0
+    return rvm_ascent(p.columns, p.Dty, p.yty, p.dof, 50 * len(p.Dty) + 100)[0], 1000.0
+
+
+Ascent = tuple[Floats, Floats, Ints, float, float, Floats]
+
+
+def _binary(models: Sequence[Bools]) -> list[tuple[Floats, float]]:
+    return [(model.astype(np.float64), 0.0) for model in models]
+
+
+def _best_ascent(
+    problem: Problem, starts: Sequence[tuple[Floats, float]], tolerance: float, max_iter: int
+) -> tuple[Floats, Ascent]:
+    """w and result of the ascent with the highest ELBO."""
+    best: tuple[Floats, Ascent] | None = None
+    for w, tau in starts:
+        run = vb_ascent(problem, w, tau, tolerance, max_iter)
+        if best is None or run[5][-1] > best[1][5][-1]:
+            best = w, run
+    assert best is not None
+    return best
 
 
 def spike_slab_vb(
@@ -182,8 +259,10 @@ def spike_slab_vb(
     prior: Prior | None = None,
     *,
     init: Literal["search", "rvm"] | Floats = "search",
+    models: Sequence[Bools] = (),
     tolerance: float = 1e-6,
     max_iter: int = 1000,
+    covariance: Literal["mean-field", "lrvb"] = "mean-field",
 ) -> Posterior:
     """Variational posterior under spike-and-slab priors.
 
@@ -198,24 +277,30 @@ def spike_slab_vb(
         correlated dictionary, so its optimum is the optimum of its start. "rvm" starts from the RVM's gamma as
         the paper does; "search" (default) from several points, the RVM and the best models of a search on the
         collapsed tableau, and keeps the highest ELBO; an array gives w itself.
+    models : sequence of (P,) bool arrays
+        Further models to start from, with "search".
     tolerance : float
         Stop when the ELBO rises by less, eq. (27).
     max_iter : int
         Limit on the sweeps.
+    covariance : "mean-field" or "lrvb"
+        That of q(theta), or by linear response, which adds what undecided terms leave open (see `lrvb`).
 
     Returns
     -------
     Posterior
         `pip` holds w, `elbo` the bound (28) with its misprint corrected.
     """
+    if covariance not in ("mean-field", "lrvb"):
+        raise InputError(f"covariance must be 'mean-field' or 'lrvb', got {covariance!r}")
     problem = Problem.of(gram, prior or Prior())
     if isinstance(init, str):
         if init == "rvm":
             starts = [_rvm_start(problem)]
         elif init == "search":
-            from_rvm = _rvm_start(problem)
-            models = candidate_models(problem, default_starts(problem, from_rvm[0]))
-            starts = [*((model.astype(np.float64), 0.0) for model in models), from_rvm]
+            from_rvm = _rvm_start(problem) if len(problem.Dty) <= RVM_START_TERMS else None
+            found = candidate_models(problem, default_starts(problem, from_rvm[0] if from_rvm else None))
+            starts = [*_binary(found), *_binary(models), *([from_rvm] if from_rvm else [])]
         else:
             raise InputError(f"init must be 'search', 'rvm' or an array of inclusion probabilities, got {init!r}")
     else:
@@ -223,13 +308,20 @@ def spike_slab_vb(
         if w.shape != (len(gram.names),) or not np.all((w >= 0) & (w <= 1)):
             raise InputError(f"init must hold one probability per term ({len(gram.names)})")
         starts = [(w, 0.0)]
-    best = None
-    for w, tau in starts:
-        run = vb_ascent(problem, w, tau, tolerance, max_iter)
-        if best is None or run[5][-1] > best[5][-1]:
-            best, best_w = run, w
-    assert best is not None
+    best_w, best = _best_ascent(problem, starts, tolerance, max_iter)
+    while isinstance(init, str) and init == "search":
+        # every excluded term and every swap is tested again where the ascent has ended
+        better = neighbours(problem, best_w > 0.5, -GAIN_TOLERANCE)[:RETESTS]
+        if not better:
+            break
+        moved = [move.apply(best_w > 0.5) for move in better]
+        w, run = _best_ascent(problem, _binary(moved), tolerance, max_iter)
+        if not run[5][-1] > best[5][-1] + tolerance:
+            break
+        best_w, best = w, run
     mu, sigma, index, shape, rate, trace = best
+    if covariance == "lrvb":
+        sigma = linear_response(problem, best_w, mu, sigma, index, shape / rate)
     kept = np.flatnonzero(best_w[index] > 0.5)
     support = np.zeros(len(best_w), dtype=np.bool_)
     support[index[kept]] = True
