@@ -6,7 +6,7 @@ This is the one place where derivatives come from; `smoothing` holds the filters
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
 from bayeq.records import Record
 from bayeq.states.chain import Chain
+from bayeq.states.smoothed import ChainSmoothing, smooth_chain
 from bayeq.states.smoothing import smooth_derivative
 
 __all__ = ["Smooth", "States", "derive_states"]
@@ -24,6 +25,10 @@ Smooth = Literal["auto", "none"]
 
 # Fewer rows than this cannot carry a smoother.
 LEAST_ROWS = 5
+
+# Noise in the states, as a share of their standard deviation, below which they are used as measured: it does no harm,
+# and what a smoother makes of motion that is not its model's may do more.
+LEAST_NOISE = 0.01
 
 # Samples beyond, and channels that vary by less than its inverse, have no square in floating point.
 LARGEST = 1e150
@@ -39,14 +44,58 @@ class States:
         States, targets and inputs by name.
     estimated : tuple of str
         The names among them that were estimated from another channel.
+    measured : mapping of str to (n,) array
+        Samples of the targets that were measured and smoothed.
+    smoothing : tuple of (ChainSmoothing or None)
+        How the kinematic smoother went over each chain; empty if it did not.
     """
 
     columns: Mapping[str, Floats]
     estimated: tuple[str, ...]
+    measured: Mapping[str, Floats] = field(default_factory=dict)
+    smoothing: tuple[ChainSmoothing | None, ...] = ()
 
     @property
     def n(self) -> int:
         return len(next(iter(self.columns.values())))
+
+
+def derive_all(
+    records: Sequence[Record],
+    chains: Sequence[Chain],
+    inputs: Sequence[str] = (),
+    smooth: Smooth = "auto",
+    rows: Sequence[int] | None = None,
+) -> list[States]:
+    """States, targets and inputs of records of one system, which share their noise levels.
+
+    With "auto" the kinematic smoother fuses all measured channels of a chain (`states.smoothed`). Records without time,
+    with too few rows, or with states that hardly have noise are left to `derive_states`, whose parameters and errors
+    are those of this function. `rows` says how many rows of each record, the first, noise levels are learned from.
+    """
+    timed = all(record.time is not None for record in records)
+    # what is checked is checked before the work
+    plain = [derive_states(record, chains, inputs, "none" if timed else smooth) for record in records]
+    if smooth == "none" or not timed:
+        return plain
+    found = [smooth_chain(records, chain, rows) for chain in chains]
+    clean = all(s is not None and s[1].noise_ratio < LEAST_NOISE for s in found)
+    if clean or None in found:
+        plain = [derive_states(record, chains, inputs, smooth) for record in records]
+    if clean:
+        return plain
+    out = []
+    for i, states in enumerate(plain):
+        columns, measured = dict(states.columns), {}
+        for chain, smoothed in zip(chains, found, strict=True):
+            if smoothed is None:
+                continue
+            for k, name in enumerate(chain.names):
+                columns[name] = np.ascontiguousarray(smoothed[0][i][:, k])
+            if chain.measured[-1] is not None:
+                measured[chain.target] = records[i][chain.measured[-1]]
+        out.append(States(columns, states.estimated, measured, tuple(None if s is None else s[1] for s in found)))
+    return out
 
 
 def derive_states(

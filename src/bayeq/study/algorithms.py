@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.gram import Gram
+from bayeq.gram import Gram, Standardised
 from bayeq.inference import Prior, rvm, spike_slab_bma, spike_slab_gibbs, spike_slab_vb, sweep_stlsq
 from bayeq.inference.problem import Problem
 from bayeq.inference.search import greedy_model
+from bayeq.inference.slab import learn_slab_variance, residual_scale
 from bayeq.posterior import Posterior
 from bayeq.study.config import StudyConfig
 
@@ -59,8 +60,17 @@ def estimate(posterior: Posterior) -> Estimate:
     return Estimate(posterior.support, posterior.coef, bool(posterior.converged), extras)
 
 
-def _prior(config: StudyConfig) -> Prior:
-    return Prior(config.slab_variance, config.prior_inclusion, config.noise_shape, config.noise_rate)
+def _posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
+    """The standardised problem and its prior: the paper's, or on smoothed records the defaults of `bayeq.discover`.
+
+    Smoothing raises the signal-to-noise ratio, for which the paper's slab is too narrow: its variance is then learned,
+    and the noise prior applies in units of the residual.
+    """
+    prior = Prior(config.slab_variance, config.prior_inclusion, config.noise_shape, config.noise_rate)
+    if config.smooth == "none":
+        return train.standardise(), prior
+    standard = train.standardise(residual_scale(train))
+    return standard, replace(prior, slab_variance=learn_slab_variance(standard.gram, prior, config.slab_variance))
 
 
 def _sindy(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
@@ -85,10 +95,10 @@ def _rvm(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]
 def _gibbs(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-MCMC: the collapsed Gibbs sampler, eqs. (33)-(34), as in the paper without exchange steps."""
     del held_out
-    standard = train.standardise()
+    standard, prior = _posed(train, config)
     posterior = spike_slab_gibbs(
         standard.gram,
-        _prior(config),
+        prior,
         chains=config.chains,
         samples=config.samples,
         burn_in=config.burn_in,
@@ -102,30 +112,30 @@ def _gibbs(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ..
 def _bma(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """Model averaging with exact weights; selected is the median probability model."""
     del held_out, seed
-    standard = train.standardise()
-    return estimate(standard.restore(spike_slab_bma(standard.gram, _prior(config))))
+    standard, prior = _posed(train, config)
+    return estimate(standard.restore(spike_slab_bma(standard.gram, prior)))
 
 
 def _vb(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-VB, from several starts."""
     del held_out, seed
-    standard = train.standardise()
-    return estimate(standard.restore(spike_slab_vb(standard.gram, _prior(config))))
+    standard, prior = _posed(train, config)
+    return estimate(standard.restore(spike_slab_vb(standard.gram, prior)))
 
 
 def _vb_greedy(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-VB started from a greedy search that adds and drops terms but never swaps them."""
     del held_out, seed
-    standard = train.standardise()
-    start = greedy_model(Problem.of(standard.gram, _prior(config))).astype(np.float64)
-    return estimate(standard.restore(spike_slab_vb(standard.gram, _prior(config), init=start)))
+    standard, prior = _posed(train, config)
+    start = greedy_model(Problem.of(standard.gram, prior)).astype(np.float64)
+    return estimate(standard.restore(spike_slab_vb(standard.gram, prior, init=start)))
 
 
 def _vb_rvm(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-VB started from the RVM alone, as the paper's section 3.2 says."""
     del held_out, seed
-    standard = train.standardise()
-    return estimate(standard.restore(spike_slab_vb(standard.gram, _prior(config), init="rvm")))
+    standard, prior = _posed(train, config)
+    return estimate(standard.restore(spike_slab_vb(standard.gram, prior, init="rvm")))
 
 
 ALGORITHMS: dict[str, Algorithm] = {

@@ -15,12 +15,14 @@ from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.records import Truth
-from bayeq.states import Smooth, derive_states, parse_chains
+from bayeq.spectral import noise_floor
+from bayeq.states import Smooth, States, derive_all, parse_chains
 from bayeq.study.algorithms import ALGORITHMS
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
 from bayeq.study.metrics import measure
 from bayeq.study.result import Result
 from bayeq.systems import System, get_system, simulate
+from bayeq.weighting import weighted_gram
 
 __all__ = ["Realisation", "Task", "draw", "realise"]
 
@@ -96,17 +98,33 @@ def draw(config: StudyConfig, system: str, index: int) -> Realisation:
         perturb=config.perturb,
     )
     chains = parse_chains(known.chains)
-    states = derive_states(record, chains, known.inputs, cast(Smooth, config.smooth))
+    target = chains[0].target
+    cut = config.train_rows
     terms = _terms(config.dictionary, Variables(chains[0].states, known.inputs))
     names = tuple(term.text for term in terms)
-    D, y = evaluate_terms(terms, states.columns), states.columns[chains[0].target]
-    cut = config.train_rows
     assert record.truth is not None
-    return Realisation(
-        train=Gram.from_data(D[:cut], y[:cut], names),
-        test=Gram.from_data(D[cut:], y[cut:], names),
-        truth=_truth(record.truth, chains[0].target, names),
-    )
+    truth = _truth(record.truth, target, names)
+    # the smoother sees the training rows alone
+    parts = [record.slice(0, cut), record.slice(cut)]
+    states = [derive_all([part], chains, known.inputs, cast(Smooth, config.smooth))[0] for part in parts]
+    D = [evaluate_terms(terms, part.columns) for part in states]
+    test = Gram.from_data(D[1], states[1].measured.get(target, states[1].columns[target]), names)
+    train = _in_band(states[0], D[0], target, names, known.inputs)
+    if train is None:
+        train = Gram.from_data(D[0], states[0].columns[target], names)
+    return Realisation(train=train, test=test, truth=truth)
+
+
+def _in_band(states: States, D: Floats, target: str, names: tuple[str, ...], inputs: tuple[str, ...]) -> Gram | None:
+    """The weighted Gram of the band, where the record was smoothed."""
+    smoothing = states.smoothing[0] if states.smoothing else None
+    if smoothing is None or smoothing.fs is None:
+        return None
+    columns = [j for j, name in enumerate(names) if name in inputs]
+    floors = {j: noise_floor([states.columns[names[j]]]) for j in columns}
+    noise = {j: floor for j, floor in floors.items() if floor is not None}
+    found = weighted_gram([(D, states.columns[target])], names, smoothing, smoothing.limit, columns, noise)
+    return None if found is None else found.gram
 
 
 def realise(config: StudyConfig, task: Task) -> list[Result]:

@@ -1,0 +1,226 @@
+"""Regression in a band of frequencies.
+
+The equation of motion a(t) = theta'd(t) holds at every instant, so it holds for any linear transform of both sides. The
+discrete Fourier transform of tapered columns separates the band in which smoothed states follow the motion from what
+is beyond it, where a smoothed target has lost its signal; and it makes residuals whose spectrum is not flat
+independent, each bin with a variance of its own: least squares with weights 1/S_r(f) is then efficient, and its
+intervals are honest, whatever filters the data went through (generalised least squares; Hannan 1963).
+
+A smoothed state is an expectation given the channels; the smoother's gain G(f) multiplies the signals of the
+equation's motion alike, so that the measured input is multiplied by it too: both sides see the same filter. The noise
+of a measured input is a classical error in a regressor and is subtracted from its sum of squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.gram import Gram
+
+__all__ = ["Band", "band_gram", "noise_floor", "residual_spectrum", "taper", "to_band"]
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+# Share of a record that is tapered at either end, and the least number of rows.
+TAPERED = 1 / 40
+LEAST_TAPER = 16
+
+# Bins on either side over which the spectrum of residuals is averaged: 122 degrees of freedom.
+SMOOTHING = 30
+
+# No more than this share of a column's sum of squares is subtracted as noise.
+MOST_NOISE = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """The rows of one record as bins of a band.
+
+    Attributes
+    ----------
+    frequency : (b,) array
+        Frequencies [Hz].
+    count : (b,) array
+        Real numbers that a bin stands for: 1 at zero frequency, otherwise 2.
+    columns : (b, P + 2) complex array
+        Transforms of a constant, of the columns and of the target, scaled so that white noise of variance s^2 has
+        E|.|^2 = s^2.
+    gain : (b,) array
+        By which input columns have been multiplied.
+    kept : float
+        Share of the rows' information that the taper leaves.
+    """
+
+    frequency: Floats
+    count: Floats
+    columns: Complexes
+    gain: Floats
+    kept: float
+
+
+def taper(n: int) -> Floats:
+    """Window that rises from 0 to 1 with three continuous derivatives over 1/40 of the rows at either end."""
+    length = max(LEAST_TAPER, round(TAPERED * n))
+    s = np.clip(np.minimum(np.arange(n), n - 1 - np.arange(n)) / length, 0.0, 1.0)
+    return np.asarray(s**4 * (35.0 - 84.0 * s + 70.0 * s**2 - 20.0 * s**3))
+
+
+def to_band(
+    D: Floats, y: Floats, fs: float, limit: float, gain: Floats | None = None, inputs: Sequence[int] = ()
+) -> Band:
+    """Transform the rows of a record.
+
+    Parameters
+    ----------
+    D, y : (n, P) array, (n,) array
+        Dictionary and target, uniformly sampled.
+    fs, limit : float
+        Sampling rate and upper end of the band [Hz].
+    gain : (n//2 + 1,) array, optional
+        Factor of input columns at the frequencies of `numpy.fft.rfftfreq`.
+    inputs : sequence of int
+        Columns to be multiplied by it.
+    """
+    n = len(y)
+    window = taper(n)
+    power = float(np.sum(window**2))
+    frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / fs), dtype=np.float64)
+    bins = int(np.searchsorted(frequency, limit, side="right"))
+    # the bin at half the sampling rate is left out: it is real, and aliased
+    bins = max(min(bins, (n + 1) // 2), 1)
+    columns = np.empty((bins, D.shape[1] + 2), dtype=np.complex128)
+    for j in range(columns.shape[1]):
+        values = np.ones(n) if j == 0 else y if j == D.shape[1] + 1 else D[:, j - 1]
+        columns[:, j] = np.fft.rfft(window * values)[:bins] / np.sqrt(power)
+    factor = np.ones(bins) if gain is None else gain[:bins]
+    for j in inputs:
+        columns[:, j + 1] *= factor
+    count = np.full(bins, 2.0)
+    count[0] = 1.0
+    return Band(frequency[:bins], count, columns, factor, power**2 / (n * float(np.sum(window**4))))
+
+
+def band_gram(
+    bands: Sequence[Band],
+    names: tuple[str, ...],
+    spectrum: Sequence[Floats] | None = None,
+    noise: Mapping[int, float] | None = None,
+    coef: Floats | None = None,
+) -> Gram:
+    """Sufficient statistics of the bins of all records.
+
+    Parameters
+    ----------
+    bands : sequence of Band
+        One per record.
+    names : tuple of str
+        The P columns.
+    spectrum : sequence of (b,) array, optional
+        Variance of the residual in each bin; by default the same in all.
+    noise : mapping of int to float, optional
+        Noise variance of input columns, subtracted from their sums of squares and, times the square of their
+        coefficient `coef`, added to that of y: it is in the residual, though not in the regression.
+    coef : (P,) array, optional
+        Coefficients of an earlier fit.
+
+    Returns
+    -------
+    Gram
+        Weights are scaled to a mean of 1, so that n is the number of real numbers in the band.
+    """
+    weights = [np.ones(len(b.count)) for b in bands] if spectrum is None else [1.0 / s for s in spectrum]
+    total = sum(float(np.sum(b.count)) for b in bands)
+    mean_weight = sum(float(np.sum(w * b.count)) for w, b in zip(weights, bands, strict=True)) / total
+    terms = len(names)
+    products = np.zeros((terms + 2, terms + 2))
+    rows = 0.0
+    added = 0.0
+    for weight, band in zip(weights, bands, strict=True):
+        w = weight / mean_weight * band.count * band.kept
+        root = np.sqrt(w)[:, None] * band.columns
+        stacked = np.concatenate([root.real, root.imag])
+        products += stacked.T @ stacked
+        rows += float(np.sum(band.count)) * band.kept
+        for j, variance in (noise or {}).items():
+            removed = min(
+                variance * float(np.sum(w * band.gain**2)), MOST_NOISE * float(np.sum(root[:, j + 1].real ** 2))
+            )
+            products[j + 1, j + 1] -= removed
+            if coef is not None:
+                added += float(coef[j]) ** 2 * removed
+    mean = products[0, 1:] / products[0, 0]
+    cross = products[1:, 1:] - np.outer(mean, mean) * products[0, 0]
+    return Gram(
+        names=names,
+        n=rows,
+        mean=mean[:terms],
+        target_mean=float(mean[terms]),
+        DtD=np.ascontiguousarray(cross[:terms, :terms]),
+        Dty=cross[:terms, terms].copy(),
+        yty=float(cross[terms, terms]) + added,
+        dof=rows - 1.0,
+    )
+
+
+def residual_spectrum(bands: Sequence[Band], coef: Floats, intercept: float) -> list[Floats]:
+    """Variance of the residual in each bin: its periodogram, averaged over neighbouring frequencies of all records."""
+    theta = np.concatenate([[intercept], coef])
+    power = [np.abs(band.columns[:, -1] - band.columns[:, :-1] @ theta) ** 2 for band in bands]
+    frequency = np.concatenate([band.frequency for band in bands])
+    order = np.argsort(frequency, kind="stable")
+    values = np.concatenate(power)[order]
+    half = min(SMOOTHING, max(1, (len(values) - 1) // 4))
+    padded = np.pad(values, half, mode="reflect")
+    smooth = np.convolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), mode="valid")
+    smooth = np.maximum(smooth, 1e-6 * smooth.max())
+    out = np.empty_like(smooth)
+    out[order] = smooth
+    return np.split(out, np.cumsum([len(p) for p in power])[:-1])
+
+
+def noise_floor(values: Sequence[Floats], widest: float = 0.85) -> float | None:
+    """Variance of white noise on a channel, from the part of its spectrum above its pass band.
+
+    Parameters
+    ----------
+    values : sequence of (n,) array
+        The channel in uninterrupted, uniformly sampled pieces.
+    widest : float
+        Share of the spectrum that the pass band may fill.
+
+    Returns
+    -------
+    float or None
+        None where no flat floor, well below the level of the pass band, is seen: the band fills the spectrum, or rolls
+        off slowly.
+    """
+    levels = np.zeros(40)
+    counts = np.zeros(40)
+    for piece in values:
+        n = len(piece)
+        if n < 400:
+            continue
+        window = taper(n)
+        power = np.abs(np.fft.rfft(window * (piece - piece.mean()))) ** 2 / float(np.sum(window**2))
+        place = np.minimum((np.arange(len(power)) * 40) // len(power), 39)
+        levels += np.bincount(place, power, minlength=40)
+        counts += np.bincount(place, minlength=40)
+    if not counts.all():
+        return None
+    levels /= counts
+    top = levels[round(40 * widest) :]
+    floor = float(np.mean(top))
+    # flat: the upper bands agree within their scatter, and lie far below the strongest
+    scatter = 5.0 / np.sqrt(counts[-len(top) :].min())
+    if floor > 0.1 * levels.max() or top.max() > floor * (1.0 + scatter) or top.min() < floor * (1.0 - scatter):
+        return None
+    # more of the spectrum at that level makes the estimate better
+    flat = levels < floor * (1.0 + 2.0 * scatter)
+    first = 39 - int(np.argmin(flat[::-1])) + 2 if not flat.all() else 0
+    used = slice(min(first, round(40 * widest)), 40)
+    return float(np.sum(levels[used] * counts[used]) / np.sum(counts[used]))

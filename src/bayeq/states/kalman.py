@@ -1,0 +1,443 @@
+"""Kalman filter of an integrated Wiener process, its likelihood and score, compiled.
+
+State s = (q, q', ..., q^(m-1)) with d^m q/dt^m white; time is counted in regular steps, so that the regular
+transition is F_ij = 1/(j-i)!. Channels with independent noises are taken one at a time, so that every gain is a
+vector and a missing sample is a gain of zero.
+
+Covariances do not depend on the samples. `filter_gains` therefore goes first and fills a table of gains, one
+entry per row until they have settled on a run of regular rows, and one entry for all rows beyond; `filter_means`,
+`score` and `rts.smooth` read it. Covariances are kept as square roots P = S S' throughout (orthogonal triangularisation
+for the steps, Potter's update for the samples): nothing is subtracted, so that a diffuse start and channels
+without noise keep their digits.
+
+Sources: Kailath, Sayed and Hassibi, *Linear Estimation* (2000), ch. 12 (array algorithms); Potter's update in
+Bierman, *Factorization Methods* (1977); Koopman and Shephard, Biometrika 79 (1992) (score); de Jong, Biometrika 75
+(1988) (leaving one out); Kraemer and Hennig, JMLR 25 (2024) (stable filters of this prior).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.kernels import kernel
+
+__all__ = [
+    "LONG_GAP",
+    "SETTLED",
+    "advance",
+    "close",
+    "filter_gains",
+    "filter_means",
+    "outer",
+    "pre_array",
+    "score",
+    "taylor",
+    "triangularise",
+]
+
+Floats = NDArray[np.float64]
+
+# A covariance has settled when a step changes its square root by less, relative to the standard deviations.
+SETTLED = 1e-12
+# A state that is this many noise levels wide after a gap longer than this [regular steps] holds no digit of what was
+# known before: it starts anew.
+WIDE, LONG_GAP = 1e8, 20.0
+# The same as SETTLED for the information that the score carries backwards: a sum over rows needs no more.
+SETTLED_SCORE = 1e-8
+
+
+@kernel
+def taylor(h: float, f: Floats) -> None:
+    """f[j] = h^j / j!, the transition over h: F_ij = f[j - i]."""
+    f[0] = 1.0
+    for j in range(1, len(f)):
+        f[j] = f[j - 1] * h / j
+
+
+@kernel
+def advance(x: Floats, f: Floats) -> None:
+    """x <- F x."""
+    m = len(x)
+    for i in range(m - 1):
+        total = x[i]
+        for j in range(i + 1, m):
+            total += f[j - i] * x[j]
+        x[i] = total
+
+
+@kernel
+def _retreat(r: Floats, f: Floats) -> None:
+    """r <- F' r."""
+    for i in range(len(r) - 1, 0, -1):
+        total = r[i]
+        for j in range(i):
+            total += f[i - j] * r[j]
+        r[i] = total
+
+
+@kernel
+def triangularise(M: Floats, rows: int, columns: int) -> None:
+    """M <- M Theta, Theta orthogonal: lower triangular with a diagonal that is not negative."""
+    for i in range(rows):
+        head, tail = M[i, i], 0.0
+        for j in range(i + 1, columns):
+            tail += M[i, j] * M[i, j]
+        norm = np.sqrt(head * head + tail)
+        first = head - norm if head <= 0.0 else -tail / (head + norm)
+        length = first * first + tail
+        if length > 0.0:
+            for r in range(i + 1, rows):
+                dot = M[r, i] * first
+                for j in range(i + 1, columns):
+                    dot += M[r, j] * M[i, j]
+                dot *= 2.0 / length
+                M[r, i] -= dot * first
+                for j in range(i + 1, columns):
+                    M[r, j] -= dot * M[i, j]
+        M[i, i] = norm
+        for j in range(i + 1, columns):
+            M[i, j] = 0.0
+
+
+@kernel
+def outer(S: Floats, P: Floats) -> None:
+    """P = S S'."""
+    m = len(S)
+    for i in range(m):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(m):
+                total += S[i, k] * S[j, k]
+            P[i, j] = total
+            P[j, i] = total
+
+
+@kernel
+def pre_array(S: Floats, f: Floats, h: float, noise: Floats, M: Floats) -> None:
+    """M[:m] = [F S, root of Qd(h)], whose product with its transpose is the predicted covariance.
+
+    Qd(h) = T Qd(1) T with T_ii = h^(m - i - 1/2): its root scales by rows.
+    """
+    m = len(f)
+    for i in range(m):
+        scale = 1.0 if h == 1.0 else h ** (m - i - 0.5)
+        for j in range(m):
+            M[i, j] = S[i, j]
+            M[i, m + j] = scale * noise[i, j]
+        for k in range(i + 1, m):
+            for j in range(m):
+                M[i, j] += f[k - i] * S[k, j]
+
+
+@kernel
+def close(A: Floats, B: Floats, m: int, tolerance: float) -> bool:
+    """Whether two triangular roots agree, each row relative to its norm, a standard deviation."""
+    for i in range(m):
+        norm = 0.0
+        for j in range(i + 1):
+            norm += A[i, j] * A[i, j]
+        bound = tolerance * np.sqrt(norm)
+        for j in range(i + 1):
+            if not abs(A[i, j] - B[i, j]) <= bound:
+                return False
+    return True
+
+
+@kernel
+def _measure(S: Floats, k: int, variance: float, gain: Floats) -> float:
+    """Potter's update of the root S for a sample of state k; fills the gain, returns the innovation's variance."""
+    m = len(gain)
+    total = variance
+    for j in range(m):
+        total += S[k, j] * S[k, j]
+    both = total + np.sqrt(variance * total)
+    for i in range(m):
+        dot = 0.0
+        for j in range(m):
+            dot += S[i, j] * S[k, j]
+        gain[i] = dot / total
+    for i in range(m):
+        if i != k:
+            factor = gain[i] * total / both
+            for j in range(m):
+                S[i, j] -= factor * S[k, j]
+    shrink = np.sqrt(variance / total)
+    for j in range(m):
+        S[k, j] *= shrink
+    return total
+
+
+@kernel
+def _predict(S: Floats, h: float, noise: Floats, f: Floats, M: Floats) -> None:
+    """Root of the covariance a step later, lower triangular."""
+    m = len(f)
+    taylor(h, f)
+    pre_array(S, f, h, noise, M)
+    triangularise(M, m, 2 * m)
+    S[:] = M[:, :m]
+
+
+@kernel
+def _width(S: Floats, k: int) -> float:
+    """Standard deviation of state k."""
+    return np.sqrt(np.sum(S[k] ** 2))
+
+
+@kernel
+def filter_gains(
+    steps: Floats,
+    present: NDArray[np.bool_],
+    orders: NDArray[np.int64],
+    variances: Floats,
+    noise: Floats,
+    start: Floats,
+    index: NDArray[np.int64],
+    anew: NDArray[np.bool_],
+    gains: Floats,
+    inverse: Floats,
+    roots: Floats,
+) -> tuple[int, int, float]:
+    """Gains of the filter.
+
+    Parameters
+    ----------
+    steps : (n,) array
+        Step before each row in regular steps, exactly 1 where regular; the first is not used.
+    present : (n, c) array
+        Whether channel j has a sample in the row.
+    orders : (c,) array
+        Which derivative channel j measures.
+    variances : (c,) array
+        Noise of the channels.
+    noise : (m, m) array
+        Lower root of Qd over a regular step.
+    start : (m,) array
+        Standard deviations of the state before the first row.
+    index : (n,) array, filled
+        Entry of each row in the tables below.
+    anew : (n,) array, filled
+        Whether the state starts anew in the row, as it does after a gap so long that nothing is left to be known.
+    gains, inverse, roots : (n, c, m), (n, c) and (n or 0, m, m) arrays, filled
+        For each entry the gain of each channel and one over its innovation's variance (both 0 where missing)
+        and a root of the filtered covariance (only where there is room).
+
+    Returns
+    -------
+    entries : int
+        How many entries were filled.
+    steady : int
+        The entry of the settled rows, -1 if none have settled.
+    log_determinant : float
+        Sum of the logarithms of the innovations' variances.
+    """
+    n, c = present.shape
+    m = len(start)
+    S, S_steady, last, M = np.diag(start), np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, 2 * m))
+    f = np.empty(m)
+    widest = max(start[orders[0]], WIDE * np.sqrt(variances[0]))
+    entries, steady, log_determinant, steady_log = 0, -1, 0.0, 0.0
+    settled, run, blank = False, 0, 0.0
+    for t in range(n):
+        anew[t] = t == 0
+        regular = t > 0 and steps[t] == 1.0 and present[t].all()
+        if regular and settled:
+            index[t] = steady
+            log_determinant += steady_log
+            continue
+        if t > 0:
+            _predict(S, steps[t], noise, f, M)
+            blank += steps[t]
+            if blank > LONG_GAP and _width(S, orders[0]) > widest:
+                anew[t], regular, blank = True, False, 0.0
+                S[:] = np.diag(start)
+        run = run + 1 if regular else 0
+        settled = run > 1 and close(S, last, m, SETTLED)
+        if settled and steady >= 0:
+            S[:] = S_steady
+            index[t] = steady
+            log_determinant += steady_log
+            continue
+        last[:] = S
+        logs = 0.0
+        for j in range(c):
+            gains[entries, j] = 0.0
+            inverse[entries, j] = 0.0
+            if present[t, j]:
+                variance = _measure(S, orders[j], variances[j], gains[entries, j])
+                inverse[entries, j] = 1.0 / variance
+                logs += np.log(variance)
+                blank = 0.0
+        log_determinant += logs
+        if len(roots):
+            roots[entries] = S
+        if settled:
+            steady, steady_log = entries, logs
+            S_steady[:] = S
+        index[t] = entries
+        entries += 1
+    return entries, steady, log_determinant
+
+
+@kernel
+def filter_means(
+    samples: Floats,
+    steps: Floats,
+    orders: NDArray[np.int64],
+    index: NDArray[np.int64],
+    anew: NDArray[np.bool_],
+    gains: Floats,
+    inverse: Floats,
+    innovations: Floats,
+    means: Floats,
+) -> float:
+    """Innovations (n, c) and, where there is room, filtered means (n, m); the start is zero.
+
+    Missing samples hold any finite number. Returns the sum of squared standardised innovations.
+    """
+    n, c = samples.shape
+    m = gains.shape[2]
+    x, f, regular_f = np.zeros(m), np.empty(m), np.empty(m)
+    taylor(1.0, regular_f)
+    squares = 0.0
+    for t in range(n):
+        if anew[t]:
+            x[:] = 0.0
+        elif steps[t] == 1.0:
+            advance(x, regular_f)
+        else:
+            taylor(steps[t], f)
+            advance(x, f)
+        entry = index[t]
+        for j in range(c):
+            innovation = samples[t, j] - x[orders[j]]
+            innovations[t, j] = innovation
+            squares += innovation * innovation * inverse[entry, j]
+            for i in range(m):
+                x[i] += gains[entry, j, i] * innovation
+        if len(means):
+            for i in range(m):
+                means[t, i] = x[i]
+    return squares
+
+
+@kernel
+def _information(N: Floats, k: int, gain: Floats, inverse: float, w: Floats) -> float:
+    """N <- (I - g e_k')' N (I - g e_k') + e_k e_k'/variance; returns 1/variance + g' N g of before."""
+    m = len(gain)
+    square = 0.0
+    for i in range(m):
+        dot = 0.0
+        for j in range(m):
+            dot += N[i, j] * gain[j]
+        square += gain[i] * dot
+        w[i] = N[i, k] - dot
+    corner = w[k] + inverse
+    for i in range(m):
+        corner -= gain[i] * w[i]
+        N[i, k] = w[i]
+        N[k, i] = w[i]
+    N[k, k] = corner
+    return inverse + square
+
+
+@kernel
+def _step_back(N: Floats, f: Floats, scales: Floats, Qd: Floats) -> float:
+    """N <- F' N F over a step, kept symmetric, which it needs to stay stable; returns tr N Qd of before."""
+    m = len(f)
+    trace = 0.0
+    for i in range(m):
+        for j in range(m):
+            trace += N[i, j] * Qd[i, j] * scales[i] * scales[j]
+    for i in range(m):
+        _retreat(N[i], f)
+    for i in range(m):
+        _retreat(N[:, i], f)
+        for j in range(i):
+            N[j, i] = N[i, j]
+    return trace
+
+
+@kernel
+def _same_information(A: Floats, B: Floats) -> bool:
+    for i in range(len(A)):
+        for j in range(i + 1):
+            if not abs(A[i, j] - B[i, j]) <= SETTLED_SCORE * np.sqrt(A[i, i] * A[j, j]):
+                return False
+    return True
+
+
+@kernel
+def score(
+    innovations: Floats,
+    steps: Floats,
+    orders: NDArray[np.int64],
+    index: NDArray[np.int64],
+    anew: NDArray[np.bool_],
+    steady: int,
+    gains: Floats,
+    inverse: Floats,
+    noise: Floats,
+    gradient: Floats,
+) -> float:
+    """Gradient of the log-likelihood with respect to each channel's variance and ln Q, (c + 1,).
+
+    With r and N carried backwards from 0 through
+    u = v/S - g'r, D = 1/S + g'Ng, r <- r + e_k u, N <- (I - g e_k')'N(I - g e_k') + e_k e_k'/S
+    for each sample and r <- F'r, N <- F'NF for each step, the derivatives are sum (u^2 - D)/2 and
+    sum (r'Qd r - tr N Qd)/2.
+
+    Returns the leave-one-out log predictive density: given all other samples, a sample errs by u/D with variance 1/D.
+    """
+    n, c = innovations.shape
+    m = len(noise)
+    left_out, logs = 0.0, np.zeros(c)
+    r, N, last, w = np.zeros(m), np.zeros((m, m)), np.zeros((m, m)), np.empty(m)
+    f, regular_f, scales, regular_scales = np.empty(m), np.empty(m), np.empty(m), np.ones(m)
+    expected, Qd, moments = np.zeros(c + 1), np.empty((m, m)), np.zeros((m, m))
+    outer(noise, Qd)
+    taylor(1.0, regular_f)
+    gradient[:] = 0.0
+    settled, run = False, 0
+    for t in range(n - 1, -1, -1):
+        entry = index[t]
+        regular = entry == steady and steps[t] == 1.0 and not anew[t]
+        run = run + 1 if regular else 0
+        if not regular:
+            settled = False
+        for j in range(c - 1, -1, -1):
+            k = orders[j]
+            u = innovations[t, j] * inverse[entry, j]
+            for i in range(m):
+                u -= gains[entry, j, i] * r[i]
+            r[k] += u
+            if not settled:
+                expected[j] = _information(N, k, gains[entry, j], inverse[entry, j], w)
+                logs[j] = np.log(expected[j] / (2.0 * np.pi))
+            if inverse[entry, j] > 0.0:
+                left_out += 0.5 * (logs[j] - u * u / expected[j])
+            gradient[j] += 0.5 * (u * u - expected[j])
+        if anew[t]:
+            r[:] = 0.0
+            N[:] = 0.0
+            continue
+        h = steps[t]
+        s, g = regular_scales, regular_f
+        if h != 1.0:
+            s, g = scales, f
+            taylor(h, f)
+            for i in range(m):
+                scales[i] = h ** (m - i - 0.5)
+        for i in range(m):
+            for j in range(i + 1):
+                moments[i, j] += (s[i] * r[i]) * (s[j] * r[j])
+        _retreat(r, g)
+        if not settled:
+            expected[c] = _step_back(N, g, s, Qd)
+            settled = run > 1 and _same_information(N, last)
+            last[:] = N
+        gradient[c] -= 0.5 * expected[c]
+    for i in range(m):
+        for j in range(m):
+            gradient[c] += 0.5 * Qd[i, j] * moments[max(i, j), min(i, j)]
+    return left_out

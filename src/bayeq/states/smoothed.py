@@ -1,0 +1,198 @@
+"""States by the kinematic smoother: every measured channel of a chain fused, all derivatives from one motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import InputError
+from bayeq.records import Record
+from bayeq.states.chain import Chain
+from bayeq.states.kinematic import ChainSeries, KinematicModel, fit_kinematic, smooth_kinematic
+
+__all__ = ["ChainSmoothing", "smooth_chain"]
+
+Floats = NDArray[np.float64]
+
+# The smoother is trusted to follow the motion where its gain exceeds this.
+LEAST_GAIN = 0.9
+
+# Steps of time that differ by a smaller share count as one.
+UNIFORM = 1e-3
+
+# A factor between units this near to a usual one is that one.
+SNAP = 0.1
+GRAVITY = 9.80665
+
+# Units are compared in chains of up to so many derivatives.
+MOST_DERIVATIVES = 3
+
+# Fewer rows than this in all do not tell noise from motion.
+LEAST_ROWS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class ChainSmoothing:
+    """How a chain was smoothed.
+
+    Attributes
+    ----------
+    model : KinematicModel
+        Noise levels and roughness, shared by all records.
+    fs : float or None
+        Sampling rate [Hz], if all records are sampled uniformly at one rate and nothing is missing.
+    noise_ratio : float
+        Noise of the noisiest measured state (all derivatives but the highest, unless that alone is measured), over the
+        standard deviation of its channel.
+    """
+
+    model: KinematicModel
+    fs: float | None
+    noise_ratio: float
+
+    def gain(self, frequency: Floats) -> Floats:
+        """Gain of the smoother at frequencies [Hz], the same for all derivatives: signal over signal and noise.
+
+        The Wiener gain S/(S + 1/J) of uniform sampling, where S = Q/(dt omega^(2(m-K))) is the density of the highest
+        derivative under the model and J = sum of 1/(omega^(2(K-k)) R_k) the information of the channels k on it.
+        """
+        fs = 1.0 if self.fs is None else self.fs
+        omega = np.maximum(2.0 * np.pi * np.asarray(frequency), 1e-6 * fs)
+        top = len(self.model.noise_sd) - 1
+        information = np.zeros_like(omega)
+        for k, sd in enumerate(self.model.noise_sd):
+            if sd is not None:
+                information += 1.0 / (omega ** (2 * (top - k)) * sd**2)
+        signal = self.model.spectral_density * fs / omega ** (2 * (self.model.order - top)) * information
+        return np.asarray(signal / (1.0 + signal))
+
+    @property
+    def limit(self) -> float:
+        """Frequency [Hz] up to which the smoother follows the motion: gain above 0.9."""
+        assert self.fs is not None
+        grid = np.linspace(0.0, 0.5 * self.fs, 2000)[1:]
+        below = np.flatnonzero(self.gain(grid) < LEAST_GAIN)
+        return float(grid[below[0]]) if len(below) else 0.5 * self.fs
+
+
+def _series(record: Record, chain: Chain) -> ChainSeries:
+    assert record.time is not None
+    channels = tuple(None if name is None else np.array(record[name]) for name in chain.measured)
+    return ChainSeries(np.array(record.time), channels)
+
+
+def _rate(series: Sequence[ChainSeries]) -> float | None:
+    """The one sampling rate of complete, uniformly sampled records."""
+    steps = np.concatenate([np.diff(s.times) for s in series])
+    step = float(np.mean(steps))
+    complete = all(np.isfinite(c).all() for s in series for c in s.channels if c is not None)
+    return 1.0 / step if complete and bool((np.abs(steps - step) <= UNIFORM * step).all()) else None
+
+
+def _derivative_lines(samples: Floats, step: float, order: int) -> NDArray[np.complex128]:
+    """Transform of a Hann window times the derivative of a signal, from the signal by the product rule."""
+    n = len(samples)
+    phase = 2.0 * np.pi * (np.arange(n) + 0.5) / n
+    rate = 2.0 * np.pi / (n * step)
+    windows = (0.5 - 0.5 * np.cos(phase), 0.5 * rate * np.sin(phase), 0.5 * rate**2 * np.cos(phase))
+    omega = 2j * np.pi * np.fft.rfftfreq(n, step)
+    a, b, c = (np.fft.rfft(window * samples) for window in windows)
+    whole = (a, omega * a - b, omega**2 * a - 2.0 * omega * b + c)[order]
+    return np.asarray(whole[2:])
+
+
+def _unit_gain(series: Sequence[ChainSeries], low: int, high: int) -> float:
+    """Factor between the unit of a derivative and that which a lower one implies: 0.001 for v in m/s with x in mm.
+
+    From the strongest lines of both spectra. A factor near a power of ten or the acceleration of gravity is taken for
+    it; others are left as they are found, signs too.
+    """
+    found: list[float] = []
+    weight: list[float] = []
+    for s in series:
+        x, y = s.channels[low], s.channels[high]
+        assert x is not None
+        assert y is not None
+        expected = _derivative_lines(x - x.mean(), s.step, high - low)
+        given = _derivative_lines(y - y.mean(), s.step, 0)
+        strength = np.abs(_derivative_lines(x - x.mean(), s.step, 0)) * np.abs(given)
+        lines = np.argsort(-strength)[: max(5, s.n // 100)]
+        found.extend((np.real(given[lines] * expected[lines].conj()) / np.abs(expected[lines]) ** 2).tolist())
+        weight.extend(strength[lines].tolist())
+    order = np.argsort(found)
+    share = np.cumsum(np.array(weight)[order])
+    gain = float(np.array(found)[order][np.searchsorted(share, 0.5 * share[-1])])
+    if gain == 0.0 or not np.isfinite(gain):
+        return 1.0
+    units = (10.0 ** round(float(np.log10(abs(gain)))), GRAVITY, 1.0 / GRAVITY)
+    nearest = min(units, key=lambda unit: abs(float(np.log(abs(gain) / unit))))
+    return float(np.copysign(nearest, gain)) if abs(abs(gain) / nearest - 1.0) < SNAP else gain
+
+
+def _unit_gains(series: Sequence[ChainSeries]) -> Floats:
+    """Factor of each derivative relative to the unit that the lowest measured one implies."""
+    gains = np.ones(len(series[0].channels))
+    first, *others = series[0].measured
+    if _rate(series) is not None and len(gains) <= MOST_DERIVATIVES:
+        for k in others:
+            gains[k] = _unit_gain(series, first, k)
+        for k in range(len(gains)):
+            if k not in series[0].measured and k > 0:
+                gains[k] = gains[k - 1]
+    return gains
+
+
+def smooth_chain(
+    records: Sequence[Record], chain: Chain, rows: Sequence[int] | None = None
+) -> tuple[list[Floats], ChainSmoothing] | None:
+    """States of a chain in some records.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        With time; NaN is a missing sample.
+    chain : Chain
+        With at least one measured derivative.
+    rows : sequence of int, optional
+        Rows of each record that the noise levels are learned from, the first; the others are smoothed apart, so that
+        nothing is carried from these to those. By default all.
+
+    Returns
+    -------
+    list of (n, K+1) array, ChainSmoothing
+        Smoothed derivatives of order 0 to K of each record, each in the unit of its channel. None where the records are
+        too short to tell noise from motion.
+    """
+    cuts = [record.n for record in records] if rows is None else list(rows)
+    if sum(cuts) < LEAST_ROWS * (chain.order + 1) or min(cuts) < 2:
+        return None
+    whole = [_series(record, chain) for record in records]
+    series = [s.take(slice(0, cut)) for s, cut in zip(whole, cuts, strict=True)]
+    gains = _unit_gains(series)
+    try:
+        model = fit_kinematic([_in_units(s, gains) for s in series])
+    except InputError:
+        # a channel with too few samples, or one that never changes
+        return None
+    means = []
+    for s, cut in zip(whole, cuts, strict=True):
+        parts = [s.take(slice(0, cut)), *([s.take(slice(cut, s.n))] if s.n - cut > 1 else [])]
+        smoothed = [smooth_kinematic(_in_units(part, gains), model).mean[:, : chain.order + 1] for part in parts]
+        if s.n - cut == 1:
+            smoothed.append(smoothed[0][-1:])
+        means.append(np.concatenate(smoothed) * gains)
+    states = [k for k in series[0].measured if k < chain.order] or list(series[0].measured)
+    ratio = 0.0
+    for k in states:
+        samples = np.concatenate([np.asarray(s.channels[k]) for s in series])
+        ratio = max(ratio, float(model.noise_sd[k] or 0.0) * abs(gains[k]) / float(np.nanstd(samples)))
+    return means, ChainSmoothing(model, _rate(series), ratio)
+
+
+def _in_units(series: ChainSeries, gains: Floats) -> ChainSeries:
+    """The samples in units that belong together."""
+    channels = tuple(None if c is None else c / g for c, g in zip(series.channels, gains, strict=True))
+    return ChainSeries(series.times, channels)
