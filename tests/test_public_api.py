@@ -19,6 +19,7 @@ def test_public_names():
         "Gram",
         "Posterior",
         "Prior",
+        "PriorSensitivity",
         "Record",
         "SpikeSlabBMA",
         "SpikeSlabGibbs",

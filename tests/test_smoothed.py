@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import bayeq as bq
 from bayeq.gram import Gram
 from bayeq.spectral import Band, band_gram, noise_floor, residual_spectrum, taper, to_band
 from bayeq.states import derive_all, parse_chains
+from bayeq.states.grid import on_grid
 from bayeq.states.smoothed import smooth_chain
 from bayeq.study.config import StudyConfig
 from bayeq.study.realise import draw
@@ -84,7 +86,8 @@ def test_a_noisy_input_is_not_attenuated():
 def test_no_floor_is_read_where_the_band_is_full():
     rng = np.random.default_rng(0)
     assert noise_floor([rng.normal(size=4000)]) is None
-    assert noise_floor([np.cumsum(np.cumsum(rng.normal(size=4000)))]) is None
+    slow = lfilter([1.0], [1.0, -0.4], rng.normal(size=4000))  # rolls off slowly, by a factor of five in all
+    assert noise_floor([slow]) is None
     assert noise_floor([rng.normal(size=100)]) is None
 
 
@@ -135,7 +138,7 @@ def test_clean_states_are_left_alone():
 def test_rows_held_out_do_not_touch_the_others():
     rec = bq.simulate("duffing", n=2000, seed=2, noise=0.05)
     spoiled = rec.with_channels({"x": np.where(np.arange(2000) < 1500, rec["x"], 0.1 * rec["x"])})
-    a, b = (derive_all([r], CHAIN, ["u"], rows=[1500])[0] for r in (rec, spoiled))
+    a, b = (derive_all([r], CHAIN, ["u"], holdout=0.25)[0] for r in (rec, spoiled))
     for name in ("x", "v", "a"):
         np.testing.assert_array_equal(a.columns[name][:1500], b.columns[name][:1500])
         assert not np.array_equal(a.columns[name][1500:], b.columns[name][1500:])
@@ -167,3 +170,27 @@ def test_a_band_counts_real_numbers():
     assert isinstance(band, Band)
     assert band.frequency[-1] <= 2.0
     assert band.count.sum() == 2 * len(band.count) - 1
+
+
+def test_dropped_samples_are_put_back_on_their_grid():
+    rec = bq.simulate("duffing", n=3000, seed=2, noise=0.03)
+    kept = np.sort(np.random.default_rng(0).choice(3000, 2700, replace=False))
+    kept[[0, -1]] = 0, 2999
+    gappy = rec.take(kept)
+    (states,) = derive_all([gappy], CHAIN, ["u"])
+    assert states.n == 3000
+    missing = np.setdiff1d(np.arange(3000), kept)
+    for name in ("x", "v"):
+        clean = rec.truth.clean[name]
+        assert np.std((states.columns[name] - clean)[missing]) < 0.02 * np.std(clean)
+    np.testing.assert_array_equal(states.columns["u"][kept], gappy["u"])
+    eq = bq.discover(gappy, displacement="x", velocity="v", acceleration="a", force="u")
+    assert set(eq[0].included) == {"x", "v", "x**3", "u"}
+
+
+def test_a_record_without_a_grid_is_left_as_it_is():
+    rec = bq.simulate("duffing", n=500, seed=2)
+    times = np.cumsum(np.random.default_rng(0).uniform(0.5e-3, 1.5e-3, 500))
+    irregular = bq.Record.from_arrays(dict(rec.channels), time=times)
+    assert on_grid(irregular, ["x", "v", "a"], ["u"]) is irregular
+    assert on_grid(rec, ["x", "v", "a"], ["u"]) is rec

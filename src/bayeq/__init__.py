@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from bayeq.inference.prior import Prior
     from bayeq.posterior import Posterior
     from bayeq.records import Record, Truth, read, write
+    from bayeq.sensitivity import PriorSensitivity
     from bayeq.storage import load
     from bayeq.systems import SYSTEMS, System, simulate
 
@@ -32,6 +33,7 @@ _HOME = {
     "Gram": "gram",
     "Posterior": "posterior",
     "Prior": "inference.prior",
+    "PriorSensitivity": "sensitivity",
     "Record": "records",
     "SpikeSlabBMA": "estimators",
     "SpikeSlabGibbs": "estimators",
@@ -54,6 +56,7 @@ __all__ = [
     "Gram",
     "Posterior",
     "Prior",
+    "PriorSensitivity",
     "Record",
     "SpikeSlabBMA",
     "SpikeSlabGibbs",

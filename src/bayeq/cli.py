@@ -135,19 +135,58 @@ def discover(
         Smoothing,
         typer.Option(help="Derivatives not measured: smoothed (auto) or differences (none)."),
     ] = Smoothing.auto,
+    constraint: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What is known of coefficients, by the names of terms: 'u == 1', 'v <= 0', 'a: x*abs(x) == 0.5*x**3'"
+            " (of equation a). Once per constraint."
+        ),
+    ] = None,
     holdout: Annotated[float, typer.Option(help="Share of the rows, the last, to judge the equation by.")] = 0.2,
+    max_terms: Annotated[
+        int | None, typer.Option(help="At most so many terms: the likeliest equation where more are found.")
+    ] = None,
+    min_share: Annotated[
+        float | None, typer.Option(help="Leave out terms that explain a smaller share of the target's variance.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     save: Annotated[Path | None, typer.Option(help="Write the equations to a JSON file, for bayeq.load.")] = None,
+    sensitivity: Annotated[
+        Path | None,
+        typer.Option(help="Write the PIPs under other v_s and p_0: a table (.csv) or a figure (.png, .svg, .pdf)."),
+    ] = None,
+    path: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the best equation of each size, with evidence and errors: a table (.csv) or a figure (.png,"
+            " .svg, .pdf)."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of methods that draw random numbers (gibbs).")] = 0,
 ) -> None:
     """Find the equation of motion of a measured record."""
     from bayeq.discovery import discover as run
     from bayeq.render import render
 
-    if save is not None:
-        _require_place(save)  # before the work
-        if save.exists() and any(file.exists() and save.samefile(file) for file in files):
-            raise InputError(f"{save}: is a record that is read; name another file to save the equations to")
+    for output in (save, sensitivity, path):
+        if output is None:
+            continue
+        _require_place(output)  # before the work
+        if output.exists() and any(file.exists() and output.samefile(file) for file in files):
+            raise InputError(f"{output}: is a record that is read; name another file to write to")
+    if sensitivity is not None:
+        from bayeq.sensitivity import require_spike_slab, require_writable, write_sensitivity
+
+        require_writable(sensitivity)
+        require_spike_slab(method.value)
+        if sensitivity == save:
+            raise InputError(f"{save}: named twice, to save the equations to and for their sensitivity")
+    if path is not None:
+        from bayeq import parsimony
+
+        parsimony.require_writable(path)
+        if path in (save, sensitivity):
+            raise InputError(f"{path}: named twice, for the path of best equations and for something else")
     for k, file in enumerate(files):
         if file.exists() and any(other.exists() and file.samefile(other) for other in files[:k]):
             raise InputError(f"{file}: named twice; the same rows twice are not twice the evidence")
@@ -175,13 +214,20 @@ def discover(
             method=method.value,
             smooth=smooth.value,
             holdout=holdout,
+            max_terms=max_terms,
+            min_share=min_share,
             seed=seed,
             progress=progress,
+            constraints=constraint or (),
         )
     finally:
         progress.close()
     if save is not None:
         answer.save(save)
+    if sensitivity is not None:
+        write_sensitivity(sensitivity, {equation.target: equation.sensitivity() for equation in answer})
+    if path is not None:
+        parsimony.write_paths(path, {equation.target: equation.path() for equation in answer})
     if json:
         typer.echo(json_format.dumps(answer.to_dict(), allow_nan=False))
     else:

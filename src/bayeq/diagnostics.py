@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Residuals", "inspect_residuals"]
+__all__ = ["Driver", "Residuals", "inspect_residuals"]
 
 Floats = NDArray[np.float64]
 
@@ -18,10 +18,45 @@ LEAST_EFFECTIVE_SHARE = 0.67
 # ... and the first autocorrelation exceeds this many of its standard errors.
 SIGNIFICANT = 3.0
 
+# Residuals follow a channel if their largest cross-correlation has a smaller probability than this by chance ...
+CHANCE = 1e-4
+# ... and so large that it matters.
+LEAST_CORRELATION = 0.1
+
+# Cross-correlations are looked at up to so many lags, and up to this share of the longest piece.
+MOST_LAGS = 100
+SHARE_OF_LAGS = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Driver:
+    """The channel that residuals follow most.
+
+    Attributes
+    ----------
+    name : str
+        An input or a state.
+    lag : int
+        Rows by which the residuals come after it.
+    correlation : float
+        Cross-correlation at that lag.
+    p_value : float
+        Probability of one so large, at any lag of any of the channels, if the residuals had nothing to do with them.
+    """
+
+    name: str
+    lag: int
+    correlation: float
+    p_value: float
+
+    def __str__(self) -> str:
+        when = "" if not self.lag else f" {abs(self.lag)} rows {'before' if self.lag > 0 else 'after'}"
+        return f"{self.name}{when} (correlation {self.correlation:.2f})"
+
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """Whiteness of residuals.
+    """What residuals of an adequate model do not have: memory, a shape of their own, or a channel that they follow.
 
     Attributes
     ----------
@@ -31,20 +66,44 @@ class Residuals:
         Autocorrelation at lag 1.
     n_eff : float
         Effective sample size n / (1 + 2 sum rho_k), the sum over the lags up to the first rho_k <= 0.
+    skewness, kurtosis : float
+        Third and fourth standardised moments, the latter less the 3 of a normal distribution.
+    normality : float
+        Probability of moments so far from normal, if the residuals were a Gaussian process of their autocorrelation
+        (Lobato and Velasco 2004).
+    driver : Driver or None
+        The input or state that they follow most, where channels were given.
     """
 
     n: int
     lag1: float
     n_eff: float
+    skewness: float = 0.0
+    kurtosis: float = 0.0
+    normality: float = 1.0
+    driver: Driver | None = None
 
     @property
     def correlated(self) -> bool:
         """Whether standard deviations that assume white residuals are too small to be trusted."""
         return bool(self.n_eff < LEAST_EFFECTIVE_SHARE * self.n and self.lag1 > SIGNIFICANT / math.sqrt(self.n))
 
+    @property
+    def driven(self) -> bool:
+        """Whether the residuals follow an input or a state: something is missing from the model."""
+        d = self.driver
+        return d is not None and d.p_value < CHANCE and abs(d.correlation) > LEAST_CORRELATION
 
-def inspect_residuals(pieces: Sequence[Floats]) -> Residuals:
-    """Autocorrelation of residuals that come in one or more uninterrupted pieces.
+
+def inspect_residuals(pieces: Sequence[Floats], channels: Mapping[str, Sequence[Floats]] | None = None) -> Residuals:
+    """Correlation and shape of residuals that come in one or more uninterrupted pieces.
+
+    Parameters
+    ----------
+    pieces : sequence of (n,) arrays
+        Residuals.
+    channels : mapping of str to sequence of (n,) arrays, optional
+        Inputs and states in the same pieces, which the residuals should not follow.
 
     Examples
     --------
@@ -53,18 +112,80 @@ def inspect_residuals(pieces: Sequence[Floats]) -> Residuals:
     False
     >>> inspect_residuals([np.cumsum(rng.normal(size=1000))]).correlated
     True
+    >>> u = rng.normal(size=1000)
+    >>> found = inspect_residuals([np.roll(u, 3) + rng.normal(size=1000)], {"u": [u]})
+    >>> found.driven, found.driver.name, found.driver.lag
+    (True, 'u', 3)
     """
     n = sum(len(piece) for piece in pieces)
-    mean = sum(float(piece.sum()) for piece in pieces) / n
-    longest = max(len(piece) for piece in pieces)
-    size = 1 << (2 * longest - 1).bit_length()
-    covariance = np.zeros(longest)
-    for piece in pieces:
-        spectrum = np.fft.rfft(piece - mean, size)
-        covariance[: len(piece)] += np.fft.irfft(spectrum * spectrum.conj(), size)[: len(piece)]
+    centred = _centred(pieces)
+    covariance = _correlation(centred, centred)
     if not covariance[0] > 0:
         return Residuals(n, 0.0, float(n))
     rho = covariance / covariance[0]
     negative = np.flatnonzero(rho <= 0)
-    last = int(negative[0]) if len(negative) else longest
-    return Residuals(n, float(rho[1]) if longest > 1 else 0.0, float(n / (1.0 + 2.0 * rho[1:last].sum())))
+    last = int(negative[0]) if len(negative) else len(rho)
+    skewness, kurtosis, normality = _shape(centred, rho)
+    return Residuals(
+        n,
+        float(rho[1]) if len(rho) > 1 else 0.0,
+        float(n / (1.0 + 2.0 * rho[1:last].sum())),
+        skewness,
+        kurtosis,
+        normality,
+        _strongest(centred, rho, channels or {}),
+    )
+
+
+def _centred(pieces: Sequence[Floats]) -> list[Floats]:
+    mean = sum(float(piece.sum()) for piece in pieces) / sum(len(piece) for piece in pieces)
+    return [piece - mean for piece in pieces]
+
+
+def _correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
+    """Sum over pieces and rows of first(t + k) second(t), at k = 0, 1, ... below the length of the longest piece."""
+    longest = max(len(piece) for piece in first)
+    size = 1 << (2 * longest - 1).bit_length()
+    out = np.zeros(longest)
+    for a, b in zip(first, second, strict=True):
+        out[: len(a)] += np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)[: len(a)]
+    return out
+
+
+def _shape(centred: Sequence[Floats], rho: Floats) -> tuple[float, float, float]:
+    """Skewness, excess kurtosis, and the probability of both under a Gaussian process of these autocorrelations.
+
+    Their variances are 6/n sum rho_k^3 and 24/n sum rho_k^4 over all lags, positive and negative.
+    """
+    e = np.concatenate(centred)
+    second = float(np.mean(e**2))
+    skewness = float(np.mean(e**3)) / second**1.5
+    kurtosis = float(np.mean(e**4)) / second**2 - 3.0
+    third, fourth = (max(1.0 + 2.0 * float(np.sum(rho[1:] ** k)), 0.1) for k in (3, 4))
+    statistic = len(e) * (skewness**2 / (6.0 * third) + kurtosis**2 / (24.0 * fourth))
+    return skewness, kurtosis, math.exp(-0.5 * statistic)
+
+
+def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Sequence[Floats]]) -> Driver | None:
+    """The channel with the most significant cross-correlation.
+
+    Under independence the cross-correlations have variance 1/n sum rho_k rho'_k over all lags (Bartlett 1946); the
+    largest is compared with a normal distribution, times the number of lags and channels that it was chosen from.
+    """
+    n = sum(len(piece) for piece in centred)
+    own = math.sqrt(sum(float(e @ e) for e in centred))
+    lags = min(MOST_LAGS, int(SHARE_OF_LAGS * len(rho)))
+    found: list[tuple[float, Driver]] = []
+    for name, pieces in channels.items():
+        z = _centred(pieces)
+        other = _correlation(z, z)
+        if not other[0] > 0:
+            continue
+        both = np.concatenate([_correlation(z, centred)[lags:0:-1], _correlation(centred, z)[: lags + 1]])
+        r = both / (own * math.sqrt(other[0]))
+        variance = max(1.0 + 2.0 * float(rho[1:] @ other[1:]) / other[0], 0.1) / n
+        k = int(np.argmax(np.abs(r)))
+        t = abs(float(r[k])) / math.sqrt(variance)
+        p = min(1.0, len(channels) * len(r) * math.erfc(t / math.sqrt(2.0)))
+        found.append((t, Driver(name, k - lags, float(r[k]), p)))
+    return max(found, key=lambda entry: entry[0])[1] if found else None

@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.diagnostics import inspect_residuals
+from bayeq.choice import Choice
+from bayeq.coef_units import channel_units
+from bayeq.constraints import Constraints, parse_constraints
+from bayeq.diagnostics import Residuals, inspect_residuals
 from bayeq.dictionary import Design, Variables, build_design, build_dictionary, evaluate_terms
-from bayeq.equation import Equation, Fit, RunnerUp
+from bayeq.equation import Equation, Fit, Regression, RunnerUp
 from bayeq.equations import DataSummary, Equations
 from bayeq.errors import (
     AmbiguityWarning,
@@ -29,12 +32,15 @@ from bayeq.errors import (
 )
 from bayeq.gram import Gram
 from bayeq.inference import ENGINES, Prior
+from bayeq.inference.path import partial_shares
 from bayeq.inference.problem import Problem
 from bayeq.inference.search import neighbours
 from bayeq.inference.slab import learn_slab_variance, residual_scale
 from bayeq.posterior import Posterior
-from bayeq.records import Record
-from bayeq.states import Chain, Smooth, derive_states, parse_chains
+from bayeq.records import Record, check_messages
+from bayeq.spectral import noise_floor
+from bayeq.states import Chain, Smooth, States, derive_all, parse_chains
+from bayeq.weighting import InBand, thinned_gram, weighted_gram
 
 __all__ = ["discover"]
 
@@ -50,6 +56,12 @@ ROUNDING = 1e-6
 
 # An equation that explains a smaller share of the target's variance is warned of.
 LITTLE = 0.5
+
+# With more candidates than this, correlation of the residuals is told of but not counted.
+MOST_TERMS_TO_THIN = 500
+
+# Methods that take signs of coefficients.
+SIGNED = ("auto", "bma")
 
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
 RUNNER_UP_WINDOW = 12.0
@@ -70,7 +82,10 @@ def discover(
     method: str = "auto",
     smooth: Smooth = "auto",
     holdout: float = 0.2,
+    max_terms: int | None = None,
+    min_share: float | None = None,
     prior: Prior | None = None,
+    constraints: str | Sequence[str] = (),
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Equations:
@@ -97,10 +112,22 @@ def discover(
         How derivatives that are not measured are had, see `bayeq.states.derive_states`.
     holdout : float
         Share of the rows, the last of each record, that is not used but predicted.
+    max_terms : int, optional
+        Show an equation of at most so many terms: the likeliest one where the method includes more. The path of
+        each equation (`Equation.path`) tells what each further term brings.
+    min_share : float, optional
+        Leave out terms that explain a smaller share of the target's variance (see `Equation.share`), the smallest first
+        and the others refitted each time. Mind that the damping of a light structure explains little and yet decides
+        how its motion decays. PIPs stay what they are with either limit, and what it leaves out is listed beside the
+        equation.
     prior : Prior, optional
         By default p_0 = 0.1, a slab variance v_s that maximises the evidence (at least 10), and a vague prior of
         the noise in units of the least-squares residual. A given prior applies to standardised columns and
         those units; its v_s is used as it is.
+    constraints : str or sequence of str
+        What is known of the coefficients, in original units: linear equations, ``"u == 1"``,
+        ``"x*abs(x) == 0.5*x**3"``, and signs, ``"v <= 0"`` (methods auto and bma). They concern every equation, or with
+        a target in front that one, ``"a: v <= 0"``.
     seed : int
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional
@@ -140,26 +167,48 @@ def discover(
         raise UnknownNameError("method", method, ENGINES)
     if not 0 <= holdout < 1:
         raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
+    choice = Choice(max_terms, min_share)
+    choice.check(method)
 
     step = progress or _silent
     notes = _Notes()
-    states = []
-    for k, piece in enumerate(pieces):
-        step("states", k, len(pieces))
-        states.append(derive_states(piece, parsed, all_inputs, smooth))
+    step("states", 0, len(pieces))
+    share = holdout if sum(piece.n for piece in pieces) >= LEAST_ROWS_TO_HOLD_OUT else 0.0
+    states = derive_all(pieces, parsed, all_inputs, smooth, share)
+    step("states", len(pieces), len(pieces))
+    for message in check_messages(pieces, [chain.measured for chain in parsed], all_inputs):
+        notes.warn(message, DataWarning)
     variables = Variables(tuple(name for chain in parsed for name in chain.states), all_inputs)
     terms = build_dictionary(dictionary, variables)
     train, held_out = _split(
-        [s.columns for s in states], holdout, notes, ", ".join(p.name or "record" for p in pieces[:3])
+        [{**s.columns, **{_measured(name): values for name, values in s.measured.items()}} for s in states],
+        holdout,
+        notes,
+        ", ".join(p.name or "record" for p in pieces[:3]),
     )
-    targets = [chain.target for chain in parsed]
+    # what the equation is judged by: the measured target, where there is one
+    targets = [_measured(c.target) if c.target in states[0].measured else c.target for c in parsed]
     design = build_design(terms, targets, train, held_out, lambda done, total: step("dictionary", done, total))
     _check_size(design, notes)
+    known = [constraints] if isinstance(constraints, str) else list(constraints)
+    reasons = {d.name: d.reason for d in design.dropped}
+    constrained = parse_constraints(known, design.terms, [chain.target for chain in parsed], reasons)
+    if method not in SIGNED and any(c.signs.any() for c in constrained):
+        raise InputError(f"method {method!r} takes no signs of coefficients; take one of: {', '.join(SIGNED)}")
 
+    units, conflicts = channel_units([piece.units for piece in pieces], parsed, all_inputs)
+    for message in conflicts:
+        notes.warn(message, DataWarning)
     equations = []
     for k, chain in enumerate(parsed):
         step("inference", k, len(parsed))
-        equations.append(_solve(chain, k, design, train, method, prior, seed, notes))
+        in_band = _in_band(k, chain.target, states[0], design, train, all_inputs)
+        equations.append(
+            _solve(
+                chain, k, design, train, targets[k], in_band, method, prior, constrained[k], choice, seed, units,
+                variables, notes,
+            )
+        )
     step("inference", len(parsed), len(parsed))
     for message, category in notes.collected:
         warnings.warn(message, category, stacklevel=2)
@@ -178,7 +227,38 @@ def discover(
         ),
         dropped=design.dropped,
         warnings=tuple(message for message, _ in notes.collected),
+        constraints=tuple(known),
     )
+
+
+def _measured(target: str) -> str:
+    """Name of the column that holds a target's samples beside the smoothed one."""
+    return f"{target} as measured"
+
+
+def _in_band(
+    k: int,
+    target: str,
+    states: States,
+    design: Design,
+    train: Sequence[Mapping[str, Floats]],
+    inputs: Sequence[str],
+) -> InBand | None:
+    """The Gram of smoothed, uniformly sampled records, weighted by the spectrum of the residuals."""
+    used = states.smoothing
+    if not used or any(s.fs is None for s in used):
+        return None
+    own = used[k]
+    rows = [(evaluate_terms(design.terms, piece), piece[target]) for piece in train]
+    names = tuple(term.text for term in design.terms)
+    driven = [j for j, term in enumerate(design.terms) if term.names & set(inputs)]
+    noise = {}
+    for j in driven:
+        if names[j] in inputs:
+            floor = noise_floor([piece[names[j]] for piece in train])
+            if floor is not None:
+                noise[j] = floor
+    return weighted_gram(rows, names, own, min(s.limit for s in used), driven, noise)
 
 
 def _silent(stage: str, done: int, total: int) -> None:
@@ -264,38 +344,55 @@ def _solve(
     k: int,
     design: Design,
     train: Sequence[Mapping[str, Floats]],
+    observed: str,
+    in_band: InBand | None,
     engine: str,
     prior: Prior | None,
+    constraints: Constraints,
+    choice: Choice,
     seed: int,
+    units: Mapping[str, str],
+    variables: Variables,
     notes: _Notes,
 ) -> Equation:
     """Infer one equation and inspect it."""
-    gram = design.train[k]
-    standard = gram.standardise(residual_scale(gram))
-    if prior is None:
-        prior = Prior()
+    rows = design.train[k]
+    if in_band is not None:
+        gram = in_band.gram
+    elif ENGINES[engine].spike_slab and len(rows.names) <= MOST_TERMS_TO_THIN:
+        gram = thinned_gram(rows, lambda posterior: _inspect(observed, design, rows, posterior, train))
+    else:
+        gram = rows
+    reduced, fitted = constraints.reduce(gram), constraints.reduce(rows)
+    standard = reduced.standardise(residual_scale(reduced))
+    learn, prior = prior is None, constraints.prior(prior or Prior())
+    if learn:
         prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
     method = ENGINES[engine]
     options: dict[str, Any] = {"seed": (seed, k)} if method.random else {}
     raw = method.run(standard.gram, prior, **options)
-    posterior = standard.restore(raw)
+    found = raw.support
+    raw, left_out = choice.apply(standard.gram, prior, fitted, raw) if choice.given else (raw, ())
+    posterior = constraints.expand(standard.restore(raw), gram)
     if not posterior.converged:
         chains = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
         notes.warn(f"{chain.target}: {engine} not converged after {posterior.n_iter} steps{chains}", ConvergenceWarning)
     runners_up = _runners_up(standard.gram, prior, raw) if method.spike_slab else ()
-    if posterior.optimum is not None and bool((posterior.optimum != posterior.support).any()):
-        other = [n for n, kept in zip(gram.names, posterior.optimum, strict=True) if kept]
+    if raw.optimum is not None and bool((raw.optimum != found).any()):
+        other = [n for n, kept in zip(reduced.names, raw.optimum, strict=True) if kept]
         notes.warn(
             f"{chain.target}: the optimum of variational Bayes is another model ({', '.join(other) or 'no terms'});"
             " the terms shown are those with a model-averaged PIP above 0.5",
             AmbiguityWarning,
         )
-    residuals = inspect_residuals([_residual(chain.target, design, posterior, piece) for piece in train])
+    residuals = _inspect(observed, design, rows, posterior, train, (*variables.inputs, *variables.states))
     if posterior.average is None:
         _warn_of_ambiguity(chain.target, runners_up, notes)
     else:
         _warn_of_groups(chain.target, posterior, notes)
-    train_fit = _fit(gram, posterior)
+    train_fit = _fit(rows, posterior)
+    if in_band is not None:
+        posterior = replace(posterior, noise_variance=_noise_variance(rows, posterior))
     if train_fit.r2 < LITTLE:
         estimated = " (it is estimated, not measured)" if chain.measured[-1] is None else ""
         notes.warn(
@@ -303,11 +400,18 @@ def _solve(
             " this is hardly the law; check the channels, their derivatives and the dictionary",
             DataWarning,
         )
-    if residuals.correlated and train_fit.nrmse > ROUNDING:
+    counted = ", which is what the rows count for" if gram.n < rows.n else ""
+    if in_band is None and residuals.correlated:
         notes.warn(
             f"{chain.target}: the residuals are correlated in time (lag-1 autocorrelation {residuals.lag1:.2f},"
-            f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}): standard deviations and intervals"
-            " are too narrow, and terms may be included that only fit the correlation",
+            f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}{counted}): standard deviations and"
+            " intervals may be too narrow, and terms may be included that only fit the correlation",
+            CorrelatedResidualsWarning,
+        )
+    if residuals.driven and residuals.driver is not None:
+        notes.warn(
+            f"{chain.target}: the residuals follow {residuals.driver}: the equation misses dynamics, or channels are"
+            " delayed against each other",
             CorrelatedResidualsWarning,
         )
     return Equation(
@@ -318,11 +422,27 @@ def _solve(
         held_out=_fit(design.held_out[k], posterior) if design.held_out else None,
         residuals=residuals,
         runners_up=runners_up,
+        regression=Regression(
+            standard,
+            prior,
+            fitted,
+            constraints.reduce(design.held_out[k]) if design.held_out else None,
+            raw.support,
+        ),
+        share=partial_shares(rows, posterior.support),
+        left_out=left_out,
+        units=units,
     )
 
 
 def _runners_up(gram: Gram, prior: Prior, posterior: Posterior) -> tuple[RunnerUp, ...]:
-    moves = neighbours(Problem.of(gram, prior), posterior.support, RUNNER_UP_WINDOW)
+    problem = Problem.of(gram, prior)
+    if len(problem.signs):
+        from bayeq.inference.signed_models import signed_neighbours
+
+        moves = signed_neighbours(problem, posterior.support, RUNNER_UP_WINDOW)
+    else:
+        moves = neighbours(problem, posterior.support, RUNNER_UP_WINDOW)
     names = gram.names
     return tuple(
         RunnerUp(
@@ -362,6 +482,28 @@ def _residual(target: str, design: Design, posterior: Posterior, piece: Mapping[
     if len(kept):
         out = out - evaluate_terms([design.terms[j] for j in kept], piece) @ posterior.coef[kept]
     return out
+
+
+def _inspect(
+    observed: str,
+    design: Design,
+    rows: Gram,
+    posterior: Posterior,
+    train: Sequence[Mapping[str, Floats]],
+    channels: Sequence[str] = (),
+) -> Residuals:
+    """Training residuals, against some channels; those that are rounding of the Gram count as white."""
+    found = inspect_residuals(
+        [_residual(observed, design, posterior, piece) for piece in train],
+        {name: [piece[name] for piece in train] for name in channels},
+    )
+    return found if _fit(rows, posterior).nrmse > ROUNDING else Residuals(found.n, 0.0, float(found.n))
+
+
+def _noise_variance(rows: Gram, posterior: Posterior) -> float:
+    """Variance of the residual over the rows: what the spectrum of the band does not tell."""
+    spare = max(rows.n - 1.0 - float(posterior.support.sum()), 1.0)
+    return rows.squared_error(posterior.coef, posterior.intercept) / spare
 
 
 def _fit(gram: Gram, posterior: Posterior) -> Fit:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import exp, floor, isfinite, log10
 from typing import TYPE_CHECKING, Any
@@ -11,15 +11,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayeq.choice import LeftOut
+from bayeq.coef_units import quotient_unit
 from bayeq.diagnostics import Residuals
+from bayeq.errors import InputError
 from bayeq.expressions import Evaluator, Expression, to_sympy
+from bayeq.gram import Gram, Standardised
+from bayeq.inference import Prior
+from bayeq.parsimony import ParsimonyPath, parsimony_path
 from bayeq.posterior import Posterior
+from bayeq.sensitivity import PriorSensitivity, prior_sensitivity, require_spike_slab
 from bayeq.states import Chain
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Z95", "Equation", "Fit", "RunnerUp"]
+__all__ = ["Z95", "Equation", "Fit", "Regression", "RunnerUp"]
 
 Floats = NDArray[np.float64]
 
@@ -75,6 +82,30 @@ class RunnerUp:
         return f"without {self.leaves}" if self.leaves else f"with {self.enters} added"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Regression:
+    """The sparse regression whose posterior an equation is.
+
+    Attributes
+    ----------
+    standard : Standardised
+        The Gram that the engine was given, standardised, and the way back to original units.
+    prior : Prior
+        On standardised columns, with the v_s that was used.
+    rows, held_out : Gram or None
+        Statistics of the training rows and of those held out, in original units: what fits are judged on.
+    support : bool array or None
+        Terms of the equation among those of the regression, from which equalities between coefficients may have taken
+        some out.
+    """
+
+    standard: Standardised
+    prior: Prior
+    rows: Gram | None = None
+    held_out: Gram | None = None
+    support: NDArray[np.bool_] | None = None
+
+
 @dataclass(frozen=True)
 class Equation:
     """One equation: target = intercept + sum of coefficient x term.
@@ -93,6 +124,15 @@ class Equation:
         Whiteness of the training residuals.
     runners_up : tuple of RunnerUp
         The likeliest models one move away, where the engine compares models.
+    regression : Regression or None
+        What was solved; None for an equation read from a file, which does not hold it.
+    share : (P,) array or None
+        Share of the target's variance that each term explains: what R2 loses on the training rows when the term is left
+        out and the others are refitted by least squares. NaN for a term that is not included.
+    left_out : tuple of LeftOut
+        Terms that the method includes, left out as asked for.
+    units : mapping of str to str
+        Units of channels and their derivatives, as far as they are known.
     """
 
     chain: Chain
@@ -102,6 +142,10 @@ class Equation:
     held_out: Fit | None
     residuals: Residuals
     runners_up: tuple[RunnerUp, ...] = ()
+    regression: Regression | None = field(default=None, repr=False, compare=False)
+    share: Floats | None = None
+    left_out: tuple[LeftOut, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def target(self) -> str:
@@ -117,6 +161,11 @@ class Equation:
     def coef(self) -> dict[str, float]:
         """Coefficient of each included term, in original units."""
         return dict(zip(self.included, self.posterior.coef[self.posterior.support].tolist(), strict=True))
+
+    @cached_property
+    def coef_units(self) -> tuple[str | None, ...]:
+        """Unit of each candidate's coefficient; None where a unit is not known. Those of the intercept are y's."""
+        return tuple(quotient_unit(self.target, term, self.units) for term in self.terms)
 
     @property
     def noise_sd(self) -> float:
@@ -142,10 +191,11 @@ class Equation:
         return low > 0 or high < 0
 
     def table(self) -> pd.DataFrame:
-        """All candidates: term, coef, sd, ci_low, ci_high, pip, included."""
+        """All candidates: term, coef, sd, ci_low, ci_high, pip, included, share (of variance), unit (None: unknown)."""
         import pandas as pd
 
         ci = self.ci95
+        share = np.full(len(self.terms), np.nan) if self.share is None else self.share
         return pd.DataFrame(
             {
                 "term": [term.text for term in self.terms],
@@ -155,6 +205,8 @@ class Equation:
                 "ci_high": ci[:, 1],
                 "pip": self.posterior.pip,
                 "included": self.posterior.support,
+                "share": share,
+                "unit": self.coef_units,
             }
         )
 
@@ -233,6 +285,74 @@ class Equation:
         for j in np.flatnonzero(self.posterior.support):
             D[:, j] = evaluate(self.terms[j])
         return mean, self.posterior.predictive_sd(D)
+
+    def path(self, most: int | None = None) -> ParsimonyPath:
+        """The likeliest model of each size, with its evidence and fit, to see where more terms stop to pay.
+
+        Parameters
+        ----------
+        most : int, optional
+            Largest number of terms; by default 12, or three more than the equation has.
+
+        Returns
+        -------
+        ParsimonyPath
+            Print it for a summary; ``table()`` and ``plot()`` tell more.
+
+        Raises
+        ------
+        InputError
+            An equation that was loaded from a file; `most` no whole number, or below the number of forced terms.
+        """
+        solved = self.regression
+        if solved is None:
+            raise InputError("a file of equations does not hold what their posterior came from: run discover again")
+        rows = solved.standard.source if solved.rows is None else solved.rows
+        chosen = self.posterior.support if solved.support is None else solved.support
+        return parsimony_path(self.target, solved.standard, solved.prior, chosen, rows, solved.held_out, most)
+
+    def sensitivity(
+        self,
+        slab_variances: ArrayLike | None = None,
+        prior_inclusions: ArrayLike | None = None,
+        *,
+        every_pair: bool = False,
+    ) -> PriorSensitivity:
+        """PIPs by model averaging under other v_s and p_0, to see which terms hang on the prior.
+
+        Parameters
+        ----------
+        slab_variances, prior_inclusions : sequence of float, optional
+            Values of v_s and of p_0 besides those used; by default v_s up to a hundred times smaller and larger, and
+            p_0 from 0.01 to 0.5.
+        every_pair : bool
+            Vary both at once. By default one varies while the other stays.
+
+        Returns
+        -------
+        PriorSensitivity
+            Print it for a summary; ``table()``, ``changes()`` and ``plot()`` tell more.
+
+        Raises
+        ------
+        InputError
+            An equation that was loaded from a file, or by a method without spike-and-slab prior; values out of range.
+
+        Warns
+        -----
+        ConvergenceWarning
+            Too many models share the posterior mass to list them.
+        """
+        if self.regression is None:
+            raise InputError("a file of equations does not hold what their posterior came from: run discover again")
+        require_spike_slab(self.posterior.method)
+        return prior_sensitivity(
+            self.regression.standard.gram,
+            self.regression.prior,
+            slab_variances,
+            prior_inclusions,
+            every_pair=every_pair,
+        )
 
 
 def _factor(term: str) -> str:

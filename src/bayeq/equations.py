@@ -16,7 +16,7 @@ from bayeq.equation import Equation
 from bayeq.errors import InputError
 from bayeq.files import replacing
 from bayeq.records import Record
-from bayeq.states import Chain, Smooth, derive_states
+from bayeq.states import Chain, Smooth, derive_all
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,6 +69,8 @@ class Equations:
         Candidates that were left out, and why.
     warnings : tuple of str
         What makes the answer less than it seems.
+    constraints : tuple of str
+        What was known of the coefficients.
     """
 
     equations: tuple[Equation, ...]
@@ -79,6 +81,7 @@ class Equations:
     data: DataSummary
     dropped: tuple[DroppedTerm, ...] = ()
     warnings: tuple[str, ...] = ()
+    constraints: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.equations)
@@ -169,7 +172,7 @@ class Equations:
         -------
         (n,) array, or (n, k) for k equations; with `return_std` a pair of them
         """
-        columns = derive_states(record, self.chains, self.inputs, self.smooth).columns
+        columns = derive_all([record], self.chains, self.inputs, self.smooth)[0].columns
         parts = [equation.predict(columns, return_std) for equation in self.equations]
         if len(parts) == 1:
             return parts[0]

@@ -26,6 +26,7 @@ from bayeq.inference.stlsq import stlsq
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.lazy_gram import LazyGram
 from bayeq.posterior import Draws, Posterior
+from bayeq.sensitivity import PriorSensitivity, prior_sensitivity
 
 __all__ = ["RVM", "STLSQ", "SpikeSlabBMA", "SpikeSlabGibbs", "SpikeSlabVB"]
 
@@ -341,6 +342,34 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         if self.coef_.ndim == 1:
             return draws[0]
         return np.stack([theta for theta, _ in draws], axis=1), np.stack([noise for _, noise in draws], axis=1)
+
+    def sensitivity(
+        self,
+        slab_variances: ArrayLike | None = None,
+        prior_inclusions: ArrayLike | None = None,
+        *,
+        every_pair: bool = False,
+        target: int | None = None,
+    ) -> PriorSensitivity:
+        """Inclusion probabilities under other v_s and p_0, to see which terms hang on the prior.
+
+        Parameters
+        ----------
+        slab_variances, prior_inclusions, every_pair
+            As in `Equation.sensitivity`.
+        target : int, optional
+            Which target, of a fit to several.
+
+        Returns
+        -------
+        PriorSensitivity
+        """
+        k = self._target(target)
+        grams, prior = self._sampled
+        gram = grams[k].standardise().gram
+        return prior_sensitivity(
+            gram, prior, slab_variances, prior_inclusions, every_pair=every_pair, tolerance=self.tolerance
+        )
 
     def to_arviz(
         self,

@@ -6,6 +6,7 @@ import io
 import sys
 from typing import Any
 
+import numpy as np
 from rich import box
 from rich.console import Console
 from rich.markup import escape
@@ -14,6 +15,7 @@ from rich.table import Table
 from bayeq.equation import Equation, round_to
 from bayeq.equations import Equations
 from bayeq.inference import ENGINES
+from bayeq.parsimony import percent
 
 __all__ = ["render"]
 
@@ -38,6 +40,8 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
     if eq.data.estimated:
         how = "smoothing" if eq.smooth == "auto" else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
+    if eq.constraints:
+        console.print(f"constraints: {escape('; '.join(eq.constraints))}")
     for message in eq.warnings if with_warnings else ():
         console.print(f"[yellow]warning:[/yellow] {escape(message)}")
     lines = [line.rstrip() for line in buffer.getvalue().rstrip().splitlines()]
@@ -51,11 +55,13 @@ def _render_equation(console: Console, equation: Equation, method: str, terminal
     table.add_column("term")
     for name in ("coefficient", "sd", "95 % interval", ENGINES[method].score):
         table.add_column(name, justify="right")
-    for row in _rows(equation):
-        table.add_row(*row)
+    extra = _extra_columns(equation)
+    for name in extra:
+        table.add_column(name, justify="left" if name == "unit" else "right")
+    for k, row in enumerate(_rows(equation)):
+        table.add_row(*row, *(values[k] for values in extra.values()))
     console.print(table)
-    shown = sum(1 for _ in _rows(equation)) - 1
-    rest = len(equation.terms) - shown
+    rest = len(equation.terms) - len(_shown(equation))
     if rest:
         others = [p for p, s in zip(equation.posterior.pip, equation.posterior.support, strict=True) if not s]
         low = [p for p in others if p < NOTEWORTHY_PIP]
@@ -65,6 +71,11 @@ def _render_equation(console: Console, equation: Equation, method: str, terminal
     console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
     for line in _fits(equation):
         console.print(line)
+    for left in equation.left_out:
+        console.print(
+            f"left out as asked ({left.reason}): {escape(left.name)}, {ENGINES[method].score} {left.pip:.3f}, explains"
+            f" {percent(left.share)}"
+        )
     if equation.runners_up:
         console.print("runners-up, with their posterior odds against this equation:")
         for r in equation.runners_up:
@@ -82,14 +93,34 @@ def _fits(equation: Equation) -> list[str]:
     return out
 
 
+def _shown(equation: Equation) -> list[int]:
+    """Candidates that the table lists."""
+    p = equation.posterior
+    return [j for j in range(len(equation.terms)) if p.support[j] or p.pip[j] >= NOTEWORTHY_PIP]
+
+
+def _extra_columns(equation: Equation) -> dict[str, list[str]]:
+    """Shares of variance and units, where they are known, for the rows of the table: terms, then the intercept."""
+    kept, share = equation.posterior.support, equation.share
+    shown = _shown(equation)
+    out = {}
+    if share is not None and kept.any():
+        out["share"] = [percent(share[j]) if kept[j] else "" for j in shown] + [""]
+    if any(equation.coef_units[j] for j in np.flatnonzero(kept)):
+        units = [equation.coef_units[j] or "" if kept[j] else "" for j in shown]
+        out["unit"] = [escape(unit) for unit in (*units, equation.units.get(equation.target, ""))]
+    return out
+
+
 def _rows(equation: Equation) -> list[tuple[Any, ...]]:
     p, ci, sd = equation.posterior, equation.ci95, equation.posterior.sd
     rows = []
-    for j, term in enumerate(equation.terms):
+    for j in _shown(equation):
+        term = equation.terms[j]
         if p.support[j]:
             interval = f"{round_to(ci[j, 0], sd[j])} .. {round_to(ci[j, 1], sd[j])}"
             rows.append((escape(term.text), round_to(p.coef[j], sd[j]), f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
-        elif p.pip[j] >= NOTEWORTHY_PIP:
+        else:
             rows.append((escape(term.text), "not included", "", "", f"{p.pip[j]:.3f}"))
     low, high = equation.intercept_ci95
     spread = p.intercept_sd

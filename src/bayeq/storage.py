@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayeq
+from bayeq.choice import LeftOut
 from bayeq.diagnostics import Residuals
 from bayeq.dictionary import DroppedTerm
 from bayeq.equation import Equation, Fit, RunnerUp
@@ -46,11 +47,13 @@ def to_dict(eq: Equations) -> dict[str, Any]:
             "dictionary": eq.dictionary,
             "smooth": eq.smooth,
             "estimated": list(eq.data.estimated),
+            "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],
         "diagnostics": {
             "warnings": list(eq.warnings),
             "dropped_terms": [asdict(d) for d in eq.dropped],
+            **({"constraints": list(eq.constraints)} if eq.constraints else {}),
             "equations": {equation.target: _diagnostics(equation) for equation in eq.equations},
         },
     }
@@ -77,10 +80,17 @@ def _equation(equation: Equation) -> dict[str, Any]:
                 "pip": float(p.pip[j]),
                 "included": bool(p.support[j]),
                 **_averaged(p, j),
+                "share": _share(equation, j),
+                "unit": equation.coef_units[j],
             }
             for j, term in enumerate(equation.terms)
         ],
     }
+
+
+def _share(equation: Equation, j: int) -> float | None:
+    """Share of variance that a term explains; None for one that is not included."""
+    return float(equation.share[j]) if equation.share is not None and equation.posterior.support[j] else None
 
 
 def _averaged(p: Posterior, j: int) -> dict[str, float]:
@@ -124,6 +134,7 @@ def _diagnostics(equation: Equation) -> dict[str, Any]:
         },
         "residuals": {**asdict(equation.residuals), "correlated": equation.residuals.correlated},
         "runners_up": [asdict(r) for r in equation.runners_up],
+        "left_out": [asdict(term) for term in equation.left_out],
     }
 
 
@@ -212,6 +223,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
                 content["posteriors"][k],
                 diagnostics["equations"][saved["target"]],
                 content["method"],
+                {str(name): str(unit) for name, unit in data.get("units", {}).items()},
             )
         )
     return Equations(
@@ -229,6 +241,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
         ),
         dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
         warnings=tuple(str(w) for w in diagnostics["warnings"]),
+        constraints=tuple(str(c) for c in diagnostics.get("constraints", ())),
     )
 
 
@@ -237,7 +250,12 @@ def _column(terms: list[Mapping[str, Any]], name: str) -> Any:
 
 
 def _restore_equation(
-    chain: str, saved: Mapping[str, Any], state: Mapping[str, Any], checks: Mapping[str, Any], method: str
+    chain: str,
+    saved: Mapping[str, Any],
+    state: Mapping[str, Any],
+    checks: Mapping[str, Any],
+    method: str,
+    units: Mapping[str, str],
 ) -> Equation:
     terms = tuple(parse(term["name"]) for term in saved["terms"])
     support = np.array([bool(term["included"]) for term in saved["terms"]], dtype=np.bool_)
@@ -276,4 +294,13 @@ def _restore_equation(
         held_out=None if held_out is None else Fit(**held_out),
         residuals=Residuals(int(residuals["n"]), float(residuals["lag1"]), float(residuals["n_eff"])),
         runners_up=tuple(RunnerUp(**r) for r in checks["runners_up"]),
+        share=_restored_share(saved["terms"]),
+        left_out=tuple(LeftOut(**term) for term in checks.get("left_out", [])),
+        units=units,
     )
+
+
+def _restored_share(terms: list[Mapping[str, Any]]) -> NDArray[np.float64] | None:
+    if not any(term.get("share") is not None for term in terms):
+        return None
+    return np.array([math.nan if term.get("share") is None else float(term["share"]) for term in terms])

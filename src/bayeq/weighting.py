@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.diagnostics import Residuals
 from bayeq.gram import Gram
 from bayeq.inference.prior import Prior
 from bayeq.inference.slab import learn_slab_variance, residual_scale
@@ -16,7 +17,7 @@ from bayeq.posterior import Posterior
 from bayeq.spectral import band_gram, residual_spectrum, to_band
 from bayeq.states import ChainSmoothing
 
-__all__ = ["InBand", "weighted_gram"]
+__all__ = ["InBand", "thinned_gram", "weighted_gram"]
 
 Floats = NDArray[np.float64]
 
@@ -98,3 +99,40 @@ def weighted_gram(
         coef = posterior.coef
         spectrum = residual_spectrum(bands, coef, posterior.intercept)
     return InBand(band_gram(bands, names, spectrum, noise, coef), limit)
+
+
+def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gram:
+    """The Gram of as many rows as the residuals are worth: where they are correlated, N_eff rows instead of N.
+
+    The likelihood is raised to the power N_eff/N, which widens intervals and asks more evidence of a term. Found in
+    turn, since a model of fewer terms leaves residuals that are more correlated.
+
+    Parameters
+    ----------
+    gram : Gram
+        Of all rows.
+    residuals : callable
+        Inspection of the residuals that a posterior leaves, in order of time.
+    """
+    share = 1.0
+    for _ in range(PILOTS):
+        found = residuals(_pilot(_power(gram, share)))
+        share = found.n_eff / found.n if found.correlated else 1.0
+        if share == 1.0:
+            break
+    return _power(gram, share)
+
+
+def _power(gram: Gram, share: float) -> Gram:
+    if share >= 1.0:
+        return gram
+    # at least as many rows as leave a regression
+    share = max(share, 3.0 / gram.n)
+    return replace(
+        gram,
+        n=gram.n * share,
+        DtD=gram.DtD * share,
+        Dty=gram.Dty * share,
+        yty=gram.yty * share,
+        dof=gram.n * share - 1.0,
+    )

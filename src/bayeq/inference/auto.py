@@ -43,10 +43,13 @@ def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: fl
         From model averaging: `pip`, `support` (the median probability model), `coef` and `covariance` (exact given
         that model), `averaged_coef`, `averaged_sd`, `noise_variance`, `average`. From variational Bayes: `elbo`,
         `elbo_trace`, and `optimum`, the terms at its optimum. If the models listed leave out more than 2 % of the mass,
-        collapsed Gibbs sampling gives what averaging would have; `average` is then None and `rhat` is not.
+        collapsed Gibbs sampling gives what averaging would have; `average` is then None and `rhat` is not. Where the
+        prior knows signs, which neither VB nor Gibbs sampling does, all is from model averaging and `elbo` is None.
     """
     bma = spike_slab_bma(gram, prior, tolerance=tolerance)
     assert bma.average is not None
+    if prior is not None and len(prior.sign_array(len(gram.names))):
+        return replace(bma, method="auto")
     vb = spike_slab_vb(gram, prior, models=list(bma.average.models[:VB_STARTS]))
     if bma.average.left_out > MOST_LEFT_OUT:
         samples = min(SAMPLES, max(500, SAMPLED_TERMS // len(gram.names)))

@@ -76,9 +76,37 @@ def _mixture_moments(
 
 def average_models(problem: Problem, *, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE) -> ModelSet:
     """The models to average over: all of them, or those that hold all but `tolerance` of the mass."""
+    if len(problem.signs):
+        # brings scipy.special, which takes a while to import
+        from bayeq.inference.signed_models import list_signed
+
+        return list_signed(problem, tolerance, enumerate_up_to)
     if int(np.isfinite(problem.log_odds).sum()) <= enumerate_up_to:
         return enumerate_models(problem)
     return search_models(problem, best_models(problem), tolerance)
+
+
+def _moments(
+    problem: Problem, models: Bools, weights: Floats, place: Ints, count: int
+) -> tuple[Floats, Floats, Floats, float]:
+    """`_mixture_moments` of models some of which the signs may truncate."""
+    models = np.ascontiguousarray(models)
+    if not len(problem.signs):
+        return _mixture_moments(problem, models, weights, place, count)
+    from bayeq.inference.signs import add_truncated, certain_signs
+
+    certain = certain_signs(problem, models)
+    rest = _mixture_moments(problem, models[certain], weights[certain], place, count)
+    return add_truncated(problem, models[~certain], weights[~certain], place, rest)
+
+
+def _given_model(problem: Problem, active: Bools) -> tuple[Floats, Floats]:
+    """`conditional.given_model`, and given the signs where they are known."""
+    if not len(problem.signs):
+        return given_model(problem, active)
+    from bayeq.inference.signs import given_signs
+
+    return given_signs(problem, active) or given_model(problem, active)
 
 
 def spike_slab_bma(
@@ -99,7 +127,8 @@ def spike_slab_bma(
     tolerance : float
         Posterior mass that a search may leave out.
     enumerate_up_to : int
-        Number of free terms up to which all models are enumerated instead of searched.
+        Number of free terms up to which all models are enumerated instead of searched (at most 9 where the signs of
+        several coefficients are known).
 
     Returns
     -------
@@ -122,11 +151,9 @@ def spike_slab_bma(
         terms = np.sort(np.argsort(-pip, kind="stable")[:MOST_COVARIANCES])
     place = np.full(len(pip), -1)
     place[terms] = np.arange(len(terms))
-    mean, square, second, noise = _mixture_moments(
-        problem, np.ascontiguousarray(found.models[:enough]), share, place, len(terms)
-    )
+    mean, square, second, noise = _moments(problem, found.models[:enough], share, place, len(terms))
     support = pip > 0.5
-    coef, conditional = given_model(problem, support)
+    coef, conditional = _given_model(problem, support)
     return Posterior(
         method="bma",
         names=gram.names,
@@ -159,7 +186,13 @@ def sample_average(
     """Independent draws from the mixture: theta (n, P), sigma^2 (n,), and the model (n,) each came from.
 
     sigma^2 | z, y is inverse-Gamma(h, s/2), theta | sigma^2, z, y Gaussian, eq. (33), on the columns of `problem`.
+
+    Raises
+    ------
+    InputError
+        A prior with signs: draws would have to be truncated.
     """
+    problem.require_no_signs("sampling from the average")
     which = rng.choice(len(average.probability), size=n, p=average.probability)
     theta, noise = np.zeros((n, len(problem.Dty))), np.empty(n)
     for k in np.unique(which):

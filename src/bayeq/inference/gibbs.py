@@ -235,10 +235,11 @@ def sample_posterior(
     Raises
     ------
     InputError
-        No chains, or no samples after the burn-in.
+        No chains, no samples after the burn-in, or a prior with signs.
     """
     if chains < 1 or burn_in < 0 or samples <= burn_in:
         raise InputError(f"need chains >= 1 and samples > burn_in >= 0, got {chains}, {samples}, {burn_in}")
+    problem.require_no_signs("gibbs")
     terms, kept = len(problem.Dty), samples - burn_in
     z = np.empty((chains, kept, terms), dtype=np.bool_)
     theta, pip = np.empty((chains, kept, terms)), np.zeros((chains, terms))

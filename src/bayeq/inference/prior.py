@@ -30,6 +30,9 @@ class Prior:
     inclusion_beta : (a, b), optional
         Take p_0 as unknown, p_0 ~ Beta(a, b), for all terms whose `prior_inclusion` is neither 0 nor 1: the number of
         included terms is then beta-binomial (Scott and Berger 2010), and the prior adapts to how many there are.
+    signs : (P,) array of -1, 0 and +1, optional
+        Known signs of coefficients, 0 for unknown. Given inclusion the prior of a coefficient of known sign is the half
+        normal on that side. Model averaging takes signs into account, other engines refuse them.
 
     Notes
     -----
@@ -41,6 +44,7 @@ class Prior:
     noise_shape: float = 1e-4
     noise_rate: float = 1e-4
     inclusion_beta: tuple[float, float] | None = None
+    signs: ArrayLike | None = None
 
     def validate(self, terms: int) -> None:
         """Check the values against a dictionary of `terms` columns.
@@ -48,7 +52,7 @@ class Prior:
         Raises
         ------
         InputError
-            A value outside its range, or a p_0 of the wrong length.
+            A value outside its range, or a p_0 or signs of the wrong length.
         """
         for name in ("slab_variance", "noise_shape", "noise_rate"):
             value: object = getattr(self, name)
@@ -63,6 +67,15 @@ class Prior:
             shapes = np.asarray(self.inclusion_beta, dtype=np.float64)
             if shapes.shape != (2,) or not bool(np.all((shapes > 0) & (shapes < np.inf))):
                 raise InputError(f"inclusion_beta must be two positive numbers (a, b), got {self.inclusion_beta!r}")
+        if self.signs is not None:
+            signs = np.asarray(self.signs)
+            if signs.shape != (terms,) or not bool(np.isin(signs, (-1, 0, 1)).all()):
+                raise InputError(f"signs must be -1, 0 or +1 for each of the {terms} terms, got {self.signs!r}")
+
+    def sign_array(self, terms: int) -> NDArray[np.int64]:
+        """Known signs of the terms, (P,); empty if none is known."""
+        signs = np.zeros(terms) if self.signs is None else np.asarray(self.signs)
+        return signs.astype(np.int64) if signs.any() else np.zeros(0, dtype=np.int64)
 
     def log_odds(self, terms: int) -> Floats:
         """logit(p_0) of each of `terms` terms: +inf for a forced, -inf for a forbidden one.

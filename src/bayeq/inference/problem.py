@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.errors import InputError
 from bayeq.gram import GramLike, dense
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
@@ -122,6 +123,8 @@ class Problem(NamedTuple):
         What the number of terms in the model adds to its log prior: 0, or by a beta-binomial prior.
     inclusion_beta : (2,) array
         a and b of p_0 ~ Beta(a, b); empty where p_0 is given.
+    signs : (P,) int array
+        Known signs of coefficients, 0 for unknown; empty where none is known.
     slab_variance, noise_shape, noise_rate : float
         v_s, a_sigma, b_sigma.
     half_log_slab : float
@@ -139,6 +142,7 @@ class Problem(NamedTuple):
     log_odds: Floats
     size_prior: Floats
     inclusion_beta: Floats
+    signs: Ints
     slab_variance: float
     noise_shape: float
     noise_rate: float
@@ -165,6 +169,7 @@ class Problem(NamedTuple):
             log_odds=prior.log_odds(terms),
             size_prior=prior.size_prior(terms),
             inclusion_beta=np.array(prior.inclusion_beta or (), dtype=np.float64),
+            signs=prior.sign_array(terms),
             slab_variance=float(prior.slab_variance),
             noise_shape=float(prior.noise_shape),
             noise_rate=float(prior.noise_rate),
@@ -177,6 +182,17 @@ class Problem(NamedTuple):
     def DtD(self) -> Floats:
         """D'D as one array."""
         return all_rows(self.columns)
+
+    def require_no_signs(self, engine: str) -> None:
+        """Refuse signs, for an engine that does not know what to do with them.
+
+        Raises
+        ------
+        InputError
+            A sign is given.
+        """
+        if len(self.signs):
+            raise InputError(f"{engine} takes no signs of coefficients; model averaging does (bma, auto)")
 
     def with_slab_variance(self, slab_variance: float) -> Problem:
         """The same problem with another v_s."""

@@ -294,6 +294,7 @@ def spike_slab_vb(
     if covariance not in ("mean-field", "lrvb"):
         raise InputError(f"covariance must be 'mean-field' or 'lrvb', got {covariance!r}")
     problem = Problem.of(gram, prior or Prior())
+    problem.require_no_signs("vb")
     if isinstance(init, str):
         if init == "rvm":
             starts = [_rvm_start(problem)]

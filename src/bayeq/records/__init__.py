@@ -4,20 +4,27 @@
 `Truth` what is known about a simulated one. Nothing here imports pandas or pyarrow before it is needed.
 """
 
+from bayeq.records.checks import Finding, check_messages, check_record
 from bayeq.records.io import FORMATS, Format, read, write
 from bayeq.records.names import RESERVED, clean_name, clean_names
 from bayeq.records.record import Record
+from bayeq.records.repair import correct_delay, remove_offset
 from bayeq.records.truth import FloatArray, Truth
 
 __all__ = [
     "FORMATS",
+    "Finding",
     "FloatArray",
     "Format",
     "Record",
     "RESERVED",
     "Truth",
     "clean_name",
+    "check_messages",
+    "check_record",
     "clean_names",
+    "correct_delay",
     "read",
+    "remove_offset",
     "write",
 ]

@@ -23,6 +23,7 @@ __all__ = [
     "PALE",
     "RED",
     "SINGLE_COLUMN",
+    "UNSIGNED",
     "add_axes",
     "mathtext",
     "new_figure",
@@ -37,6 +38,13 @@ FULL_WIDTH = 190.0
 
 MM_PER_INCH = 25.4
 DPI = 300
+
+# What matplotlib would write into a file besides the figure: dates and its own name.
+UNSIGNED: dict[str, dict[str, Any]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}
 
 # Colours that the colour-blind can tell apart (Okabe and Ito 2008) and that differ in lightness when printed in grey.
 BLUE = "#0072B2"
@@ -153,16 +161,12 @@ def save(figure: Figure, stem: Path) -> list[Path]:
     InputError
         The files cannot be written.
     """
-    unsigned: dict[str, dict[str, Any]] = {
-        "png": {"Software": None},
-        "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
-    }
     paths = []
     try:
         stem.parent.mkdir(parents=True, exist_ok=True)
-        for suffix, metadata in unsigned.items():
+        for suffix in ("png", "svg"):
             path = stem.with_name(f"{stem.name}.{suffix}")
-            figure.savefig(path, format=suffix, dpi=DPI, metadata=metadata)
+            figure.savefig(path, format=suffix, dpi=DPI, metadata=UNSIGNED[suffix])
             paths.append(path)
     except OSError as error:
         raise InputError(f"{error.filename or stem}: cannot write the figure: {error.strerror or error}") from error

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
 from bayeq.records import Record
 from bayeq.states.chain import Chain
+from bayeq.states.grid import on_grid
 from bayeq.states.smoothed import ChainSmoothing, smooth_chain
 from bayeq.states.smoothing import smooth_derivative
 
@@ -46,14 +47,14 @@ class States:
         The names among them that were estimated from another channel.
     measured : mapping of str to (n,) array
         Samples of the targets that were measured and smoothed.
-    smoothing : tuple of (ChainSmoothing or None)
+    smoothing : tuple of ChainSmoothing
         How the kinematic smoother went over each chain; empty if it did not.
     """
 
     columns: Mapping[str, Floats]
     estimated: tuple[str, ...]
     measured: Mapping[str, Floats] = field(default_factory=dict)
-    smoothing: tuple[ChainSmoothing | None, ...] = ()
+    smoothing: tuple[ChainSmoothing, ...] = ()
 
     @property
     def n(self) -> int:
@@ -65,36 +66,40 @@ def derive_all(
     chains: Sequence[Chain],
     inputs: Sequence[str] = (),
     smooth: Smooth = "auto",
-    rows: Sequence[int] | None = None,
+    holdout: float = 0.0,
 ) -> list[States]:
     """States, targets and inputs of records of one system, which share their noise levels.
 
-    With "auto" the kinematic smoother fuses all measured channels of a chain (`states.smoothed`). Records without time,
-    with too few rows, or with states that hardly have noise are left to `derive_states`, whose parameters and errors
-    are those of this function. `rows` says how many rows of each record, the first, noise levels are learned from.
+    With "auto" the kinematic smoother fuses all measured channels of a chain (`states.smoothed`), and samples that
+    were dropped from a uniform grid are bridged: the states then have a row for each. Records without time, with too
+    few rows, or with states that hardly have noise are left to `derive_states`, whose parameters and errors are those
+    of this function. Noise levels are learned without the last rows of each record, a share `holdout`, which are
+    smoothed apart.
     """
     timed = all(record.time is not None for record in records)
     # what is checked is checked before the work
     plain = [derive_states(record, chains, inputs, "none" if timed else smooth) for record in records]
     if smooth == "none" or not timed:
         return plain
-    found = [smooth_chain(records, chain, rows) for chain in chains]
+    measured = [name for chain in chains for name in chain.measured if name is not None]
+    filled = [on_grid(record, measured, inputs) for record in records]
+    cuts = [record.n - int(holdout * record.n) for record in filled]
+    found = [smooth_chain(filled, chain, cuts) for chain in chains]
     clean = all(s is not None and s[1].noise_ratio < LEAST_NOISE for s in found)
     if clean or None in found:
-        plain = [derive_states(record, chains, inputs, smooth) for record in records]
-    if clean:
-        return plain
+        return [derive_states(record, chains, inputs, smooth) for record in records]
     out = []
-    for i, states in enumerate(plain):
-        columns, measured = dict(states.columns), {}
+    for i, record in enumerate(filled):
+        columns, samples = {name: np.asarray(record[name]) for name in inputs}, {}
         for chain, smoothed in zip(chains, found, strict=True):
-            if smoothed is None:
-                continue
+            assert smoothed is not None
             for k, name in enumerate(chain.names):
                 columns[name] = np.ascontiguousarray(smoothed[0][i][:, k])
-            if chain.measured[-1] is not None:
-                measured[chain.target] = records[i][chain.measured[-1]]
-        out.append(States(columns, states.estimated, measured, tuple(None if s is None else s[1] for s in found)))
+            top = chain.measured[-1]
+            if top is not None:
+                samples[chain.target] = np.where(np.isnan(record[top]), columns[chain.target], record[top])
+        smoothing = tuple(s[1] for s in found if s is not None)
+        out.append(States(columns, plain[i].estimated, samples, smoothing))
     return out
 
 

@@ -43,7 +43,7 @@ class ChainSmoothing:
     model : KinematicModel
         Noise levels and roughness, shared by all records.
     fs : float or None
-        Sampling rate [Hz], if all records are sampled uniformly at one rate and nothing is missing.
+        Sampling rate [Hz], if all records are sampled uniformly at one rate.
     noise_ratio : float
         Noise of the noisiest measured state (all derivatives but the highest, unless that alone is measured), over the
         standard deviation of its channel.
@@ -85,11 +85,10 @@ def _series(record: Record, chain: Chain) -> ChainSeries:
 
 
 def _rate(series: Sequence[ChainSeries]) -> float | None:
-    """The one sampling rate of complete, uniformly sampled records."""
+    """The one sampling rate of uniformly sampled records."""
     steps = np.concatenate([np.diff(s.times) for s in series])
     step = float(np.mean(steps))
-    complete = all(np.isfinite(c).all() for s in series for c in s.channels if c is not None)
-    return 1.0 / step if complete and bool((np.abs(steps - step) <= UNIFORM * step).all()) else None
+    return 1.0 / step if bool((np.abs(steps - step) <= UNIFORM * step).all()) else None
 
 
 def _derivative_lines(samples: Floats, step: float, order: int) -> NDArray[np.complex128]:
@@ -104,6 +103,13 @@ def _derivative_lines(samples: Floats, step: float, order: int) -> NDArray[np.co
     return np.asarray(whole[2:])
 
 
+def _bridged(samples: Floats | None) -> Floats:
+    """The samples, missing ones interpolated."""
+    assert samples is not None
+    known = np.flatnonzero(np.isfinite(samples))
+    return np.asarray(np.interp(np.arange(len(samples)), known, samples[known]))
+
+
 def _unit_gain(series: Sequence[ChainSeries], low: int, high: int) -> float:
     """Factor between the unit of a derivative and that which a lower one implies: 0.001 for v in m/s with x in mm.
 
@@ -113,9 +119,7 @@ def _unit_gain(series: Sequence[ChainSeries], low: int, high: int) -> float:
     found: list[float] = []
     weight: list[float] = []
     for s in series:
-        x, y = s.channels[low], s.channels[high]
-        assert x is not None
-        assert y is not None
+        x, y = _bridged(s.channels[low]), _bridged(s.channels[high])
         expected = _derivative_lines(x - x.mean(), s.step, high - low)
         given = _derivative_lines(y - y.mean(), s.step, 0)
         strength = np.abs(_derivative_lines(x - x.mean(), s.step, 0)) * np.abs(given)

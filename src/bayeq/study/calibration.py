@@ -1,68 +1,80 @@
 """Are the probabilities right? Problems drawn from the prior itself, and what model averaging says of them.
 
 If theta, z and sigma^2 are drawn from the prior and y from the model, then of the terms with a posterior inclusion
-probability near q a share q must be true, the rank of a true value among posterior draws must be uniform
-(simulation-based calibration, Talts et al. 2018), and 95 % intervals must cover in 95 % of the problems: exactly, for
-any design. Run as
+probability near q a share q must be true, the rank of a true value among posterior draws must be uniform, and 95 %
+intervals must cover in 95 % of the problems: exactly, for any design. Where the models listed leave out more than 2 %
+of the mass, chains take the place of the averaging, as in `spike_slab_auto`. Which of them answers depends on the data
+alone, so that all of this holds for the two together. Run as
 
-    python -m bayeq.study.calibration --problems 2000 > docs/tables/calibration.csv
+    python -m bayeq.study.calibration --folder docs/tables
+
+which writes calibration.csv, a line per design and number of rows, and calibration_bins.csv, a line per bin of PIP.
 """
 
 from __future__ import annotations
 
 import csv
+import math
 import sys
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
+from bayeq.equation import Z95
 from bayeq.gram import Gram
-from bayeq.inference import Prior, spike_slab_bma
+from bayeq.inference import Prior, spike_slab_bma, spike_slab_gibbs
+from bayeq.inference.auto import MOST_LEFT_OUT
 from bayeq.inference.bma import sample_average
 from bayeq.inference.problem import Problem
+from bayeq.posterior import Draws, Posterior
+from bayeq.study.progress import StudyProgress
+from bayeq.study.tally import (
+    BINS,
+    DRAWS,
+    QUANTITIES,
+    TAIL,
+    Tally,
+    bin_of,
+    bin_p,
+    correlation_time,
+    holm,
+    joined,
+    rank,
+    uniform_p,
+)
 from bayeq.systems import simulate
 
-__all__ = ["DESIGNS", "Outcome", "calibrate_one", "run_calibration", "summary"]
+__all__ = ["DESIGNS", "PROBLEMS", "calibrate_one", "run_calibration", "tables"]
 
 Floats = NDArray[np.float64]
+Line = dict[str, object]
 
 # A prior that can be drawn from.
-PRIOR = Prior(slab_variance=10.0, prior_inclusion=0.1, noise_shape=3.0, noise_rate=3.0)
+INCLUSION = 0.1
+PRIOR = Prior(slab_variance=10.0, prior_inclusion=INCLUSION, noise_shape=3.0, noise_rate=3.0)
 
 DESIGNS = ("correlated", "oscillator")
 ROWS = (20, 50, 200)
-BINS = 10
-DRAWS = 99
+
+# Problems of each design and number of rows: what fills the bins at a cost that can be borne.
+PROBLEMS: Mapping[tuple[str, int], int] = {
+    ("correlated", 20): 30_000,
+    ("correlated", 50): 60_000,
+    ("correlated", 200): 160_000,
+    ("oscillator", 20): 1000,
+    ("oscillator", 50): 1000,
+    ("oscillator", 200): 9000,
+}
+BATCH = 25
 
 # Terms of a random correlated design.
 TERMS = 10
 
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """One problem.
-
-    Attributes
-    ----------
-    pip, true : (P,) arrays
-        Posterior inclusion probability of each term, and whether it was in.
-    theta_rank, noise_rank : int
-        Rank of the true x'theta at a random row x, and of the true sigma^2, among 99 posterior draws.
-    covered : bool
-        Whether the central 95 % interval of the draws covers the true x'theta.
-    left_out : float
-        Mass left out of the averaging.
-    """
-
-    pip: Floats
-    true: NDArray[np.bool_]
-    theta_rank: int
-    noise_rank: int
-    covered: bool
-    left_out: float
+# Level of the family of all tests.
+LEVEL = 0.01
 
 
 def _design(kind: str, rows: int, rng: np.random.Generator) -> Floats:
@@ -78,103 +90,204 @@ def _design(kind: str, rows: int, rng: np.random.Generator) -> Floats:
     return np.asarray((D - D.mean(axis=0)) / D.std(axis=0))
 
 
-def calibrate_one(kind: str, rows: int, seed: tuple[int, ...]) -> Outcome:
-    """Draw one problem from the prior and average over its models."""
+def _spread_out(draws: Draws) -> tuple[Floats, Floats]:
+    """theta (199, P) and sigma^2 (199,), far apart in the chains and so nearly independent."""
+    chains, samples, terms = draws.theta.shape
+    apart = samples * chains // (DRAWS + 1)
+    theta, noise = draws.theta[:, apart - 1 :: apart], draws.noise_variance[:, apart - 1 :: apart]
+    return theta.reshape(-1, terms)[:DRAWS], noise.reshape(-1)[:DRAWS]
+
+
+def _posterior(gram: Gram, seed: tuple[int, ...], rng: np.random.Generator) -> tuple[Posterior, Floats, Floats]:
+    """What averaging says, or chains where it leaves out too much, and 199 draws of theta and sigma^2."""
+    fit = spike_slab_bma(gram, PRIOR)
+    assert fit.average is not None
+    if fit.average.left_out <= MOST_LEFT_OUT:
+        theta, noise, _ = sample_average(Problem.of(gram, PRIOR), fit.average, DRAWS, rng)
+    else:
+        fit = spike_slab_gibbs(gram, PRIOR, seed=(*seed, 1))
+        assert fit.draws is not None
+        theta, noise = _spread_out(fit.draws)
+    return fit, theta, noise
+
+
+def _quantities(gram: Gram, row: Floats, chosen: int) -> list[Callable[[Floats, Floats], Floats]]:
+    """The `QUANTITIES` of theta (n, P) and sigma^2 (n,)."""
+
+    def likelihood(theta: Floats, noise: Floats) -> Floats:
+        rss = gram.yty - 2.0 * theta @ gram.Dty + np.sum(theta @ gram.DtD * theta, axis=1)
+        return np.asarray(-0.5 * (gram.dof * np.log(noise) + rss / noise))
+
+    return [lambda t, s: t @ row, lambda t, s: t[:, chosen], lambda t, s: s, likelihood]
+
+
+def calibrate_one(kind: str, rows: int, seed: tuple[int, ...]) -> Tally:
+    """Draw one problem from the prior and hold its posterior against the truth."""
     rng = np.random.default_rng(seed)
     D = _design(kind, rows, rng)
     terms = D.shape[1]
     variance = PRIOR.noise_rate / rng.standard_gamma(PRIOR.noise_shape)
-    true = np.asarray(rng.random(terms) < 0.1)
+    true = np.asarray(rng.random(terms) < INCLUSION)
     theta = np.where(true, np.sqrt(variance * PRIOR.slab_variance) * rng.standard_normal(terms), 0.0)
     y = 7.0 + D @ theta + np.sqrt(variance) * rng.standard_normal(rows)
     gram = Gram.from_data(D, y)
-    fit = spike_slab_bma(gram, PRIOR)
-    assert fit.average is not None
-    draws, noise, _ = sample_average(Problem.of(gram, PRIOR), fit.average, DRAWS, rng)
-    row = rng.standard_normal(terms)
-    values, value = draws @ row, float(row @ theta)
-    # ties (no term in the draw and none in truth) are broken at random
-    ties = int(np.sum(values == value))
-    rank = int(np.sum(values < value)) + int(rng.integers(ties + 1))
-    low, high = np.sort(values)[[1, DRAWS - 2]]
-    return Outcome(
-        pip=fit.pip,
-        true=true,
-        theta_rank=rank,
-        noise_rank=int(np.sum(noise < variance)),
-        covered=bool(low <= value <= high),
-        left_out=fit.average.left_out,
+    fit, draws, noise = _posterior(gram, seed, rng)
+
+    row = rng.standard_normal((terms,))
+    quantities = _quantities(gram, row, int(rng.integers(terms)))
+    ranks = np.zeros((len(quantities), DRAWS + 1), dtype=np.int64)
+    for k, quantity in enumerate(quantities):
+        value = float(quantity(theta[None, :], np.array([variance]))[0])
+        ranks[k, rank(quantity(draws, noise), value, rng)] = 1
+    low, high = np.sort(draws @ row)[[TAIL - 1, DRAWS - TAIL]]
+
+    inside = np.eye(BINS, dtype=np.int64)[bin_of(fit.pip)]
+    stated, number = fit.pip @ inside, true @ inside
+    error = np.abs(theta - fit.coef)[fit.support]
+    return Tally(
+        problems=1,
+        sampled=int(fit.average is None),
+        terms=inside.sum(axis=0),
+        stated=stated,
+        true=number,
+        variance=np.var((draws != 0.0) @ inside, axis=0, ddof=1),
+        squared=(number - stated) ** 2,
+        ranks=ranks,
+        enclosed=int(low <= theta @ row <= high),
+        included=int(fit.support.sum()),
+        covered=int(np.sum(error <= Z95 * fit.sd[fit.support])),
+        most_left_out=0.0 if fit.average is None else fit.average.left_out,
+        slowest=0.0 if fit.draws is None else correlation_time(fit.draws.theta @ row),
+        rhat=fit.rhat or 0.0,
     )
 
 
-def _chi_square(ranks: NDArray[np.int64], cells: int = 20) -> float:
-    """p-value of uniform ranks 0..99."""
-    from scipy.stats import chisquare
-
-    return float(chisquare(np.bincount(ranks * cells // (DRAWS + 1), minlength=cells)).pvalue)
-
-
-def summary(kind: str, rows: int, outcomes: list[Outcome]) -> Mapping[str, object]:
-    """One line of the table: ranks, coverage and the reliability of the PIPs."""
-    pip = np.concatenate([o.pip for o in outcomes])
-    true = np.concatenate([o.true for o in outcomes])
-    line: dict[str, object] = {
-        "design": kind,
-        "rows": rows,
-        "problems": len(outcomes),
-        "p_theta_ranks": f"{_chi_square(np.array([o.theta_rank for o in outcomes])):.3f}",
-        "p_noise_ranks": f"{_chi_square(np.array([o.noise_rank for o in outcomes])):.3f}",
-        "coverage": f"{np.mean([o.covered for o in outcomes]):.4f}",
-        "most_left_out": f"{max(o.left_out for o in outcomes):.4f}",
-    }
-    which = np.minimum((pip * BINS).astype(int), BINS - 1)
-    for k in range(BINS):
-        inside = which == k
-        n = int(inside.sum())
-        line[f"bin{k}_n"] = n
-        line[f"bin{k}_stated"] = f"{pip[inside].mean():.4f}" if n else ""
-        line[f"bin{k}_true"] = f"{true[inside].mean():.4f}" if n else ""
-    return line
-
-
-def _batch(kind: str, rows: int, seed: int, start: int, stop: int) -> list[Outcome]:
+def _batch(kind: str, rows: int, seed: int, start: int, stop: int) -> Tally:
     number = DESIGNS.index(kind)
-    return [calibrate_one(kind, rows, (seed, number, rows, k)) for k in range(start, stop)]
+    return joined([calibrate_one(kind, rows, (seed, number, rows, k)) for k in range(start, stop)])
 
 
-def run_calibration(problems: int, seed: int = 0, jobs: int = 2) -> Iterator[Mapping[str, object]]:
-    """Rows of the table, one per design and number of rows, and one per design over all of them."""
+def run_calibration(
+    problems: Mapping[tuple[str, int], int], seed: int = 0, jobs: int = 2
+) -> dict[tuple[str, int], Tally]:
+    """The tally of each design and number of rows; it does not depend on the number of `jobs`."""
     from joblib import Parallel, delayed
 
-    with Parallel(n_jobs=jobs, inner_max_num_threads=1, backend="loky") as pool:
-        for kind in DESIGNS:
-            everything: list[Outcome] = []
-            for rows in ROWS:
-                parts = pool(
-                    delayed(_batch)(kind, rows, seed, k, min(k + 50, problems)) for k in range(0, problems, 50)
-                )
-                outcomes = [outcome for part in parts for outcome in part]
-                everything += outcomes
-                yield summary(kind, rows, outcomes)
-            yield summary(kind, 0, everything)
+    parts = [
+        (*cell, seed, start, min(start + BATCH, number))
+        for cell, number in problems.items()
+        for start in range(0, number, BATCH)
+    ]
+    tallies: dict[tuple[str, int], Tally] = {}
+    progress, done = StudyProgress(), 0
+    with Parallel(n_jobs=jobs, inner_max_num_threads=1, backend="loky", return_as="generator") as pool:
+        for (kind, rows, _, start, stop), part in zip(parts, pool(delayed(_batch)(*p) for p in parts), strict=True):
+            cell = kind, rows
+            tallies[cell] = tallies[cell] + part if cell in tallies else part
+            done += stop - start
+            progress(done, sum(problems.values()))
+    progress.close()
+    return tallies
+
+
+def _bins(tally: Tally) -> list[Line]:
+    """Share of true terms beside the stated probability."""
+    lines: list[Line] = []
+    for k, p in enumerate(bin_p(tally)):
+        n = int(tally.terms[k])
+        line: Line = {"bin": f"{k / BINS:.1f}-{(k + 1) / BINS:.1f}", "terms": n}
+        if n:
+            line |= {
+                "stated": f"{tally.stated[k] / n:.5f}",
+                "true": f"{tally.true[k] / n:.5f}",
+                "se": f"{math.sqrt(tally.variance[k]) / n:.5f}",
+                "se_robust": f"{math.sqrt(tally.squared[k]) / n:.5f}",
+            }
+        lines.append(line if p is None else {**line, "p": p})
+    return lines
+
+
+def _summary(tally: Tally) -> Line:
+    """Ranks, coverage, and what the posteriors were made of."""
+    inner = tally.ranks[:, TAIL : DRAWS + 1 - TAIL].sum(axis=1) / tally.problems
+    return {
+        "problems": tally.problems,
+        "sampled": tally.sampled,
+        **{f"p_{name}": uniform_p(counts) for name, counts in zip(QUANTITIES, tally.ranks, strict=True)},
+        "coverage_prediction": f"{inner[0]:.4f}",
+        "coverage_noise": f"{inner[2]:.4f}",
+        "se_coverage": f"{math.sqrt(0.95 * 0.05 / tally.problems):.4f}",
+        "coverage_prediction_ends_in": f"{tally.enclosed / tally.problems:.4f}",
+        "included_terms": tally.included,
+        "ci95_of_included": f"{tally.covered / max(tally.included, 1):.4f}",
+        "most_left_out": f"{tally.most_left_out:.4f}",
+        "slowest_chain": f"{tally.slowest:.0f}",
+        "largest_rhat": f"{tally.rhat:.3f}",
+    }
+
+
+def tables(tallies: Mapping[tuple[str, int], Tally]) -> tuple[list[Line], list[Line]]:
+    """The two tables: a line per cell and per design, and one per bin of each; all tests are one family.
+
+    In the first table `p_least_adjusted` is the smallest of a line's p-values, of bins and ranks, after Holm's
+    adjustment for the number of tests in both tables; the last line has that of all of them, and the verdict.
+    """
+    cells: list[tuple[str, str, Tally]] = []
+    for kind in dict.fromkeys(kind for kind, _ in tallies):
+        own = {rows: tally for (name, rows), tally in tallies.items() if name == kind}
+        cells += [(kind, str(rows), tally) for rows, tally in own.items()]
+        cells.append((kind, "all", joined(list(own.values()))))
+    first: list[Line] = []
+    second: list[Line] = []
+    tested: list[tuple[Line, Line, str]] = []
+    for kind, rows, tally in cells:
+        line: Line = {"design": kind, "rows": rows, **_summary(tally)}
+        bins: list[Line] = [{"design": kind, "rows": rows, **each} for each in _bins(tally)]
+        tested += [(line, line, f"p_{name}") for name in QUANTITIES]
+        tested += [(line, each, "p") for each in bins if "p" in each]
+        first.append(line)
+        second += bins
+    least: dict[int, float] = {}
+    adjusted = holm(np.array([line[key] for _, line, key in tested], dtype=np.float64))
+    for (cell, line, key), value in zip(tested, adjusted, strict=True):
+        line[key] = f"{line[key]:.4g}"
+        if key == "p":
+            line["p_adjusted"] = f"{value:.4g}"
+        least[id(cell)] = min(least.get(id(cell), 1.0), float(value))
+    for line in first:
+        line["p_least_adjusted"] = f"{least[id(line)]:.4g}"
+    whole = _summary(joined(list(tallies.values())))
+    last: Line = {key: "" if key.startswith("p_") else value for key, value in whole.items()}
+    verdict = f"{'rejected' if adjusted.min() < LEVEL else 'not rejected'} at {100 * LEVEL:g} %"
+    last |= {"p_least_adjusted": f"{adjusted.min():.4g}", "tests": len(adjusted), "verdict": verdict}
+    return [*first, {"design": "all", "rows": "all", **last}], second
+
+
+def _write(path: Path, lines: Sequence[Line]) -> None:
+    columns = list(dict.fromkeys(name for line in lines for name in line))
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(lines)
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Write the table to standard output."""
+    """Write the tables, and the verdict to standard output."""
     import argparse
 
     parser = argparse.ArgumentParser(description="Calibration of model averaging on problems drawn from its prior.")
-    parser.add_argument("--problems", type=int, default=2000, help="problems per design and number of rows")
+    parser.add_argument("--folder", type=Path, default=Path("docs/tables"), help="where to write the tables")
+    parser.add_argument("--problems", type=int, help="problems per design and number of rows, the same for all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args(arguments)
-    writer = None
-    for line in run_calibration(given.problems, given.seed, given.jobs):
-        if writer is None:
-            writer = csv.DictWriter(sys.stdout, list(line), lineterminator="\n")
-            writer.writeheader()
-        writer.writerow(line)
-        sys.stdout.flush()
+    problems = {cell: given.problems or number for cell, number in PROBLEMS.items()}
+    first, second = tables(run_calibration(problems, given.seed, given.jobs))
+    given.folder.mkdir(parents=True, exist_ok=True)
+    _write(given.folder / "calibration.csv", first)
+    _write(given.folder / "calibration_bins.csv", second)
+    last = first[-1]
+    sys.stdout.write(f"{last['tests']} tests, least adjusted p {last['p_least_adjusted']}: {last['verdict']}\n")
 
 
 if __name__ == "__main__":

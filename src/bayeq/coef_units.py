@@ -1,0 +1,170 @@
+"""Units of coefficients, from those of the channels: algebra on their text.
+
+``m/s^2`` per ``mm`` is ``m/s^2/mm``: symbols are multiplied and cancelled, never converted.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+
+from bayeq.expressions import Binary, Call, Expression, Negate, Node, Number, Symbol
+from bayeq.states import Chain
+
+__all__ = ["channel_units", "derivative_unit", "quotient_unit"]
+
+# Exponents of symbols, in the order in which they occur.
+Unit = dict[str, Fraction]
+
+SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+FACTOR = re.compile(r"\s*([*/·⋅ ]?)\s*(1(?![0-9])|[^\W\d_]+|[%°]+[^\W\d_]*)(?:(?:\^|\*\*)?(-?\d+))?")
+DIMENSIONLESS = ("", "1", "-")
+
+
+def _parse(text: str) -> Unit:
+    """Exponents of a unit's symbols; text that is no product of powers is a symbol itself."""
+    text = text.strip()
+    if text in DIMENSIONLESS:
+        return {}
+    out: Unit = {}
+    rest = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda found: found.group().translate(SUPERSCRIPTS), text)
+    while rest:
+        found = FACTOR.match(rest)
+        if found is None:
+            return {f"({text})": Fraction(1)}
+        operator, symbol, power = found.groups()
+        exponent = Fraction(int(power or 1)) * (-1 if operator == "/" else 1)
+        if symbol != "1":
+            _multiply(out, {symbol: exponent})
+        rest = rest[found.end() :].rstrip()
+    return out
+
+
+def _multiply(unit: Unit, other: Unit, power: Fraction | int = 1) -> Unit:
+    """`unit` times a power of the other, in place."""
+    for symbol, exponent in other.items():
+        total = unit.get(symbol, Fraction(0)) + power * exponent
+        if total:
+            unit[symbol] = total
+        else:
+            unit.pop(symbol, None)
+    return unit
+
+
+def _written(unit: Unit) -> str:
+    above = "*".join(symbol + _power(e) for symbol, e in unit.items() if e > 0)
+    below = "".join(f"/{symbol}{_power(-e)}" for symbol, e in unit.items() if e < 0)
+    return (above or "1") + below
+
+
+def _power(exponent: Fraction) -> str:
+    if exponent == 1:
+        return ""
+    return f"^{exponent}" if exponent.denominator == 1 else f"^({exponent})"
+
+
+def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
+    """Unit of a term; None where a channel's is not known, or where units do not fit together."""
+    match node:
+        case Number():
+            return {}
+        case Symbol(name):
+            return _parse(units[name]) if name in units else None
+        case Negate(operand) | Call("abs", operand):
+            return _of(operand, units)
+        case Call("sqrt", operand):
+            inside = _of(operand, units)
+            return None if inside is None else _multiply({}, inside, Fraction(1, 2))
+        case Call():
+            return {}
+        case Binary("+" | "-", left, right):
+            first, second = _of(left, units), _of(right, units)
+            return first if first == second else None
+        case Binary("**", left, Number(value)):
+            base = _of(left, units)
+            return None if base is None else _multiply({}, base, Fraction(value).limit_denominator(1000))
+        case Binary("*" | "/" as operator, left, right):
+            first, second = _of(left, units), _of(right, units)
+            if first is None or second is None:
+                return None
+            return _multiply(dict(first), second, 1 if operator == "*" else -1)
+    return None
+
+
+def quotient_unit(target: str, term: Expression, units: Mapping[str, str]) -> str | None:
+    """Unit of the coefficient of a term in the equation of a target.
+
+    Parameters
+    ----------
+    target : str
+        Left-hand side.
+    term : Expression
+        In names of channels.
+    units : mapping of str to str
+        Units of channels.
+
+    Returns
+    -------
+    str or None
+        None where the unit of the target or of a channel in the term is not known.
+
+    Examples
+    --------
+    >>> from bayeq.expressions import parse
+    >>> units = {"x": "mm", "v": "m/s", "a": "m/s2", "u": "N"}
+    >>> [quotient_unit("a", parse(t), units) for t in ("x", "v", "x**3", "v*abs(v)", "sign(v)", "u")]
+    ['m/s^2/mm', '1/s', 'm/s^2/mm^3', '1/m', 'm/s^2', 'm/s^2/N']
+    """
+    if target not in units:
+        return None
+    below = _of(term.tree, units)
+    return None if below is None else _written(_multiply(_parse(units[target]), below, -1))
+
+
+def derivative_unit(unit: str, order: int) -> str:
+    """Unit of the derivative of a channel by time [s]; of its integral, where `order` is negative.
+
+    Examples
+    --------
+    >>> derivative_unit("mm", 2), derivative_unit("m/s^2", -2)
+    ('mm/s^2', 'm')
+    """
+    return _written(_multiply(_parse(unit), {"s": Fraction(-order)}))
+
+
+def channel_units(
+    stated: Sequence[Mapping[str, str]], chains: Sequence[Chain], inputs: Sequence[str]
+) -> tuple[dict[str, str], list[str]]:
+    """Units of states, targets and inputs, as far as records state them.
+
+    Parameters
+    ----------
+    stated : sequence of mapping of str to str
+        Units of the channels of each record.
+    chains : sequence of Chain
+        A derivative that is not measured has the unit of the nearest one that is, over or times seconds.
+    inputs : sequence of str
+        Further channels.
+
+    Returns
+    -------
+    units : dict of str to str
+    conflicts : list of str
+        A sentence on each channel whose unit depends on the record; its unit is left out.
+    """
+    units: dict[str, str] = {}
+    conflicts = []
+    for name in dict.fromkeys([*(m for chain in chains for m in chain.measured if m is not None), *inputs]):
+        found = sorted({one[name] for one in stated if name in one})
+        if len(found) > 1:
+            conflicts.append(f"{name} is in {' and in '.join(found)}, depending on the record: give it one unit")
+        elif found:
+            units[name] = found[0]
+    for chain in chains:
+        known = [k for k, m in enumerate(chain.measured) if m in units]
+        for k, name in enumerate(chain.names):
+            if chain.measured[k] is None and known:
+                nearest = min(known, key=lambda other, k=k: abs(k - other))
+                units[name] = derivative_unit(units[chain.names[nearest]], k - nearest)
+    return units, conflicts

@@ -1,0 +1,371 @@
+"""What a laboratory should know of a record before anything is inferred from it.
+
+Channels that should be a motion and its derivatives are compared with each other (`records.consistency`); clipped,
+dropped and repeated samples are looked for in each. Nothing is changed: `records.repair` does that when asked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.records.consistency import Relation, relate, uniform_frames
+from bayeq.records.record import Record
+
+__all__ = ["Finding", "check_messages", "check_record"]
+
+Floats = NDArray[np.float64]
+
+# An offset, or half the change by drift over the record, counts from this share of the channel's standard deviation,
+# a delay from so many samples, a gain from this ratio.
+LEAST_OFFSET = 0.01
+LEAST_DELAY = 0.2
+LEAST_GAIN = 1.05
+
+# ... and if it is so many standard errors from nothing.
+SIGNIFICANT = 4.0
+
+# If sign and delay explain a smaller share of the coherent signal, two channels are not what they are said to be.
+LEAST_FIT = 0.9
+
+# Gains that are mistakes of units, and how near a measured one must come.
+UNIT_GAINS = (
+    (9.80665, "the factor between g and m/s^2"),
+    (1000.0, "the factor between milli-units and units"),
+    (2.0 * math.pi, "2 pi, the factor between cycles and radians"),
+    (180.0 / math.pi, "180/pi, the factor between radians and degrees"),
+)
+NEAR = 0.02
+
+# Clipping: a run of so many equal samples at an extreme, in a channel whose samples are equal nowhere else; or so many
+# samples at the extreme, and so many times as many as at any of the next levels. A channel of few levels, or one that
+# rests at the extreme for most of the time, is switched and not clipped.
+LEAST_RUN = 3
+LEAST_CLIPPED = 5
+TIMES_NEXT = 5
+NEXT_LEVELS = 5
+LEAST_LEVELS = 20
+MOST_AT_REST = 0.5
+
+# Dropped samples: steps of time that are multiples of the median within this share; repeated ones: so many places, and
+# channels that repeat more than this share of their samples are held on purpose.
+NEAR_MULTIPLE = 0.1
+LEAST_REPEATS = 3
+MOST_REPEATED = 0.3
+
+# Fewer rows tell nothing.
+LEAST_ROWS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something about a record that inference would stumble over.
+
+    Attributes
+    ----------
+    kind : str
+        ``"offset"``, ``"drift"``, ``"delay"``, ``"sign"``, ``"gain"``, ``"inconsistent"``, ``"clipping"``,
+        ``"dropped"`` or ``"repeated"``.
+    channels : tuple of str
+        The channel that is at fault, then those that it was compared with.
+    message : str
+        A sentence that names channel and number.
+    value : float
+        The offset [unit of the channel], drift [unit per s], delay [s], sign (-1), gain, share that fits, level that
+        the channel is clipped at, or number of samples.
+    """
+
+    kind: str
+    channels: tuple[str, ...]
+    message: str
+    value: float
+
+
+def check_record(
+    record: Record, chains: Sequence[str | Sequence[str | None]], inputs: Sequence[str] = ()
+) -> list[Finding]:
+    """Check the channels of a record against each other and for lost samples.
+
+    Parameters
+    ----------
+    record : Record
+        What was measured. Channels with NaN are not looked at; where time is missing or uneven, channels are not
+        compared with each other.
+    chains : sequence of str or of sequences
+        A coordinate and its derivatives each: ``"x:v:a"``, or the channels' names with None where a derivative is not
+        measured.
+    inputs : sequence of str
+        Further channels, to be checked for lost samples.
+
+    Returns
+    -------
+    list of Finding
+        Empty if nothing was found.
+
+    Raises
+    ------
+    UnknownNameError
+        A channel that the record does not have.
+
+    Examples
+    --------
+    >>> t = np.arange(2000) / 500
+    >>> x, v = np.sin(9 * t) + np.sin(23 * t), 9 * np.cos(9 * t) + 23 * np.cos(23 * t)
+    >>> noise = np.random.default_rng(0).normal(size=(2, 2000))
+    >>> record = Record({"x": x + 0.01 * noise[0], "v": 0.2 - v + 0.1 * noise[1]}, time=t)
+    >>> [(f.kind, f.channels[0], round(f.value, 1)) for f in check_record(record, ["x:v:"])]
+    [('sign', 'v', -1.0), ('offset', 'v', 0.2)]
+    """
+    split = [[part or None for part in c.split(":")] if isinstance(c, str) else list(c) for c in chains]
+    names = [name for chain in split for name in chain if name is not None]
+    found = _dropped(record, names[0]) if names else []
+    whole = {name: bool(np.isfinite(record[name]).all()) for name in (*names, *inputs)}
+    for chain in split:
+        found += _kinematics(record, [name if name and whole[name] else None for name in chain])
+    for name in dict.fromkeys((*names, *inputs)):
+        if whole[name] and record.n >= LEAST_ROWS:
+            clipped = _clipped(name, record[name])
+            found += clipped or _repeated(name, record[name])
+    return found
+
+
+def check_messages(
+    records: Sequence[Record], chains: Sequence[Sequence[str | None]], inputs: Sequence[str] = ()
+) -> list[str]:
+    """A sentence for each kind of finding about each channel, however many records show it."""
+    first: dict[tuple[str, tuple[str, ...]], tuple[Record, str]] = {}
+    count: dict[tuple[str, tuple[str, ...]], int] = {}
+    for record in records:
+        for finding in check_record(record, chains, inputs):
+            key = finding.kind, finding.channels
+            first.setdefault(key, (record, finding.message))
+            count[key] = count.get(key, 0) + 1
+    if len(records) == 1:
+        return [message for _, message in first.values()]
+    return [
+        f"{record.name or 'a record'}: {message}{f' (and {count[key] - 1} more records alike)' * (count[key] > 1)}"
+        for key, (record, message) in first.items()
+    ]
+
+
+# --- channels against each other -------------------------------------------------------------------------------------
+
+
+def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
+    """Offsets, delays, signs and gains within a chain."""
+    measured = [(order, name) for order, name in enumerate(chain) if name is not None]
+    if record.time is None or len(measured) < 2:
+        return []
+    frames = uniform_frames(record.time)
+    if frames is None:
+        return []
+    found: list[Finding] = []
+    links: list[Relation] = []
+    for (low, p), (high, q) in pairwise(measured):
+        if not (np.ptp(record[p]) > 0.0 and np.ptp(record[q]) > 0.0):
+            return found
+        link = relate(record.time, record[p], record[q], high - low, frames)
+        if link is None:
+            return found
+        if link.fit < LEAST_FIT:
+            what = _derivative(p, high - low)
+            message = (
+                f"{q} moves with {what} but is not it: no sign and delay makes them fit (best: {100 * link.fit:.0f} %);"
+                " check which channel is which"
+            )
+            return [*found, Finding("inconsistent", (q, p), message, link.fit)]
+        links.append(link)
+    found += _signs(measured, links)
+    found += _gains(measured, links)
+    found += _delays(measured, links, frames.dt)
+    for ((low, p), (high, q)), link in zip(pairwise(measured), links, strict=True):
+        found += _shifts(record, p, q, high - low, link)
+    return found
+
+
+def _derivative(name: str, order: int) -> str:
+    return f"d{name}/dt" if order == 1 else f"d{order}{name}/dt{order}"
+
+
+def _against(measured: Sequence[tuple[int, str]], k: int, other: int) -> str:
+    """What channel k should be, said by another channel of the chain."""
+    (order, _), (reference, name) = measured[k], measured[other]
+    if order > reference:
+        return _derivative(name, order - reference)
+    times = {1: "", 2: "double ", 3: "triple "}.get(reference - order, f"{reference - order}-fold ")
+    return f"the {times}integral of {name}"
+
+
+def _odd_ones(steps: Sequence[float], errors: Sequence[float], least: float) -> list[tuple[int, int, float]]:
+    """Channels that differ from most of a chain, each with one of the majority and the difference.
+
+    `steps` are the differences from each channel to the next, `errors` what of them may be chance; differences up to
+    `least` do not matter. Without a majority the lowest derivative is believed.
+    """
+    level = np.concatenate([[0.0], np.cumsum(steps)])
+    doubt = np.concatenate([[0.0], np.cumsum(errors)])
+    tolerance = np.maximum(least, np.abs(doubt[:, None] - doubt))
+    agree = np.abs(level[:, None] - level) <= tolerance
+    reference = int(np.argmax(agree.sum(axis=1)))
+    return [(int(k), reference, float(level[k] - level[reference])) for k in np.flatnonzero(~agree[reference])]
+
+
+def _signs(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
+    signs = np.cumprod([1, *(link.sign for link in links)])
+    found = []
+    for k, other, _ in _odd_ones(np.diff(signs).tolist(), [0.0] * len(links), 0.0):
+        name = measured[k][1]
+        message = f"{name} has the opposite sign of {_against(measured, k, other)}: reverse it"
+        found.append(Finding("sign", (name, measured[other][1]), message, -1.0))
+    return found
+
+
+def _gains(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
+    steps = [math.log(link.gain) for link in links]
+    # besides chance, noise leaves a gain undecided between regression one way and the other
+    errors = [SIGNIFICANT * link.gain_error + 0.5 * math.log(link.most_gain / link.least_gain) for link in links]
+    found = []
+    for k, other, difference in _odd_ones(steps, errors, math.log(LEAST_GAIN)):
+        name, gain = measured[k][1], math.exp(difference)
+        message = f"{name} is {gain:.4g} times {_against(measured, k, other)}: {_unit_hint(gain)}"
+        found.append(Finding("gain", (name, measured[other][1]), message, gain))
+    return found
+
+
+def _unit_hint(gain: float) -> str:
+    for factor, meaning in UNIT_GAINS:
+        if min(abs(math.log(gain / factor)), abs(math.log(gain * factor))) < NEAR:
+            return f"that is about {meaning}; check its unit"
+    return "check its calibration and its unit"
+
+
+def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: float) -> list[Finding]:
+    steps, errors = [link.delay for link in links], [SIGNIFICANT * link.delay_error for link in links]
+    found = []
+    for k, other, delay in _odd_ones(steps, errors, LEAST_DELAY * dt):
+        name = measured[k][1]
+        message = (
+            f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {_against(measured, k, other)} by"
+            f" {abs(delay) / dt:.2g} samples: bayeq.correct_delay(record, {name!r}, {delay:.3g}) shifts it back"
+        )
+        found.append(Finding("delay", (name, measured[other][1]), message, delay))
+    return found
+
+
+def _shifts(record: Record, p: str, q: str, order: int, link: Relation) -> list[Finding]:
+    """Offset and drift of a channel against the derivative of the one below it."""
+    assert record.time is not None
+    spread, span = float(np.std(record[q])), float(record.time[-1] - record.time[0])
+    shift, what = link.shift, _derivative(p, order)
+    unit = record.units.get(q, "")
+    significant = _student(SIGNIFICANT, shift.freedom)
+    found = []
+    if abs(shift.offset_t) > significant and abs(shift.offset) > LEAST_OFFSET * spread:
+        message = (
+            f"{q} has an offset of {_quantity(shift.offset, unit)} against {what}"
+            f" ({100.0 * abs(shift.offset) / spread:.2g} % of its standard deviation):"
+            f" bayeq.remove_offset(record, {q!r}, {shift.offset:.4g}) takes it out"
+        )
+        found.append(Finding("offset", (q, p), message, shift.offset))
+    if abs(shift.drift_t) > significant and abs(shift.drift) * span > 2.0 * LEAST_OFFSET * spread:
+        message = (
+            f"{q} drifts by {_quantity(shift.drift * span, unit)} over the record against {what}"
+            f" ({100.0 * abs(shift.drift) * span / spread:.2g} % of its standard deviation):"
+            f" bayeq.remove_offset(record, {q!r}, {shift.offset:.4g}, drift={shift.drift:.4g}) takes it out"
+        )
+        found.append(Finding("drift", (q, p), message, shift.drift))
+    return found
+
+
+def _student(z: float, freedom: int) -> float:
+    """Quantile of Student's t where the normal distribution has its own at z (Fisher and Cornish 1960)."""
+    first = (z**3 + z) / (4.0 * freedom)
+    second = (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * freedom**2)
+    third = (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / (384.0 * freedom**3)
+    return z + first + second + third
+
+
+def _quantity(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}" if unit else f"{value:.3g}"
+
+
+# --- samples ---------------------------------------------------------------------------------------------------------
+
+
+def _dropped(record: Record, name: str) -> list[Finding]:
+    """Steps of time that are whole multiples of the usual one."""
+    if record.time is None or record.n < LEAST_ROWS:
+        return []
+    steps = np.diff(record.time)
+    ratio = steps / np.median(steps)
+    whole = np.round(ratio)
+    even = np.abs(ratio - whole) <= NEAR_MULTIPLE
+    gaps = even & (whole >= 2)
+    if not gaps.any() or not (even & (whole == 1)).sum() >= 0.5 * len(steps) or not even.all():
+        return []
+    missing = int(whole[gaps].sum() - gaps.sum())
+    first = int(np.flatnonzero(gaps)[0])
+    message = (
+        f"{missing} sample{'s are' if missing > 1 else ' is'} missing: {int(gaps.sum())} of {len(steps)} steps of time"
+        f" are multiples of {np.median(steps):.4g} s, the first after row {first + 1}"
+    )
+    return [Finding("dropped", (name,), message, float(missing))]
+
+
+def _runs(values: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First rows and lengths of runs of equal consecutive samples."""
+    starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
+    return starts, np.diff(np.append(starts, len(values)))
+
+
+def _clipped(name: str, values: Floats) -> list[Finding]:
+    """An extreme that samples stay at, more often than at the levels next to it."""
+    levels, counts = np.unique(values, return_counts=True)
+    if len(levels) < LEAST_LEVELS:
+        return []
+    starts, lengths = _runs(values)
+    unlike = bool((counts[1:-1] == 1).all())
+    found = []
+    for level, count, near in (
+        (levels[-1], counts[-1], counts[-1 - NEXT_LEVELS : -1]),
+        (levels[0], counts[0], counts[1 : 1 + NEXT_LEVELS]),
+    ):
+        runs = int(np.count_nonzero((values[starts] == level) & (lengths >= LEAST_RUN)))
+        beyond_chance = unlike or count >= max(LEAST_CLIPPED, TIMES_NEXT * int(near.max()))
+        if runs and beyond_chance and count < MOST_AT_REST * len(values):
+            which = "greatest" if level == levels[-1] else "least"
+            message = (
+                f"{name} is clipped: {int(count)} samples stand at its {which} value {level:.4g}, up to"
+                f" {int(lengths[values[starts] == level].max())} in a row; measure in a wider range, or leave them out"
+            )
+            found.append(Finding("clipping", (name,), message, float(level)))
+    return found
+
+
+def _repeated(name: str, values: Floats) -> list[Finding]:
+    """Samples that repeat the one before, where steps on either side say that the channel was moving."""
+    steps = np.abs(np.diff(values))
+    if np.count_nonzero(steps == 0.0) > MOST_REPEATED * len(steps) or not steps.any():
+        return []
+    # a channel of coarse levels stands still at its turning points: usual steps must be many levels
+    level = float(steps[steps > 0.0].min())
+    moving = 0.5 * float(np.median(steps))
+    if moving < 4.0 * level:
+        return []
+    starts, lengths = _runs(values)
+    inner = (lengths > 1) & (starts > 0) & (starts + lengths < len(values))
+    starts, lengths = starts[inner], lengths[inner]
+    sudden = (steps[starts - 1] > moving) & (steps[starts + lengths - 1] > moving)
+    if np.count_nonzero(sudden) < LEAST_REPEATS:
+        return []
+    count, places = int(np.sum(lengths[sudden] - 1)), int(np.count_nonzero(sudden))
+    message = (
+        f"{name} repeats its last value {count} times in {places} places while it moves, the first in row"
+        f" {int(starts[sudden][0]) + 2}: samples were lost and filled; leave these rows out"
+    )
+    return [Finding("repeated", (name,), message, float(count))]

@@ -1,0 +1,317 @@
+"""Whether two channels are the motion and its derivative: their offset, delay, sign and gain.
+
+If q is the m-th derivative of p, then for every smooth test function f that vanishes at both ends
+
+    integral f q dt = (-1)^m integral f^(m) p dt,
+
+exactly and without differentiating what is measured (the weak form, or modulating functions; Shinbrot 1957). With
+windowed complex exponentials as test functions both sides are short-time spectra A and B of the same derivative,
+without the leakage that differentiating a windowed signal would bring: their cross-spectrum tells delay, sign and gain
+where the two are coherent, and at zero frequency their difference is the offset.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Frames", "Relation", "Shift", "relate", "uniform_frames"]
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+
+# The window sin^6, as a series in cos(2 pi k t/T): its first five derivatives vanish at the ends.
+WINDOW = (10 / 32, -15 / 32, 6 / 32, -1 / 32)
+
+# Samples in a frame: about an eighth of the record, as a power of two, between these.
+SHORTEST, LONGEST = 64, 8192
+PART = 8
+
+# Frames start so many to a frame's length; fewer than the least of them tell nothing, more are not needed.
+OVERLAP = 4
+LEAST_FRAMES = 12
+MOST_FRAMES = 400
+
+# Time steps that differ from the median by a larger share end a frame; smaller ones are the rounding of a time column.
+UNIFORM = 0.05
+
+# Bins on either side over which spectra are averaged.
+SMOOTHING = 2
+
+# Noise bandwidth of the window, in bins.
+BANDWIDTH = 924 / 400
+
+# The phase of the whole must be known to 1/sqrt of this [rad] for a comparison.
+LEAST_WEIGHT = 100.0
+
+# Steps that polish a delay.
+NEWTON = 20
+
+# Coherence squared is taken to be at most this, so that a few noise-free bins do not stand for all.
+MOST_COHERENT = 0.9999
+
+# Delays are looked for up to so many samples, at so many steps each.
+MOST_DELAY = 32
+STEPS = 4
+
+# Of maxima that come so close to the best one the one nearest to no delay is taken: motion of nearly one frequency
+# looks alike after a period, and reversed after half of one.
+AS_GOOD = 0.98
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Where the frames of a record are.
+
+    Attributes
+    ----------
+    starts : (K,) int array
+        First rows.
+    length : int
+        Rows of each.
+    dt : float
+        Time step [s].
+    """
+
+    starts: Ints
+    length: int
+    dt: float
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """What is to be subtracted from a channel to agree with the derivative of another.
+
+    Attributes
+    ----------
+    offset, drift : float
+        Value at the middle of the record, and change per second.
+    offset_t, drift_t : float
+        Both over their standard errors.
+    freedom : int
+        Degrees of freedom of these.
+    """
+
+    offset: float
+    drift: float
+    offset_t: float
+    drift_t: float
+    freedom: int
+
+
+@dataclass(frozen=True, slots=True)
+class Relation:
+    """How a channel q follows the m-th derivative of a channel p: q(t) = sign x gain x p^(m)(t - delay) + shift.
+
+    Attributes
+    ----------
+    sign : int
+        +1 or -1.
+    gain, least_gain, most_gain : float
+        Ratio of amplitudes; regressed on p it is too small, on q too large, by the noise of the other.
+    gain_error : float
+        Standard error of ln gain.
+    delay, delay_error : float
+        Delay of q [s] and its standard error.
+    fit : float
+        Share of the coherent signal that sign and delay explain: 1 for a perfect derivative, around 0 for a signal of
+        another phase.
+    weight : float
+        Information: the phase of the whole is known to 1/sqrt(weight) rad.
+    shift : Shift
+    """
+
+    sign: int
+    gain: float
+    least_gain: float
+    most_gain: float
+    gain_error: float
+    delay: float
+    delay_error: float
+    fit: float
+    weight: float
+    shift: Shift
+
+
+def uniform_frames(time: Floats) -> Frames | None:
+    """Frames of rows at even steps of time; None where there are too few."""
+    n = len(time)
+    length = SHORTEST
+    while length < LONGEST and 2 * PART * length <= 1.5 * n:
+        length *= 2
+    steps = np.diff(time)
+    if not len(steps):
+        return None
+    even = np.abs(steps / np.median(steps) - 1.0) <= UNIFORM
+    dt = float(steps[even].mean())
+    breaks = np.flatnonzero(~even) + 1
+    hop = length // OVERLAP
+    starts: list[int] = []
+    for a, b in zip([0, *breaks], [*breaks, n], strict=True):
+        starts.extend(range(int(a), int(b) - length + 1, hop))
+    if len(starts) < LEAST_FRAMES:
+        return None
+    if len(starts) > MOST_FRAMES:
+        starts = [starts[k] for k in np.linspace(0, len(starts) - 1, MOST_FRAMES).astype(int)]
+    return Frames(np.array(starts, dtype=np.int64), length, dt)
+
+
+def _test_functions(frames: Frames, order: int) -> tuple[Floats, Floats]:
+    """Derivatives 0 to `order` of the window, (order + 1, L), and the angular frequencies of the bins."""
+    span = frames.length * frames.dt
+    t = frames.dt * (np.arange(frames.length) + 0.5)
+    window = np.zeros((order + 1, frames.length))
+    for k, amplitude in enumerate(WINDOW):
+        omega = 2.0 * math.pi * k / span
+        for j in range(order + 1):
+            window[j] += amplitude * omega**j * np.cos(omega * t + 0.5 * math.pi * j)
+    return window, _frequencies(frames)
+
+
+def _weak_derivative(values: Floats, frames: Frames, order: int) -> Complexes:
+    """Short-time spectra of the `order`-th derivative of a channel, (K, bins)."""
+    window, omega = _test_functions(frames, order)
+    # a constant is lost in the derivative; taken out first it leaves no rounding
+    pieces = (values - values.mean() if order else values)[frames.starts[:, None] + np.arange(frames.length)]
+    out = np.zeros((len(pieces), len(omega)), dtype=np.complex128)
+    for j in range(order + 1):
+        factor = math.comb(order, j) * (-1j * omega) ** (order - j)
+        out += factor * np.fft.rfft(pieces * window[j], axis=1)
+    return (-1.0) ** order * frames.dt * out
+
+
+def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Relation | None:
+    """Compare a channel with the derivative of another.
+
+    Parameters
+    ----------
+    time, p, q : (n,) arrays
+        Time and channels; q should be the `order`-th derivative of p.
+    order : int
+        1 or more.
+    frames : Frames
+        Where to compare them.
+
+    Returns
+    -------
+    Relation or None
+        None where the two have nothing in common that could be compared.
+    """
+    # without the slowest motion, in which a shift of q hides; from both sides alike
+    motion = _detrended(time, p, 1 + order)
+    A = _weak_derivative(_detrended(time, q, 1), frames, 0)
+    B, next_one = (_weak_derivative(motion, frames, order + j) for j in (0, 1))
+    cross, rate = (_smooth(np.mean(v * B.conj(), axis=0)) for v in (A, next_one))
+    power_a, power_b = (_smooth(np.mean(np.abs(v) ** 2, axis=0)) for v in (A, B))
+    weight = _weights(cross, power_a.real, power_b.real, frames)
+    total = float(weight.sum())
+    if total < LEAST_WEIGHT:
+        return None
+    # a bin beside a resonance holds mostly the resonance: its mean frequency, not its middle, turns a delay to a phase
+    omega = rate.imag / np.maximum(power_b.real, np.finfo(float).tiny)
+    sign, delay, fit = _align(np.angle(cross), weight, omega, frames.dt)
+    # phases that no straight line fits say less than they seem to
+    phase = np.angle(sign * cross * np.exp(1j * omega * delay))
+    cells = max(float(np.count_nonzero(weight)) / BANDWIDTH, 1.0)
+    misfit = max(1.0, float(weight @ phase**2) / cells)
+    slope = float(weight @ omega**2)
+    aligned = np.abs(cross) * np.cos(phase)
+    kept = (weight > 0.0) & (aligned > 0.0)
+    share = weight[kept] / weight[kept].sum() if kept.any() else weight[kept]
+    least = float(share @ (aligned[kept] / power_b.real[kept]))
+    most = float(share @ (power_a.real[kept] / aligned[kept]))
+    gain = math.sqrt(least * most)
+    return Relation(
+        sign=sign,
+        gain=gain,
+        least_gain=least,
+        most_gain=most,
+        gain_error=math.sqrt(misfit / total),
+        delay=delay,
+        delay_error=math.sqrt(misfit / slope),
+        fit=fit,
+        weight=total,
+        shift=_shift(p, q, order, frames, sign * gain),
+    )
+
+
+def _frequencies(frames: Frames) -> Floats:
+    return np.asarray(2.0 * math.pi * np.fft.rfftfreq(frames.length, frames.dt))
+
+
+def _detrended(time: Floats, values: Floats, degree: int) -> Floats:
+    """A channel without its polynomial of a degree."""
+    basis = np.polynomial.legendre.legvander(2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0, degree)
+    return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
+
+
+def _smooth(values: Complexes) -> Complexes:
+    """Averages over neighbouring bins."""
+    kernel = np.full(2 * SMOOTHING + 1, 1.0 / (2 * SMOOTHING + 1))
+    return np.convolve(np.pad(values, SMOOTHING, mode="edge"), kernel, mode="valid")
+
+
+def _weights(cross: Complexes, power_a: Floats, power_b: Floats, frames: Frames) -> Floats:
+    """Inverse variance of the phase of each bin, 0 where nothing is coherent (Hannan and Thomson 1973)."""
+    independent = len(frames.starts) / OVERLAP
+    averaged = independent * max((2 * SMOOTHING + 1) / BANDWIDTH, 1.0)
+    tiny = np.finfo(float).tiny
+    coherence = np.abs(cross) ** 2 / np.maximum(power_a * power_b, tiny)
+    # chance alone gives 1/averaged on average, and more than `chance` once in a thousand
+    chance = 1.0 - 1e-3 ** (1.0 / max(averaged - 1.0, 1.0))
+    corrected = np.clip((coherence - 1.0 / averaged) / (1.0 - 1.0 / averaged), 0.0, MOST_COHERENT)
+    weight = 2.0 * independent * corrected / (1.0 - corrected)
+    weight[(coherence < chance) | (power_a * power_b <= tiny)] = 0.0
+    weight[-1] = 0.0  # half the sampling rate: real, and aliased
+    return np.asarray(weight)
+
+
+def _align(phase: Floats, weight: Floats, omega: Floats, dt: float) -> tuple[int, float, float]:
+    """Sign and delay that maximise sum of W cos(phase + omega delay), and that maximum over the sum of W."""
+    kept = weight > 0.0
+    phase, weight, omega = phase[kept], weight[kept] / weight[kept].sum(), omega[kept]
+    grid = np.arange(-MOST_DELAY * STEPS, MOST_DELAY * STEPS + 1) * (dt / STEPS)
+    level = np.cos(phase[:, None] + omega[:, None] * grid).T @ weight
+    found = []
+    for sign in (1, -1):
+        J = sign * level
+        inner = J[1:-1]
+        peaks = np.flatnonzero((inner >= J[:-2]) & (inner >= J[2:])) + 1
+        found += [(float(J[k]), float(grid[k]), sign) for k in (peaks if len(peaks) else [int(np.argmax(J))])]
+    best = max(J for J, _, _ in found)
+    _, delay, sign = min((f for f in found if f[0] >= AS_GOOD * best), key=lambda f: (abs(f[1]), -f[2]))
+    for _ in range(NEWTON):
+        angle = phase + omega * delay
+        slope = -sign * float(weight @ (omega * np.sin(angle)))
+        curvature = sign * float(weight @ (omega**2 * np.cos(angle)))
+        if not curvature > 0.0:
+            break
+        delay = float(np.clip(delay + np.clip(slope / curvature, -dt / STEPS, dt / STEPS), grid[0], grid[-1]))
+    return sign, delay, sign * float(weight @ np.cos(phase + omega * delay))
+
+
+def _shift(p: Floats, q: Floats, order: int, frames: Frames, factor: float) -> Shift:
+    """Offset and drift of q against `factor` times the derivative of p, from frames that overlap by half."""
+    some = Frames(frames.starts[:: OVERLAP // 2], frames.length, frames.dt)
+    window = _test_functions(some, 0)[0]
+    level = q.mean()
+    difference = _weak_derivative(q - level, some, 0)[:, 0].real - factor * _weak_derivative(p, some, order)[:, 0].real
+    y = difference / (window.sum() * frames.dt) + level
+    t = (some.starts - some.starts.mean()) * frames.dt
+    count = len(y)
+    drift = float(t @ y / (t @ t))
+    offset = float(y.mean())
+    residual = y - offset - drift * t
+    variance = float(residual @ residual) / (count - 2)
+    floor = np.finfo(float).tiny
+    return Shift(
+        offset=offset,
+        drift=drift,
+        offset_t=offset / math.sqrt(max(variance / count, floor)),
+        drift_t=drift / math.sqrt(max(variance / float(t @ t), floor)),
+        freedom=count - 2,
+    )

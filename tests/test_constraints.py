@@ -1,0 +1,684 @@
+"""Known relations between coefficients: equalities on the Gram, signs in the prior, and both through `discover`."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import integrate, stats
+
+import bayeq as bq
+from bayeq.cli import main
+from bayeq.constraints import parse_constraints
+from bayeq.dictionary import Variables, build_dictionary
+from bayeq.equalities import Equalities
+from bayeq.errors import ExpressionError, InputError, UnknownNameError
+from bayeq.expressions import parse
+from bayeq.gram import Gram
+from bayeq.inference import ENGINES, Prior
+from bayeq.inference.auto import spike_slab_auto
+from bayeq.inference.bma import sample_average, spike_slab_bma
+from bayeq.inference.conditional import given_model
+from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.orthant import log_orthant, orthant_moments
+from bayeq.inference.problem import Problem
+from bayeq.inference.signed_models import signed_neighbours
+from bayeq.inference.signs import signed_scores
+from bayeq.inference.vb import spike_slab_vb
+from tests import reference
+
+OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
+TERMS = tuple(parse(text) for text in ("x", "v", "x*v", "x**3", "abs(x)/v", "u"))
+NAMES = tuple(term.text for term in TERMS)
+
+
+def quietly(records, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return bq.discover(records, **OSCILLATOR, **options)
+
+
+def solved(*texts, terms=TERMS):
+    (found,) = parse_constraints(texts, terms, ["a"])
+    return found
+
+
+# ---------------------------------------------------------------------------------------------------------------- text
+
+
+@pytest.mark.parametrize(
+    ("text", "slopes", "value"),
+    [
+        ("x == 2*v", {"x": 1, "v": -2}, 0),
+        ("x + 2*v == 3", {"x": 1, "v": 2}, 3),
+        ("u == 1", {"u": 1}, 1),
+        (" 1 == u ", {"u": 1}, 1),
+        ("-(x - v)/4 == x*v*2", {"x": -0.25, "v": 0.25, "x*v": -2}, 0),
+        ("3*v*x == x*x*x", {"x*v": 3, "x**3": -1}, 0),
+        ("2**3*x**2*x - 1e-1 == 0", {"x**3": 8}, 0.1),
+        ("v**-1*abs(x) == u/-2", {"abs(x)/v": 1, "u": 0.5}, 0),
+        ("2*(x + 3*(v - 1)) == 0", {"x": 2, "v": 6}, 6),
+    ],
+)
+def test_an_equation_is_read_as_the_linear_one_that_it_is(text, slopes, value):
+    equalities = solved(text).equalities
+    row = np.array([slopes.get(name, 0.0) for name in NAMES])
+    theta = equalities._values(np.random.default_rng(0).normal(size=(50, len(equalities.kept))))
+    np.testing.assert_allclose(theta @ row, value, atol=1e-12)
+    assert len(equalities.kept) == len(NAMES) - 1
+    # the left-most term goes
+    assert NAMES[equalities.eliminated[0]] == next(iter(slopes))
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    rows=st.lists(
+        st.tuples(*[st.integers(-3, 3) for _ in NAMES], st.floats(-5, 5).map(lambda q: round(q, 3))),
+        min_size=1,
+        max_size=5,
+    )
+)
+def test_all_equations_hold_or_they_are_refused(rows):
+    R, q = np.array([row[:-1] for row in rows], dtype=float), np.array([row[-1] for row in rows])
+    texts = [
+        f"{' + '.join(f'{r:g}*({name})' for r, name in zip(row, NAMES, strict=True))} == {float(value)!r}"
+        for row, value in zip(R, q, strict=True)
+    ]
+    rank = np.linalg.matrix_rank(R)
+    if np.linalg.matrix_rank(np.column_stack([R, q]), tol=1e-9) > rank:
+        with pytest.raises(InputError, match="contradicts"):
+            solved(*texts)
+        return
+    equalities = solved(*texts).equalities
+    assert len(equalities.eliminated) == rank
+    theta = equalities._values(np.random.default_rng(0).normal(size=(5, len(equalities.kept))))
+    np.testing.assert_allclose(theta @ R.T, np.broadcast_to(q, (5, len(q))), atol=1e-9)
+
+
+def test_signs_are_read():
+    assert solved("v <= 0", "0 < x**3", "-u >= 0", "v < 0").signs.tolist() == [0, -1, 0, 1, 0, -1]
+
+
+def test_a_constraint_may_concern_one_equation():
+    first, second = parse_constraints(["a: v <= 0", "x == 1", "b: u==0.5"], TERMS, ["a", "b"])
+    assert first.signs.tolist() == [0, -1, 0, 0, 0, 0]
+    assert not second.signs.any()
+    assert [NAMES[j] for j in first.equalities.eliminated] == ["x"]
+    assert [NAMES[j] for j in second.equalities.eliminated] == ["x", "u"]
+
+
+def test_the_biggest_term_that_is_a_candidate_is_meant():
+    terms = [parse(text) for text in ("x", "v", "x*v", "2*x", "v-x")]
+    found = solved("v - x == 1", "2*x == 4*x", terms=terms).equalities
+    assert [terms[j].text for j in found.eliminated] == ["2*x", "v-x"]
+    np.testing.assert_array_equal(found.slopes, [[4.0, 0, 0], [0, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("w == 1", "no candidate term named 'w'; there are: x, v"),
+        ("x*u == 1", r"no candidate term named 'x\*u'"),
+        ("x*(v + u) == 1", "no candidate term named"),
+        ("u = 1", "write one ==, <= or >="),
+        ("u != 1", "write one ==, <= or >="),
+        ("u", "write one ==, <= or >="),
+        ("0 <= v <= 1", "write one ==, <= or >="),
+        ("== 1", "write one ==, <= or >="),
+        ("x == ", "write one ==, <= or >="),
+        ("v >= 1", "no sums, no bounds other than 0"),
+        ("v <= x", "no sums, no bounds other than 0"),
+        ("1 >= 0", "no sums, no bounds other than 0"),
+        ("b: v <= 0", "no equation named 'b'"),
+        ("0 == 1", "contradicts"),
+        ("x - x == 1", "contradicts"),
+        ("x == 1/0", "not finite"),
+        ("__import__('os') == 1", "not allowed"),
+        ("x.real == 1", "no attributes"),
+        (1.0, "is text"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_in_one_line(text, message):
+    with pytest.raises(InputError, match=message) as caught:
+        parse_constraints([text], TERMS, ["a"])
+    assert "\n" not in str(caught.value)
+    assert "constraint" in str(caught.value)
+
+
+def test_types_of_errors():
+    with pytest.raises(UnknownNameError):
+        solved("w == 1")
+    with pytest.raises(ExpressionError):
+        solved("x ^ 2 == 1")
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (["u == 1", "u == 2"], "'u == 2': contradicts"),
+        (["x == v", "v == u", "u == x + 1"], "contradicts"),
+        (["v <= 0", "v >= 0"], "both signs"),
+        (["v >= 0", "x == -2*v", "x >= 0"], "both signs"),
+        (["x == 3", "x <= 0"], "x is 3 by one"),
+        (["x == v + u", "x >= 0"], "write another term first"),
+        ([f"{name} == 1" for name in NAMES], "nothing is left to find"),
+    ],
+)
+def test_contradictions(texts, message):
+    with pytest.raises(InputError, match=message):
+        solved(*texts)
+
+
+def test_a_term_that_was_left_out_is_told_from_one_that_never_was():
+    with pytest.raises(InputError, match="term x was left out of the dictionary: constant on the data"):
+        parse_constraints(["2*x == v"], TERMS[1:], ["a"], {"x": "constant on the data"})
+
+
+def test_what_follows_from_the_others_is_not_a_second_equation():
+    found = solved("x == 2*v", "4*v == 2*x", "0.1*x + 0.2*x == 0.3*x", "1 == 1").equalities
+    assert len(found.eliminated) == 1
+
+
+def test_a_sign_passes_to_the_term_that_decides_it():
+    found = solved("x == -2*v", "x >= 0", "u == 1", "u >= 0")
+    names = [NAMES[j] for j in found.equalities.kept]
+    prior = found.prior(Prior(prior_inclusion=[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]))
+    assert dict(zip(names, prior.signs, strict=True)) == {"v": -1, "x*v": 0, "x**3": 0, "abs(x)/v": 0}
+    np.testing.assert_array_equal(prior.prior_inclusion, [0.2, 0.3, 0.4, 0.5])
+
+
+# ---------------------------------------------------------------------------------------------------------- equalities
+
+
+def regression(seed, n=80, P=6):
+    rng = np.random.default_rng(seed)
+    D = rng.normal(size=(n, P)) * 10.0 ** rng.uniform(-3, 3, size=P) + rng.normal(size=P)
+    return D, D @ (rng.normal(size=P) / D.std(axis=0)) + 0.3 * rng.normal(size=n) + 5.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_reduced_gram_is_that_of_explicitly_combined_columns(seed):
+    D, y = regression(seed)
+    constraints = solved("x + 2*v == 3", "u == -0.5", "x**3 == 4*x - x*v")
+    e = constraints.equalities
+    columns = D[:, e.kept] + D[:, e.eliminated] @ e.slopes
+    target = y - D[:, e.eliminated] @ e.offsets
+    expected = Gram.from_data(columns, target, [NAMES[j] for j in e.kept])
+    # in parts, as several records are
+    found = constraints.reduce(Gram.from_data(D[:30], y[:30], NAMES) + Gram.from_data(D[30:], y[30:], NAMES))
+    assert found.names == expected.names
+    scale = np.sqrt(expected.diagonal)
+    np.testing.assert_allclose(found.DtD / np.outer(scale, scale), expected.DtD / np.outer(scale, scale), atol=1e-9)
+    np.testing.assert_allclose(found.Dty / scale, expected.Dty / scale, atol=1e-9 * math.sqrt(expected.yty))
+    np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-9)
+    assert (found.yty, found.target_mean) == pytest.approx((expected.yty, expected.target_mean), rel=1e-9)
+    assert (found.n, found.dof) == (expected.n, expected.dof)
+
+
+@pytest.mark.parametrize("method", ENGINES)
+def test_the_posterior_is_that_of_a_fit_to_combined_columns(method):
+    rec = bq.simulate("duffing", n=1200, seed=3)
+    options = {"method": method, "holdout": 0.25, "smooth": "none"}
+    terms = ["x", "v", "x**2", "x**3", "x*abs(x)", "u"]
+    eq = quietly(rec, dictionary=terms, constraints=["x*abs(x) == 10*x**3 - 3*v", "u == 1"], **options)[0]
+    # the same by hand: u to the left-hand side, each of the two columns with its share of x*abs(x)
+    moved = rec.with_channels({"a": rec["a"] - rec["u"]})
+    by_hand = quietly(moved, dictionary=["x", "v-3*x*abs(x)", "x**2", "x**3+10*x*abs(x)"], **options)[0]
+    p, q = eq.posterior, by_hand.posterior
+    np.testing.assert_allclose(p.pip[:4], q.pip, atol=1e-7)
+    np.testing.assert_allclose(p.coef[:4], q.coef, rtol=1e-6)
+    np.testing.assert_allclose(p.sd[:4], q.sd, rtol=1e-6)
+    assert p.coef[4] == pytest.approx(10 * p.coef[3] - 3 * p.coef[1], rel=1e-12)
+    assert (p.coef[5], p.sd[5], p.pip[5]) == (1.0, 0.0, 1.0)
+    assert (p.intercept, p.intercept_sd) == pytest.approx((q.intercept, q.intercept_sd), rel=1e-6, abs=1e-9)
+    assert p.noise_variance == pytest.approx(q.noise_variance, rel=1e-6)
+    assert eq.held_out.nrmse * rec["a"][900:].std() == pytest.approx(
+        by_hand.held_out.nrmse * moved["a"][900:].std(), rel=1e-6
+    )
+    mean, sd = eq.predict({name: rec[name] for name in "xvu"}, return_std=True)
+    other, other_sd = by_hand.predict({name: rec[name] for name in "xv"}, return_std=True)
+    np.testing.assert_allclose(mean, other + rec["u"], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(sd, other_sd, rtol=1e-6)
+
+
+def test_values_are_in_original_units_and_records_are_joined():
+    parts = [bq.simulate("duffing", n=800, seed=seed) for seed in range(3)]
+    eq = quietly(parts, constraints="u == 1")
+    scale = {"x": 1e3, "v": 1e-2, "a": 1e4, "u": 1e-3}
+    rescaled = [
+        bq.Record.from_arrays({name: rec[name] * scale[name] for name in "xvau"}, time=rec.time) for rec in parts
+    ]
+    other = quietly(rescaled, constraints="u == 1e7")
+    assert eq[0].included == other[0].included == ("x", "v", "x**3", "u")
+    assert eq[0].coef["u"] == 1.0
+    assert other[0].coef["x"] * 1e3 / 1e4 == pytest.approx(eq[0].coef["x"], rel=1e-5)
+    np.testing.assert_allclose(eq[0].posterior.pip, other[0].posterior.pip, atol=1e-6)
+    # what is known sharpens the rest
+    assert (eq[0].posterior.sd[[0, 1, 5]] < quietly(parts)[0].posterior.sd[[0, 1, 5]]).all()
+
+
+def test_an_eliminated_term_is_in_where_one_that_it_follows_from_is():
+    rng = np.random.default_rng(1)
+    v = rng.normal(size=60)
+    D = np.column_stack([rng.normal(size=60), v, v + 0.1 * rng.normal(size=60), rng.normal(size=60)])
+    gram = Gram.from_data(D, v + 0.7 * rng.normal(size=60), ("x", "v", "w", "u"))
+    terms = [parse(name) for name in gram.names]
+    constraints = solved("x == 0.5*v + 0.25*w", "u == 0", terms=terms)
+    reduced = constraints.reduce(gram)
+    inner = spike_slab_bma(reduced)
+    outer = constraints.expand(inner, gram)
+    either = inner.average.probability @ inner.average.models.any(axis=1)
+    assert 0.9 < max(inner.pip) + 0.3 < either + 0.3  # v and w stand in for each other
+    np.testing.assert_allclose(outer.pip, [either, *inner.pip, 0.0])
+    T = np.array([[0.5, 0.25], [1.0, 0.0], [0.0, 1.0]])
+    np.testing.assert_array_equal(outer.average.terms, [0, 1, 2])
+    np.testing.assert_allclose(outer.average.covariance, T @ inner.average.covariance @ T.T)
+    np.testing.assert_allclose(outer.averaged_sd[:3], np.sqrt(np.diagonal(outer.average.covariance)))
+    np.testing.assert_allclose(outer.averaged_coef, np.append(T @ inner.averaged_coef, 0.0))
+    np.testing.assert_allclose(
+        outer.covariance,
+        T[outer.support[:3]][:, inner.support] @ inner.covariance @ T[outer.support[:3]][:, inner.support].T,
+    )
+    assert outer.average.joint_inclusion()[0, 1] == pytest.approx(inner.pip[0])
+    # draws of a chain tell the same
+    sampled = constraints.expand(spike_slab_gibbs(reduced, samples=4000, burn_in=500), gram)
+    np.testing.assert_allclose(sampled.draws.theta[..., 0], sampled.draws.theta @ [0, 0.5, 0.25, 0], rtol=1e-12)
+    np.testing.assert_array_equal(sampled.draws.z[..., 0], sampled.draws.z[..., 1:3].any(axis=-1))
+    np.testing.assert_allclose(sampled.pip, outer.pip, atol=0.02)
+    np.testing.assert_allclose(sampled.averaged_sd, outer.averaged_sd, rtol=0.05, atol=1e-12)
+    # without draws the spread is bounded
+    bare = constraints.expand(spike_slab_gibbs(reduced, samples=4000, burn_in=500, keep_draws=False), gram)
+    assert bare.averaged_sd[0] >= sampled.averaged_sd[0]
+    assert bare.pip[0] == max(bare.pip[1:3])
+
+
+def test_columns_that_cancel_are_columns_of_zeros():
+    rng = np.random.default_rng(0)
+    x, v = rng.normal(size=(2, 100))
+    gram = Gram.from_data(np.column_stack([x, 3e5 * x + 1e-12 * v, v]), x + v, ("x", "v", "u"))
+    equalities = solved("x == -3e5*v", terms=[parse(t) for t in "xvu"]).equalities
+    reduced = equalities.reduce(gram)
+    assert not reduced.DtD[0].any()
+    assert reduced.Dty[0] == 0.0
+    assert Equalities.solving(("x", "v"), []).reduce(gram) is gram
+
+
+# --------------------------------------------------------------------------------------------------------------- signs
+
+
+def multivariate_t(seed, k):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(k, k + 1))
+    V = A @ A.T
+    return (rng.normal(size=k) + 0.5) * np.sqrt(np.diagonal(V)), V
+
+
+@pytest.mark.parametrize("k", [1, 2, 3, 5])
+@pytest.mark.parametrize("h", [2.0, 40.0])
+def test_orthants_are_those_of_scipy(k, h):
+    for seed in range(4):
+        m, V = multivariate_t(seed, k)
+        s = 3.0
+        found = float(np.exp(log_orthant(m[None], V[None], np.array([s]), h)[0]))
+        expected = stats.multivariate_t.cdf(
+            m, np.zeros(k), V * s / (2 * h), df=2 * h, maxpts=20_000 * k, random_state=0
+        )
+        assert found == pytest.approx(float(expected), abs=2e-3)
+
+
+@pytest.mark.parametrize(("h", "t"), [(h, t) for h in (3.0, 500.0) for t in (3.0, -0.5, -8.0, -30.0)])
+def test_one_truncated_student_t_in_closed_form(h, t):
+    # theta = sqrt(s/2h) (t + T), T a Student t; partial moments of T beyond a = -t by integrating its density by parts
+    nu, a, s = 2 * h, -t, 2.0
+    beyond = stats.t.sf(a, nu)
+    first = stats.t.pdf(a, nu) * (nu + a * a) / (nu - 1) / beyond
+    second = nu * ((nu - 1) / (nu - 2) * stats.t.sf(a * math.sqrt((nu - 2) / nu), nu - 2) / beyond - 1)
+    scale = math.sqrt(s / nu)
+    arguments = np.array([[scale * t]]), np.ones((1, 1, 1)), np.array([s]), h
+    assert log_orthant(*arguments)[0] == pytest.approx(math.log(beyond), abs=1e-3)
+    mean, covariance, _ = orthant_moments(*arguments)
+    assert mean[0, 0] == pytest.approx(scale * (t + first), rel=5e-3)
+    # with few degrees of freedom rare large values make up much of the variance
+    assert covariance[0, 0, 0] == pytest.approx(scale**2 * (second - first**2), rel=4e-2 if h < 10 else 1e-3)
+
+
+@pytest.mark.parametrize("far", [0.0, -8.0, -25.0])
+@pytest.mark.parametrize("correlation", [-0.9, 0.3, 0.95])
+def test_two_coefficients_far_out_by_quadrature(far, correlation):
+    # the first is t, and given it the second is t with a degree of freedom more
+    h, s = 14.0, 28.0
+    nu, m = 2 * h, np.array([1.0, far])
+    V = np.array([[1.0, correlation], [correlation, 1.0]])
+    x = np.linspace(0.0, 200.0, 1_000_001)
+    rest = (1 - correlation**2) * (nu + (x - m[0]) ** 2) / (nu + 1)
+    density = stats.t.pdf(x, nu, m[0], 1.0)
+    expected = integrate.simpson(density * stats.t.cdf((m[1] + correlation * (x - m[0])) / np.sqrt(rest), nu + 1), x=x)
+    found = log_orthant(m[None], V[None], np.array([s]), h)[0]
+    assert found == pytest.approx(math.log(expected), abs=5e-3)
+
+
+def by_sampling(D, y, prior, draws, rng):
+    """Posterior under signs: every model's own draws, those of the wrong signs thrown away.
+
+    The models' weights must not hang on signs that are right too rarely to be sampled.
+
+    Returns PIPs, mean and covariance of theta, mean of sigma^2, models with probabilities and mean of theta.
+    """
+    v, a, b = prior.slab_variance, prior.noise_shape, prior.noise_rate
+    N, P = len(y) - 1, D.shape[1]
+    models, logs, _, _ = reference.enumerate_models(D, y, v_s=v, p0=prior.prior_inclusion, a=a, b=b, N=N)
+    weight, first, second, noise = np.zeros(len(models)), np.zeros((len(models), P)), [], np.zeros(len(models))
+    for k, z in enumerate(models):
+        V = np.linalg.inv(D[:, z].T @ D[:, z] + np.eye(z.sum()) / v)
+        m = V @ D[:, z].T @ y
+        s = 2 * b + y @ y - m @ D[:, z].T @ y
+        variance = 0.5 * s / rng.gamma(a + 0.5 * N, size=draws)
+        theta = np.zeros((draws, P))
+        theta[:, z] = m + np.sqrt(variance)[:, None] * (rng.normal(size=(draws, z.sum())) @ np.linalg.cholesky(V).T)
+        right = (prior.signs * theta >= 0).all(axis=1)
+        assert right.sum() > 100 or math.exp(logs[k] - logs.max()) < 0.1
+        weight[k] = math.exp(logs[k] - logs.max()) * 2.0 ** np.count_nonzero(z & (prior.signs != 0)) * right.mean()
+        kept = theta[right] if right.any() else np.zeros((1, P))
+        first[k], noise[k] = kept.mean(axis=0), variance[right].mean() if right.any() else 0.0
+        second.append(kept.T @ kept / len(kept))
+    weight /= weight.sum()
+    mean = weight @ first
+    return (
+        weight @ models,
+        mean,
+        np.tensordot(weight, second, 1) - np.outer(mean, mean),
+        weight @ noise,
+        models,
+        weight,
+        first,
+    )
+
+
+@pytest.mark.parametrize("enumerate_up_to", [14, 0])
+@pytest.mark.parametrize("seed", range(6))
+def test_signs_against_draws_of_every_model(seed, enumerate_up_to):
+    rng = np.random.default_rng(seed)
+    P = int(rng.integers(3, 6))
+    D, y, _ = reference.random_problem(rng, n=12, P=P, rho=0.8, noise=5.0, active=0.5)
+    prior = Prior(5.0, 0.3, 2.0, 2.0, signs=rng.choice([-1, 0, 1], size=P, p=[0.4, 0.2, 0.4]))
+    fit = spike_slab_bma(Gram.from_data(D, y), prior, enumerate_up_to=enumerate_up_to, tolerance=1e-4)
+    draws = 60_000
+    pip, mean, covariance, noise, models, weight, first = by_sampling(D, y, prior, draws, rng)
+    scale = np.sqrt(np.diagonal(covariance)).max()
+    np.testing.assert_allclose(fit.pip, pip, atol=5e-3)
+    np.testing.assert_allclose(fit.averaged_coef, mean, atol=0.02 * scale)
+    np.testing.assert_allclose(fit.averaged_sd, np.sqrt(np.diagonal(covariance)), atol=0.02 * scale)
+    listed = np.ix_(fit.average.terms, fit.average.terms)
+    np.testing.assert_allclose(fit.average.covariance, covariance[listed], atol=0.03 * scale**2)
+    assert fit.noise_variance == pytest.approx(noise, rel=0.01)
+    probability = {m.tobytes(): w for m, w in zip(fit.average.models, fit.average.probability, strict=True)}
+    for model, w in zip(models, weight, strict=True):
+        assert probability.get(model.tobytes(), 0.0) == pytest.approx(w, abs=5e-3)
+    chosen = (models == fit.support).all(axis=1)
+    np.testing.assert_allclose(fit.coef, first[chosen][0], atol=0.03 * scale)
+    assert (fit.coef * prior.signs >= 0).all()
+
+
+def agreeing(seed, P=6, n=400):
+    rng = np.random.default_rng(seed)
+    D = rng.normal(size=(n, P)) + 0.5 * rng.normal(size=(n, 1))
+    theta = np.zeros(P)
+    theta[:3] = [1.0, -2.0, 0.05]
+    return Gram.from_data(D, D @ theta + 0.5 * rng.normal(size=n)), np.sign(theta) * [1, 1, 0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_signs_that_the_data_leave_no_doubt_of_double_the_odds_and_change_nothing_else(seed):
+    gram, signs = agreeing(seed)
+    free, known = spike_slab_bma(gram), spike_slab_bma(gram, Prior(signs=signs))
+    # terms 0 and 1 are in every model: what is common to all cancels
+    np.testing.assert_allclose(known.pip, free.pip, atol=1e-12)
+    assert known.coef.tobytes() == free.coef.tobytes()
+    assert known.covariance.tobytes() == free.covariance.tobytes()
+    np.testing.assert_allclose(known.averaged_sd, free.averaged_sd, rtol=1e-9)
+    assert known.noise_variance == pytest.approx(free.noise_variance, rel=1e-9)
+    problem = Problem.of(gram, Prior(signs=signs))
+    models = np.array([[0, 0, 1, 0, 0, 0], [1, 0, 1, 0, 0, 0], [1, 1, 0, 1, 0, 0]], dtype=bool)
+    without, value = signed_scores(problem, models, math.inf)
+    np.testing.assert_allclose(value - without, math.log(2.0) * np.array([0, 1, 2]), atol=1e-8)
+
+
+def test_odds_of_a_single_term_in_closed_form():
+    rng = np.random.default_rng(4)
+    D = rng.normal(size=(30, 1))
+    D = (D - D.mean()) / D.std()
+    y = 0.2 * D[:, 0] + rng.normal(size=30)
+    gram = Gram.from_data(D, y)
+    free = spike_slab_bma(gram).pip[0]
+    A = 30 + 1 / 10
+    m, s = gram.Dty[0] / A, gram.yty + 2e-4 - gram.Dty[0] ** 2 / A
+    dof = 29 + 2e-4
+    for sign in (1, -1):
+        right = stats.t.cdf(sign * m / math.sqrt(s / A / dof), dof)
+        pip = spike_slab_bma(gram, Prior(signs=[sign])).pip[0]
+        assert pip / (1 - pip) == pytest.approx(free / (1 - free) * 2 * right, rel=1e-9)
+
+
+@pytest.mark.parametrize("P", [8, 18])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sign_that_the_data_refute_takes_the_term_out(seed, P):
+    rng = np.random.default_rng(seed)
+    D = rng.normal(size=(300, P)) + 0.7 * rng.normal(size=(300, 1))
+    y = D[:, 0] - D[:, 1] + 0.3 * D[:, 2] + 0.5 * rng.normal(size=300)
+    gram = Gram.from_data(D, y)
+    signs, p0 = np.zeros(P), np.full(P, 0.1)
+    signs[0], p0[0] = -1, 0.0
+    wrong = spike_slab_bma(gram, Prior(signs=signs), tolerance=1e-4)
+    without = spike_slab_bma(gram, Prior(prior_inclusion=p0), tolerance=1e-4)
+    assert wrong.pip[0] < 1e-3
+    np.testing.assert_allclose(wrong.pip, without.pip, atol=2e-3)
+    np.testing.assert_allclose(wrong.coef, without.coef, rtol=1e-6)
+    assert wrong.average.left_out < 1.1e-4
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_search_lists_what_enumeration_does(seed):
+    rng = np.random.default_rng(seed)
+    D, y, _ = reference.random_problem(rng, n=60, P=11, rho=0.8, noise=float(rng.choice([0.3, 1.0, 3.0])), active=0.4)
+    signs = np.zeros(11)
+    known = int(rng.integers(1, 5))
+    signs[rng.choice(11, known, replace=False)] = rng.choice([-1, 1], known)
+    problem = Problem.of(Gram.from_data(D, y), Prior(signs=signs))
+    models = (np.arange(1 << 11)[:, None] >> np.arange(11) & 1).astype(bool)
+    value = signed_scores(problem, models, 25.0)[1]
+    weight = np.exp(value - value.max())
+    weight /= weight.sum()
+    fit = spike_slab_bma(Gram.from_data(D, y), Prior(signs=signs), enumerate_up_to=0)
+    listed = {model.tobytes() for model in fit.average.models}
+    outside = sum(w for w, model in zip(weight, models, strict=True) if model.tobytes() not in listed)
+    assert outside <= fit.average.left_out <= 5e-3
+    np.testing.assert_allclose(fit.pip, weight @ models, atol=3e-3)
+    # and the odds of the runners-up are those of the models
+    best = fit.average.models[0]
+    level = float(value[(models == best).all(axis=1)][0])
+    for move in signed_neighbours(problem, best, 8.0)[:20]:
+        neighbour = (models == move.apply(best)).all(axis=1)
+        assert move.gain == pytest.approx(float(value[neighbour][0]) - level, abs=0.05)
+    gains = [move.gain for move in signed_neighbours(problem, best, 8.0)]
+    assert gains == sorted(gains, reverse=True)
+
+
+def test_a_forced_term_keeps_to_its_side_however_wrong():
+    rng = np.random.default_rng(0)
+    D = rng.normal(size=(2000, 3))
+    y = 5.0 * D[:, 0] + D[:, 1] + 0.1 * rng.normal(size=2000)
+    fit = spike_slab_bma(Gram.from_data(D, y), Prior(prior_inclusion=[1.0, 0.1, 0.1], signs=[-1, 0, 0]))
+    assert fit.pip[0] == pytest.approx(1.0)
+    # half normal at its edge: the mean is sd/45, with the 45 sd that the least-squares value is off
+    assert -5e-3 < fit.coef[0] < 0.0
+    without = spike_slab_bma(Gram.from_data(D, y), Prior(prior_inclusion=[0.0, 0.1, 0.1]))
+    np.testing.assert_allclose(fit.coef[1:], without.coef[1:], rtol=1e-3)
+
+
+def test_degenerate_problems_end():
+    rng = np.random.default_rng(0)
+    D = rng.normal(size=(30, 4))
+    for design, y in [
+        (D, np.zeros(30)),
+        (D, D[:, 0]),
+        (np.column_stack([D, np.ones(30)]), rng.normal(size=30)),
+        (np.column_stack([D, D]), D[:, 1] + 0.1 * rng.normal(size=30)),
+        (rng.normal(size=(10, 15)), rng.normal(size=10)),
+        (D[:3, :1], np.array([1.0, 2.0, 4.0])),
+    ]:
+        signs = np.resize([-1, 1, 0], design.shape[1])
+        fit = spike_slab_bma(Gram.from_data(design, y), Prior(signs=signs))
+        assert np.isfinite(fit.pip).all()
+        assert np.isfinite(fit.covariance).all()
+        assert np.isfinite(fit.averaged_sd).all()
+        assert (fit.coef * signs >= 0).all()
+        np.testing.assert_array_equal(fit.support, fit.pip > 0.5)
+
+
+def test_signs_and_order_are_symmetries():
+    rng = np.random.default_rng(3)
+    D, y, _ = reference.random_problem(rng, n=40, P=5, rho=0.7, noise=2.0, active=0.5)
+    signs, order = np.array([1, -1, 0, 1, 0]), np.array([3, 0, 4, 1, 2])
+    plain = spike_slab_bma(Gram.from_data(D, y), Prior(signs=signs))
+    turned = spike_slab_bma(Gram.from_data(-D, y), Prior(signs=-signs))
+    mixed = spike_slab_bma(Gram.from_data(D[:, order], y), Prior(signs=signs[order]))
+    np.testing.assert_allclose(turned.pip, plain.pip, atol=1e-9)
+    np.testing.assert_allclose(turned.coef, -plain.coef, atol=1e-9)
+    np.testing.assert_allclose(mixed.pip, plain.pip[order], atol=3e-3)
+    again = spike_slab_bma(Gram.from_data(D, y), Prior(signs=signs))
+    assert again.averaged_sd.tobytes() == plain.averaged_sd.tobytes()
+
+
+def test_no_signs_are_no_signs():
+    gram, _ = agreeing(0)
+    assert spike_slab_bma(gram, Prior(signs=np.zeros(6))).pip.tobytes() == spike_slab_bma(gram).pip.tobytes()
+
+
+def test_who_takes_signs_and_who_does_not():
+    gram, signs = agreeing(0)
+    prior = Prior(signs=signs)
+    auto, bma = spike_slab_auto(gram, prior), spike_slab_bma(gram, prior)
+    assert auto.elbo is auto.optimum is None
+    assert auto.method == "auto"
+    np.testing.assert_array_equal(auto.pip, bma.pip)
+    for engine in (spike_slab_vb, spike_slab_gibbs):
+        with pytest.raises(InputError, match="takes no signs"):
+            engine(gram, prior)
+    with pytest.raises(InputError, match="takes no signs"):
+        sample_average(Problem.of(gram, prior), bma.average, 10, np.random.default_rng(0))
+    for bad in ([1, -1], np.full(6, 2), np.full(6, 0.5), 1):
+        with pytest.raises(InputError, match="signs must be"):
+            spike_slab_bma(gram, Prior(signs=bad))
+
+
+# ---------------------------------------------------------------------------------------------- discover, command line
+
+
+def test_an_undecided_coefficient_keeps_to_its_sign():
+    rec = bq.simulate("linear", n=300, seed=2)
+    terms = build_dictionary("x, v, x*abs(x), u", Variables(("x", "v"), ("u",)))
+    for text, sign in (("x*abs(x) >= 0", 1), ("x*abs(x) <= 0", -1)):
+        prior = Prior(prior_inclusion=[0.1, 0.1, 1.0, 0.1])
+        eq = quietly(rec, dictionary=[t.text for t in terms], constraints=text, prior=prior)[0]
+        assert sign * eq.coef["x*abs(x)"] > 0
+        assert eq.posterior.elbo is None
+
+
+def test_what_hangs_on_an_answer_works_with_constraints(tmp_path):
+    rec = bq.simulate("duffing", n=1000, seed=1)
+    terms = ["x", "v", "x**2", "x**3", "x**5", "v*abs(v)", "u"]
+    eq = quietly(rec, dictionary=terms, constraints=["x**5 == 2*x**3", "u == 1", "x**3 <= 0"])
+    assert eq.constraints == ("x**5 == 2*x**3", "u == 1", "x**3 <= 0")
+    assert "constraints: x**5 == 2*x**3; u == 1; x**3 <= 0" in str(eq)
+    assert set(eq[0].included) == {"x", "v", "x**3", "x**5", "u"}
+    eq.save(tmp_path / "eq.json")
+    back = bq.load(tmp_path / "eq.json")
+    assert back.to_dict()["equations"][0]["terms"] == eq.to_dict()["equations"][0]["terms"]
+    assert back.to_dict()["diagnostics"] == eq.to_dict()["diagnostics"]
+    assert back.constraints == eq.constraints
+    np.testing.assert_array_equal(back[0].posterior.covariance, eq[0].posterior.covariance)
+    np.testing.assert_allclose(back.predict(rec, return_std=True), eq.predict(rec, return_std=True), rtol=1e-4)
+    sensitivity = eq[0].sensitivity(slab_variances=[10.0], prior_inclusions=[0.2])
+    used = dict(zip(sensitivity.names, sensitivity.pip[sensitivity.base], strict=True))
+    assert used == pytest.approx({name: eq[0].posterior.pip[terms.index(name)] for name in used}, abs=1e-9)
+    path = eq[0].path()
+    assert path.is_chosen.any()
+    assert "constraints" not in quietly(rec).to_dict()["diagnostics"]
+    for engine, text in (("vb", "v <= 0"), ("stlsq", "v < 0")):
+        with pytest.raises(InputError, match=f"method '{engine}' takes no signs"):
+            quietly(rec, method=engine, constraints=text)
+
+
+def test_equations_of_a_system_share_constraints_or_have_their_own():
+    rec = bq.simulate("lorenz", seed=0, noise=0.0)
+    full = bq.Record.from_arrays({**rec.channels, **{k: v for k, v in rec.truth.clean.items() if k[0] == "d"}}, fs=100)
+    eq = bq.discover(
+        full,
+        chains=["x:dx", "y:dy", "z:dz"],
+        dictionary="polynomial:2",
+        constraints=["dx: x + y == 0", "dy: y <= 0", "x**2 == 0"],
+    )
+    assert [set(e.included) for e in eq] == [{"x", "y"}, {"x", "y", "x*z"}, {"z", "x*y"}]
+    assert eq["dx"].coef["x"] == -eq["dx"].coef["y"]
+    assert eq["dy"].coef["y"] == pytest.approx(-1.0, rel=1e-4)
+
+
+@pytest.fixture(scope="module")
+def duffing(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "duffing.csv"
+    assert main(["simulate", "duffing", "-o", str(path), "--seed", "1"]) == 0
+    return path
+
+
+CHANNELS = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_through_the_command(duffing, tmp_path, capsys):
+    given = ["--constraint", "v <= 0", "--constraint", "u == 1"]
+    saved = tmp_path / "eq.json"
+    assert main(["discover", str(duffing), *CHANNELS, *given, "--json", "--save", str(saved)]) == 0
+    out = json.loads(capsys.readouterr().out)
+    assert out["diagnostics"]["constraints"] == ["v <= 0", "u == 1"]
+    terms = {t["name"]: t for t in out["equations"][0]["terms"]}
+    assert {name for name, t in terms.items() if t["included"]} == {"x", "v", "x**3", "u"}
+    assert (terms["u"]["coef"], terms["u"]["sd"], terms["u"]["pip"]) == (1.0, 0.0, 1.0)
+    low, high = terms["v"]["ci95"]
+    assert low < -2.0 < high < 0.0  # the law behind the record: -1000 x - 2 v - 1e5 x**3 + u
+    assert bq.load(saved).constraints == ("v <= 0", "u == 1")
+    assert main(["discover", str(duffing), *CHANNELS, *given]) == 0
+    assert "\nconstraints: v <= 0; u == 1" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--constraint", "w <= 0"],
+        ["--constraint", "v <= 1"],
+        ["--constraint", "v = 0"],
+        ["--constraint", "b: v <= 0"],
+        ["--constraint", "0 == 1"],
+        ["--constraint", "u == 1", "--constraint", "u == 2"],
+        ["--constraint", "v <= 0", "--constraint", "v >= 0"],
+        ["--constraint", "v <= 0", "--method", "gibbs"],
+        ["--constraint", "open('x') == 1"],
+        ["--constraint", ""],
+    ],
+)
+def test_wrong_text_ends_in_one_line(duffing, arguments, capsys):
+    assert main(["discover", str(duffing), *CHANNELS, *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("bayeq: error: ")
+    assert captured.err.count("\n") == 1
+
+
+def test_given_model_is_the_truncated_one_only_where_it_matters():
+    gram, signs = agreeing(1)
+    certain = spike_slab_bma(gram, Prior(signs=signs))
+    np.testing.assert_array_equal(certain.coef, given_model(Problem.of(gram, Prior()), certain.support)[0])
