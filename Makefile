@@ -25,6 +25,7 @@ tests: $(VENV)/.dev
 # Fits against their peers in one run; the table goes to perf/results.
 bench: $(VENV)/.dev
 	$(BIN)/python -m perf.fit_against_lstsq
+	$(BIN)/python -m perf.compare
 
 # The statistical studies behind docs/reproduction.md and the README: hours are not needed, half an hour is.
 study: $(VENV)/.dev
@@ -36,7 +37,8 @@ study: $(VENV)/.dev
 	$(BIN)/bayeq study ablation --realisations 500 > docs/tables/ablation.csv
 	$(BIN)/python -m bayeq.study.coverage > docs/tables/coverage.csv
 	$(BIN)/python -m bayeq.study.coverage --clean-states > docs/tables/coverage_clean.csv
-	$(BIN)/python -m bayeq.study.calibration --problems 300 > docs/tables/calibration.csv
+	$(BIN)/python -m bayeq.study.calibration --folder docs/tables
+	$(BIN)/python -m bayeq.study.reliability --figures docs/figures > docs/tables/reliability.csv
 	$(BIN)/bayeq study figures docs/figures
 
 # Pin what is installed now, after an upgrade that the tests have passed.

@@ -164,7 +164,7 @@ def test_types_of_errors():
         (["x == v", "v == u", "u == x + 1"], "contradicts"),
         (["v <= 0", "v >= 0"], "both signs"),
         (["v >= 0", "x == -2*v", "x >= 0"], "both signs"),
-        (["x == 3", "x <= 0"], "x is 3 by one"),
+        (["x == 3", "x <= 0"], "one says that x is 3, another"),
         (["x == v + u", "x >= 0"], "write another term first"),
         ([f"{name} == 1" for name in NAMES], "nothing is left to find"),
     ],
@@ -608,6 +608,10 @@ def test_what_hangs_on_an_answer_works_with_constraints(tmp_path):
     assert used == pytest.approx({name: eq[0].posterior.pip[terms.index(name)] for name in used}, abs=1e-9)
     path = eq[0].path()
     assert path.is_chosen.any()
+    assert "x**5" not in path.names
+    fewer = quietly(rec, dictionary=terms, constraints=["x**5 == 2*x**3", "u == 1", "x**3 <= 0"], max_terms=2)[0]
+    assert "u" in fewer.included
+    assert len(set(fewer.included) - {"u", "x**5"}) == 2  # the limit counts what is left to find
     assert "constraints" not in quietly(rec).to_dict()["diagnostics"]
     for engine, text in (("vb", "v <= 0"), ("stlsq", "v < 0")):
         with pytest.raises(InputError, match=f"method '{engine}' takes no signs"):

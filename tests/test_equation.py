@@ -44,7 +44,18 @@ def test_numbers_to_a_tenth_of_their_standard_deviation(value, sd, text):
 
 def test_table_lists_every_candidate():
     table = EQ.table()
-    assert list(table.columns) == ["target", "term", "coef", "sd", "ci_low", "ci_high", "pip", "included"]
+    assert list(table.columns) == [
+        "target",
+        "term",
+        "coef",
+        "sd",
+        "ci_low",
+        "ci_high",
+        "pip",
+        "included",
+        "share",
+        "unit",
+    ]
     assert len(table) == 36
     chosen = table[table.included]
     assert chosen.term.tolist() == ["x", "v", "x**3", "u"]
@@ -181,7 +192,7 @@ def test_json_has_the_shape_of_the_contract():
     assert {"target", "intercept", "noise_sd", "elbo", "equation", "latex", "terms"} <= set(equation)
     assert len(equation["terms"]) == 36
     assert list(equation["terms"][0]) == [
-        "name", "coef", "sd", "ci95", "pip", "included", "averaged_coef", "averaged_sd",
+        "name", "coef", "sd", "ci95", "pip", "included", "averaged_coef", "averaged_sd", "share", "unit",
     ]  # fmt: skip
     for term in equation["terms"]:
         assert term["included"] == (term["pip"] > 0.5)

@@ -20,7 +20,7 @@ LEVELS = [
     {"gram", "integrate", "lazy_gram", "spectral", "tangent"},
     {"systems", "states", "dictionary", "inference"},
     {"weighting"},
-    {"dynamics", "forecast", "output_error", "physical", "report", "units", "adapters", "constraints", "equalities"},
+    {"dynamics", "forecast", "output_error", "physical", "report", "shooting", "units", "adapters", "constraints", "equalities"},
     {
         "_estimator_base",
         "estimators",

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from bayeq.estimators import RVM, STLSQ, SpikeSlabBMA, SpikeSlabGibbs, SpikeSlabVB
     from bayeq.gram import Gram
     from bayeq.inference.prior import Prior
+    from bayeq.parsimony import ParsimonyPath
     from bayeq.posterior import Posterior
-    from bayeq.records import Record, Truth, read, write
+    from bayeq.records import Finding, Record, Truth, check_record, correct_delay, read, remove_offset, write
     from bayeq.sensitivity import PriorSensitivity
     from bayeq.storage import load
     from bayeq.systems import SYSTEMS, System, simulate
@@ -30,7 +31,9 @@ _HOME = {
     "SYSTEMS": "systems",
     "Equation": "equation",
     "Equations": "equations",
+    "Finding": "records",
     "Gram": "gram",
+    "ParsimonyPath": "parsimony",
     "Posterior": "posterior",
     "Prior": "inference.prior",
     "PriorSensitivity": "sensitivity",
@@ -40,9 +43,12 @@ _HOME = {
     "SpikeSlabVB": "estimators",
     "System": "systems",
     "Truth": "records",
+    "check_record": "records",
+    "correct_delay": "records",
     "discover": "discovery",
     "load": "storage",
     "read": "records",
+    "remove_offset": "records",
     "simulate": "systems",
     "write": "records",
 }
@@ -53,7 +59,9 @@ __all__ = [
     "SYSTEMS",
     "Equation",
     "Equations",
+    "Finding",
     "Gram",
+    "ParsimonyPath",
     "Posterior",
     "Prior",
     "PriorSensitivity",
@@ -63,9 +71,12 @@ __all__ = [
     "SpikeSlabVB",
     "System",
     "Truth",
+    "check_record",
+    "correct_delay",
     "discover",
     "load",
     "read",
+    "remove_offset",
     "simulate",
     "write",
 ]

@@ -5,51 +5,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 from bayeq.expressions import Binary, Call, Expression, Negate, Node, Number, Symbol
+from bayeq.records.units import Unit, multiply_units, parse_unit
 from bayeq.states import Chain
 
 __all__ = ["channel_units", "derivative_unit", "quotient_unit"]
-
-# Exponents of symbols, in the order in which they occur.
-Unit = dict[str, Fraction]
-
-SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
-FACTOR = re.compile(r"\s*([*/·⋅ ]?)\s*(1(?![0-9])|[^\W\d_]+|[%°]+[^\W\d_]*)(?:(?:\^|\*\*)?(-?\d+))?")
-DIMENSIONLESS = ("", "1", "-")
-
-
-def _parse(text: str) -> Unit:
-    """Exponents of a unit's symbols; text that is no product of powers is a symbol itself."""
-    text = text.strip()
-    if text in DIMENSIONLESS:
-        return {}
-    out: Unit = {}
-    rest = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda found: found.group().translate(SUPERSCRIPTS), text)
-    while rest:
-        found = FACTOR.match(rest)
-        if found is None:
-            return {f"({text})": Fraction(1)}
-        operator, symbol, power = found.groups()
-        exponent = Fraction(int(power or 1)) * (-1 if operator == "/" else 1)
-        if symbol != "1":
-            _multiply(out, {symbol: exponent})
-        rest = rest[found.end() :].rstrip()
-    return out
-
-
-def _multiply(unit: Unit, other: Unit, power: Fraction | int = 1) -> Unit:
-    """`unit` times a power of the other, in place."""
-    for symbol, exponent in other.items():
-        total = unit.get(symbol, Fraction(0)) + power * exponent
-        if total:
-            unit[symbol] = total
-        else:
-            unit.pop(symbol, None)
-    return unit
 
 
 def _written(unit: Unit) -> str:
@@ -70,12 +33,12 @@ def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
         case Number():
             return {}
         case Symbol(name):
-            return _parse(units[name]) if name in units else None
+            return parse_unit(units[name]) if name in units else None
         case Negate(operand) | Call("abs", operand):
             return _of(operand, units)
         case Call("sqrt", operand):
             inside = _of(operand, units)
-            return None if inside is None else _multiply({}, inside, Fraction(1, 2))
+            return None if inside is None else multiply_units({}, inside, Fraction(1, 2))
         case Call():
             return {}
         case Binary("+" | "-", left, right):
@@ -83,12 +46,12 @@ def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
             return first if first == second else None
         case Binary("**", left, Number(value)):
             base = _of(left, units)
-            return None if base is None else _multiply({}, base, Fraction(value).limit_denominator(1000))
+            return None if base is None else multiply_units({}, base, Fraction(value).limit_denominator(1000))
         case Binary("*" | "/" as operator, left, right):
             first, second = _of(left, units), _of(right, units)
             if first is None or second is None:
                 return None
-            return _multiply(dict(first), second, 1 if operator == "*" else -1)
+            return multiply_units(dict(first), second, 1 if operator == "*" else -1)
     return None
 
 
@@ -119,7 +82,7 @@ def quotient_unit(target: str, term: Expression, units: Mapping[str, str]) -> st
     if target not in units:
         return None
     below = _of(term.tree, units)
-    return None if below is None else _written(_multiply(_parse(units[target]), below, -1))
+    return None if below is None else _written(multiply_units(parse_unit(units[target]), below, -1))
 
 
 def derivative_unit(unit: str, order: int) -> str:
@@ -130,7 +93,7 @@ def derivative_unit(unit: str, order: int) -> str:
     >>> derivative_unit("mm", 2), derivative_unit("m/s^2", -2)
     ('mm/s^2', 'm')
     """
-    return _written(_multiply(_parse(unit), {"s": Fraction(-order)}))
+    return _written(multiply_units(parse_unit(unit), {"s": Fraction(-order)}))
 
 
 def channel_units(
@@ -165,6 +128,6 @@ def channel_units(
         known = [k for k, m in enumerate(chain.measured) if m in units]
         for k, name in enumerate(chain.names):
             if chain.measured[k] is None and known:
-                nearest = min(known, key=lambda other, k=k: abs(k - other))
+                nearest = min((abs(k - other), other) for other in known)[1]
                 units[name] = derivative_unit(units[chain.names[nearest]], k - nearest)
     return units, conflicts

@@ -28,7 +28,7 @@ _RELATIONS = "==|<=|>=|!=|<|>|="
 _SIGNS_ONLY = "an inequality gives the sign of one coefficient, as in 'v <= 0'; no sums, no bounds other than 0"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Constraints:
     """What is known of the coefficients of one equation.
 
@@ -72,7 +72,9 @@ class Constraints:
             others = np.flatnonzero(row)
             if len(others) == 0:
                 if signs[e] * value < 0:
-                    raise InputError(f"constraints: {names[e]} is {value:g} by one and of the other sign by another")
+                    raise InputError(
+                        f"constraints: one says that {names[e]} is {value:g}, another that it has the other sign"
+                    )
             elif len(others) == 1 and value == 0.0:
                 j = others[0]
                 _note_sign(signs, int(kept[j]), int(signs[e] * np.sign(row[j])), names, "the constraints")
@@ -137,11 +139,12 @@ def parse_constraints(
     >>> found.equalities.kept.tolist(), found.signs.tolist()
     ([1], [0, -1, 0])
     """
-    reader = _Reader(terms, dropped or {})
+    texts = [texts] if isinstance(texts, str) else list(texts)
+    reader = _Reader(terms, dropped or {}) if texts else _Reader((), {})
     names = tuple(term.text for term in terms)
     equations: dict[str, list[tuple[Linear, str]]] = {target: [] for target in targets}
     signs = {target: np.zeros(len(terms), dtype=np.int64) for target in targets}
-    for text in [texts] if isinstance(texts, str) else texts:
+    for text in texts:
         if not isinstance(text, str):
             raise InputError(f"a constraint is text such as 'u == 1', not {text!r}")
         where = f"constraint {text if len(text) <= 60 else text[:57] + '...'!r}"

@@ -205,15 +205,26 @@ def discover(
         in_band = _in_band(k, chain.target, states[0], design, train, all_inputs)
         equations.append(
             _solve(
-                chain, k, design, train, targets[k], in_band, method, prior, constrained[k], choice, seed, units,
-                variables, notes,
+                chain,
+                k,
+                design,
+                train,
+                targets[k],
+                in_band,
+                method,
+                prior,
+                constrained[k],
+                choice,
+                seed,
+                variables,
+                notes,
             )
         )
     step("inference", len(parsed), len(parsed))
     for message, category in notes.collected:
         warnings.warn(message, category, stacklevel=2)
     return Equations(
-        equations=tuple(equations),
+        equations=tuple(replace(equation, units=units) for equation in equations),
         inputs=all_inputs,
         method=method,
         dictionary=dictionary if isinstance(dictionary, str) else ", ".join(str(t) for t in dictionary),
@@ -351,7 +362,6 @@ def _solve(
     constraints: Constraints,
     choice: Choice,
     seed: int,
-    units: Mapping[str, str],
     variables: Variables,
     notes: _Notes,
 ) -> Equation:
@@ -431,7 +441,6 @@ def _solve(
         ),
         share=partial_shares(rows, posterior.support),
         left_out=left_out,
-        units=units,
     )
 
 

@@ -63,7 +63,7 @@ class Linear:
         return Linear(rest, self.constant).plus(value, self.slopes[j])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Equalities:
     """Solved linear equations theta_e = q + C theta_k.
 

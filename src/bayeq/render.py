@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from bayeq.diagnostics import Residuals
 from bayeq.equation import Equation, round_to
 from bayeq.equations import Equations
 from bayeq.inference import ENGINES
@@ -71,6 +72,7 @@ def _render_equation(console: Console, equation: Equation, method: str, terminal
     console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
     for line in _fits(equation):
         console.print(line)
+    console.print(escape(_residuals(equation.residuals)))
     for left in equation.left_out:
         console.print(
             f"left out as asked ({left.reason}): {escape(left.name)}, {ENGINES[method].score} {left.pip:.3f}, explains"
@@ -91,6 +93,18 @@ def _fits(equation: Equation) -> list[str]:
             percent = f"{error:.0f}" if error >= 10 else f"{error:.2g}"
             out.append(f"{label} rows ({fit.n}): R2 {fit.r2:.4f}, normalised RMS error {percent} %")
     return out
+
+
+def _residuals(found: Residuals) -> str:
+    text = (
+        f"residuals: lag-1 autocorrelation {found.lag1:.2f}, effective sample size {found.n_eff:.0f} of {found.n};"
+        f" skewness {found.skewness:.2f}, excess kurtosis {found.kurtosis:.2f} (normal: {_chance(found.normality)})"
+    )
+    return text if found.driver is None else f"{text}; nearest to {found.driver}, {_chance(found.driver.p_value)}"
+
+
+def _chance(p: float) -> str:
+    return f"p = {p:.2g}" if p >= 1e-4 else "p < 0.0001"
 
 
 def _shown(equation: Equation) -> list[int]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import bayeq
 from bayeq.choice import LeftOut
-from bayeq.diagnostics import Residuals
+from bayeq.diagnostics import Driver, Residuals
 from bayeq.dictionary import DroppedTerm
 from bayeq.equation import Equation, Fit, RunnerUp
 from bayeq.equations import DataSummary, Equations
@@ -132,7 +132,11 @@ def _diagnostics(equation: Equation) -> dict[str, Any]:
             "train": asdict(equation.train),
             "held_out": None if equation.held_out is None else asdict(equation.held_out),
         },
-        "residuals": {**asdict(equation.residuals), "correlated": equation.residuals.correlated},
+        "residuals": {
+            **asdict(equation.residuals),
+            "correlated": equation.residuals.correlated,
+            "driven": equation.residuals.driven,
+        },
         "runners_up": [asdict(r) for r in equation.runners_up],
         "left_out": [asdict(term) for term in equation.left_out],
     }
@@ -270,7 +274,7 @@ def _restore_equation(
         center=np.array(state["center"], dtype=np.float64).reshape(len(terms)),
         target_mean=float(state["target_mean"]),
         noise_variance=float(state["noise_variance"]),
-        n=int(state["n"]),
+        n=float(state["n"]),
         elbo=None if saved["elbo"] is None else float(saved["elbo"]),
         elbo_trace=np.array(state["elbo_trace"], dtype=np.float64),
         n_iter=int(state["n_iter"]),
@@ -292,11 +296,24 @@ def _restore_equation(
         posterior=posterior,
         train=Fit(**checks["fit"]["train"]),
         held_out=None if held_out is None else Fit(**held_out),
-        residuals=Residuals(int(residuals["n"]), float(residuals["lag1"]), float(residuals["n_eff"])),
+        residuals=_restored_residuals(residuals),
         runners_up=tuple(RunnerUp(**r) for r in checks["runners_up"]),
         share=_restored_share(saved["terms"]),
         left_out=tuple(LeftOut(**term) for term in checks.get("left_out", [])),
         units=units,
+    )
+
+
+def _restored_residuals(saved: Mapping[str, Any]) -> Residuals:
+    driver = saved.get("driver")
+    return Residuals(
+        n=int(saved["n"]),
+        lag1=float(saved["lag1"]),
+        n_eff=float(saved["n_eff"]),
+        skewness=float(saved.get("skewness", 0.0)),
+        kurtosis=float(saved.get("kurtosis", 0.0)),
+        normality=float(saved.get("normality", 1.0)),
+        driver=None if driver is None else Driver(**driver),
     )
 
 

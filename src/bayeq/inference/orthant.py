@@ -45,7 +45,7 @@ def _uniforms(count: int, points: int) -> Floats:
 @lru_cache(maxsize=64)
 def _gammas(h: float, points: int) -> Floats:
     """Equally probable values of a Gamma(h, 1) variable, (points,)."""
-    return np.asarray(gammaincinv(h, (np.arange(points) + 0.5) / points), dtype=np.float64)
+    return np.maximum(gammaincinv(h, (np.arange(points) + 0.5) / points), 1e-300)
 
 
 def _cholesky(V: Floats) -> Floats:

@@ -74,7 +74,7 @@ class Prior:
 
     def sign_array(self, terms: int) -> NDArray[np.int64]:
         """Known signs of the terms, (P,); empty if none is known."""
-        signs = np.zeros(terms) if self.signs is None else np.asarray(self.signs)
+        signs = np.zeros(0) if self.signs is None else np.asarray(self.signs)
         return signs.astype(np.int64) if signs.any() else np.zeros(0, dtype=np.int64)
 
     def log_odds(self, terms: int) -> Floats:

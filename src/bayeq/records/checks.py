@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bayeq.records.consistency import Relation, relate, uniform_frames
 from bayeq.records.record import Record
+from bayeq.records.units import derivative_ratio
 
 __all__ = ["Finding", "check_messages", "check_record"]
 
@@ -181,7 +182,7 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
             return [*found, Finding("inconsistent", (q, p), message, link.fit)]
         links.append(link)
     found += _signs(measured, links)
-    found += _gains(measured, links)
+    found += _gains(record, measured, links)
     found += _delays(measured, links, frames.dt)
     for ((low, p), (high, q)), link in zip(pairwise(measured), links, strict=True):
         found += _shifts(record, p, q, high - low, link)
@@ -225,23 +226,35 @@ def _signs(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> li
     return found
 
 
-def _gains(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
-    steps = [math.log(link.gain) for link in links]
+def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
+    # what the units say: x in mm makes v in m/s a thousandth of dx/dt
+    stated = [_stated_gain(record, p, q, high - low) for (low, p), (high, q) in pairwise(measured)]
+    steps = [math.log(link.gain / expected) for link, expected in zip(links, stated, strict=True)]
     # besides chance, noise leaves a gain undecided between regression one way and the other
     errors = [SIGNIFICANT * link.gain_error + 0.5 * math.log(link.most_gain / link.least_gain) for link in links]
     found = []
     for k, other, difference in _odd_ones(steps, errors, math.log(LEAST_GAIN)):
-        name, gain = measured[k][1], math.exp(difference)
-        message = f"{name} is {gain:.4g} times {_against(measured, k, other)}: {_unit_hint(gain)}"
+        name, between = measured[k][1], stated[min(k, other) : max(k, other)]
+        expected = math.prod(between) ** (1 if k > other else -1)
+        gain = math.exp(difference) * expected
+        by_unit = "" if expected == 1.0 else f", not {expected:.4g} times as their units say"
+        hint = _unit_hint(math.exp(difference))
+        message = f"{name} is {gain:.4g} times {_against(measured, k, other)}{by_unit}: {hint}"
         found.append(Finding("gain", (name, measured[other][1]), message, gain))
     return found
+
+
+def _stated_gain(record: Record, p: str, q: str, order: int) -> float:
+    if p not in record.units or q not in record.units:
+        return 1.0
+    return derivative_ratio(record.units[p], record.units[q], order) or 1.0
 
 
 def _unit_hint(gain: float) -> str:
     for factor, meaning in UNIT_GAINS:
         if min(abs(math.log(gain / factor)), abs(math.log(gain * factor))) < NEAR:
             return f"that is about {meaning}; check its unit"
-    return "check its calibration and its unit"
+    return "check its calibration, its unit and how it was filtered"
 
 
 def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: float) -> list[Finding]:
@@ -361,7 +374,10 @@ def _repeated(name: str, values: Floats) -> list[Finding]:
     inner = (lengths > 1) & (starts > 0) & (starts + lengths < len(values))
     starts, lengths = starts[inner], lengths[inner]
     sudden = (steps[starts - 1] > moving) & (steps[starts + lengths - 1] > moving)
-    if np.count_nonzero(sudden) < LEAST_REPEATS:
+    # in a channel of levels a step of none is by chance as frequent as one of a few levels, up or down
+    small = (steps > 0.0) & (steps <= (NEXT_LEVELS + 0.5) * level)
+    chance = np.count_nonzero(small[1:-1] & (steps[:-2] > moving) & (steps[2:] > moving)) / (2 * NEXT_LEVELS)
+    if np.count_nonzero(sudden) < LEAST_REPEATS + chance + 5.0 * math.sqrt(chance):
         return []
     count, places = int(np.sum(lengths[sudden] - 1)), int(np.count_nonzero(sudden))
     message = (

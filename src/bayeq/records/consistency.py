@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ __all__ = ["Frames", "Relation", "Shift", "relate", "uniform_frames"]
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.int64]
+
+TINY = float(np.finfo(np.float64).tiny)
 
 # The window sin^6, as a series in cos(2 pi k t/T): its first five derivatives vanish at the ends.
 WINDOW = (10 / 32, -15 / 32, 6 / 32, -1 / 32)
@@ -47,6 +50,9 @@ BANDWIDTH = 924 / 400
 
 # The phase of the whole must be known to 1/sqrt of this [rad] for a comparison.
 LEAST_WEIGHT = 100.0
+
+# Bins whose ratio of amplitudes differs from the usual one by a larger factor than exp of this do not show the motion.
+SAME_GAIN = math.log(1.4)
 
 # Steps that polish a delay.
 NEWTON = 20
@@ -118,8 +124,7 @@ class Relation:
     delay, delay_error : float
         Delay of q [s] and its standard error.
     fit : float
-        Share of the coherent signal that sign and delay explain: 1 for a perfect derivative, around 0 for a signal of
-        another phase.
+        Share of all that is coherent that a sign and a delay explain: 1 for a perfect derivative.
     weight : float
         Information: the phase of the whole is known to 1/sqrt(weight) rad.
     shift : Shift
@@ -201,29 +206,27 @@ def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Re
     Relation or None
         None where the two have nothing in common that could be compared.
     """
-    # without the slowest motion, in which a shift of q hides; from both sides alike
-    motion = _detrended(time, p, 1 + order)
-    A = _weak_derivative(_detrended(time, q, 1), frames, 0)
-    B, next_one = (_weak_derivative(motion, frames, order + j) for j in (0, 1))
-    cross, rate = (_smooth(np.mean(v * B.conj(), axis=0)) for v in (A, next_one))
-    power_a, power_b = (_smooth(np.mean(np.abs(v) ** 2, axis=0)) for v in (A, B))
-    weight = _weights(cross, power_a.real, power_b.real, frames)
+    both = _spectra(time, p, q, order, frames)
+    if float(both.weight.sum()) < LEAST_WEIGHT:
+        return None
+    phase = np.angle(both.cross)
+    fit = _align(phase, both.weight, both.omega, frames.dt)[2]
+    # where a channel was derived from another its filter shows beyond the motion, in their common noise
+    level = np.abs(both.cross) / np.maximum(both.power_b, TINY)
+    usual = float(np.average(level, weights=both.power_a * (both.weight > 0.0)))
+    weight = np.where(np.abs(np.log(np.maximum(level, TINY) / usual)) < SAME_GAIN, both.weight, 0.0)
     total = float(weight.sum())
     if total < LEAST_WEIGHT:
         return None
-    # a bin beside a resonance holds mostly the resonance: its mean frequency, not its middle, turns a delay to a phase
-    omega = rate.imag / np.maximum(power_b.real, np.finfo(float).tiny)
-    sign, delay, fit = _align(np.angle(cross), weight, omega, frames.dt)
+    sign, delay, _ = _align(phase, weight, both.omega, frames.dt)
     # phases that no straight line fits say less than they seem to
-    phase = np.angle(sign * cross * np.exp(1j * omega * delay))
-    cells = max(float(np.count_nonzero(weight)) / BANDWIDTH, 1.0)
-    misfit = max(1.0, float(weight @ phase**2) / cells)
-    slope = float(weight @ omega**2)
-    aligned = np.abs(cross) * np.cos(phase)
-    kept = (weight > 0.0) & (aligned > 0.0)
-    share = weight[kept] / weight[kept].sum() if kept.any() else weight[kept]
-    least = float(share @ (aligned[kept] / power_b.real[kept]))
-    most = float(share @ (power_a.real[kept] / aligned[kept]))
+    rest = np.angle(sign * both.cross * np.exp(1j * both.omega * delay))
+    misfit = max(1.0, float(weight @ rest**2) / max(float(np.count_nonzero(weight)) / BANDWIDTH, 1.0))
+    aligned = np.abs(both.cross) * np.cos(rest)
+    kept = np.flatnonzero((weight > 0.0) & (aligned > 0.0))
+    share = weight[kept] / weight[kept].sum()
+    least = float(share @ (aligned[kept] / both.power_b[kept]))
+    most = float(share @ (both.power_a[kept] / aligned[kept]))
     gain = math.sqrt(least * most)
     return Relation(
         sign=sign,
@@ -232,11 +235,37 @@ def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Re
         most_gain=most,
         gain_error=math.sqrt(misfit / total),
         delay=delay,
-        delay_error=math.sqrt(misfit / slope),
+        delay_error=math.sqrt(misfit / float(weight @ both.omega**2)),
         fit=fit,
         weight=total,
         shift=_shift(p, q, order, frames, sign * gain),
     )
+
+
+class _Spectra(NamedTuple):
+    """Of q (A) and of the derivative of p (B), averaged over frames and neighbouring bins.
+
+    `cross` is A times the conjugate of B, `omega` the mean frequency in each bin, `weight` the inverse variance of the
+    phase of `cross`, 0 where nothing is coherent.
+    """
+
+    cross: Complexes
+    power_a: Floats
+    power_b: Floats
+    omega: Floats
+    weight: Floats
+
+
+def _spectra(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> _Spectra:
+    # without the slowest motion, in which a shift of q hides; from both sides alike
+    motion = _detrended(time, p, 1 + order)
+    A = _weak_derivative(_detrended(time, q, 1), frames, 0)
+    B, next_one = (_weak_derivative(motion, frames, order + j) for j in (0, 1))
+    cross, rate = (_smooth(np.mean(v * B.conj(), axis=0)) for v in (A, next_one))
+    power_a, power_b = (_smooth(np.mean(np.abs(v) ** 2, axis=0) + 0j).real for v in (A, B))
+    # a bin beside a resonance holds mostly the resonance: its mean frequency, not its middle, turns a delay to a phase
+    omega = rate.imag / np.maximum(power_b, TINY)
+    return _Spectra(cross, power_a, power_b, omega, _weights(cross, power_a, power_b, frames))
 
 
 def _frequencies(frames: Frames) -> Floats:
@@ -259,13 +288,12 @@ def _weights(cross: Complexes, power_a: Floats, power_b: Floats, frames: Frames)
     """Inverse variance of the phase of each bin, 0 where nothing is coherent (Hannan and Thomson 1973)."""
     independent = len(frames.starts) / OVERLAP
     averaged = independent * max((2 * SMOOTHING + 1) / BANDWIDTH, 1.0)
-    tiny = np.finfo(float).tiny
-    coherence = np.abs(cross) ** 2 / np.maximum(power_a * power_b, tiny)
+    coherence = np.abs(cross) ** 2 / np.maximum(power_a * power_b, TINY)
     # chance alone gives 1/averaged on average, and more than `chance` once in a thousand
     chance = 1.0 - 1e-3 ** (1.0 / max(averaged - 1.0, 1.0))
     corrected = np.clip((coherence - 1.0 / averaged) / (1.0 - 1.0 / averaged), 0.0, MOST_COHERENT)
     weight = 2.0 * independent * corrected / (1.0 - corrected)
-    weight[(coherence < chance) | (power_a * power_b <= tiny)] = 0.0
+    weight[(coherence < chance) | (power_a * power_b <= TINY)] = 0.0
     weight[-1] = 0.0  # half the sampling rate: real, and aliased
     return np.asarray(weight)
 
@@ -307,11 +335,10 @@ def _shift(p: Floats, q: Floats, order: int, frames: Frames, factor: float) -> S
     offset = float(y.mean())
     residual = y - offset - drift * t
     variance = float(residual @ residual) / (count - 2)
-    floor = np.finfo(float).tiny
     return Shift(
         offset=offset,
         drift=drift,
-        offset_t=offset / math.sqrt(max(variance / count, floor)),
-        drift_t=drift / math.sqrt(max(variance / float(t @ t), floor)),
+        offset_t=offset / math.sqrt(max(variance / count, TINY)),
+        drift_t=drift / math.sqrt(max(variance / float(t @ t), TINY)),
         freedom=count - 2,
     )
