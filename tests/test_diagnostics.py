@@ -125,7 +125,7 @@ def test_an_adequate_equation_is_not_warned_of_and_states_its_residuals(tmp_path
     assert set(out) >= {"skewness", "kurtosis", "normality", "driver", "driven"}
     assert set(out["driver"]) == {"name", "lag", "correlation", "p_value"}
     assert out["driver"]["name"] in ("x", "v", "u")
-    assert "skewness" in str(eq)
+    assert "residuals: follow no input or state at any lag" in str(eq)
     eq.save(tmp_path / "eq.json")
     assert bq.load(tmp_path / "eq.json")[0].residuals == eq[0].residuals
     # files of earlier versions do not hold them
@@ -151,4 +151,4 @@ def test_missing_dynamics_are_named():
     assert str(told_of.message) in eq.warnings
     assert eq[0].residuals.driven
     assert eq[0].residuals.driver.name == "u"
-    assert "p < 0.0001" in str(eq)
+    assert f"residuals: follow {eq[0].residuals.driver} (p < 0.0001)" in str(eq)

@@ -199,7 +199,7 @@ def test_the_path_shows_the_equation_and_its_fit():
     assert PATH.held_out_r2[k] == pytest.approx(EQ[0].held_out.r2, abs=1e-12)
     np.testing.assert_allclose(PATH.coef[k], EQ[0].posterior.coef, rtol=1e-10)
     assert PATH.intercept[k] == pytest.approx(EQ[0].posterior.intercept, abs=1e-10)
-    np.testing.assert_array_equal(PATH.share, EQ[0].share)
+    np.testing.assert_allclose(PATH.share, EQ[0].share, rtol=1e-12)
 
 
 def test_each_model_is_what_discover_gives_when_told_its_terms():
@@ -253,6 +253,32 @@ def test_an_equation_off_its_path_is_shown_beside_it():
     assert "the equation: x, u" in str(off)
     assert off.chosen_log_evidence < off.log_evidence[2]
     assert off.chosen_r2 == pytest.approx(few.train.r2, abs=1e-12)
+
+
+def test_a_length_that_makes_no_sense():
+    for most, match in ((2.5, "whole number"), ("3", "whole number"), (-1, "negative")):
+        with pytest.raises(InputError, match=match):
+            EQ[0].path(most)
+    assert len(EQ[0].path(0).models) == 1
+    assert len(EQ[0].path(100).models) == 37
+
+
+@pytest.mark.parametrize("smooth", ["auto", "none"])
+def test_known_coefficients_leave_the_errors_what_they_are(smooth):
+    # u is given, so the regression is of a - u; its errors are still shares of a
+    options = {**OSCILLATOR, "smooth": smooth}
+    known = discover(RECORD, **options, constraints=["u == 1"])[0]
+    free = discover(RECORD, **options)[0]
+    path = known.path(4)
+    assert path.names == tuple(t.text for t in known.terms if t.text != "u")
+    k = int(np.flatnonzero(path.is_chosen)[0])
+    assert path.size[k] == 3
+    assert path.r2[k] == pytest.approx(known.train.r2, abs=1e-12)
+    assert path.held_out_r2[k] == pytest.approx(known.held_out.r2, abs=1e-12)
+    without_v = free.path(4)
+    assert path.r2[k - 1] == pytest.approx(without_v.r2[3], abs=1e-3)
+    assert path.share[path.chosen] == pytest.approx(free.share[free.posterior.support][:3], rel=0.02)
+    assert known.path(1).chosen_r2 == known.train.r2
 
 
 def test_a_loaded_equation_has_no_path(tmp_path):

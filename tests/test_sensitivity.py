@@ -153,6 +153,7 @@ def test_the_defaults_are_nine_values_of_v_s_and_seven_of_p_0():
     assert slab_axis(Prior(slab_variance=0.01))[0][0] == 0.01  # unless it is the prior's own
 
 
+@pytest.mark.filterwarnings("ignore:. is .* times:bayeq.errors.DataWarning")  # units that do not belong together
 def test_units_do_not_matter():
     scaled = bq.Record.from_arrays(
         x=1e3 * RECORD["x"], v=1e-2 * RECORD["v"], a=5.0 * RECORD["a"], u=RECORD["u"] / 7.0, fs=1000

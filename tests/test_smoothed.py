@@ -172,6 +172,7 @@ def test_a_band_counts_real_numbers():
     assert band.count.sum() == 2 * len(band.count) - 1
 
 
+@pytest.mark.filterwarnings("ignore:300 samples are missing:bayeq.errors.DataWarning")
 def test_dropped_samples_are_put_back_on_their_grid():
     rec = bq.simulate("duffing", n=3000, seed=2, noise=0.03)
     kept = np.sort(np.random.default_rng(0).choice(3000, 2700, replace=False))

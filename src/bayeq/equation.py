@@ -309,7 +309,9 @@ class Equation:
             raise InputError("a file of equations does not hold what their posterior came from: run discover again")
         rows = solved.standard.source if solved.rows is None else solved.rows
         chosen = self.posterior.support if solved.support is None else solved.support
-        return parsimony_path(self.target, solved.standard, solved.prior, chosen, rows, solved.held_out, most)
+        found = parsimony_path(self.target, solved.standard, solved.prior, chosen, rows, solved.held_out, most)
+        # where equalities are known the regression has a smaller target than the equation
+        return found.with_fit(self.train.r2, None if self.held_out is None else self.held_out.r2)
 
     def sensitivity(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -102,6 +102,19 @@ class ParsimonyPath:
     def removed(self, k: int) -> tuple[str, ...]:
         """Terms of the model before model k that it lacks."""
         return self._named(self.models[k - 1] & ~self.models[k]) if k else ()
+
+    def with_fit(self, r2: float, held_out_r2: float | None) -> ParsimonyPath:
+        """The path with all errors and shares relative to a target of which the equation explains so much.
+
+        Equalities between coefficients leave the errors of a regression as they are, and change what they are a share
+        of.
+        """
+        ratio = (1.0 - r2) / (1.0 - self.chosen_r2) if self.chosen_r2 < 1.0 else 1.0
+        path = replace(self, r2=1.0 - ratio * (1.0 - self.r2), chosen_r2=r2, share=ratio * self.share)
+        if held_out_r2 is None or self.held_out_r2 is None or self.chosen_held_out_r2 is None:
+            return path
+        ratio = (1.0 - held_out_r2) / (1.0 - self.chosen_held_out_r2) if self.chosen_held_out_r2 < 1.0 else 1.0
+        return replace(path, held_out_r2=1.0 - ratio * (1.0 - self.held_out_r2), chosen_held_out_r2=held_out_r2)
 
     def _named(self, members: Bools) -> tuple[str, ...]:
         return tuple(self.names[j] for j in np.flatnonzero(members))

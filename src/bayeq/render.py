@@ -24,6 +24,9 @@ __all__ = ["render"]
 NOTEWORTHY_PIP = 0.01
 PLAIN_WIDTH = 110
 
+# What is told of residuals, if it had a smaller probability by chance.
+DOUBTFUL = 1e-3
+
 
 def render(eq: Equations, with_warnings: bool = True) -> str:
     """Text of the equations: styled if standard output is a terminal, plain Markdown otherwise."""
@@ -72,7 +75,8 @@ def _render_equation(console: Console, equation: Equation, method: str, terminal
     console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
     for line in _fits(equation):
         console.print(line)
-    console.print(escape(_residuals(equation.residuals)))
+    for line in _residuals(equation.residuals):
+        console.print(escape(line))
     for left in equation.left_out:
         console.print(
             f"left out as asked ({left.reason}): {escape(left.name)}, {ENGINES[method].score} {left.pip:.3f}, explains"
@@ -95,12 +99,18 @@ def _fits(equation: Equation) -> list[str]:
     return out
 
 
-def _residuals(found: Residuals) -> str:
-    text = (
-        f"residuals: lag-1 autocorrelation {found.lag1:.2f}, effective sample size {found.n_eff:.0f} of {found.n};"
-        f" skewness {found.skewness:.2f}, excess kurtosis {found.kurtosis:.2f} (normal: {_chance(found.normality)})"
-    )
-    return text if found.driver is None else f"{text}; nearest to {found.driver}, {_chance(found.driver.p_value)}"
+def _residuals(found: Residuals) -> list[str]:
+    shape = "not those of a normal distribution" if found.normality < DOUBTFUL else "as of a normal distribution"
+    lines = [
+        f"residuals: lag-1 autocorrelation {found.lag1:.2f}, effective sample size {found.n_eff:.0f} of {found.n}",
+        f"residuals: skewness {found.skewness:.2f} and excess kurtosis {found.kurtosis:.2f}, {shape}"
+        f" ({_chance(found.normality)})",
+    ]
+    if found.driver is not None and found.driver.p_value < DOUBTFUL:
+        lines.append(f"residuals: follow {found.driver} ({_chance(found.driver.p_value)})")
+    elif found.driver is not None:
+        lines.append("residuals: follow no input or state at any lag")
+    return lines
 
 
 def _chance(p: float) -> str:

@@ -274,7 +274,7 @@ def _restore_equation(
         center=np.array(state["center"], dtype=np.float64).reshape(len(terms)),
         target_mean=float(state["target_mean"]),
         noise_variance=float(state["noise_variance"]),
-        n=float(state["n"]),
+        n=state["n"] if isinstance(state["n"], int) else float(state["n"]),
         elbo=None if saved["elbo"] is None else float(saved["elbo"]),
         elbo_trace=np.array(state["elbo_trace"], dtype=np.float64),
         n_iter=int(state["n_iter"]),

@@ -7,6 +7,7 @@ brings, so that a person can see where the gain stops.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Iterable
 
 import numpy as np
@@ -53,12 +54,18 @@ def path_sizes(problem: Problem, most: int | None = None) -> range:
     Raises
     ------
     InputError
-        `most` is less than the number of forced terms.
+        `most` is no whole number, negative, or less than the number of forced terms.
     """
     forced = int(np.sum(problem.log_odds == math.inf))
     allowed = min(int(np.sum(problem.log_odds > -math.inf)), MOST_ACTIVE)
     if most is None:
         most = max(DEFAULT_MOST, forced)
+    try:
+        most = operator.index(most)
+    except TypeError:
+        raise InputError(f"the largest number of terms must be a whole number, got {most!r}") from None
+    if most < 0:
+        raise InputError(f"the largest number of terms must not be negative, got {most}")
     if most < forced:
         raise InputError(f"at most {most} terms are asked for, but {forced} are forced in by a prior inclusion of 1")
     return range(forced, min(most, allowed) + 1)

@@ -47,16 +47,17 @@ NEAR = 0.02
 # samples at the extreme, and so many times as many as at any of the next levels. A channel of few levels, or one that
 # rests at the extreme for most of the time, is switched and not clipped.
 LEAST_RUN = 3
-LEAST_CLIPPED = 5
+LEAST_CLIPPED = 10
 TIMES_NEXT = 5
 NEXT_LEVELS = 5
 LEAST_LEVELS = 20
 MOST_AT_REST = 0.5
 
-# Dropped samples: steps of time that are multiples of the median within this share; repeated ones: so many places, and
-# channels that repeat more than this share of their samples are held on purpose.
+# Dropped samples: steps of time that are multiples of the median within this share. Repeated ones: so many places, in a
+# channel whose usual steps are so many levels; one that repeats more than this share of its samples is held on purpose.
 NEAR_MULTIPLE = 0.1
 LEAST_REPEATS = 3
+LEVELS_PER_STEP = 8.0
 MOST_REPEATED = 0.3
 
 # Fewer rows tell nothing.
@@ -365,10 +366,10 @@ def _repeated(name: str, values: Floats) -> list[Finding]:
     steps = np.abs(np.diff(values))
     if np.count_nonzero(steps == 0.0) > MOST_REPEATED * len(steps) or not steps.any():
         return []
-    # a channel of coarse levels stands still at its turning points: usual steps must be many levels
+    # a channel of coarse levels stands still at its turning points: its usual steps must be many levels
     level = float(steps[steps > 0.0].min())
     moving = 0.5 * float(np.median(steps))
-    if moving < 4.0 * level:
+    if moving < LEVELS_PER_STEP * level:
         return []
     starts, lengths = _runs(values)
     inner = (lengths > 1) & (starts > 0) & (starts + lengths < len(values))

@@ -37,7 +37,7 @@ PART = 8
 # Frames start so many to a frame's length; fewer than the least of them tell nothing, more are not needed.
 OVERLAP = 4
 LEAST_FRAMES = 12
-MOST_FRAMES = 400
+MOST_FRAMES = 128
 
 # Time steps that differ from the median by a larger share end a frame; smaller ones are the rounding of a time column.
 UNIFORM = 0.05
@@ -195,7 +195,7 @@ def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Re
     Parameters
     ----------
     time, p, q : (n,) arrays
-        Time and channels; q should be the `order`-th derivative of p.
+        Time and channels, neither constant; q should be the `order`-th derivative of p.
     order : int
         1 or more.
     frames : Frames
@@ -206,6 +206,9 @@ def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Re
     Relation or None
         None where the two have nothing in common that could be compared.
     """
+    # in units of their own, so that no power of them overflows
+    size_p, size_q = float(np.ptp(p)), float(np.ptp(q))
+    p, q = p / size_p, q / size_q
     both = _spectra(time, p, q, order, frames)
     if float(both.weight.sum()) < LEAST_WEIGHT:
         return None
@@ -215,9 +218,9 @@ def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Re
     level = np.abs(both.cross) / np.maximum(both.power_b, TINY)
     usual = float(np.average(level, weights=both.power_a * (both.weight > 0.0)))
     weight = np.where(np.abs(np.log(np.maximum(level, TINY) / usual)) < SAME_GAIN, both.weight, 0.0)
+    if float(weight.sum()) < LEAST_WEIGHT:  # no gain is usual
+        weight = both.weight
     total = float(weight.sum())
-    if total < LEAST_WEIGHT:
-        return None
     sign, delay, _ = _align(phase, weight, both.omega, frames.dt)
     # phases that no straight line fits say less than they seem to
     rest = np.angle(sign * both.cross * np.exp(1j * both.omega * delay))
@@ -227,18 +230,18 @@ def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Re
     share = weight[kept] / weight[kept].sum()
     least = float(share @ (aligned[kept] / both.power_b[kept]))
     most = float(share @ (both.power_a[kept] / aligned[kept]))
-    gain = math.sqrt(least * most)
+    gain, ratio = math.sqrt(least * most), size_q / size_p
     return Relation(
         sign=sign,
-        gain=gain,
-        least_gain=least,
-        most_gain=most,
+        gain=gain * ratio,
+        least_gain=least * ratio,
+        most_gain=most * ratio,
         gain_error=math.sqrt(misfit / total),
         delay=delay,
         delay_error=math.sqrt(misfit / float(weight @ both.omega**2)),
         fit=fit,
         weight=total,
-        shift=_shift(p, q, order, frames, sign * gain),
+        shift=_shift(p, q, order, frames, sign * gain, size_q),
     )
 
 
@@ -275,7 +278,7 @@ def _frequencies(frames: Frames) -> Floats:
 def _detrended(time: Floats, values: Floats, degree: int) -> Floats:
     """A channel without its polynomial of a degree."""
     basis = np.polynomial.legendre.legvander(2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0, degree)
-    return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
+    return np.asarray(values - basis @ np.linalg.solve(basis.T @ basis, basis.T @ values))
 
 
 def _smooth(values: Complexes) -> Complexes:
@@ -322,8 +325,8 @@ def _align(phase: Floats, weight: Floats, omega: Floats, dt: float) -> tuple[int
     return sign, delay, sign * float(weight @ np.cos(phase + omega * delay))
 
 
-def _shift(p: Floats, q: Floats, order: int, frames: Frames, factor: float) -> Shift:
-    """Offset and drift of q against `factor` times the derivative of p, from frames that overlap by half."""
+def _shift(p: Floats, q: Floats, order: int, frames: Frames, factor: float, size: float) -> Shift:
+    """Offset and drift, in units of 1/size, of q against `factor` times the derivative of p; frames overlap by half."""
     some = Frames(frames.starts[:: OVERLAP // 2], frames.length, frames.dt)
     window = _test_functions(some, 0)[0]
     level = q.mean()
@@ -336,8 +339,8 @@ def _shift(p: Floats, q: Floats, order: int, frames: Frames, factor: float) -> S
     residual = y - offset - drift * t
     variance = float(residual @ residual) / (count - 2)
     return Shift(
-        offset=offset,
-        drift=drift,
+        offset=offset * size,
+        drift=drift * size,
         offset_t=offset / math.sqrt(max(variance / count, TINY)),
         drift_t=drift / math.sqrt(max(variance / float(t @ t), TINY)),
         freedom=count - 2,

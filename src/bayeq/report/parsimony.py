@@ -122,7 +122,7 @@ def _evidence(ax: Axes, row: Elbow) -> None:
 
 def _errors(ax: Axes, row: Elbow) -> None:
     # less is rounding
-    least = LEAST_ERROR * float(row.error.max())
+    least = LEAST_ERROR * max(float(row.error.max()), LEAST_ERROR)
     ax.plot(row.size, np.maximum(row.error, least), color=BLUE, marker="o", markersize=3.0)
     if row.held_out is not None:
         look: dict[str, Any] = {"markersize": 3.4, "markerfacecolor": "white", "linestyle": (0, (4, 1.5))}

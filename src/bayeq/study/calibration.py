@@ -61,12 +61,12 @@ ROWS = (20, 50, 200)
 
 # Problems of each design and number of rows: what fills the bins at a cost that can be borne.
 PROBLEMS: Mapping[tuple[str, int], int] = {
-    ("correlated", 20): 30_000,
-    ("correlated", 50): 60_000,
-    ("correlated", 200): 160_000,
-    ("oscillator", 20): 1000,
-    ("oscillator", 50): 1000,
-    ("oscillator", 200): 9000,
+    ("correlated", 20): 8000,
+    ("correlated", 50): 12_000,
+    ("correlated", 200): 30_000,
+    ("oscillator", 20): 200,
+    ("oscillator", 50): 150,
+    ("oscillator", 200): 4000,
 }
 BATCH = 25
 
