@@ -35,7 +35,12 @@ study: $(VENV)/.dev
 	$(BIN)/bayeq study show study.db --format csv > docs/tables/table2.csv
 	$(BIN)/bayeq study show study.db --table 3 --format markdown > docs/tables/table3.md
 	$(BIN)/bayeq study ablation --realisations 500 > docs/tables/ablation.csv
-	$(BIN)/python -m bayeq.study.coverage > docs/tables/coverage.csv
+	$(BIN)/bayeq study table2 --realisations 1000 --smooth auto --store study_smoothed.db --algorithms vb,bma
+	$(BIN)/bayeq study show study_smoothed.db --format markdown > docs/tables/table2_smoothed.md
+	$(BIN)/bayeq study show study_smoothed.db --format csv > docs/tables/table2_smoothed.csv
+	$(BIN)/python -m bayeq.study.channels --records 20 > docs/tables/channels.csv
+	$(BIN)/python -m bayeq.study.coverage --smooth none > docs/tables/coverage.csv
+	$(BIN)/python -m bayeq.study.coverage --records 100 > docs/tables/coverage_smoothed.csv
 	$(BIN)/python -m bayeq.study.coverage --clean-states > docs/tables/coverage_clean.csv
 	$(BIN)/python -m bayeq.study.calibration --folder docs/tables
 	$(BIN)/python -m bayeq.study.reliability --figures docs/figures > docs/tables/reliability.csv
