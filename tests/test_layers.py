@@ -17,10 +17,10 @@ SOURCE = Path(bayeq.__file__).parent
 LEVELS = [
     {"errors", "files", "kernels"},
     {"expressions", "records", "posterior", "diagnostics"},
-    {"gram", "integrate", "lazy_gram", "spectral", "tangent"},
+    {"gram", "lazy_gram", "spectral"},
     {"systems", "states", "dictionary", "inference"},
     {"weighting"},
-    {"dynamics", "forecast", "output_error", "physical", "report", "shooting", "units", "adapters", "constraints", "equalities"},
+    {"adapters", "constraints", "equalities", "report"},
     {
         "_estimator_base",
         "estimators",
