@@ -38,7 +38,7 @@ study: $(VENV)/.dev
 	$(BIN)/bayeq study table2 --realisations 1000 --smooth auto --store study_smoothed.db --algorithms vb,bma
 	$(BIN)/bayeq study show study_smoothed.db --format markdown > docs/tables/table2_smoothed.md
 	$(BIN)/bayeq study show study_smoothed.db --format csv > docs/tables/table2_smoothed.csv
-	$(BIN)/python -m bayeq.study.channels --records 20 > docs/tables/channels.csv
+	$(BIN)/python -m bayeq.study.channels --records 5 > docs/tables/channels.csv
 	$(BIN)/python -m bayeq.study.coverage --smooth none > docs/tables/coverage.csv
 	$(BIN)/python -m bayeq.study.coverage --records 100 > docs/tables/coverage_smoothed.csv
 	$(BIN)/python -m bayeq.study.coverage --clean-states > docs/tables/coverage_clean.csv

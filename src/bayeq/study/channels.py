@@ -4,7 +4,7 @@ Simulated at 2 kHz or finer with 5 % noise and a force of pass band min(100 Hz, 
 default (the kinematic smoother and regression in its band) stand derivatives by central differences and by
 Savitzky-Golay filters.
 
-    python -m bayeq.study.channels --records 20 > docs/tables/channels.csv
+    python -m bayeq.study.channels --records 5 > docs/tables/channels.csv
 """
 
 from __future__ import annotations
