@@ -20,6 +20,7 @@ LEVELS = [
     {"gram", "lazy_gram", "spectral"},
     {"systems", "states", "dictionary", "inference"},
     {"weighting"},
+    {"propagation"},
     {"adapters", "constraints", "equalities", "report"},
     {
         "_estimator_base",

@@ -14,7 +14,7 @@ from bayeq.states.grid import on_grid
 from bayeq.states.smoothed import smooth_chain
 from bayeq.study.config import StudyConfig
 from bayeq.study.realise import draw
-from bayeq.weighting import weighted_gram
+from bayeq.weighting import Piece, weighted_gram
 
 CHAIN = parse_chains(["x:v:a"])
 
@@ -149,7 +149,12 @@ def test_too_few_numbers_for_so_many_terms():
     (states,) = derive_all([rec], CHAIN, ["u"])
     D = np.random.default_rng(0).normal(size=(300, 36))
     names = tuple(f"d{j}" for j in range(36))
-    assert weighted_gram([(D, states.columns["a"])], names, states.smoothing[0], 20.0) is None
+    assert (
+        weighted_gram(
+            [Piece(D, states.columns["a"], np.zeros((300, 2)), np.zeros((300, 0)))], names, states.smoothing[0], 20.0
+        )
+        is None
+    )
 
 
 def test_smoothing_restores_what_noise_takes_in_the_paper_s_protocol():

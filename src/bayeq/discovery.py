@@ -30,6 +30,7 @@ from bayeq.errors import (
     TermWarning,
     UnknownNameError,
 )
+from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.inference import ENGINES, Prior
 from bayeq.inference.path import partial_shares
@@ -37,10 +38,11 @@ from bayeq.inference.problem import Problem
 from bayeq.inference.search import neighbours
 from bayeq.inference.slab import learn_slab_variance, residual_scale
 from bayeq.posterior import Posterior
+from bayeq.propagation import propagated_covariance
 from bayeq.records import Record, check_messages
 from bayeq.spectral import noise_floor
-from bayeq.states import Chain, Smooth, States, derive_all, parse_chains
-from bayeq.weighting import InBand, thinned_gram, weighted_gram
+from bayeq.states import Chain, ChainSmoothing, Smooth, States, derive_all, parse_chains
+from bayeq.weighting import InBand, Piece, thinned_gram, weighted_gram
 
 __all__ = ["discover"]
 
@@ -202,15 +204,16 @@ def discover(
     equations = []
     for k, chain in enumerate(parsed):
         step("inference", k, len(parsed))
-        in_band = _in_band(k, chain.target, states[0], design, train, all_inputs)
+        in_band = _in_band(k, chain, states[0], design, train, all_inputs)
         equations.append(
             _solve(
-                chain,
+                parsed,
                 k,
                 design,
                 train,
                 targets[k],
                 in_band,
+                states[0].smoothing,
                 method,
                 prior,
                 constrained[k],
@@ -249,7 +252,7 @@ def _measured(target: str) -> str:
 
 def _in_band(
     k: int,
-    target: str,
+    chain: Chain,
     states: States,
     design: Design,
     train: Sequence[Mapping[str, Floats]],
@@ -259,8 +262,16 @@ def _in_band(
     used = states.smoothing
     if not used or any(s.fs is None for s in used):
         return None
-    own = used[k]
-    rows = [(evaluate_terms(design.terms, piece), piece[target]) for piece in train]
+    own, target = used[k], chain.target
+    pieces = [
+        Piece(
+            evaluate_terms(design.terms, piece),
+            piece[target],
+            np.column_stack([piece[name] for name in chain.states]),
+            np.column_stack([np.empty((len(piece[target]), 0)), *(piece[name] for name in inputs)]),
+        )
+        for piece in train
+    ]
     names = tuple(term.text for term in design.terms)
     driven = [j for j, term in enumerate(design.terms) if term.names & set(inputs)]
     noise = {}
@@ -269,7 +280,7 @@ def _in_band(
             floor = noise_floor([piece[names[j]] for piece in train])
             if floor is not None:
                 noise[j] = floor
-    return weighted_gram(rows, names, own, min(s.limit for s in used), driven, noise)
+    return weighted_gram(pieces, names, own, min(s.limit for s in used), driven, noise)
 
 
 def _silent(stage: str, done: int, total: int) -> None:
@@ -351,12 +362,13 @@ def _check_size(design: Design, notes: _Notes) -> None:
 
 
 def _solve(
-    chain: Chain,
+    chains: Sequence[Chain],
     k: int,
     design: Design,
     train: Sequence[Mapping[str, Floats]],
     observed: str,
     in_band: InBand | None,
+    smoothings: Sequence[ChainSmoothing],
     engine: str,
     prior: Prior | None,
     constraints: Constraints,
@@ -366,7 +378,7 @@ def _solve(
     notes: _Notes,
 ) -> Equation:
     """Infer one equation and inspect it."""
-    rows = design.train[k]
+    chain, rows = chains[k], design.train[k]
     if in_band is not None:
         gram = in_band.gram
     elif ENGINES[engine].spike_slab and len(rows.names) <= MOST_TERMS_TO_THIN:
@@ -384,9 +396,11 @@ def _solve(
     found = raw.support
     raw, left_out = choice.apply(standard.gram, prior, fitted, raw) if choice.given else (raw, ())
     posterior = constraints.expand(standard.restore(raw), gram)
+    if in_band is not None and not constraints.given:
+        posterior = _propagated(in_band, posterior, design.terms, train, chains, k, smoothings, variables.inputs)
     if not posterior.converged:
-        chains = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
-        notes.warn(f"{chain.target}: {engine} not converged after {posterior.n_iter} steps{chains}", ConvergenceWarning)
+        rhat = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
+        notes.warn(f"{chain.target}: {engine} not converged after {posterior.n_iter} steps{rhat}", ConvergenceWarning)
     runners_up = _runners_up(standard.gram, prior, raw) if method.spike_slab else ()
     if raw.optimum is not None and bool((raw.optimum != found).any()):
         other = [n for n, kept in zip(reduced.names, raw.optimum, strict=True) if kept]
@@ -442,6 +456,31 @@ def _solve(
         share=partial_shares(rows, posterior.support),
         left_out=left_out,
     )
+
+
+def _propagated(
+    in_band: InBand,
+    posterior: Posterior,
+    terms: Sequence[Expression],
+    train: Sequence[Mapping[str, Floats]],
+    chains: Sequence[Chain],
+    k: int,
+    smoothings: Sequence[ChainSmoothing],
+    inputs: Sequence[str],
+) -> Posterior:
+    """The posterior with the covariance that the noise of the channels makes, where there are terms."""
+    if not posterior.support.any():
+        return posterior
+    covariance = propagated_covariance(in_band, posterior, terms, train, chains, smoothings, k, inputs)
+    averaged = posterior.averaged_sd
+    if averaged is not None:
+        # within the model shown; between models it stays
+        kept = posterior.support
+        within = posterior.pip[kept] * np.diagonal(covariance)
+        change = within - posterior.pip[kept] * np.diagonal(posterior.covariance)
+        averaged = averaged.copy()
+        averaged[kept] = np.sqrt(np.maximum(averaged[kept] ** 2 + change, within))
+    return replace(posterior, covariance=covariance, averaged_sd=averaged)
 
 
 def _runners_up(gram: Gram, prior: Prior, posterior: Posterior) -> tuple[RunnerUp, ...]:

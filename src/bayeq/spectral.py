@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayeq.gram import Gram
 
-__all__ = ["Band", "band_gram", "noise_floor", "residual_spectrum", "taper", "to_band"]
+__all__ = ["Band", "added_floor", "band_gram", "noise_floor", "residual_spectrum", "taper", "to_band"]
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -32,6 +32,9 @@ LEAST_TAPER = 16
 
 # Bins on either side over which the spectrum of residuals is averaged: 122 degrees of freedom.
 SMOOTHING = 30
+
+# Floors of white noise are looked for down to this power of 1/2 of the mean.
+FLOORS = 24
 
 # No more than this share of a column's sum of squares is subtracted as noise.
 MOST_NOISE = 0.5
@@ -167,20 +170,52 @@ def band_gram(
     )
 
 
-def residual_spectrum(bands: Sequence[Band], coef: Floats, intercept: float) -> list[Floats]:
-    """Variance of the residual in each bin: its periodogram, averaged over neighbouring frequencies of all records."""
+def residual_spectrum(
+    bands: Sequence[Band], coef: Floats, intercept: float, shapes: Sequence[Floats] | None = None
+) -> list[Floats]:
+    """Variance of the residual in each bin: its periodogram, averaged over neighbouring frequencies of all records.
+
+    Parameters
+    ----------
+    bands : sequence of Band
+        One per record.
+    coef, intercept : (P,) array, float
+        What the residual is of.
+    shapes : sequence of (b,) array, optional
+        Densities known up to a factor that varies slowly with frequency: it is the ratio to these that is averaged, so
+        that what is narrower than the average, a resonance, keeps its form.
+    """
     theta = np.concatenate([[intercept], coef])
     power = [np.abs(band.columns[:, -1] - band.columns[:, :-1] @ theta) ** 2 for band in bands]
+    known = np.ones(sum(len(p) for p in power)) if shapes is None else np.concatenate(shapes)
     frequency = np.concatenate([band.frequency for band in bands])
     order = np.argsort(frequency, kind="stable")
-    values = np.concatenate(power)[order]
+    values = (np.concatenate(power) / known)[order]
     half = min(SMOOTHING, max(1, (len(values) - 1) // 4))
     padded = np.pad(values, half, mode="reflect")
     smooth = np.convolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), mode="valid")
     smooth = np.maximum(smooth, 1e-6 * smooth.max())
     out = np.empty_like(smooth)
     out[order] = smooth
-    return np.split(out, np.cumsum([len(p) for p in power])[:-1])
+    return np.split(out * known, np.cumsum([len(p) for p in power])[:-1])
+
+
+def added_floor(power: Floats, shape: Floats, count: Floats) -> float:
+    """Level f of white noise for which `power` is likeliest as a periodogram of density shape + f (Whittle 1953).
+
+    Parameters
+    ----------
+    power, shape : (b,) array
+        Periodogram and known part of the density.
+    count : (b,) array
+        Real numbers in each bin.
+    """
+    levels = float(np.average(power, weights=count)) * np.append(0.0, 2.0 ** np.arange(-FLOORS, 3.0, 0.5))
+    # where the known part is nothing, a floor there must be
+    least = np.finfo(np.float64).tiny
+    density = np.maximum(shape[:, None] + levels, least)
+    misfit = count @ (np.log(density) + power[:, None] / density)
+    return float(levels[np.argmin(misfit)])
 
 
 def noise_floor(values: Sequence[Floats], widest: float = 0.85) -> float | None:

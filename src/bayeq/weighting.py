@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +15,40 @@ from bayeq.inference.prior import Prior
 from bayeq.inference.slab import learn_slab_variance, residual_scale
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.posterior import Posterior
-from bayeq.spectral import band_gram, residual_spectrum, to_band
+from bayeq.spectral import Band, added_floor, band_gram, residual_spectrum, to_band
 from bayeq.states import ChainSmoothing
 
-__all__ = ["InBand", "thinned_gram", "weighted_gram"]
+__all__ = ["InBand", "Piece", "gains_of", "thinned_gram", "weighted_gram"]
 
 Floats = NDArray[np.float64]
 
 # Fits that find the spectrum of the residuals and the coefficients of the inputs.
 PILOTS = 3
 
+# Beneath the noise of the chain's channels there is white noise of at least this share of the residual.
+LEAST_FLOOR = 1e-6
+
 # Real numbers in the band that a candidate term needs.
 LEAST_PER_TERM = 2.0
+
+
+class Piece(NamedTuple):
+    """An uninterrupted piece of a smoothed record.
+
+    Attributes
+    ----------
+    D : (n, P) array
+        Dictionary on smoothed states.
+    y : (n,) array
+        Smoothed target.
+    states, inputs : (n, K) and (n, M) arrays
+        States of the target's chain, and inputs: what shapes the residual's spectrum.
+    """
+
+    D: Floats
+    y: Floats
+    states: Floats
+    inputs: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +61,19 @@ class InBand:
         Weighted statistics of the bins.
     limit : float
         Upper end of the band [Hz].
+    bands : tuple of Band
+        The bins of each piece.
+    spectrum : tuple of (b,) array
+        Variance of the residual in each of them.
+    noise : mapping of int to float
+        Noise variance of columns that are inputs themselves.
     """
 
     gram: Gram
     limit: float
+    bands: tuple[Band, ...]
+    spectrum: tuple[Floats, ...]
+    noise: Mapping[int, float]
 
 
 def _pilot(gram: Gram) -> Posterior:
@@ -51,8 +83,48 @@ def _pilot(gram: Gram) -> Posterior:
     return standard.restore(spike_slab_vb(standard.gram, prior))
 
 
+def gains_of(y: Floats, smoothing: ChainSmoothing) -> Floats:
+    """Gain of the smoother at the frequencies of a piece's transform, (n//2 + 1,)."""
+    assert smoothing.fs is not None
+    return smoothing.gain(np.asarray(np.fft.rfftfreq(len(y), 1.0 / smoothing.fs), dtype=np.float64))
+
+
+def _noise_shapes(pieces: Sequence[Piece], bands: Sequence[Band], smoothing: ChainSmoothing) -> list[Floats]:
+    """Density of the residual that the noise of the chain's channels makes: G^2 |L|^2/J.
+
+    L(i omega) is the equation linearised: the target on the states and inputs by least squares in the band. At a
+    resonance of L the noise of the motion leaves nothing in the residual.
+    """
+    assert smoothing.fs is not None
+    linear = []
+    for piece, band in zip(pieces, bands, strict=True):
+        both = np.column_stack([piece.states, piece.inputs])
+        driven = range(piece.states.shape[1], both.shape[1])
+        limit = float(band.frequency[-1])
+        linear.append(to_band(both, piece.y, smoothing.fs, limit, gains_of(piece.y, smoothing), driven).columns)
+    whole = np.concatenate(linear)
+    stacked = np.concatenate([whole.real, whole.imag])
+    coef = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1])[0]
+    gains, order = smoothing.unit_gains, pieces[0].states.shape[1]
+    shapes = []
+    for band in bands:
+        s = 2j * np.pi * band.frequency
+        response = gains[order] * s**order - sum(coef[1 + k] * gains[k] * s**k for k in range(order))
+        shapes.append(band.gain**2 * np.abs(response) ** 2 / smoothing.information(band.frequency))
+    return shapes
+
+
+def _with_floor(bands: Sequence[Band], shapes: Sequence[Floats], posterior: Posterior) -> list[Floats]:
+    """The shapes and white noise beneath: that of inputs, and all else that the chain's noise does not explain."""
+    theta = np.append(posterior.intercept, posterior.coef)
+    power = np.concatenate([np.abs(b.columns[:, -1] - b.columns[:, :-1] @ theta) ** 2 for b in bands])
+    floor = added_floor(power, np.concatenate(shapes), np.concatenate([b.count for b in bands]))
+    least = LEAST_FLOOR * float(power.mean())
+    return [shape + max(floor, least) * band.gain**2 for shape, band in zip(shapes, bands, strict=True)]
+
+
 def weighted_gram(
-    rows: Sequence[tuple[Floats, Floats]],
+    pieces: Sequence[Piece],
     names: tuple[str, ...],
     smoothing: ChainSmoothing,
     limit: float,
@@ -63,8 +135,8 @@ def weighted_gram(
 
     Parameters
     ----------
-    rows : sequence of (D, y)
-        Dictionary (n, P) on smoothed states and smoothed target (n,) of each uninterrupted piece.
+    pieces : sequence of Piece
+        Uninterrupted pieces of the records.
     names : tuple of str
         The P columns.
     smoothing : ChainSmoothing
@@ -83,22 +155,21 @@ def weighted_gram(
     """
     fs = smoothing.fs
     assert fs is not None
-    bands = [
-        to_band(
-            D, y, fs, limit, smoothing.gain(np.asarray(np.fft.rfftfreq(len(y), 1.0 / fs), dtype=np.float64)), inputs
-        )
-        for D, y in rows
-    ]
+    bands = [to_band(piece.D, piece.y, fs, limit, gains_of(piece.y, smoothing), inputs) for piece in pieces]
     gram = band_gram(bands, names)
     if gram.dof < LEAST_PER_TERM * len(names):
         return None
+    shapes = _noise_shapes(pieces, bands, smoothing)
     spectrum: list[Floats] | None = None
     coef: Floats | None = None
     for _ in range(PILOTS):
         posterior = _pilot(band_gram(bands, names, spectrum, noise, coef))
         coef = posterior.coef
-        spectrum = residual_spectrum(bands, coef, posterior.intercept)
-    return InBand(band_gram(bands, names, spectrum, noise, coef), limit)
+        known = _with_floor(bands, shapes, posterior)
+        spectrum = residual_spectrum(bands, coef, posterior.intercept, known)
+    assert spectrum is not None
+    gram = band_gram(bands, names, spectrum, noise, coef)
+    return InBand(gram, limit, tuple(bands), tuple(spectrum), noise or {})
 
 
 def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gram:

@@ -47,26 +47,34 @@ class ChainSmoothing:
     noise_ratio : float
         Noise of the noisiest measured state (all derivatives but the highest, unless that alone is measured), over the
         standard deviation of its channel.
+    unit_gains : (K+1,) array
+        Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies.
     """
 
     model: KinematicModel
     fs: float | None
     noise_ratio: float
+    unit_gains: Floats
+
+    def information(self, frequency: Floats) -> Floats:
+        """J(f), the inverse variance of the noise in the coordinate at frequencies [Hz]: sum of omega^(2k)/R_k."""
+        fs = 1.0 if self.fs is None else self.fs
+        omega = np.maximum(2.0 * np.pi * np.asarray(frequency), 1e-6 * fs)
+        out = np.zeros_like(omega)
+        for k, sd in enumerate(self.model.noise_sd):
+            if sd is not None:
+                out += omega ** (2 * k) / sd**2
+        return out
 
     def gain(self, frequency: Floats) -> Floats:
         """Gain of the smoother at frequencies [Hz], the same for all derivatives: signal over signal and noise.
 
-        The Wiener gain S/(S + 1/J) of uniform sampling, where S = Q/(dt omega^(2(m-K))) is the density of the highest
-        derivative under the model and J = sum of 1/(omega^(2(K-k)) R_k) the information of the channels k on it.
+        The Wiener gain S/(S + 1/J) of uniform sampling, where S = Q/(dt omega^(2m)) is the density of the coordinate
+        under the model and J the information of the channels on it.
         """
         fs = 1.0 if self.fs is None else self.fs
         omega = np.maximum(2.0 * np.pi * np.asarray(frequency), 1e-6 * fs)
-        top = len(self.model.noise_sd) - 1
-        information = np.zeros_like(omega)
-        for k, sd in enumerate(self.model.noise_sd):
-            if sd is not None:
-                information += 1.0 / (omega ** (2 * (top - k)) * sd**2)
-        signal = self.model.spectral_density * fs / omega ** (2 * (self.model.order - top)) * information
+        signal = self.model.spectral_density * fs / omega ** (2 * self.model.order) * self.information(frequency)
         return np.asarray(signal / (1.0 + signal))
 
     @property
@@ -193,7 +201,7 @@ def smooth_chain(
     for k in states:
         samples = np.concatenate([np.asarray(s.channels[k]) for s in series])
         ratio = max(ratio, float(model.noise_sd[k] or 0.0) * abs(gains[k]) / float(np.nanstd(samples)))
-    return means, ChainSmoothing(model, _rate(series), ratio)
+    return means, ChainSmoothing(model, _rate(series), ratio, gains)
 
 
 def _in_units(series: ChainSeries, gains: Floats) -> ChainSeries:

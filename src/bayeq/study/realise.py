@@ -16,13 +16,13 @@ from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.records import Truth
 from bayeq.spectral import noise_floor
-from bayeq.states import Smooth, States, derive_all, parse_chains
+from bayeq.states import Chain, Smooth, States, derive_all, parse_chains
 from bayeq.study.algorithms import ALGORITHMS
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
 from bayeq.study.metrics import measure
 from bayeq.study.result import Result
 from bayeq.systems import System, get_system, simulate
-from bayeq.weighting import weighted_gram
+from bayeq.weighting import Piece, weighted_gram
 
 __all__ = ["Realisation", "Task", "draw", "realise"]
 
@@ -109,13 +109,13 @@ def draw(config: StudyConfig, system: str, index: int) -> Realisation:
     states = [derive_all([part], chains, known.inputs, cast(Smooth, config.smooth))[0] for part in parts]
     D = [evaluate_terms(terms, part.columns) for part in states]
     test = Gram.from_data(D[1], states[1].measured.get(target, states[1].columns[target]), names)
-    train = _in_band(states[0], D[0], target, names, known.inputs)
+    train = _in_band(states[0], D[0], chains[0], names, known.inputs)
     if train is None:
         train = Gram.from_data(D[0], states[0].columns[target], names)
     return Realisation(train=train, test=test, truth=truth)
 
 
-def _in_band(states: States, D: Floats, target: str, names: tuple[str, ...], inputs: tuple[str, ...]) -> Gram | None:
+def _in_band(states: States, D: Floats, chain: Chain, names: tuple[str, ...], inputs: tuple[str, ...]) -> Gram | None:
     """The weighted Gram of the band, where the record was smoothed."""
     smoothing = states.smoothing[0] if states.smoothing else None
     if smoothing is None or smoothing.fs is None:
@@ -123,7 +123,10 @@ def _in_band(states: States, D: Floats, target: str, names: tuple[str, ...], inp
     columns = [j for j, name in enumerate(names) if name in inputs]
     floors = {j: noise_floor([states.columns[names[j]]]) for j in columns}
     noise = {j: floor for j, floor in floors.items() if floor is not None}
-    found = weighted_gram([(D, states.columns[target])], names, smoothing, smoothing.limit, columns, noise)
+    own = np.column_stack([states.columns[name] for name in chain.states])
+    driven = np.column_stack([np.empty((len(D), 0)), *(states.columns[name] for name in inputs)])
+    piece = Piece(D, states.columns[chain.target], own, driven)
+    found = weighted_gram([piece], names, smoothing, smoothing.limit, columns, noise)
     return None if found is None else found.gram
 
 

@@ -1,0 +1,146 @@
+"""Covariance of coefficients by propagation of the measured noise through smoother and equation.
+
+In the band regression the residual's spectrum is known, but the residual is not stationary: an error of the
+displacement acts through the stiffness at the displacement of the moment, and where that is large, x**3 is. Here noise
+of the levels that the smoother has found is drawn, smoothed as the channels were, put through the equation and
+projected onto its terms as the true residual is. That gives the covariance of the projections, and by it that of the
+coefficients (the sandwich form, with its filling from the known noise instead of from the residuals).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary import evaluate_terms
+from bayeq.expressions import Expression
+from bayeq.posterior import Posterior
+from bayeq.spectral import to_band
+from bayeq.states import Chain, ChainSmoothing
+from bayeq.weighting import InBand, gains_of
+
+__all__ = ["propagated_covariance"]
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+# Independent projections that the covariance is estimated from: a standard deviation errs by 5 %.
+PROJECTIONS = 200
+
+# Projections of stretches of so many rows count as independent.
+STRETCH = 2000
+
+
+def propagated_covariance(
+    in_band: InBand,
+    posterior: Posterior,
+    terms: Sequence[Expression],
+    pieces: Sequence[Mapping[str, Floats]],
+    chains: Sequence[Chain],
+    smoothings: Sequence[ChainSmoothing],
+    which: int,
+    inputs: Sequence[str],
+) -> Floats:
+    """Covariance of the included coefficients.
+
+    Parameters
+    ----------
+    in_band : InBand
+        The regression.
+    posterior : Posterior
+        Its answer, r terms included.
+    terms : sequence of Expression
+        The P candidates.
+    pieces : sequence of mapping of str to (n,) array
+        Smoothed states and inputs of each piece.
+    chains, smoothings : sequences
+        All chains and how they were smoothed.
+    which : int
+        The chain whose target is meant.
+    inputs : sequence of str
+        Measured inputs; those whose noise is not known add none, but the level of the whole is that of the residuals.
+
+    Returns
+    -------
+    (r, r) array
+        H^-1 M H^-1: H the sums of squares and products of the weighted columns, M the covariance of their products with
+        the residual.
+    """
+    kept = np.flatnonzero(posterior.support)
+    chosen = [terms[int(j)] for j in kept]
+    theta = posterior.coef[kept]
+    own = smoothings[which]
+    target = chains[which].target
+    driven = [i for i, term in enumerate(chosen) if term.names & set(inputs)]
+    noisy = {terms[j].text: float(np.sqrt(variance)) for j, variance in in_band.noise.items()}
+    rng = np.random.default_rng(0)
+    H, M = np.zeros((len(kept) + 1,) * 2), np.zeros((len(kept) + 1,) * 2)
+    drawn = found = 0.0
+    for piece, band, spectrum in zip(pieces, in_band.bands, in_band.spectrum, strict=True):
+        n = len(piece[target])
+        root = np.sqrt(1.0 / spectrum)
+        X = _in_time(band.columns[:, np.append(0, kept + 1)], root, n)
+        H += X.T @ X
+        residual = band.columns[:, -1] - band.columns[:, np.append(0, kept + 1)] @ np.append(posterior.intercept, theta)
+        stretches = max(n // STRETCH, 1)
+        edges = (np.arange(stretches) * n) // stretches
+        count = -(-PROJECTIONS // stretches)
+        base = evaluate_terms(chosen, piece)
+        level = 0.0
+        filling = np.zeros_like(M)
+        for _ in range(count):
+            errors = _errors(piece, chains, smoothings, noisy, rng)
+            moved = {name: piece[name] + error for name, error in errors.items() if name != target}
+            difference = evaluate_terms(chosen, {**piece, **moved}) - base
+            columns = to_band(
+                difference, errors[target], _rate(own), in_band.limit, gains_of(errors[target], own), driven
+            ).columns
+            e = columns[:, -1] - columns[:, 1:-1] @ theta
+            level += float(band.count @ (np.abs(e * root) ** 2)) / count
+            scores = np.add.reduceat(X * _in_time(e[:, None], root, n), edges, axis=0)
+            filling += scores.T @ scores / count
+        M += filling
+        drawn += level
+        found += float(band.count @ (np.abs(residual * root) ** 2))
+    inverse = np.linalg.inv(H)
+    covariance = (inverse @ M @ inverse)[1:, 1:] * (found / drawn)
+    return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def _rate(smoothing: ChainSmoothing) -> float:
+    assert smoothing.fs is not None
+    return smoothing.fs
+
+
+def _in_time(columns: Complexes, factor: Floats, n: int) -> Floats:
+    """Weighted bins as a signal of n rows, scaled so that sums over rows are those over bins."""
+    whole = np.zeros((n // 2 + 1, columns.shape[1]), dtype=np.complex128)
+    whole[: len(columns)] = columns * factor[:, None]
+    return np.asarray(np.fft.irfft(whole, n, axis=0) * np.sqrt(n))
+
+
+def _errors(
+    piece: Mapping[str, Floats],
+    chains: Sequence[Chain],
+    smoothings: Sequence[ChainSmoothing],
+    inputs: Mapping[str, float],
+    rng: np.random.Generator,
+) -> dict[str, Floats]:
+    """Errors that noise makes in the smoothed derivatives of all chains, and noise of the inputs."""
+    out: dict[str, Floats] = {}
+    for chain, smoothing in zip(chains, smoothings, strict=True):
+        n = len(piece[chain.target])
+        frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / _rate(smoothing)), dtype=np.float64)
+        s = 2j * np.pi * np.maximum(frequency, 1e-6 * _rate(smoothing))
+        coordinate = np.zeros(len(frequency), dtype=np.complex128)
+        for k, sd in enumerate(smoothing.model.noise_sd):
+            if sd is not None:
+                coordinate += (-s) ** k * np.fft.rfft(rng.standard_normal(n)) / sd
+        coordinate *= smoothing.gain(frequency) / smoothing.information(frequency)
+        for k, name in enumerate(chain.names):
+            out[name] = np.fft.irfft(smoothing.unit_gains[k] * s**k * coordinate, n)
+    for name, sd in inputs.items():
+        out[name] = sd * rng.standard_normal(len(piece[name]))
+    return out
