@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import RecordError
-from bayeq.expressions import Binary, Expression, Symbol, Tape
+from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape
 from bayeq.integrate import local_errors
 from bayeq.posterior import Posterior
 from bayeq.records import Record
 from bayeq.states import Chain
 
-__all__ = ["Dynamics", "finest_step", "require_time"]
+__all__ = ["Dynamics", "finest_step", "normal_draws", "require_time"]
 
 Floats = NDArray[np.float64]
 
@@ -39,43 +40,55 @@ class Dynamics:
         Names of the inputs.
     terms : tuple of tuples of Expression
         The terms of each equation.
+    intercepts : tuple of bool
+        Equations that have an intercept.
     tape : Tape
         Of states, inputs and parameters; its outputs are the states' derivatives. The parameters are, equation by
-        equation, the intercept and the coefficients of the terms.
+        equation, the intercept (if there is one) and the coefficients of the terms.
     """
 
     chains: tuple[Chain, ...]
     inputs: tuple[str, ...]
     terms: tuple[tuple[Expression, ...], ...]
+    intercepts: tuple[bool, ...]
     tape: Tape
 
     @classmethod
-    def compile(cls, chains: Sequence[Chain], inputs: Sequence[str], terms: Sequence[Sequence[Expression]]) -> Dynamics:
-        """Write the right-hand sides on a tape; nothing is compiled to machine code for them."""
+    def of(
+        cls,
+        chains: Sequence[Chain],
+        inputs: Sequence[str],
+        posteriors: Sequence[Posterior],
+        terms: Sequence[Sequence[Expression]],
+        intercepts: Sequence[bool] | None = None,
+    ) -> Dynamics:
+        """From the terms that posteriors include; nothing is compiled to machine code for them.
+
+        Parameters
+        ----------
+        chains, inputs
+            As the attributes.
+        posteriors, terms
+            Of each equation, with all candidates.
+        intercepts : sequence of bool, optional
+            By default all have one.
+        """
+        kept = [tuple(compress(all_, p.support)) for all_, p in zip(terms, posteriors, strict=True)]
+        constant = (True,) * len(kept) if intercepts is None else tuple(intercepts)
         right: list[Expression] = []
         parameters: list[str] = []
-        for k, (chain, members) in enumerate(zip(chains, terms, strict=True)):
+        for k, (chain, members) in enumerate(zip(chains, kept, strict=True)):
             right += [Expression(Symbol(name)) for name in chain.states[1:]]
             # names that no channel can have
             names = [f"theta[{k},{j}]" for j in range(len(members) + 1)]
-            total: Symbol | Binary = Symbol(names[0])
+            total: Node = Symbol(names[0]) if constant[k] else Number(0)
             for name, term in zip(names[1:], members, strict=True):
                 total = Binary("+", total, Binary("*", Symbol(name), term.tree))
             right.append(Expression(total))
-            parameters += names
+            parameters += names[not constant[k] :]
         states = [name for chain in chains for name in chain.states]
         tape = Tape.compile(right, [*states, *inputs, *parameters])
-        return cls(tuple(chains), tuple(inputs), tuple(tuple(members) for members in terms), tape)
-
-    @classmethod
-    def of(cls, chains: Sequence[Chain], inputs: Sequence[str], posteriors: Sequence[Posterior],
-           terms: Sequence[Sequence[Expression]]) -> Dynamics:  # fmt: skip
-        """From the terms that posteriors include."""
-        kept = [
-            [term for term, inside in zip(members, posterior.support, strict=True) if inside]
-            for members, posterior in zip(terms, posteriors, strict=True)
-        ]
-        return cls.compile(chains, inputs, kept)
+        return cls(tuple(chains), tuple(inputs), tuple(kept), constant, tape)
 
     @cached_property
     def states(self) -> tuple[str, ...]:
@@ -96,18 +109,38 @@ class Dynamics:
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return sum(len(members) + 1 for members in self.terms)
+        return sum(map(len, self.terms)) + sum(self.intercepts)
 
     def blocks(self) -> Iterator[slice]:
         """Where the parameters of each equation stand."""
         start = 0
-        for members in self.terms:
-            yield slice(start, start + len(members) + 1)
-            start += len(members) + 1
+        for members, constant in zip(self.terms, self.intercepts, strict=True):
+            end = start + constant + len(members)
+            yield slice(start, end)
+            start = end
 
     def means(self, posteriors: Sequence[Posterior]) -> Floats:
         """Posterior means of the parameters, (p,)."""
-        return np.concatenate([np.append(p.intercept, p.coef[p.support]) for p in posteriors])
+        return np.concatenate(
+            [
+                np.append(p.intercept, p.coef[p.support])[not constant :]
+                for p, constant in zip(posteriors, self.intercepts, strict=True)
+            ]
+        )
+
+    def covariance(self, posteriors: Sequence[Posterior]) -> Floats:
+        """Posterior covariance of the parameters given the terms, (p, p); equations are independent."""
+        out = np.zeros((self.size, self.size))
+        for block, p, constant in zip(self.blocks(), posteriors, self.intercepts, strict=True):
+            # intercept = mean(y) - center'theta, where mean(y) has variance sigma^2/n
+            carried = p.covariance @ p.center[p.support]
+            whole = np.block([[np.array([[p.intercept_sd**2]]), -carried], [-carried[:, None], p.covariance]])
+            out[block, block] = whole[not constant :, not constant :]
+        return out
+
+    def draw(self, posteriors: Sequence[Posterior], count: int, rng: np.random.Generator) -> Floats:
+        """Parameters from their normal posterior given the terms, (count, p)."""
+        return normal_draws(self.means(posteriors), self.covariance(posteriors), count, rng)
 
     def registers(self, parameters: Floats | None = None) -> Floats:
         """Fresh registers of the tape, with these parameters."""
@@ -116,6 +149,15 @@ class Dynamics:
             first = len(self.states) + len(self.inputs)
             registers[first : first + self.size] = parameters
         return registers
+
+
+def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Generator) -> Floats:
+    """Draws of a normal distribution, (count, p), whose covariance may be singular or badly scaled."""
+    sd = np.sqrt(np.diagonal(covariance))
+    scale = np.where(sd > 0, sd, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    half = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(mean + rng.standard_normal((count, len(mean))) @ half.T)
 
 
 def require_time(record: Record, purpose: str) -> Floats:
@@ -136,6 +178,10 @@ def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, inputs: 
 
     Parameters
     ----------
+    dynamics : Dynamics
+        The right-hand side.
+    parameters : (p,) array
+        Its parameters.
     states : (n, d) array
         Where steps are tried; rows that are not finite are left out of the judgement.
     inputs : (n, m, 4) array

@@ -119,7 +119,7 @@ def _interval(
 @kernel
 def steps_between(dt: float, step: float) -> int:
     """Equal steps that divide an interval `dt` so that none is longer than `step`, up to rounding."""
-    return max(1, int(math.ceil(dt / step - 1e-6)))
+    return max(1, math.ceil(dt / step - 1e-6))
 
 
 @kernel
@@ -161,10 +161,10 @@ def free_runs(
         Longest step [s].
     low, high : (states,) float arrays
         The range of the states; a run that leaves it, or is not finite, stops.
-    out : (n, runs, states) float array
+    out : (runs, n, states) float array
         Receives the states at the samples, NaN from where a run stopped.
     """
-    n, runs, states = out.shape
+    runs, n, states = out.shape
     first = states + inputs.shape[1]
     work = np.empty((STAGES, states))
     for run in range(runs):
@@ -179,10 +179,10 @@ def free_runs(
                         stopped[run] = row + 1
             if stopped[run] > 0:
                 for i in range(states):
-                    out[row, run, i] = math.nan
+                    out[run, row, i] = math.nan
                 continue
             for i in range(states):
-                out[row, run, i] = work[0, i]
+                out[run, row, i] = work[0, i]
             if row < n - 1:
                 dt = time[row + 1] - time[row]
                 _interval(code, outputs, registers, inputs, row, dt, steps_between(dt, step), work)

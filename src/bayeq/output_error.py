@@ -1,39 +1,49 @@
-"""Output-error estimation: the parameters whose free run comes closest to what was measured, and how well they are known.
+"""Output-error estimation: parameters whose free run comes closest to what was measured, and how well they are known.
 
-Segments of multiple shooting set how long a run is free. The longer it is, the more it says about the parameters, until
-what drives it unseen (noise in a measured force) has grown beyond the noise of the channels. Hence segments are
-made longer, or shorter, as long as the covariance of the parameters gets smaller.
+The segments of multiple shooting set how long a run is free. Short ones are easy to fit from any start; long ones say
+more about the parameters, until what drives a run unseen (noise in a measured force, a model that is only nearly true)
+has taken it away from the record. So segments are made longer from fit to fit, and later rows decide which are taken.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.diagnostics import inspect_residuals
 from bayeq.shooting import Measured, Segments, Solution, minimise
 
-__all__ = ["OutputError", "output_error"]
+__all__ = ["OutputError", "Refinement", "Unrefined", "output_error"]
 
 Floats = NDArray[np.float64]
 
 # A run follows the record while it errs by less than this share of every channel's standard deviation.
 FOLLOWS = 0.5
 
-# The first segments: this many, fewer where they would have fewer rows than SHORTEST.
+# Segments at first, fewer where they would have fewer rows than SHORTEST; how much longer they are from fit to fit.
 FIRST = 16
 SHORTEST = 8
+LONGER = 4
 
-# Lengths tried after the best one before the search ends.
-PATIENCE = 2
+# The share of the rows, the last ones, that decides about the length of segments, given so many rows in all; free runs
+# over them are as good as each other if their errors differ by less than this factor.
+JUDGES = 0.25
+LEAST_ROWS = 200
+AS_GOOD = 1.05
+
+# Unseen forces show where the variance of the residuals exceeds that of the shortest segments by this share, and by
+# five standard errors.
+GROWTH = 0.2
 
 # Channels are weighted by the inverse of their residuals' rms, but as if that were at least this share of their spread.
 LEAST_NOISE = 1e-8
 
-# Relative decrease of the cost at which the fit of a length is done, and that of the last; rounds of weighting, and the
-# change of every weight at which they end.
+# Relative decrease of the cost at which a fit is done, and the last one; rounds of weighting at most, and the change
+# of every weight at which they end.
 ROUGHLY, FINELY = 1e-4, 1e-10
 MOST_ROUNDS = 20
 SAME_WEIGHT = 1e-3
@@ -44,6 +54,9 @@ BLOCK_ROWS = 8
 
 # Parameters are not told apart where the condition number of their scaled information exceeds this.
 SINGULAR = 1e13
+
+# Level of the test whether output error contradicts the regression.
+CONTRADICTED = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +77,8 @@ class OutputError:
         Free runs; one per record where they are longest.
     longest : int
         Rows of the longest.
-    steps : int
-        Steps taken in all.
     converged : bool
-        False if the last fit ended at its limit.
+        False if the last fit ended at its limit of steps.
     """
 
     parameters: Floats
@@ -76,18 +87,48 @@ class OutputError:
     start_sd: Floats
     segments: int
     longest: int
-    steps: int
     converged: bool
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    segments: Segments
-    found: Solution
-    log_volume: float
+@dataclass(frozen=True, slots=True)
+class Refinement:
+    """How equations were refined.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Names of the records.
+    n : int
+        Rows used.
+    segments, longest : int
+        Free runs, and the rows of the longest.
+    noise_sd : mapping of str to float
+        For each measured channel the standard deviation of what the free runs leave.
+    start_sd : mapping of str to (float or None)
+        The same before, initial states fitted; None if the free runs blew up.
+    converged : bool
+        Whether the fit ended by itself.
+    """
+
+    files: tuple[str, ...]
+    n: int
+    segments: int
+    longest: int
+    noise_sd: Mapping[str, float]
+    start_sd: Mapping[str, float | None]
+    converged: bool
 
 
-def output_error(measured: Measured, parameters: Floats, length: int | None = None) -> OutputError | None:
+@dataclass(frozen=True)
+class Unrefined:
+    """Why the parameters are better left as they are."""
+
+    reason: str
+
+
+def output_error(
+    measured: Measured, parameters: Floats, covariance: Floats, length: int | None = None
+) -> OutputError | Unrefined:
     """Parameters by output error, starting from those of a regression.
 
     Channels are weighted by the inverse of their residuals' standard deviation, by turns with the fit: the maximum
@@ -97,79 +138,128 @@ def output_error(measured: Measured, parameters: Floats, length: int | None = No
     ----------
     measured : Measured
         Records and the model.
-    parameters : (p,) array
-        Where to start.
+    parameters, covariance : (p,) and (p, p) arrays
+        Of the regression.
     length : int, optional
-        Rows of a segment; by default the length at which the parameters are known best.
+        Rows of a segment; by default the longest segments with which later rows are forecast as well as with any.
 
     Returns
     -------
-    OutputError or None
-        None if no free run follows the records, if the parameters cannot be told from each other, or if nothing was
-        found that fits better than the start.
+    OutputError or Unrefined
     """
-    trials = _search(measured, parameters, length)
-    if not trials:
-        return None
-    best = min(trials, key=lambda trial: trial.log_volume) if length is None else trials[-1]
-    segments = best.segments
-    found = _weighted(segments, best.found.parameters, best.found.starts, FINELY) or best.found
-    covariance = _covariance(segments, found)
+    choice = _choose(measured, parameters, covariance, length)
+    if isinstance(choice, Unrefined):
+        return choice
+    segments, start = choice
+    found = _weighted(segments, start, segments.starts(), FINELY)
+    if found is None:
+        return Unrefined("a free run left the range of the record")
+    spread = _covariance(segments, found)
+    if spread is None:
+        return Unrefined("the records do not determine all coefficients in a free run")
     before = _weighted(segments, parameters, segments.starts(), FINELY, fixed=True)
-    if covariance is None or (before is not None and _misfit(measured, before) < _misfit(measured, found)):
-        return None
+    if before is not None and _misfit(measured, before) < _misfit(measured, found):
+        return Unrefined("no coefficients were found whose free run comes closer to the records")
     return OutputError(
         parameters=found.parameters,
-        covariance=covariance,
+        covariance=spread,
         noise_sd=found.rms,
         start_sd=np.full(len(found.rms), np.inf) if before is None else before.rms,
         segments=segments.count,
         longest=segments.longest,
-        steps=sum(trial.found.steps for trial in trials) + found.steps,
         converged=found.converged,
     )
 
 
-def _search(measured: Measured, parameters: Floats, length: int | None) -> list[_Trial]:
-    """Fits of segments of several lengths; the last is as long as wanted, or as the runs can follow, if that is set."""
-    limit = float(measured.longest if length is None else length)
+def _choose(
+    measured: Measured, parameters: Floats, covariance: Floats, length: int | None
+) -> tuple[Segments, Floats] | Unrefined:
+    """Segments, and parameters to start from."""
+    judged = length is None and measured.rows >= LEAST_ROWS
+    fitted = measured.part(0.0, 1.0 - JUDGES) if judged else measured
+    fits = _fits(fitted, parameters, float(fitted.longest if length is None else length))
+    if not fits:
+        return Unrefined("no free run follows the records")
+    if not judged:
+        return Segments(measured, fits[-1][0].length), fits[-1][1].parameters
+    later = measured.part(1.0 - JUDGES, 1.0)
+    errors = [_forecast_error(later, found.parameters) for _, found in fits]
+    disturbed = [_disturbed(found.rms, fits[0][1].rms, fitted.rows) for _, found in fits]
+    k = _longest_useful(disturbed, errors)
+    segments, found = fits[k]
+    before = _forecast_error(later, parameters)
+    if before * AS_GOOD < errors[k]:
+        return Unrefined("coefficients whose free run is closer to the records forecast later rows worse")
+    if before <= errors[k] * AS_GOOD:
+        if disturbed[-1] or segments.longest < fitted.longest:
+            return Unrefined(
+                "forces that were not measured, or not exactly, take the free runs away from the records, and nothing"
+                " was found that forecasts later rows better"
+            )
+        if _as_well_known(segments, found, parameters, covariance):
+            return Unrefined("free runs determine the coefficients no better than the regression did")
+    whole = segments.longest >= fitted.longest
+    return Segments(measured, float(measured.longest) if whole else segments.length), found.parameters
+
+
+def _disturbed(rms: Floats, least: Floats, rows: int) -> bool:
+    """Whether residuals exceed those of the shortest segments: unseen forces, or a model that is only nearly true."""
+    return bool((rms**2 > (1.0 + max(GROWTH, 5.0 * math.sqrt(2.0 / rows))) * least**2).any())
+
+
+def _longest_useful(disturbed: list[bool], errors: list[float]) -> int:
+    """The longest segments that forecast as well as any; where disturbed, only if they forecast better."""
+    chosen = 0
+    for k in range(1, len(errors)):
+        if errors[k] * AS_GOOD < errors[chosen] or (not disturbed[k] and errors[k] <= AS_GOOD * min(errors)):
+            chosen = k
+    return chosen
+
+
+def _fits(measured: Measured, parameters: Floats, limit: float) -> list[tuple[Segments, Solution]]:
+    """Fits of segments that get longer, up to the limit or as long as their runs follow the records."""
     rows = min(max(measured.longest / FIRST, SHORTEST), limit)
-    first = _trial(measured, parameters, rows)
+    first = _fit(measured, parameters, rows)
     while first is None and rows >= 2 * SHORTEST:  # the regression follows for a shorter time only
         rows /= 2
-        first = _trial(measured, parameters, rows)
-    if first is None:
-        return []
-    trials, worse, longer = [first], 0, rows
-    while longer < limit and (worse < PATIENCE or length is not None):
-        longer = min(2 * longer, limit)
-        trial = _trial(measured, trials[-1].found.parameters, longer)
-        if trial is None:
+        first = _fit(measured, parameters, rows)
+    fits = []
+    while first is not None:
+        fits.append(first)
+        if rows >= limit:
             break
-        worse = 0 if all(trial.log_volume < t.log_volume for t in trials) else worse + 1
-        trials.append(trial)
-    shorter = length is None and all(first.log_volume <= t.log_volume for t in trials)
-    last = first
-    while shorter and rows >= 2 * SHORTEST:
-        rows /= 2
-        trial = _trial(measured, last.found.parameters, rows)
-        shorter = trial is not None and trial.log_volume < last.log_volume
-        if trial is not None and shorter:
-            trials.append(trial)
-            last = trial
-    return trials
+        rows = min(LONGER * rows, limit)
+        first = _fit(measured, first[1].parameters, rows)
+    return fits
 
 
-def _trial(measured: Measured, parameters: Floats, length: float) -> _Trial | None:
-    """Fit of one length; None if its runs do not follow the records, or do not determine the parameters."""
+def _fit(measured: Measured, parameters: Floats, length: float) -> tuple[Segments, Solution] | None:
     segments = Segments(measured, length)
     found = _weighted(segments, parameters, segments.starts(), ROUGHLY)
     if found is None or (found.rms > FOLLOWS * measured.spread).any():
         return None
-    covariance = _covariance(segments, found)
-    if covariance is None:
-        return None
-    return _Trial(segments, found, float(np.linalg.slogdet(covariance)[1]))
+    return segments, found
+
+
+def _forecast_error(measured: Measured, parameters: Floats) -> float:
+    """Geometric mean over the channels of the rms error of free runs, initial states fitted."""
+    segments = Segments(measured, float(measured.longest))
+    found = _weighted(segments, parameters, segments.starts(), ROUGHLY, fixed=True)
+    if found is None:
+        return math.inf
+    return float(np.exp(-np.mean(np.log(_weights(measured, found.rms)))))
+
+
+def _as_well_known(segments: Segments, found: Solution, parameters: Floats, covariance: Floats) -> bool:
+    """Whether the regression is at least as precise, and not contradicted (Hausman 1978)."""
+    from scipy.stats import chi2
+
+    ours = _covariance(segments, found)
+    if ours is None:
+        return True
+    change = found.parameters - parameters
+    contradicted = change @ np.linalg.solve(ours, change) > chi2.ppf(CONTRADICTED, len(change))
+    return bool(np.linalg.slogdet(covariance)[1] <= np.linalg.slogdet(ours)[1] and not contradicted)
 
 
 def _weighted(
@@ -177,17 +267,15 @@ def _weighted(
 ) -> Solution | None:
     """`minimise` with weights that follow from its residuals."""
     weights = _weights(segments.measured, segments.measured.spread)
-    steps = 0
+    found = minimise(segments, parameters, starts, weights, tolerance, fixed)
     for _ in range(MOST_ROUNDS):
-        found = minimise(segments, parameters, starts, weights, tolerance, fixed)
         if found is None:
             return None
-        steps += found.steps
-        parameters, starts = found.parameters, found.starts
         former, weights = weights, _weights(segments.measured, found.rms)
         if (np.abs(former / weights - 1.0) < SAME_WEIGHT).all():
             break
-    return replace(found, steps=steps)
+        found = minimise(segments, found.parameters, found.starts, weights, tolerance, fixed)
+    return found
 
 
 def _weights(measured: Measured, rms: Floats) -> Floats:
@@ -203,15 +291,13 @@ def _covariance(segments: Segments, found: Solution) -> Floats | None:
     """Covariance of the parameters, initial states eliminated; None if they cannot be told apart.
 
     Residuals that are correlated in time make (J'J)^-1 too small: between two of them stands the sum over blocks of the
-    outer products of J'r, which needs blocks longer than the correlation.
+    outer products of J'r, for blocks that are longer than the correlation.
     """
     runs = segments.run(found.parameters, found.starts)
     assert runs is not None
     measured = segments.measured
     weights = _weights(measured, found.rms)
     d, p = found.starts.shape[1], len(found.parameters)
-    rows = sum(len(r) for r, _ in runs)
-    sandwich = rows >= BLOCKS * BLOCK_ROWS
     per_segment = max(1, math.ceil(BLOCKS / segments.count))
     information, scores = np.zeros((p, p)), []
     for r, jacobian in runs:
@@ -231,9 +317,11 @@ def _covariance(segments: Segments, found: Solution) -> Floats | None:
     inverse = np.linalg.inv(scaled)
     samples = int(measured.samples.sum())
     factor = samples / max(samples - p - found.starts.size, 1)
-    if sandwich:
+    if measured.rows >= BLOCKS * BLOCK_ROWS and any(
+        inspect_residuals([r[:, c] for r, _ in runs]).correlated for c in range(len(weights))
+    ):
         blocks = np.concatenate(scores) * scale
-        factor *= len(blocks) / (len(blocks) - 1)
+        factor *= len(blocks) / max(len(blocks) - p, 1)
         inverse = inverse @ (blocks.T @ blocks) @ inverse
     covariance = factor * inverse * np.outer(scale, scale)
     return np.asarray(0.5 * (covariance + covariance.T))

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ from bayeq.tangent import shoot
 __all__ = ["Measured", "Piece", "Segments", "Solution", "minimise"]
 
 Floats = NDArray[np.float64]
+
+# Residuals (n, m) and derivatives (n, m, d + p) of each segment.
+Runs: TypeAlias = list[tuple[Floats, Floats]]
 
 # Derivatives beyond this have no square in floating point.
 LARGEST = 1e140
@@ -83,6 +87,20 @@ class Measured:
         return max(len(piece.time) for piece in self.pieces)
 
     @cached_property
+    def rows(self) -> int:
+        """Rows of all pieces."""
+        return sum(len(piece.time) for piece in self.pieces)
+
+    def part(self, first: float, last: float) -> Measured:
+        """Rows of each piece from one share of them to another."""
+        cut = []
+        for piece in self.pieces:
+            n = len(piece.time)
+            rows = slice(round(first * n), round(last * n))
+            cut.append(Piece(piece.time[rows], piece.inputs[rows], piece.states[rows], piece.channels[rows]))
+        return replace(self, pieces=cut)
+
+    @cached_property
     def samples(self) -> NDArray[np.intp]:
         """Measured samples of each channel, (m,)."""
         return np.asarray(np.sum([np.isfinite(piece.channels).sum(axis=0) for piece in self.pieces], axis=0))
@@ -131,7 +149,7 @@ class Segments:
         """Initial states as the pieces have them, (K, d)."""
         return np.array([piece.states[a] for piece, a, _ in self.bounds])
 
-    def run(self, parameters: Floats, starts: Floats) -> list[tuple[Floats, Floats]] | None:
+    def run(self, parameters: Floats, starts: Floats) -> Runs | None:
         """Residuals (n, m), 0 where a sample is missing, and derivatives (n, m, d + p) of each segment's channels.
 
         None if a run leaves the range.
@@ -154,6 +172,11 @@ class Segments:
                 jacobian[~present] = 0.0
             out.append((np.where(present, samples - values, 0.0), jacobian))
         return out
+
+    def rms(self, runs: Runs) -> Floats:
+        """Root mean square of each channel's residuals, (m,)."""
+        squares = np.sum([np.einsum("nm,nm->m", r, r) for r, _ in runs], axis=0)
+        return np.asarray(np.sqrt(squares / np.maximum(self.measured.samples, 1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +210,7 @@ def minimise(
     Parameters
     ----------
     segments : Segments
+        Free runs and what they are fitted to.
     parameters, starts : (p,) and (K, d) arrays
         Where to start.
     weights : (m,) array
@@ -224,13 +248,13 @@ def minimise(
     return Solution(parameters, starts, rms, steps, converged)
 
 
-def _cost(segments: Segments, runs: Sequence[tuple[Floats, Floats]], weights: Floats) -> tuple[float, Floats]:
+def _cost(segments: Segments, runs: Runs, weights: Floats) -> tuple[float, Floats]:
     """Weighted sum of squares, and the rms of each channel's residuals."""
-    squares = np.sum([np.einsum("nm,nm->m", r, r) for r, _ in runs], axis=0)
-    return float(weights**2 @ squares), np.sqrt(squares / segments.measured.samples)
+    rms = segments.rms(runs)
+    return float(segments.measured.samples @ (weights * rms) ** 2), rms
 
 
-def _normal(runs: Sequence[tuple[Floats, Floats]], weights: Floats) -> tuple[Floats, Floats]:
+def _normal(runs: Runs, weights: Floats) -> tuple[Floats, Floats]:
     """J'J and J'r of each segment, (K, d + p, d + p) and (K, d + p)."""
     H, g = [], []
     for r, jacobian in runs:
