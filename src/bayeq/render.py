@@ -16,6 +16,7 @@ from bayeq.diagnostics import Residuals
 from bayeq.equation import Equation, round_to
 from bayeq.equations import Equations
 from bayeq.inference import ENGINES
+from bayeq.output_error import Refinement
 from bayeq.parsimony import percent
 
 __all__ = ["render"]
@@ -23,6 +24,9 @@ __all__ = ["render"]
 # Candidates that are not included are listed from this PIP on.
 NOTEWORTHY_PIP = 0.01
 PLAIN_WIDTH = 110
+
+# An intercept of zero that is known so well was not estimated.
+NOTHING = 1e-100
 
 # What is told of residuals, if it had a smaller probability by chance.
 DOUBTFUL = 1e-3
@@ -44,6 +48,8 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
     if eq.data.estimated:
         how = "smoothing" if eq.smooth == "auto" else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
+    if eq.refined:
+        console.print(escape(_refined(eq.refined)))
     if eq.constraints:
         console.print(f"constraints: {escape('; '.join(eq.constraints))}")
     for message in eq.warnings if with_warnings else ():
@@ -51,6 +57,16 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
     lines = [line.rstrip() for line in buffer.getvalue().rstrip().splitlines()]
     # tables bring empty lines of their own
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
+
+
+def _refined(r: Refinement) -> str:
+    """How the coefficients were refined, in a line."""
+    runs = "a free run" if r.segments == 1 else f"{r.segments} free runs"
+    left = []
+    for name, sd in r.noise_sd.items():
+        before = r.start_sd[name]
+        left.append(f"{name} {sd:.3g} ({'blew up' if before is None else f'{before:.3g}'} before)")
+    return f"coefficients refined by output error: {runs} of up to {r.longest} rows, leaving sd {', '.join(left)}"
 
 
 def _render_equation(console: Console, equation: Equation, method: str, terminal: bool) -> None:
@@ -146,6 +162,8 @@ def _rows(equation: Equation) -> list[tuple[Any, ...]]:
             rows.append((escape(term.text), round_to(p.coef[j], sd[j]), f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
         else:
             rows.append((escape(term.text), "not included", "", "", f"{p.pip[j]:.3f}"))
+    if p.intercept == 0.0 and p.intercept_sd < NOTHING:
+        return [*rows, ("intercept", "none", "", "", "")]
     low, high = equation.intercept_ci95
     spread = p.intercept_sd
     interval = f"{round_to(low, spread)} .. {round_to(high, spread)}"

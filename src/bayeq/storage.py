@@ -23,6 +23,7 @@ from bayeq.equation import Equation, Fit, RunnerUp
 from bayeq.equations import DataSummary, Equations
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.expressions import parse
+from bayeq.output_error import Refinement
 from bayeq.posterior import ModelAverage, Posterior
 from bayeq.states import parse_chain
 
@@ -54,6 +55,7 @@ def to_dict(eq: Equations) -> dict[str, Any]:
             "warnings": list(eq.warnings),
             "dropped_terms": [asdict(d) for d in eq.dropped],
             **({"constraints": list(eq.constraints)} if eq.constraints else {}),
+            **({"refined": asdict(eq.refined)} if eq.refined else {}),
             "equations": {equation.target: _diagnostics(equation) for equation in eq.equations},
         },
     }
@@ -246,6 +248,21 @@ def _restore(content: Mapping[str, Any]) -> Equations:
         dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
         warnings=tuple(str(w) for w in diagnostics["warnings"]),
         constraints=tuple(str(c) for c in diagnostics.get("constraints", ())),
+        refined=_restored_refinement(diagnostics.get("refined")),
+    )
+
+
+def _restored_refinement(saved: Mapping[str, Any] | None) -> Refinement | None:
+    if saved is None:
+        return None
+    return Refinement(
+        files=tuple(str(name) for name in saved["files"]),
+        n=int(saved["n"]),
+        segments=int(saved["segments"]),
+        longest=int(saved["longest"]),
+        noise_sd={str(name): float(sd) for name, sd in saved["noise_sd"].items()},
+        start_sd={str(name): None if sd is None else float(sd) for name, sd in saved["start_sd"].items()},
+        converged=bool(saved["converged"]),
     )
 
 
