@@ -30,6 +30,7 @@ from bayeq.errors import (
     TermWarning,
     UnknownNameError,
 )
+from bayeq.forecast.score import held_out_scores
 from bayeq.gram import Gram
 from bayeq.inference import ENGINES, Prior
 from bayeq.inference.path import partial_shares
@@ -239,6 +240,9 @@ def discover(
         dropped=design.dropped,
         warnings=tuple(message for message, _ in notes.collected),
         constraints=tuple(known),
+        scores=held_out_scores(
+            parsed, all_inputs, [e.posterior for e in equations], [e.terms for e in equations], pieces, states, share
+        ),
     )
 
 

@@ -15,8 +15,8 @@ from rich.table import Table
 from bayeq.diagnostics import Residuals
 from bayeq.equation import Equation, round_to
 from bayeq.equations import Equations
+from bayeq.forecast.results import Scores, percentages
 from bayeq.inference import ENGINES
-from bayeq.output_error import Refinement
 from bayeq.parsimony import percent
 
 __all__ = ["render"]
@@ -41,7 +41,7 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
         highlight=False, soft_wrap=True,
     )  # fmt: skip
     for equation in eq.equations:
-        _render_equation(console, equation, eq.method, terminal)
+        _render_equation(console, equation, eq.method, eq.scores, terminal)
     names = [name for name in eq.data.files if name]
     source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
     console.print(f"{eq.data.n} rows{source}, {eq.data.n_train} used; method: {ENGINES[eq.method].title}")
@@ -49,7 +49,7 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
         how = "smoothing" if eq.smooth == "auto" else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
     if eq.refined:
-        console.print(escape(_refined(eq.refined)))
+        console.print(escape(str(eq.refined)))
     if eq.constraints:
         console.print(f"constraints: {escape('; '.join(eq.constraints))}")
     for message in eq.warnings if with_warnings else ():
@@ -59,17 +59,7 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
 
 
-def _refined(r: Refinement) -> str:
-    """How the coefficients were refined, in a line."""
-    runs = "a free run" if r.segments == 1 else f"{r.segments} free runs"
-    left = []
-    for name, sd in r.noise_sd.items():
-        before = r.start_sd[name]
-        left.append(f"{name} {sd:.3g} ({'blew up' if before is None else f'{before:.3g}'} before)")
-    return f"coefficients refined by output error: {runs} of up to {r.longest} rows, leaving sd {', '.join(left)}"
-
-
-def _render_equation(console: Console, equation: Equation, method: str, terminal: bool) -> None:
+def _render_equation(console: Console, equation: Equation, method: str, scores: Scores | None, terminal: bool) -> None:
     console.print(f"[bold]{escape(equation.text)}[/bold]\n")
     table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
     table.add_column("term")
@@ -89,8 +79,8 @@ def _render_equation(console: Console, equation: Equation, method: str, terminal
             f"\n{rest} more candidates not included, {ENGINES[method].score} at most {max(low, default=0.0):.2g}"
         )
     console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
-    for line in _fits(equation):
-        console.print(line)
+    for line in (*_fits(equation), *_free_run(equation, scores)):
+        console.print(escape(line))
     for line in _residuals(equation.residuals):
         console.print(escape(line))
     for left in equation.left_out:
@@ -113,6 +103,16 @@ def _fits(equation: Equation) -> list[str]:
             percent = f"{error:.0f}" if error >= 10 else f"{error:.2g}"
             out.append(f"{label} rows ({fit.n}): R2 {fit.r2:.4f}, normalised RMS error {percent} %")
     return out
+
+
+def _free_run(equation: Equation, scores: Scores | None) -> list[str]:
+    """Errors of the states of an equation that is left to itself over the rows held out."""
+    if scores is None:
+        return []
+    if scores.blew_up_at is not None:
+        return [f"free run over the held-out rows: blew up at {scores.blew_up_at:.6g} s"]
+    errors = {name: scores.free_run[name] for name in equation.chain.states if name in scores.free_run}
+    return [f"free run over the held-out rows: normalised RMS error {percentages(errors)}"]
 
 
 def _residuals(found: Residuals) -> list[str]:

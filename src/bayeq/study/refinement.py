@@ -1,7 +1,7 @@
 """What output error adds to a regression: free runs on unseen rows at 10 to 20 samples per natural period.
 
-Linear and Duffing oscillators simulated at 16 times the sampling rate, with a force whose band ends at a quarter of that
-rate and whose spectral density is that of the paper's, then decimated; 5 % noise on the measured motion. For each
+Linear and Duffing oscillators simulated at 16 times the sampling rate, with a force whose band ends at a quarter of
+that rate and whose spectral density is that of the paper's, then decimated; 5 % noise on the measured motion. For each
 record the equation by regression, and the same refined on the same rows, run freely over the last fifth of the rows.
 
     python -m bayeq.study.refinement > docs/tables/refinement.csv
@@ -175,21 +175,21 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args(arguments)
     per_system = given.records // 2
-    writer = None
+    writer: csv.DictWriter[str] | None = None
     with Parallel(n_jobs=given.jobs, inner_max_num_threads=1) as pool:
         for case in CASES:
             pooled: list[dict[str, float]] = []
+            table = []
             for system in SYSTEMS:
                 found = pool(delayed(measure_record)(system, case, seed) for seed in range(per_system))
                 lines = [line for line in found if line is not None]
                 pooled += lines
-                if writer is None:
-                    writer = csv.DictWriter(
-                        sys.stdout, list(measure_case(system, case, lines, per_system)), lineterminator="\n"
-                    )
-                    writer.writeheader()
-                writer.writerow(measure_case(system, case, lines, per_system))
-            writer.writerow(measure_case("both", case, pooled, 2 * per_system))
+                table.append(measure_case(system, case, lines, per_system))
+            table.append(measure_case("both", case, pooled, per_system * len(SYSTEMS)))
+            if writer is None:
+                writer = csv.DictWriter(sys.stdout, list(table[0]), lineterminator="\n")
+                writer.writeheader()
+            writer.writerows(table)
             sys.stdout.flush()
 
 

@@ -37,7 +37,7 @@ from bayeq.expressions.tape import (
     IndexArray,
     apply_function,
 )
-from bayeq.integrate import STAGES, input_at, steps_between
+from bayeq.forecast.integrate import STAGES, input_at, steps_between
 from bayeq.kernels import kernel
 
 __all__ = ["function_slope", "run_tangents", "shoot"]
@@ -220,13 +220,14 @@ def shoot(
     Parameters
     ----------
     code, outputs, registers
-        As for `bayeq.integrate.free_runs`; the tape's variables are the d states, the inputs, then the p parameters.
+        As for `bayeq.forecast.integrate.free_runs`; the tape's variables are the d states, the inputs, then the p
+        parameters.
     parameters : (p,) float array
         theta.
     start : (d,) float array
         State at the first sample.
     inputs, time, step, low, high
-        As for `bayeq.integrate.free_runs`.
+        As for `bayeq.forecast.integrate.free_runs`.
     channels : (m,) uint32 array
         What is measured: state i is i, the derivative of state i is d + i.
     values : (n, m) float array

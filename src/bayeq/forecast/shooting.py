@@ -16,9 +16,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.dynamics import Dynamics
 from bayeq.expressions.tape import IndexArray
-from bayeq.tangent import shoot
+from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.tangent import shoot
 
 __all__ = ["Measured", "Piece", "Segments", "Solution", "minimise"]
 
@@ -44,7 +44,7 @@ class Piece:
     time : (n,) array
         [s].
     inputs : (n, k, 4) array
-        From `bayeq.integrate.interpolant`.
+        From `bayeq.forecast.integrate.interpolant`.
     states : (n, d) array
         Measured or estimated states, from which the initial states of segments are taken at first.
     channels : (n, m) array

@@ -8,16 +8,15 @@ has taken it away from the record. So segments are made longer from fit to fit, 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.diagnostics import inspect_residuals
-from bayeq.shooting import Measured, Segments, Solution, minimise
+from bayeq.forecast.shooting import Measured, Segments, Solution, minimise
 
-__all__ = ["OutputError", "Refinement", "Unrefined", "output_error"]
+__all__ = ["OutputError", "Unrefined", "output_error"]
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +32,7 @@ LONGER = 4
 # over them are as good as each other if their errors differ by less than this factor.
 JUDGES = 0.25
 LEAST_ROWS = 200
-AS_GOOD = 1.05
+AS_GOOD = 1.1
 
 # Unseen forces show where the variance of the residuals exceeds that of the shortest segments by this share, and by
 # five standard errors.
@@ -42,10 +41,11 @@ GROWTH = 0.2
 # Channels are weighted by the inverse of their residuals' rms, but as if that were at least this share of their spread.
 LEAST_NOISE = 1e-8
 
-# Relative decrease of the cost at which a fit is done, and the last one; rounds of weighting at most, and the change
-# of every weight at which they end.
-ROUGHLY, FINELY = 1e-4, 1e-10
-MOST_ROUNDS = 20
+# Relative decrease of the cost at which a fit is done, and how often its channels are weighted anew at most: while
+# the length of segments is looked for, and in the end.
+ROUGHLY, FINELY = (1e-4, 3), (1e-10, 20)
+
+# Weighting ends when no weight changes by this share.
 SAME_WEIGHT = 1e-3
 
 # Blocks of the sandwich covariance at least, and the rows that a block must have.
@@ -87,35 +87,6 @@ class OutputError:
     start_sd: Floats
     segments: int
     longest: int
-    converged: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Refinement:
-    """How equations were refined.
-
-    Attributes
-    ----------
-    files : tuple of str
-        Names of the records.
-    n : int
-        Rows used.
-    segments, longest : int
-        Free runs, and the rows of the longest.
-    noise_sd : mapping of str to float
-        For each measured channel the standard deviation of what the free runs leave.
-    start_sd : mapping of str to (float or None)
-        The same before, initial states fitted; None if the free runs blew up.
-    converged : bool
-        Whether the fit ended by itself.
-    """
-
-    files: tuple[str, ...]
-    n: int
-    segments: int
-    longest: int
-    noise_sd: Mapping[str, float]
-    start_sd: Mapping[str, float | None]
     converged: bool
 
 
@@ -197,7 +168,7 @@ def _choose(
                 " was found that forecasts later rows better"
             )
         if _as_well_known(segments, found, parameters, covariance):
-            return Unrefined("free runs determine the coefficients no better than the regression did")
+            return Unrefined("free runs determine the coefficients no better than is known already")
     whole = segments.longest >= fitted.longest
     return Segments(measured, float(measured.longest) if whole else segments.length), found.parameters
 
@@ -263,12 +234,13 @@ def _as_well_known(segments: Segments, found: Solution, parameters: Floats, cova
 
 
 def _weighted(
-    segments: Segments, parameters: Floats, starts: Floats, tolerance: float, fixed: bool = False
+    segments: Segments, parameters: Floats, starts: Floats, effort: tuple[float, int], fixed: bool = False
 ) -> Solution | None:
     """`minimise` with weights that follow from its residuals."""
+    tolerance, rounds = effort
     weights = _weights(segments.measured, segments.measured.spread)
     found = minimise(segments, parameters, starts, weights, tolerance, fixed)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(rounds):
         if found is None:
             return None
         former, weights = weights, _weights(segments.measured, found.rms)

@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.dynamics import Dynamics, require_time
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.free_run import GENEROUS, mean_run, run_bands, state_range
-from bayeq.integrate import Interpolation, interpolant
+from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.free_run import ANYWHERE, GENEROUS, mean_run, run_bands, state_range
+from bayeq.forecast.integrate import Interpolation, interpolant
+from bayeq.forecast.rows import (
+    check_interpolation,
+    normalised_error,
+    require_time,
+    rows_of,
+    whole_number,
+    window_of,
+)
 from bayeq.posterior import Posterior
 from bayeq.records import Record
 from bayeq.report.forecast import Panel, draw_forecast
 from bayeq.report.style import require_matplotlib, style
 from bayeq.states import Smooth, derive_all
-from bayeq.states.grid import on_grid
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Forecast", "Scores", "check_interpolation", "forecast", "normalised_error", "state_columns"]
+__all__ = ["Forecast", "forecast"]
 
 Floats = NDArray[np.float64]
 
@@ -104,39 +110,6 @@ class Forecast:
         return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class Scores:
-    """How well equations do on some rows of a record.
-
-    Attributes
-    ----------
-    start, rows : int
-        First row, and how many.
-    one_step : mapping of str to float
-        For each equation the root mean squared error of the target, given the states and inputs of each row, over the
-        standard deviation of the target: the error of the equation.
-    free_run : mapping of str to float
-        For each measured state the same of the free run from the state of the first row.
-    blew_up_at : float or None
-        Time [s] at which the free run left any reasonable range.
-    """
-
-    start: int
-    rows: int
-    one_step: Mapping[str, float]
-    free_run: Mapping[str, float]
-    blew_up_at: float | None
-
-    def __str__(self) -> str:
-        """Both scores in a line each."""
-        lines = [f"rows {self.start + 1} to {self.start + self.rows}, normalised RMS errors"]
-        for label, scores in (("one step", self.one_step), ("free run", self.free_run)):
-            lines.append(f"{label}: {', '.join(f'{name} {100 * error:.3g} %' for name, error in scores.items())}")
-        if self.blew_up_at is not None:
-            lines.append(f"the free run blew up at {self.blew_up_at:.6g} s")
-        return "\n".join(lines)
-
-
 def forecast(
     dynamics: Dynamics,
     posteriors: Sequence[Posterior],
@@ -154,8 +127,8 @@ def forecast(
     """Free run over rows of a record; see `bayeq.Equations.simulate`."""
     check_interpolation(interpolation)
     time = require_time(record, "a free run")
-    window = _window(record, start, rows)
-    draws = _count("draws", draws, 0)
+    window = window_of(record, start, rows)
+    draws = whole_number("draws", draws, 0)
     part = record.slice(window.start, window.stop)
     part.require_finite(dynamics.inputs)
     time = time[window]
@@ -189,65 +162,6 @@ def forecast(
     )
 
 
-def check_interpolation(kind: str) -> None:
-    """Raise an InputError if there is no such interpolation."""
-    if kind not in get_args(Interpolation):
-        raise InputError(f"interpolation must be one of {', '.join(get_args(Interpolation))}, got {kind!r}")
-
-
-def normalised_error(run: Floats, samples: Floats) -> float:
-    """Root mean squared error over the samples' standard deviation; infinite for a run that does not reach the end."""
-    present = np.isfinite(samples)
-    error = run[present] - samples[present]
-    if not len(error) or not np.isfinite(error).all():
-        return math.inf
-    spread = float(samples[present].std())
-    rms = float(np.sqrt(np.mean(error**2)))
-    return rms / spread if spread > 0 else (math.inf if rms > 0 else 0.0)
-
-
-def state_columns(dynamics: Dynamics, record: Record, smooth: Smooth) -> tuple[Floats, Mapping[str, Floats], Record]:
-    """States, targets and inputs of a record, as `discover` has them, and the record with dropped samples put back.
-
-    Returns
-    -------
-    time : (n,) array
-    columns : mapping of str to (n,) array
-    record : Record
-        NaN in rows that had been dropped.
-    """
-    time = require_time(record, "a free run")
-    columns = derive_all([record], dynamics.chains, dynamics.inputs, smooth)[0].columns
-    if len(columns[dynamics.states[0]]) == record.n:
-        return time, columns, record
-    measured = [name for chain in dynamics.chains for name in chain.measured if name is not None]
-    filled = on_grid(record, measured, dynamics.inputs)
-    return require_time(filled, "a free run"), columns, filled
-
-
-def _window(record: Record, start: int, rows: int | None) -> slice:
-    start = _count("start", start, 0)
-    if start >= record.n:
-        raise InputError(f"start is row {start}, but {record.name or 'the record'} has {record.n} rows")
-    rows = record.n - start if rows is None else _count("rows", rows, 2)
-    if start + rows > record.n or rows < 2:
-        raise InputError(
-            f"a free run over {rows} rows from row {start} needs 2 rows or more, and at most the {record.n} that"
-            f" {record.name or 'the record'} has"
-        )
-    return slice(start, start + rows)
-
-
-def _count(what: str, value: int, least: int) -> int:
-    try:
-        number = operator.index(value)
-    except TypeError:
-        raise InputError(f"{what} must be a whole number, not {value!r}") from None
-    if number < least:
-        raise InputError(f"{what} must be at least {least}, not {number}")
-    return number
-
-
 def _beginning(
     dynamics: Dynamics, record: Record, smooth: Smooth, row: int, initial: Mapping[str, float] | None
 ) -> tuple[Floats, Floats, Floats]:
@@ -260,7 +174,7 @@ def _beginning(
             raise InputError(f"initial: {name} must be finite, not {value!r}")
     columns, row = _known_states(dynamics, record, smooth, row, [n for n in dynamics.states if n not in given])
     start = np.array([given.get(name, columns[name][row] if name in columns else 0.0) for name in dynamics.states])
-    low, high = np.full(len(start), -math.inf), np.full(len(start), math.inf)
+    low, high = np.full(len(start), -ANYWHERE), np.full(len(start), ANYWHERE)
     for i, name in enumerate(dynamics.states):
         if name in columns and np.isfinite(columns[name]).any():
             (low[i],), (high[i],) = state_range(columns[name][:, None])
@@ -275,9 +189,9 @@ def _known_states(
     """Columns of the states that are measured or can be estimated, and the row among them of a row of the record."""
     channels = [name for chain in dynamics.chains for name in chain.measured if name is not None]
     if needed and all(name in record.channels for name in channels):
-        time, columns, _ = state_columns(dynamics, record, smooth)
-        assert record.time is not None
-        return columns, int(np.argmin(np.abs(time - record.time[row])))
+        (states,) = derive_all([record], dynamics.chains, dynamics.inputs, smooth)
+        rows = rows_of(record, states, dynamics.chains, dynamics.inputs, "a free run")
+        return rows.columns, rows.nearest(require_time(record, "a free run")[row])
     measured = {name: record[name] for name in dynamics.states if name in record.channels}
     for name in needed:
         if name not in measured or not np.isfinite(measured[name][row]):

@@ -10,14 +10,12 @@ from itertools import compress
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import RecordError
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape
-from bayeq.integrate import local_errors
+from bayeq.forecast.integrate import local_errors
 from bayeq.posterior import Posterior
-from bayeq.records import Record
 from bayeq.states import Chain
 
-__all__ = ["Dynamics", "finest_step", "normal_draws", "require_time"]
+__all__ = ["Dynamics", "finest_step", "normal_draws"]
 
 Floats = NDArray[np.float64]
 
@@ -160,19 +158,6 @@ def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Ge
     return np.asarray(mean + rng.standard_normal((count, len(mean))) @ half.T)
 
 
-def require_time(record: Record, purpose: str) -> Floats:
-    """Sampling times of a record.
-
-    Raises
-    ------
-    RecordError
-        It has none.
-    """
-    if record.time is None:
-        raise RecordError(f"{record.name or 'record'}: {purpose} needs a time column or fs")
-    return record.time
-
-
 def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, inputs: Floats, time: Floats) -> float:
     """A step [s] at which integration errs little at given states: the sampling interval, or a fraction of it.
 
@@ -212,6 +197,13 @@ def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, inputs: 
 
 
 def _spread(column: Floats) -> float:
+    """Half of the range between the quantiles that enclose a normal distribution's standard deviation.
+
+    Runs that blow up have values that cannot be squared.
+    """
     finite = column[np.isfinite(column)]
-    spread = float(finite.std()) if len(finite) else 0.0
-    return spread if spread > 0 else max(float(np.abs(finite).max(initial=0.0)), 1e-300)
+    if not len(finite):
+        return 1.0
+    low, high = np.quantile(finite, [0.16, 0.84])
+    spread = 0.5 * float(high - low)
+    return spread if spread > 0 else max(float(np.abs(finite).max()), 1e-300)

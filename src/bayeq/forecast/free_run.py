@@ -7,15 +7,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.dynamics import Dynamics, finest_step
-from bayeq.integrate import free_runs
+from bayeq.forecast.dynamics import Dynamics, finest_step
+from bayeq.forecast.integrate import free_runs
 
-__all__ = ["GENEROUS", "mean_run", "run_bands", "state_range"]
+__all__ = ["ANYWHERE", "GENEROUS", "mean_run", "run_bands", "state_range"]
 
 Floats = NDArray[np.float64]
 
 # A run has blown up where a state is further from its measured range than so many times the range.
 GENEROUS = 1e3
+
+# The range of a state of which nothing is known: what can be squared.
+ANYWHERE = 1e150
 
 # Bands are the runs' central share.
 TAIL = 0.025
@@ -28,9 +31,13 @@ JUDGED_ROWS = 2000
 
 
 def state_range(states: Floats) -> tuple[Floats, Floats]:
-    """Where runs are given up: a thousand times the range of the states (n, d), on either side."""
+    """Where runs are given up: a thousand times the range of the states (n, d), on either side.
+
+    Of a state that was zero throughout nothing is known.
+    """
     low, high = np.nanmin(states, axis=0), np.nanmax(states, axis=0)
-    margin = GENEROUS * np.maximum(high - low, np.maximum(np.abs(low), np.abs(high)))
+    largest = np.maximum(high - low, np.maximum(np.abs(low), np.abs(high)))
+    margin = np.where(largest > 0, GENEROUS * largest, ANYWHERE)
     return low - margin, high + margin
 
 
@@ -51,7 +58,7 @@ def mean_run(
     first : (d,) array
         Initial state.
     inputs : (n, m, 4) array
-        From `bayeq.integrate.interpolant`.
+        From `bayeq.forecast.integrate.interpolant`.
     time : (n,) array
         [s].
     low, high : (d,) arrays

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.dynamics import normal_draws
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Expression, parse
-from bayeq.physical_units import OscillatorUnits
+from bayeq.forecast.dynamics import normal_draws
+from bayeq.forecast.physical_units import OscillatorUnits
 from bayeq.posterior import Posterior
 from bayeq.states import Chain
 
