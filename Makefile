@@ -43,6 +43,7 @@ study: $(VENV)/.dev
 	$(BIN)/python -m bayeq.study.coverage --records 100 > docs/tables/coverage_smoothed.csv
 	$(BIN)/python -m bayeq.study.coverage --clean-states > docs/tables/coverage_clean.csv
 	$(BIN)/python -m bayeq.study.calibration --folder docs/tables
+	$(BIN)/python -m bayeq.study.refinement > docs/tables/refinement.csv
 	$(BIN)/python -m bayeq.study.reliability --figures docs/figures > docs/tables/reliability.csv
 	$(BIN)/bayeq study figures docs/figures
 

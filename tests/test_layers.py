@@ -21,8 +21,10 @@ LEVELS = [
     {"systems", "states", "dictionary", "inference"},
     {"weighting"},
     {"propagation"},
-    {"adapters", "constraints", "equalities", "report"},
+    {"adapters", "constraints", "equalities", "forecast", "report"},
     {
+        "_equations_base",
+        "_equations_runs",
         "_estimator_base",
         "estimators",
         "equation",

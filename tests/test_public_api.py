@@ -17,12 +17,16 @@ def test_public_names():
         "Equation",
         "Equations",
         "Finding",
+        "Forecast",
         "Gram",
         "ParsimonyPath",
+        "PhysicalParameters",
         "Posterior",
         "Prior",
         "PriorSensitivity",
         "Record",
+        "Refinement",
+        "Scores",
         "SpikeSlabBMA",
         "SpikeSlabGibbs",
         "SpikeSlabVB",
@@ -71,7 +75,7 @@ def test_signatures():
     ]
     assert parameters(bq.simulate)[:2] == ["system", "n"]
     assert parameters(bq.read)[0] == "path"
-    for name in ("table", "to_sympy", "to_latex", "rhs", "predict", "save"):
+    for name in ("table", "to_sympy", "to_latex", "rhs", "predict", "simulate", "score", "refine", "physical", "save"):
         assert callable(getattr(bq.Equations, name))
 
 

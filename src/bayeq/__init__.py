@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from bayeq.equation import Equation
     from bayeq.equations import Equations
     from bayeq.estimators import RVM, STLSQ, SpikeSlabBMA, SpikeSlabGibbs, SpikeSlabVB
+    from bayeq.forecast.physical import PhysicalParameters
+    from bayeq.forecast.results import Refinement, Scores
+    from bayeq.forecast.run import Forecast
     from bayeq.gram import Gram
     from bayeq.inference.prior import Prior
     from bayeq.parsimony import ParsimonyPath
@@ -32,12 +35,16 @@ _HOME = {
     "Equation": "equation",
     "Equations": "equations",
     "Finding": "records",
+    "Forecast": "forecast.run",
     "Gram": "gram",
     "ParsimonyPath": "parsimony",
+    "PhysicalParameters": "forecast.physical",
     "Posterior": "posterior",
     "Prior": "inference.prior",
     "PriorSensitivity": "sensitivity",
     "Record": "records",
+    "Refinement": "forecast.results",
+    "Scores": "forecast.results",
     "SpikeSlabBMA": "estimators",
     "SpikeSlabGibbs": "estimators",
     "SpikeSlabVB": "estimators",
@@ -60,12 +67,16 @@ __all__ = [
     "Equation",
     "Equations",
     "Finding",
+    "Forecast",
     "Gram",
     "ParsimonyPath",
+    "PhysicalParameters",
     "Posterior",
     "Prior",
     "PriorSensitivity",
     "Record",
+    "Refinement",
+    "Scores",
     "SpikeSlabBMA",
     "SpikeSlabGibbs",
     "SpikeSlabVB",

@@ -1,4 +1,4 @@
-"""What the residuals say about an equation."""
+"""How well an equation fits, and what its residuals say about it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Driver", "Residuals", "inspect_residuals"]
+__all__ = ["Driver", "Fit", "Residuals", "inspect_residuals"]
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +26,25 @@ LEAST_CORRELATION = 0.1
 # Cross-correlations are looked at up to so many lags, and up to this share of the longest piece.
 MOST_LAGS = 100
 SHARE_OF_LAGS = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How well an equation gives the target on some rows.
+
+    Attributes
+    ----------
+    n : int
+        Rows.
+    r2 : float
+        Share of the target's variance explained.
+    nrmse : float
+        Root mean squared error over the standard deviation of the target.
+    """
+
+    n: int
+    r2: float
+    nrmse: float
 
 
 @dataclass(frozen=True, slots=True)

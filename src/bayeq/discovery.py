@@ -30,7 +30,11 @@ from bayeq.errors import (
     TermWarning,
     UnknownNameError,
 )
+<<<<<<< HEAD
 from bayeq.expressions import Expression
+=======
+from bayeq.forecast.score import held_out_scores
+>>>>>>> free-run
 from bayeq.gram import Gram
 from bayeq.inference import ENGINES, Prior
 from bayeq.inference.path import partial_shares
@@ -242,6 +246,9 @@ def discover(
         dropped=design.dropped,
         warnings=tuple(message for message, _ in notes.collected),
         constraints=tuple(known),
+        scores=held_out_scores(
+            parsed, all_inputs, [e.posterior for e in equations], [e.terms for e in equations], pieces, states, share
+        ),
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.choice import LeftOut
 from bayeq.coef_units import quotient_unit
-from bayeq.diagnostics import Residuals
+from bayeq.diagnostics import Fit, Residuals
 from bayeq.errors import InputError
 from bayeq.expressions import Evaluator, Expression, to_sympy
 from bayeq.gram import Gram, Standardised
@@ -32,25 +32,6 @@ Floats = NDArray[np.float64]
 
 # Half-width of a 95 % interval of a normal distribution, in standard deviations.
 Z95 = 1.959963984540054
-
-
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """How well an equation gives the target on some rows.
-
-    Attributes
-    ----------
-    n : int
-        Rows.
-    r2 : float
-        Share of the target's variance explained.
-    nrmse : float
-        Root mean squared error over the standard deviation of the target.
-    """
-
-    n: int
-    r2: float
-    nrmse: float
 
 
 @dataclass(frozen=True, slots=True)

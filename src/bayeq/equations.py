@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayeq.dictionary import DroppedTerm
-from bayeq.equation import Equation
+from bayeq._equations_base import DataSummary
+from bayeq._equations_runs import EquationsRuns
 from bayeq.errors import InputError
 from bayeq.files import replacing
 from bayeq.records import Record
-from bayeq.states import Chain, Smooth, derive_all
+from bayeq.states import derive_all
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,29 +25,8 @@ __all__ = ["DataSummary", "Equations"]
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class DataSummary:
-    """What the equations were found from.
-
-    Attributes
-    ----------
-    files : tuple of str
-        Names of the records.
-    n, n_train, n_held_out : int
-        Rows in all, used, and held out.
-    estimated : tuple of str
-        Derivatives that were not measured but estimated.
-    """
-
-    files: tuple[str, ...]
-    n: int
-    n_train: int
-    n_held_out: int
-    estimated: tuple[str, ...] = ()
-
-
 @dataclass(frozen=True)
-class Equations:
+class Equations(EquationsRuns):
     """Equations of motion with a posterior on every term.
 
     Indexing and iteration give the single `Equation`s, in the order of the chains.
@@ -71,42 +49,12 @@ class Equations:
         What makes the answer less than it seems.
     constraints : tuple of str
         What was known of the coefficients.
+    scores : Scores or None
+        Errors of the single step and of the free run on the rows that were held out; None where there are none, or no
+        time.
+    refined : Refinement or None
+        How the coefficients were refined, if they were.
     """
-
-    equations: tuple[Equation, ...]
-    inputs: tuple[str, ...]
-    method: str
-    dictionary: str
-    smooth: Smooth
-    data: DataSummary
-    dropped: tuple[DroppedTerm, ...] = ()
-    warnings: tuple[str, ...] = ()
-    constraints: tuple[str, ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.equations)
-
-    def __iter__(self) -> Iterator[Equation]:
-        return iter(self.equations)
-
-    def __getitem__(self, key: int | str) -> Equation:
-        """By position, or by the name of the target."""
-        if isinstance(key, str):
-            for equation in self.equations:
-                if equation.target == key:
-                    return equation
-            raise KeyError(key)
-        return self.equations[key]
-
-    @property
-    def chains(self) -> tuple[Chain, ...]:
-        """The kinematic chains."""
-        return tuple(equation.chain for equation in self.equations)
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the first-order state vector, the order of `rhs`."""
-        return tuple(name for chain in self.chains for name in chain.states)
 
     def table(self) -> pd.DataFrame:
         """All candidates of all equations: target, term, coef, sd, ci_low, ci_high, pip, included."""

@@ -15,6 +15,7 @@ from rich.table import Table
 from bayeq.diagnostics import Residuals
 from bayeq.equation import Equation, round_to
 from bayeq.equations import Equations
+from bayeq.forecast.results import Scores, percentages
 from bayeq.inference import ENGINES
 from bayeq.parsimony import percent
 
@@ -23,6 +24,9 @@ __all__ = ["render"]
 # Candidates that are not included are listed from this PIP on.
 NOTEWORTHY_PIP = 0.01
 PLAIN_WIDTH = 110
+
+# An intercept of zero that is known so well was not estimated.
+NOTHING = 1e-100
 
 # What is told of residuals, if it had a smaller probability by chance.
 DOUBTFUL = 1e-3
@@ -37,13 +41,15 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
         highlight=False, soft_wrap=True,
     )  # fmt: skip
     for equation in eq.equations:
-        _render_equation(console, equation, eq.method, terminal)
+        _render_equation(console, equation, eq.method, eq.scores, terminal)
     names = [name for name in eq.data.files if name]
     source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
     console.print(f"{eq.data.n} rows{source}, {eq.data.n_train} used; method: {ENGINES[eq.method].title}")
     if eq.data.estimated:
         how = "smoothing" if eq.smooth == "auto" else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
+    if eq.refined:
+        console.print(escape(str(eq.refined)))
     if eq.constraints:
         console.print(f"constraints: {escape('; '.join(eq.constraints))}")
     for message in eq.warnings if with_warnings else ():
@@ -53,7 +59,7 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
 
 
-def _render_equation(console: Console, equation: Equation, method: str, terminal: bool) -> None:
+def _render_equation(console: Console, equation: Equation, method: str, scores: Scores | None, terminal: bool) -> None:
     console.print(f"[bold]{escape(equation.text)}[/bold]\n")
     table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
     table.add_column("term")
@@ -73,8 +79,8 @@ def _render_equation(console: Console, equation: Equation, method: str, terminal
             f"\n{rest} more candidates not included, {ENGINES[method].score} at most {max(low, default=0.0):.2g}"
         )
     console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
-    for line in _fits(equation):
-        console.print(line)
+    for line in (*_fits(equation), *_free_run(equation, scores)):
+        console.print(escape(line))
     for line in _residuals(equation.residuals):
         console.print(escape(line))
     for left in equation.left_out:
@@ -97,6 +103,16 @@ def _fits(equation: Equation) -> list[str]:
             percent = f"{error:.0f}" if error >= 10 else f"{error:.2g}"
             out.append(f"{label} rows ({fit.n}): R2 {fit.r2:.4f}, normalised RMS error {percent} %")
     return out
+
+
+def _free_run(equation: Equation, scores: Scores | None) -> list[str]:
+    """Errors of the states of an equation that is left to itself over the rows held out."""
+    if scores is None:
+        return []
+    if scores.blew_up_at is not None:
+        return [f"free run over the held-out rows: blew up at {scores.blew_up_at:.6g} s"]
+    errors = {name: scores.free_run[name] for name in equation.chain.states if name in scores.free_run}
+    return [f"free run over the held-out rows: normalised RMS error {percentages(errors)}"]
 
 
 def _residuals(found: Residuals) -> list[str]:
@@ -146,6 +162,8 @@ def _rows(equation: Equation) -> list[tuple[Any, ...]]:
             rows.append((escape(term.text), round_to(p.coef[j], sd[j]), f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
         else:
             rows.append((escape(term.text), "not included", "", "", f"{p.pip[j]:.3f}"))
+    if p.intercept == 0.0 and p.intercept_sd < NOTHING:
+        return [*rows, ("intercept", "none", "", "", "")]
     low, high = equation.intercept_ci95
     spread = p.intercept_sd
     interval = f"{round_to(low, spread)} .. {round_to(high, spread)}"

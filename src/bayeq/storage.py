@@ -23,6 +23,7 @@ from bayeq.equation import Equation, Fit, RunnerUp
 from bayeq.equations import DataSummary, Equations
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.expressions import parse
+from bayeq.forecast.results import Refinement, Scores
 from bayeq.posterior import ModelAverage, Posterior
 from bayeq.states import parse_chain
 
@@ -54,9 +55,20 @@ def to_dict(eq: Equations) -> dict[str, Any]:
             "warnings": list(eq.warnings),
             "dropped_terms": [asdict(d) for d in eq.dropped],
             **({"constraints": list(eq.constraints)} if eq.constraints else {}),
+            **({"scores": _scores(eq.scores)} if eq.scores else {}),
+            **({"refined": asdict(eq.refined)} if eq.refined else {}),
             "equations": {equation.target: _diagnostics(equation) for equation in eq.equations},
         },
     }
+
+
+def _scores(scores: Scores) -> dict[str, Any]:
+    """Errors of the rows held out; None for the infinite one of a run that blew up."""
+
+    def finite(errors: Mapping[str, float]) -> dict[str, float | None]:
+        return {name: error if math.isfinite(error) else None for name, error in errors.items()}
+
+    return {**asdict(scores), "one_step": finite(scores.one_step), "free_run": finite(scores.free_run)}
 
 
 def _equation(equation: Equation) -> dict[str, Any]:
@@ -246,6 +258,38 @@ def _restore(content: Mapping[str, Any]) -> Equations:
         dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
         warnings=tuple(str(w) for w in diagnostics["warnings"]),
         constraints=tuple(str(c) for c in diagnostics.get("constraints", ())),
+        scores=_restored_scores(diagnostics.get("scores")),
+        refined=_restored_refinement(diagnostics.get("refined")),
+    )
+
+
+def _restored_scores(saved: Mapping[str, Any] | None) -> Scores | None:
+    if saved is None:
+        return None
+
+    def errors(found: Mapping[str, float | None]) -> dict[str, float]:
+        return {str(name): math.inf if error is None else float(error) for name, error in found.items()}
+
+    blew_up_at = saved["blew_up_at"]
+    return Scores(
+        rows=int(saved["rows"]),
+        one_step=errors(saved["one_step"]),
+        free_run=errors(saved["free_run"]),
+        blew_up_at=None if blew_up_at is None else float(blew_up_at),
+    )
+
+
+def _restored_refinement(saved: Mapping[str, Any] | None) -> Refinement | None:
+    if saved is None:
+        return None
+    return Refinement(
+        files=tuple(str(name) for name in saved["files"]),
+        n=int(saved["n"]),
+        segments=int(saved["segments"]),
+        longest=int(saved["longest"]),
+        noise_sd={str(name): float(sd) for name, sd in saved["noise_sd"].items()},
+        start_sd={str(name): None if sd is None else float(sd) for name, sd in saved["start_sd"].items()},
+        converged=bool(saved["converged"]),
     )
 
 

@@ -1,0 +1,307 @@
+"""What equations are run for: the methods of `Equations` that integrate them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Self
+
+from bayeq._equations_base import EquationsBase
+from bayeq.equation import Equation
+from bayeq.errors import ConvergenceWarning, InputError, UnknownNameError
+from bayeq.records import Record
+
+if TYPE_CHECKING:
+    from bayeq.forecast.integrate import Interpolation
+    from bayeq.forecast.physical import PhysicalParameters
+    from bayeq.forecast.results import Scores
+    from bayeq.forecast.run import Forecast
+
+__all__ = ["EquationsRuns"]
+
+# Of records of which no rows were held out these are scored.
+LAST = 0.2
+
+
+class EquationsRuns(EquationsBase):
+    """Free run, scores, output error and physical parameters; a part of `Equations`."""
+
+    def simulate(
+        self,
+        record: Record,
+        *,
+        initial: Mapping[str, float] | None = None,
+        draws: int = 200,
+        seed: int = 0,
+        start: int = 0,
+        rows: int | None = None,
+        interpolation: Interpolation = "cubic",
+    ) -> Forecast:
+        """Free run of all equations together, driven by the inputs of a record.
+
+        Classical Runge-Kutta steps on the record's times, several to a sampling interval where one is too coarse (until
+        half the step would change the states by less than 1e-6 of their spread in most intervals).
+
+        Parameters
+        ----------
+        record : Record
+            Times and inputs; measured states where there are any.
+        initial : mapping of str to float, optional
+            States at the first row. Those not given are the record's, as `discover` has them: measured, smoothed or
+            estimated.
+        draws : int
+            Further runs with intercepts and coefficients drawn from their normal posterior given the included terms,
+            for the bands; 0 for none. The initial state is the same for all.
+        seed : int
+            Of the draws.
+        start, rows : int
+            First row, and how many; by default all that follow.
+        interpolation : "cubic", "linear" or "hold"
+            Of the inputs between their samples: a cubic spline, for forces that are smooth; straight lines; the last
+            sample held, for commands that are switched.
+
+        Returns
+        -------
+        Forecast
+            ``mean``, ``low`` and ``high`` of every state, ``nrmse`` of those measured; ``plot()``. A run that leaves a
+            thousand times the range of the record, or is not finite, stops: see ``blew_up_at`` and ``blown``.
+
+        Raises
+        ------
+        InputError
+            No time, an input that is missing, an initial state that is neither measured nor given, rows out of range.
+        """
+        from bayeq.forecast.dynamics import Dynamics
+        from bayeq.forecast.run import forecast
+
+        posteriors = [equation.posterior for equation in self.equations]
+        return forecast(
+            Dynamics.of(self.chains, self.inputs, posteriors, [e.terms for e in self.equations]),
+            posteriors,
+            record,
+            self.smooth,
+            initial=initial,
+            draws=draws,
+            seed=seed,
+            start=start,
+            rows=rows,
+            interpolation=interpolation,
+            units={name: unit for equation in self.equations for name, unit in equation.units.items()},
+        )
+
+    def score(
+        self,
+        records: Record | Sequence[Record],
+        *,
+        start: int | None = None,
+        rows: int | None = None,
+        interpolation: Interpolation = "cubic",
+    ) -> Scores:
+        """Errors of the single step and of the free run, by default on the rows that `discover` held out.
+
+        Parameters
+        ----------
+        records : Record or sequence of Record
+            With the channels that the equations were found from.
+        start, rows : int, optional
+            First row, and how many; by default the last ones of each record, the share of the rows that was held out of
+            the fit (a fifth, if none were).
+        interpolation : "cubic", "linear" or "hold"
+            See `simulate`.
+
+        Returns
+        -------
+        Scores
+            Normalised by the standard deviation of the channels on these rows.
+
+        Raises
+        ------
+        InputError
+            As `simulate`, and channels that are missing.
+        """
+        from bayeq.forecast.dynamics import Dynamics
+        from bayeq.forecast.score import score_records
+
+        posteriors = [equation.posterior for equation in self.equations]
+        dynamics = Dynamics.of(self.chains, self.inputs, posteriors, [e.terms for e in self.equations])
+        # half a row more: what is rounded down then is the number of rows that were held out
+        share = (self.data.n_held_out + 0.5) / self.data.n if self.data.n_held_out else LAST
+        return score_records(
+            dynamics,
+            dynamics.means(posteriors),
+            _as_list(records, "score"),
+            self.smooth,
+            start=start,
+            rows=rows,
+            share=share,
+            interpolation=interpolation,
+        )
+
+    def refine(
+        self,
+        records: Record | Sequence[Record],
+        *,
+        segment: int | None = None,
+        holdout: float = 0.2,
+        intercept: bool | None = None,
+        interpolation: Interpolation = "cubic",
+    ) -> Self:
+        """The same terms with coefficients by output error: those whose free run comes closest to what was measured.
+
+        Multiple shooting: a record is divided into segments, each a free run from an initial state of its own, which is
+        fitted with the coefficients and intercepts of all equations to every measured channel (Bock 1981).
+        Channels are weighted by the noise that the fit itself finds in them. Segments get longer from fit to fit, up to
+        the whole record, as long as the last quarter of the rows is forecast as well by it.
+
+        Output error takes the inputs as exact and the channels as noisy; it needs no derivatives. It gains most where
+        these were not measured, or samples are few per period. Where the input is noisy it may know less than the
+        regression did: then the equations are returned as they were.
+
+        Parameters
+        ----------
+        records : Record or sequence of Record
+            With the channels that the equations were found from, and time.
+        segment : int, optional
+            Rows of a segment, instead of finding how long one may be.
+        holdout : float
+            Share of the rows, the last of each record, that is not used.
+        intercept : bool, optional
+            Estimate the intercepts, or set them to zero; by default each is zero unless its interval excludes that, so
+            that the equation is what is written.
+        interpolation : "cubic", "linear" or "hold"
+            Of the inputs, see `simulate`.
+
+        Returns
+        -------
+        Equations
+            With coefficients, covariances and intercepts by output error, noise and fits anew; terms, inclusion
+            probabilities and runners-up are those of the regression. ``refined`` says how.
+
+        Raises
+        ------
+        InputError
+            No time, too few rows, channels that are missing, no terms to refine.
+
+        Warns
+        -----
+        ConvergenceWarning
+            Nothing better was found, and why: the equations are returned as they were.
+        """
+        from bayeq.forecast.output_error import Unrefined
+        from bayeq.forecast.refine import LEAST_ROWS, refine
+        from bayeq.forecast.rows import check_interpolation, whole_number
+
+        pieces = _as_list(records, "refine")
+        check_interpolation(interpolation)
+        if not 0 <= holdout < 1:
+            raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
+        if segment is not None:
+            whole_number("segment, a number of rows,", segment, LEAST_ROWS)
+        for equation in self.equations:
+            if not equation.included:
+                raise InputError(f"{equation.target}: no terms are included, there is nothing to refine")
+        found = refine(
+            self.chains,
+            self.inputs,
+            [equation.posterior for equation in self.equations],
+            [equation.terms for equation in self.equations],
+            pieces,
+            smooth=self.smooth,
+            intercepts=[e.intercept_matters if intercept is None else intercept for e in self.equations],
+            segment=segment,
+            holdout=holdout,
+            interpolation=interpolation,
+        )
+        if isinstance(found, Unrefined):
+            message = f"not refined: {found.reason}; the equations are returned as they were"
+            warnings.warn(message, ConvergenceWarning, stacklevel=2)
+            return self
+        notes = self.warnings
+        if not found.summary.converged:
+            notes = (*notes, "the output-error estimate did not converge: its steps ended at their limit")
+            warnings.warn(notes[-1], ConvergenceWarning, stacklevel=2)
+        return replace(
+            self,
+            equations=tuple(
+                replace(old, posterior=new.posterior, train=new.train, held_out=new.held_out, residuals=new.residuals)
+                for old, new in zip(self.equations, found.equations, strict=True)
+            ),
+            warnings=notes,
+            scores=found.scores,
+            refined=found.summary,
+        )
+
+    def physical(
+        self,
+        mass: float | None = None,
+        *,
+        target: str | None = None,
+        force: str | None = None,
+        draws: int = 10_000,
+        seed: int = 0,
+    ) -> PhysicalParameters:
+        """Mass, damping, stiffness, natural frequency and damping ratio of an oscillator, with intervals.
+
+        Parameters
+        ----------
+        mass : float, optional
+            Where it is known, in the unit that goes with the channels (kg, for m and N). Otherwise it follows from the
+            force's coefficient; with neither, parameters are per unit of mass.
+        target : str, optional
+            Left-hand side of the equation meant, where several are of second order.
+        force : str, optional
+            The input that is a force, where several inputs are in the equation.
+        draws : int
+            From the joint posterior of the coefficients.
+        seed : int
+            Of the draws.
+
+        Returns
+        -------
+        PhysicalParameters
+            Print it, or take ``table()``.
+
+        Raises
+        ------
+        InputError
+            An equation that is not of second order, or without a restoring term; see `bayeq.forecast.physical`.
+        """
+        from bayeq.forecast.physical import physical_parameters
+
+        equation = _oscillator(self, target)
+        return physical_parameters(
+            equation.chain,
+            self.inputs,
+            equation.terms,
+            equation.posterior,
+            equation.units,
+            mass=mass,
+            force=force,
+            draws=draws,
+            seed=seed,
+        )
+
+
+def _as_list(records: Record | Sequence[Record], purpose: str) -> list[Record]:
+    pieces = [records] if isinstance(records, Record) else list(records)
+    if not pieces or not all(isinstance(piece, Record) for piece in pieces):
+        raise InputError(f"{purpose} needs a Record or a list of Records")
+    return pieces
+
+
+def _oscillator(equations: EquationsBase, target: str | None) -> Equation:
+    """The equation meant, or the only one of second order."""
+    if target is not None:
+        if target not in {equation.target for equation in equations}:
+            raise UnknownNameError("equation", target, [equation.target for equation in equations])
+        return equations[target]
+    second = [equation for equation in equations if equation.chain.order == 2]
+    if not second:
+        raise InputError(
+            "physical parameters are those of a second-order equation, x'' = ...; here there are only"
+            f" {', '.join(f'{e.target} (order {e.chain.order})' for e in equations)}"
+        )
+    if len(second) > 1:
+        raise InputError(f"name one of the equations as target: {', '.join(e.target for e in second)}")
+    return second[0]

@@ -1,0 +1,128 @@
+"""Units of an oscillator's parameters, from those of its channels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fractions import Fraction
+
+from bayeq.errors import InputError
+from bayeq.records.units import SIZES, Unit, derivative_ratio, multiply_units, parse_unit
+from bayeq.states import Chain
+
+__all__ = ["OscillatorUnits"]
+
+# Units of force in newtons.
+FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "lbf": 4.4482216152605}
+
+# Products of SI units that have a shorter name.
+SHORTER: Mapping[str, str] = {"N*s^2/m": "kg", "N*m*s^2": "kg*m^2"}
+
+
+class OscillatorUnits:
+    """What the numbers of channels are in consistent units, SI where these are known.
+
+    Consistent are a displacement, its derivatives by seconds, and a force; the factors turn coefficients of the
+    channels' numbers into coefficients of those.
+
+    Parameters
+    ----------
+    units : mapping of str to str
+        Of channels, as far as known.
+    chain : Chain
+        Displacement, velocity and acceleration.
+    force : str or None
+        The input that is a force.
+    in_kg : bool
+        The mass is given: in kg (kg m^2, if the displacement is an angle) where the displacement's unit is known.
+
+    Raises
+    ------
+    InputError
+        Units that are not those of a motion and its derivatives.
+    """
+
+    def __init__(self, units: Mapping[str, str], chain: Chain, force: str | None, in_kg: bool = False) -> None:
+        x, v, a = chain.names
+        self.length: Unit | None = parse_unit(units[x]) if x in units else None
+        self.force: Unit | None = parse_unit(units[force]) if force is not None and force in units else None
+        self.per_length = self.per_force = 1.0
+        # a channel's number is this ratio times the derivative's of the displacement
+        self.velocity, self.acceleration = self._ratio(units, x, v, 1), self._ratio(units, x, a, 2)
+        if self.length is not None:
+            self.per_length, self.length = _in_si(self.length)
+        if self.force is not None:
+            self.per_force, self.force = _in_si(self.force)
+        elif in_kg and self.length in ({}, {"m": Fraction(1)}):
+            self.force = multiply_units({"N": Fraction(1)}, {} if self.length else {"m": Fraction(1)})
+
+    @staticmethod
+    def _ratio(units: Mapping[str, str], x: str, other: str, order: int) -> float:
+        if x not in units or other not in units:
+            return 1.0
+        ratio = derivative_ratio(units[x], units[other], order)
+        if ratio is None and parse_unit(units[other]) != multiply_units(parse_unit(units[x]), {"s": Fraction(-order)}):
+            raise InputError(
+                f"{other} in {units[other]} is no {'second ' * (order == 2)}derivative of {x} in {units[x]}: state"
+                " units that fit, or none"
+            )
+        return 1.0 if ratio is None else ratio
+
+    def scale(self, powers: tuple[int, int]) -> float:
+        """Of the coefficient of x**p v**q in the equation of the acceleration."""
+        p, q = powers
+        return self.velocity**q / self.acceleration * self.per_length ** (1 - p - q)
+
+    def scale_force(self) -> float:
+        """Of the coefficient of the force."""
+        return self.per_length / (self.acceleration * self.per_force)
+
+    def mass(self) -> str | None:
+        """Unit of the mass; None where it is not known."""
+        if self.length is None or self.force is None:
+            return None
+        return _written(multiply_units(multiply_units(dict(self.force), self.length, -1), {"s": Fraction(2)}))
+
+    def unit(self, powers: tuple[int, int], with_mass: bool) -> str | None:
+        """Unit of the parameter of x**p v**q, as a force or per unit of mass; None where it is not known."""
+        p, q = powers
+        if self.length is None or (with_mass and self.force is None):
+            return None
+        if with_mass:
+            assert self.force is not None
+            out = dict(self.force)
+        else:
+            out = multiply_units(dict(self.length), {"s": Fraction(-2)})
+        multiply_units(out, self.length, -(p + q))
+        return _written(multiply_units(out, {"s": Fraction(q)}))
+
+
+def _in_si(unit: Unit) -> tuple[float, Unit]:
+    """Size of a unit in SI units, and those; angles are pure numbers. As it is, where a symbol is not known."""
+    size, out = 1.0, Unit()
+    for symbol, power in unit.items():
+        if symbol in FORCES:
+            size *= FORCES[symbol] ** float(power)
+            multiply_units(out, {"N": power})
+        elif symbol in SIZES:
+            factor, length, time = SIZES[symbol]
+            size *= factor ** float(power)
+            multiply_units(out, {"m": length * power} if length else {})
+            multiply_units(out, {"s": time * power} if time else {})
+        else:
+            return 1.0, unit
+    return size, out
+
+
+def _written(unit: Unit) -> str:
+    """``N*s/m``; a shorter name where there is one."""
+    order = sorted(unit.items(), key=lambda item: ({"N": 0, "m": 1, "s": 2}.get(item[0], -1), item[0]))
+    above = "*".join(_power(symbol, e) for symbol, e in order if e > 0)
+    below = "".join(f"/{_power(symbol, -e)}" for symbol, e in order if e < 0)
+    text = (above or "1" * bool(below)) + below
+    return SHORTER.get(text, text)
+
+
+def _power(symbol: str, exponent: Fraction) -> str:
+    return (
+        symbol if exponent == 1 else f"{symbol}^{exponent}" if exponent.denominator == 1 else f"{symbol}^({exponent})"
+    )

@@ -1,0 +1,158 @@
+"""Rows of records with everything known about them: what free runs start from, are driven by and are judged by."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary import evaluate_terms
+from bayeq.errors import InputError, RecordError
+from bayeq.expressions import Expression
+from bayeq.forecast.integrate import Interpolation, interpolant
+from bayeq.records import Record
+from bayeq.states import Chain, States
+from bayeq.states.grid import on_grid
+
+__all__ = [
+    "Rows",
+    "check_interpolation",
+    "normalised_error",
+    "predicted_target",
+    "require_time",
+    "rows_of",
+    "whole_number",
+    "window_of",
+]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of one record.
+
+    Attributes
+    ----------
+    time : (n,) array
+        [s].
+    columns : mapping of str to (n,) array
+        States, targets (measured, where they are) and inputs, as `discover` has them.
+    samples : mapping of str to (n,) array
+        What was measured of states and targets; NaN where a sample is missing.
+    """
+
+    time: Floats
+    columns: Mapping[str, Floats]
+    samples: Mapping[str, Floats]
+
+    @property
+    def n(self) -> int:
+        return len(self.time)
+
+    def part(self, rows: slice) -> Rows:
+        """Some of the rows."""
+        return Rows(
+            self.time[rows],
+            {name: values[rows] for name, values in self.columns.items()},
+            {name: values[rows] for name, values in self.samples.items()},
+        )
+
+    def nearest(self, time: float) -> int:
+        """The row that is nearest to a time."""
+        return int(np.argmin(np.abs(self.time - time)))
+
+    def stack(self, names: Sequence[str]) -> Floats:
+        """Columns side by side, (n, k), also for none."""
+        return np.column_stack([self.columns[name] for name in names]) if names else np.empty((self.n, 0))
+
+    def driven_by(self, inputs: Sequence[str], interpolation: Interpolation) -> Floats:
+        """Inputs between the rows, (n, m, 4), from `bayeq.forecast.integrate.interpolant`."""
+        return interpolant(self.time, self.stack(inputs), interpolation)
+
+
+def rows_of(record: Record, states: States, chains: Sequence[Chain], inputs: Sequence[str], purpose: str) -> Rows:
+    """A record's rows with states that `derive_all` found, dropped samples put back.
+
+    Raises
+    ------
+    RecordError
+        It has no time.
+    """
+    require_time(record, purpose)
+    names = [name for chain in chains for name in chain.measured if name is not None]
+    filled = record if states.n == record.n else on_grid(record, names, inputs)
+    return Rows(
+        require_time(filled, purpose),
+        {**states.columns, **states.measured},
+        {name: np.asarray(filled[name]) for name in names},
+    )
+
+
+def require_time(record: Record, purpose: str) -> Floats:
+    """Sampling times of a record.
+
+    Raises
+    ------
+    RecordError
+        It has none.
+    """
+    if record.time is None:
+        raise RecordError(f"{record.name or 'record'}: {purpose} needs a time column or fs")
+    return record.time
+
+
+def check_interpolation(kind: str) -> None:
+    """Raise an InputError if there is no such interpolation."""
+    if kind not in get_args(Interpolation):
+        raise InputError(f"interpolation must be one of {', '.join(get_args(Interpolation))}, got {kind!r}")
+
+
+def normalised_error(run: Floats, samples: Floats) -> float:
+    """Root mean squared error over the samples' standard deviation; infinite for a run that does not reach the end."""
+    present = np.isfinite(samples)
+    error = run[present] - samples[present]
+    if not len(error) or not np.isfinite(error).all():
+        return math.inf
+    spread = float(samples[present].std())
+    rms = float(np.sqrt(np.mean(error**2)))
+    return rms / spread if spread > 0 else (math.inf if rms > 0 else 0.0)
+
+
+def predicted_target(terms: Sequence[Expression], parameters: Floats, columns: Mapping[str, Floats]) -> Floats:
+    """Right-hand side at each row; `parameters` are the coefficients of the terms, the intercept (if any) in front."""
+    constant = len(parameters) - len(terms)
+    out = np.full(len(next(iter(columns.values()))), parameters[0] if constant else 0.0)
+    if terms:
+        out += evaluate_terms(terms, columns) @ parameters[constant:]
+    return out
+
+
+def window_of(record: Record, start: int, rows: int | None) -> slice:
+    """Rows of a record from `start` on, checked."""
+    start = whole_number("start", start, 0)
+    if start >= record.n:
+        raise InputError(f"start is row {start}, but {record.name or 'the record'} has {record.n} rows")
+    rows = record.n - start if rows is None else whole_number("rows", rows, 2)
+    if start + rows > record.n or rows < 2:
+        raise InputError(
+            f"a free run over {rows} rows from row {start} needs 2 rows or more, and at most the {record.n} that"
+            f" {record.name or 'the record'} has"
+        )
+    return slice(start, start + rows)
+
+
+def whole_number(what: str, value: int, least: int) -> int:
+    """`value`, checked to be a whole number of at least `least`."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise InputError(f"{what} must be a whole number, not {value!r}") from None
+    if number < least:
+        raise InputError(f"{what} must be at least {least}, not {number}")
+    return number

@@ -1,0 +1,202 @@
+"""Free runs: where the equations of motion go from an initial state, with bands from the posterior."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.free_run import ANYWHERE, GENEROUS, mean_run, run_bands, state_range
+from bayeq.forecast.integrate import Interpolation, interpolant
+from bayeq.forecast.rows import (
+    check_interpolation,
+    normalised_error,
+    require_time,
+    rows_of,
+    whole_number,
+    window_of,
+)
+from bayeq.posterior import Posterior
+from bayeq.records import Record
+from bayeq.report.forecast import Panel, draw_forecast
+from bayeq.report.style import require_matplotlib, style
+from bayeq.states import Smooth, derive_all
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Forecast", "forecast"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """A free run, and the band of runs with coefficients drawn from their posterior.
+
+    Attributes
+    ----------
+    time : (n,) array
+        [s].
+    mean : mapping of str to (n,) array
+        Each state along the run with the posterior means of the coefficients; NaN from `blew_up_at` on.
+    low, high : mapping of str to (n,) array
+        Pointwise 95 % band of the draws; infinite where more than 2.5 % of them have blown up. Empty without draws.
+    draws : int
+        Runs with drawn coefficients.
+    blown : int
+        How many of them blew up.
+    blew_up_at : float or None
+        Time [s] at which the run with mean coefficients left a thousand times the range of the record, or became
+        infinite.
+    nrmse : mapping of str to float
+        For each measured state the root mean squared error of the run over the standard deviation of the channel;
+        infinite if the run blew up.
+    measured : mapping of str to (n,) array
+        The record's samples of the states.
+    units : mapping of str to str
+        Units of states, where known.
+    """
+
+    time: Floats
+    mean: Mapping[str, Floats]
+    low: Mapping[str, Floats]
+    high: Mapping[str, Floats]
+    draws: int
+    blown: int
+    blew_up_at: float | None
+    nrmse: Mapping[str, float]
+    measured: Mapping[str, Floats]
+    units: Mapping[str, str]
+
+    def plot(self) -> Figure:
+        """The run, its band and what was measured, a panel per state.
+
+        Raises
+        ------
+        MissingExtraError
+            matplotlib is not installed.
+        """
+        require_matplotlib()
+        panels = [
+            Panel(
+                name if name not in self.units else f"{name} [{self.units[name]}]",
+                mean,
+                self.low.get(name),
+                self.high.get(name),
+                self.measured.get(name),
+            )
+            for name, mean in self.mean.items()
+        ]
+        with style():
+            return draw_forecast(self.time, panels, self.blew_up_at)
+
+    def __str__(self) -> str:
+        """The free run in a few lines."""
+        span = f"{self.time[0]:.6g} to {self.time[-1]:.6g} s"
+        lines = [f"free run over {len(self.time)} rows, {span}"]
+        if self.blew_up_at is not None:
+            lines.append(f"blew up at {self.blew_up_at:.6g} s")
+        for name, error in self.nrmse.items():
+            lines.append(f"{name}: normalised RMS error {100 * error:.3g} %")
+        if self.draws:
+            lines.append(f"{self.draws} runs with coefficients from the posterior, {self.blown} of them blew up")
+        return "\n".join(lines)
+
+
+def forecast(
+    dynamics: Dynamics,
+    posteriors: Sequence[Posterior],
+    record: Record,
+    smooth: Smooth,
+    *,
+    initial: Mapping[str, float] | None = None,
+    draws: int = 200,
+    seed: int = 0,
+    start: int = 0,
+    rows: int | None = None,
+    interpolation: Interpolation = "cubic",
+    units: Mapping[str, str] | None = None,
+) -> Forecast:
+    """Free run over rows of a record; see `bayeq.Equations.simulate`."""
+    check_interpolation(interpolation)
+    time = require_time(record, "a free run")
+    window = window_of(record, start, rows)
+    draws = whole_number("draws", draws, 0)
+    part = record.slice(window.start, window.stop)
+    part.require_finite(dynamics.inputs)
+    time = time[window]
+    first, low, high = _beginning(dynamics, record, smooth, window.start, initial)
+    samples = np.column_stack([part[name] for name in dynamics.inputs]) if dynamics.inputs else np.empty((part.n, 0))
+    inputs = interpolant(time, samples, interpolation)
+    parameters = dynamics.means(posteriors)
+    step, mean, stopped = mean_run(dynamics, parameters, first, inputs, time, low, high)
+    bottom: Mapping[str, Floats] = {}
+    top: Mapping[str, Floats] = {}
+    blown = 0
+    if draws:
+        drawn = dynamics.draw(posteriors, draws, np.random.default_rng(seed))
+        below, above, blown = run_bands(dynamics, drawn, first, inputs, time, step, low, high)
+        bottom = dict(zip(dynamics.states, below.T, strict=True))
+        top = dict(zip(dynamics.states, above.T, strict=True))
+    measured = {name: part[name] for name in dynamics.states if name in part.channels}
+    return Forecast(
+        time=time,
+        mean=dict(zip(dynamics.states, mean.T, strict=True)),
+        low=bottom,
+        high=top,
+        draws=draws,
+        blown=blown,
+        blew_up_at=None if stopped is None else float(time[stopped]),
+        nrmse={
+            name: normalised_error(mean[:, dynamics.states.index(name)], samples) for name, samples in measured.items()
+        },
+        measured=measured,
+        units={name: unit for name, unit in (units or {}).items() if name in dynamics.states},
+    )
+
+
+def _beginning(
+    dynamics: Dynamics, record: Record, smooth: Smooth, row: int, initial: Mapping[str, float] | None
+) -> tuple[Floats, Floats, Floats]:
+    """Initial state, and the range in which runs go on."""
+    given = dict(initial or {})
+    for name, value in given.items():
+        if name not in dynamics.states:
+            raise UnknownNameError("state", name, dynamics.states, where="initial")
+        if not math.isfinite(value):
+            raise InputError(f"initial: {name} must be finite, not {value!r}")
+    columns, row = _known_states(dynamics, record, smooth, row, [n for n in dynamics.states if n not in given])
+    start = np.array([given.get(name, columns[name][row] if name in columns else 0.0) for name in dynamics.states])
+    low, high = np.full(len(start), -ANYWHERE), np.full(len(start), ANYWHERE)
+    for i, name in enumerate(dynamics.states):
+        if name in columns and np.isfinite(columns[name]).any():
+            (low[i],), (high[i],) = state_range(columns[name][:, None])
+    # a start far from what was measured is the caller's wish
+    margin = GENEROUS * np.abs(start)
+    return start, np.minimum(low, start - margin), np.maximum(high, start + margin)
+
+
+def _known_states(
+    dynamics: Dynamics, record: Record, smooth: Smooth, row: int, needed: Sequence[str]
+) -> tuple[Mapping[str, Floats], int]:
+    """Columns of the states that are measured or can be estimated, and the row among them of a row of the record."""
+    channels = [name for chain in dynamics.chains for name in chain.measured if name is not None]
+    if needed and all(name in record.channels for name in channels):
+        (states,) = derive_all([record], dynamics.chains, dynamics.inputs, smooth)
+        rows = rows_of(record, states, dynamics.chains, dynamics.inputs, "a free run")
+        return rows.columns, rows.nearest(require_time(record, "a free run")[row])
+    measured = {name: record[name] for name in dynamics.states if name in record.channels}
+    for name in needed:
+        if name not in measured or not np.isfinite(measured[name][row]):
+            raise InputError(
+                f"{record.name or 'record'}: the initial {name!r} is not measured: give"
+                f" initial={{{', '.join(f'{n!r}: ...' for n in needed)}}}"
+            )
+    return measured, row

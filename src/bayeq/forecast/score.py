@@ -1,0 +1,126 @@
+"""Errors of the single step and of the free run on rows of records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.expressions import Expression
+from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.free_run import mean_run, state_range
+from bayeq.forecast.integrate import Interpolation
+from bayeq.forecast.results import Scores
+from bayeq.forecast.rows import (
+    Rows,
+    check_interpolation,
+    normalised_error,
+    predicted_target,
+    require_time,
+    rows_of,
+    window_of,
+)
+from bayeq.posterior import Posterior
+from bayeq.records import Record
+from bayeq.states import Chain, Smooth, States, derive_all
+
+__all__ = ["held_out_scores", "score_records", "score_rows"]
+
+Floats = NDArray[np.float64]
+
+# A free run over fewer rows says nothing.
+LEAST_ROWS = 2
+
+
+def score_rows(
+    dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], interpolation: Interpolation = "cubic"
+) -> Scores:
+    """Scores over all rows of some records together, a free run in each.
+
+    Parameters
+    ----------
+    dynamics, parameters
+        The equations.
+    pieces : sequence of Rows
+        At least two rows each.
+    interpolation : "cubic", "linear" or "hold"
+        Of the inputs.
+    """
+    runs, blew_up_at = [], None
+    for rows in pieces:
+        states = rows.stack(dynamics.states)
+        inputs = rows.driven_by(dynamics.inputs, interpolation)
+        _, run, stopped = mean_run(dynamics, parameters, states[0], inputs, rows.time, *state_range(states))
+        runs.append(run)
+        if stopped is not None and blew_up_at is None:
+            blew_up_at = float(rows.time[stopped])
+    free = {}
+    for i, name in enumerate(dynamics.states):
+        if all(name in rows.samples for rows in pieces):
+            samples = np.concatenate([rows.samples[name] for rows in pieces])
+            free[name] = normalised_error(np.concatenate([run[:, i] for run in runs]), samples)
+    one_step = {}
+    for target, terms, block in zip(dynamics.targets, dynamics.terms, dynamics.blocks(), strict=True):
+        found = np.concatenate([predicted_target(terms, parameters[block], rows.columns) for rows in pieces])
+        one_step[target] = normalised_error(found, np.concatenate([rows.columns[target] for rows in pieces]))
+    return Scores(sum(rows.n for rows in pieces), one_step, free, blew_up_at)
+
+
+def held_out_scores(
+    chains: Sequence[Chain],
+    inputs: Sequence[str],
+    posteriors: Sequence[Posterior],
+    terms: Sequence[Sequence[Expression]],
+    records: Sequence[Record],
+    states: Sequence[States],
+    share: float,
+) -> Scores | None:
+    """Scores on the last rows of each record, a share of them that was not used.
+
+    Returns
+    -------
+    Scores or None
+        None where no rows were held out, or a record has no time.
+    """
+    if any(record.time is None for record in records):
+        return None
+    pieces = []
+    for record, found in zip(records, states, strict=True):
+        count = int(share * found.n)
+        if count >= LEAST_ROWS:
+            rows = rows_of(record, found, chains, inputs, "a free run")
+            pieces.append(rows.part(slice(rows.n - count, rows.n)))
+    if not pieces:
+        return None
+    dynamics = Dynamics.of(chains, inputs, posteriors, terms)
+    return score_rows(dynamics, dynamics.means(posteriors), pieces)
+
+
+def score_records(
+    dynamics: Dynamics,
+    parameters: Floats,
+    records: Sequence[Record],
+    smooth: Smooth,
+    *,
+    start: int | None,
+    rows: int | None,
+    share: float,
+    interpolation: Interpolation,
+) -> Scores:
+    """Scores on rows of records; see `bayeq.Equations.score`. Without `start` these are the last ones, a share."""
+    check_interpolation(interpolation)
+    pieces = []
+    states = derive_all(records, dynamics.chains, dynamics.inputs, smooth, share if start is None else 0.0)
+    for record, found in zip(records, states, strict=True):
+        whole = rows_of(record, found, dynamics.chains, dynamics.inputs, "a free run")
+        time = require_time(record, "a free run")
+        if start is None:
+            cut = whole.n - max(int(share * whole.n), LEAST_ROWS)
+            # the first row from there on that had not been dropped
+            first = int(np.searchsorted(time, 0.5 * (whole.time[cut - 1] + whole.time[cut]) if cut else time[0]))
+            window = window_of(record, min(first, record.n - LEAST_ROWS), rows)
+        else:
+            window = window_of(record, start, rows)
+        pieces.append(whole.part(slice(whole.nearest(time[window.start]), whole.nearest(time[window.stop - 1]) + 1)))
+    return score_rows(dynamics, parameters, pieces, interpolation)

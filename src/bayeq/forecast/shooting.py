@@ -1,0 +1,285 @@
+"""Multiple shooting: free runs of segments, each from an initial state of its own, fitted to measured channels.
+
+Least squares over the parameters and all initial states (Bock 1981) by Gauss-Newton steps with Levenberg-Marquardt
+damping. The normal equations have the shape of an arrow: initial states are eliminated segment by segment, so that the
+cost is linear in the number of rows, where a general solver's grows with the cube of the number of segments.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.expressions.tape import IndexArray
+from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.tangent import shoot
+
+__all__ = ["Measured", "Piece", "Segments", "Solution", "minimise"]
+
+Floats = NDArray[np.float64]
+
+# Residuals (n, m) and derivatives (n, m, d + p) of each segment.
+Runs: TypeAlias = list[tuple[Floats, Floats]]
+
+# Derivatives beyond this have no square in floating point.
+LARGEST = 1e140
+
+# Steps at most, and the range of the damping.
+MOST_STEPS = 60
+LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e12
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Rows of a record that parameters are estimated from.
+
+    Attributes
+    ----------
+    time : (n,) array
+        [s].
+    inputs : (n, k, 4) array
+        From `bayeq.forecast.integrate.interpolant`.
+    states : (n, d) array
+        Measured or estimated states, from which the initial states of segments are taken at first.
+    channels : (n, m) array
+        What is measured of states and targets; NaN where a sample is missing.
+    """
+
+    time: Floats
+    inputs: Floats
+    states: Floats
+    channels: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What free runs are fitted to.
+
+    Attributes
+    ----------
+    dynamics : Dynamics
+    pieces : sequence of Piece
+        One per record.
+    channels : (m,) uint32 array
+        What the pieces' channels are: state i is i, the derivative of state i is d + i.
+    step : float
+        Longest step of integration [s].
+    low, high : (d,) arrays
+        Range of the states; a run that leaves it has infinite cost.
+    """
+
+    dynamics: Dynamics
+    pieces: Sequence[Piece]
+    channels: IndexArray
+    step: float
+    low: Floats
+    high: Floats
+
+    @cached_property
+    def longest(self) -> int:
+        """Rows of the longest piece."""
+        return max(len(piece.time) for piece in self.pieces)
+
+    @cached_property
+    def rows(self) -> int:
+        """Rows of all pieces."""
+        return sum(len(piece.time) for piece in self.pieces)
+
+    def part(self, first: float, last: float) -> Measured:
+        """Rows of each piece from one share of them to another."""
+        cut = []
+        for piece in self.pieces:
+            n = len(piece.time)
+            rows = slice(round(first * n), round(last * n))
+            cut.append(Piece(piece.time[rows], piece.inputs[rows], piece.states[rows], piece.channels[rows]))
+        return replace(self, pieces=cut)
+
+    @cached_property
+    def samples(self) -> NDArray[np.intp]:
+        """Measured samples of each channel, (m,)."""
+        return np.asarray(np.sum([np.isfinite(piece.channels).sum(axis=0) for piece in self.pieces], axis=0))
+
+    @cached_property
+    def spread(self) -> Floats:
+        """Standard deviation of each channel over all pieces, (m,)."""
+        return np.asarray(np.nanstd(np.concatenate([piece.channels for piece in self.pieces]), axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Free runs of segments and their derivatives, as functions of parameters and initial states.
+
+    Attributes
+    ----------
+    measured : Measured
+    length : float
+        Rows that a segment has about; each piece is divided evenly.
+    """
+
+    measured: Measured
+    length: float
+
+    @cached_property
+    def bounds(self) -> list[tuple[Piece, int, int]]:
+        """Piece, first row and end of each segment."""
+        out = []
+        for piece in self.measured.pieces:
+            n = len(piece.time)
+            edges = np.linspace(0, n, max(1, round(n / self.length)) + 1).round().astype(int).tolist()
+            out += [(piece, a, e) for a, e in itertools.pairwise(edges)]
+        return out
+
+    @property
+    def count(self) -> int:
+        """Number of segments, K."""
+        return len(self.bounds)
+
+    @property
+    def longest(self) -> int:
+        """Rows of the longest segment."""
+        return max(e - a for _, a, e in self.bounds)
+
+    def starts(self) -> Floats:
+        """Initial states as the pieces have them, (K, d)."""
+        return np.array([piece.states[a] for piece, a, _ in self.bounds])
+
+    def run(self, parameters: Floats, starts: Floats) -> Runs | None:
+        """Residuals (n, m), 0 where a sample is missing, and derivatives (n, m, d + p) of each segment's channels.
+
+        None if a run leaves the range.
+        """
+        m = self.measured
+        tape, registers = m.dynamics.tape, m.dynamics.registers()
+        out = []
+        for (piece, a, e), start in zip(self.bounds, starts, strict=True):
+            samples = piece.channels[a:e]
+            values = np.empty(samples.shape)
+            jacobian = np.empty((*samples.shape, len(start) + len(parameters)))
+            done = shoot(
+                tape.code, tape.outputs, registers, parameters, start, piece.inputs[a:e], piece.time[a:e], m.step,
+                m.low, m.high, m.channels, values, jacobian,
+            )  # fmt: skip
+            if done < e - a or not (np.abs(jacobian) < LARGEST).all():
+                return None
+            present = np.isfinite(samples)
+            if not present.all():
+                jacobian[~present] = 0.0
+            out.append((np.where(present, samples - values, 0.0), jacobian))
+        return out
+
+    def rms(self, runs: Runs) -> Floats:
+        """Root mean square of each channel's residuals, (m,)."""
+        squares = np.sum([np.einsum("nm,nm->m", r, r) for r, _ in runs], axis=0)
+        return np.asarray(np.sqrt(squares / np.maximum(self.measured.samples, 1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where the least squares ended.
+
+    Attributes
+    ----------
+    parameters, starts : (p,) and (K, d) arrays
+        At the minimum.
+    rms : (m,) array
+        Of each channel's residuals.
+    steps : int
+        Steps taken.
+    converged : bool
+        False if it stopped at their limit.
+    """
+
+    parameters: Floats
+    starts: Floats
+    rms: Floats
+    steps: int
+    converged: bool
+
+
+def minimise(
+    segments: Segments, parameters: Floats, starts: Floats, weights: Floats, tolerance: float, fixed: bool = False
+) -> Solution | None:
+    """Least squares of the weighted residuals over parameters and initial states, by Levenberg-Marquardt.
+
+    Parameters
+    ----------
+    segments : Segments
+        Free runs and what they are fitted to.
+    parameters, starts : (p,) and (K, d) arrays
+        Where to start.
+    weights : (m,) array
+        Of each channel's residuals.
+    tolerance : float
+        Relative decrease of the cost at which to stop.
+    fixed : bool
+        Keep the parameters: initial states only.
+
+    Returns
+    -------
+    Solution or None
+        None if the first run already leaves the range.
+    """
+    runs = segments.run(parameters, starts)
+    if runs is None:
+        return None
+    damping, steps, converged = 1e-4, 0, False
+    cost, rms = _cost(segments, runs, weights)
+    while steps < MOST_STEPS and not converged:
+        H, g = _normal(runs, weights)
+        while True:
+            change = _step(H, g, damping, starts.shape[1], fixed)
+            if change is not None:
+                trial = segments.run(parameters + change[0], starts + change[1])
+                if trial is not None and (new := _cost(segments, trial, weights))[0] <= cost:
+                    break
+            damping *= 8.0
+            if damping > MOST_DAMPING:  # no step makes it better: a minimum, to rounding
+                return Solution(parameters, starts, rms, steps, True)
+        converged = cost - new[0] <= tolerance * cost
+        parameters, starts, runs, (cost, rms) = parameters + change[0], starts + change[1], trial, new
+        damping = max(damping / 8.0, LEAST_DAMPING)
+        steps += 1
+    return Solution(parameters, starts, rms, steps, converged)
+
+
+def _cost(segments: Segments, runs: Runs, weights: Floats) -> tuple[float, Floats]:
+    """Weighted sum of squares, and the rms of each channel's residuals."""
+    rms = segments.rms(runs)
+    return float(segments.measured.samples @ (weights * rms) ** 2), rms
+
+
+def _normal(runs: Runs, weights: Floats) -> tuple[Floats, Floats]:
+    """J'J and J'r of each segment, (K, d + p, d + p) and (K, d + p)."""
+    H, g = [], []
+    for r, jacobian in runs:
+        J = (jacobian * weights[:, None]).reshape(-1, jacobian.shape[2])
+        H.append(J.T @ J)
+        g.append(J.T @ (r * weights).ravel())
+    return np.array(H), np.array(g)
+
+
+def _step(H: Floats, g: Floats, damping: float, d: int, fixed: bool) -> tuple[Floats, Floats] | None:
+    """Change of the parameters and of the initial states; None where the damped matrix is singular."""
+    A, B, C = H[:, :d, :d].copy(), H[:, :d, d:], H[:, d:, d:].sum(axis=0)
+    index = np.arange(d)
+    A[:, index, index] *= 1.0 + damping
+    change = np.zeros(B.shape[2])
+    try:
+        solved = np.linalg.solve(A, np.concatenate([B, g[:, :d, None]], axis=2))
+        if not fixed:
+            C[np.diag_indices_from(C)] *= 1.0 + damping
+            S = C - np.einsum("kdp,kdq->pq", B, solved[:, :, :-1])
+            rest = g[:, d:].sum(axis=0) - np.einsum("kdp,kd->p", B, solved[:, :, -1])
+            # a parameter that nothing depends on makes the matrix singular whatever its scale
+            scale = 1.0 / np.sqrt(np.maximum(np.diagonal(C), np.finfo(float).tiny))
+            change = scale * np.linalg.solve(S * np.outer(scale, scale), scale * rest)
+    except np.linalg.LinAlgError:
+        return None
+    moved = solved[:, :, -1] - solved[:, :, :-1] @ change
+    return (change, moved) if np.isfinite(change).all() and np.isfinite(moved).all() else None

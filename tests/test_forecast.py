@@ -1,0 +1,370 @@
+"""Free runs: the integrator, its inputs and steps, bands, blow-ups, initial states and scores."""
+
+from __future__ import annotations
+
+import math
+import sys
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+
+import bayeq as bq
+from bayeq.errors import BayeqWarning, InputError, MissingExtraError, RecordError, UnknownNameError
+from bayeq.expressions import Tape, parse
+from bayeq.forecast.dynamics import Dynamics, finest_step, normal_draws
+from bayeq.forecast.integrate import free_runs, interpolant
+
+# 13 samples per natural period, where whole sampling intervals would be coarse steps.
+FS, FINE = 65.0, 15
+
+
+def coarse(system, n, seed, noise, fs=FS):
+    """A record decimated from a simulation at a finer rate."""
+    known = bq.SYSTEMS[system]
+    force = replace(known.force, band=(0.0, fs / 4), std=known.force.std * math.sqrt(fs / 400))
+    return bq.simulate(replace(known, force=force), n=n * FINE, fs=fs * FINE, seed=seed, noise=noise).slice(
+        0, None, FINE
+    )
+
+
+RECORD = coarse("duffing", 600, 3, {"x": 0.02, "v": 0.02, "a": 0.02})
+EQ = bq.discover(RECORD, displacement="x", velocity="v", acceleration="a", force="u", smooth="none")
+LORENZ = bq.simulate("lorenz", n=2000, seed=0, noise=0.0)
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", BayeqWarning)
+    FLOW = bq.discover(LORENZ, chains=["x", "y", "z"], dictionary="polynomial:2", smooth="none")
+
+
+def law(eq, time, inputs=None):
+    """Right-hand side for `solve_ivp`."""
+    if inputs is None:
+        return lambda t, s: eq.rhs(t, s)
+    return lambda t, s: eq.rhs(t, s, inputs(t))
+
+
+def dynamics(eq):
+    return Dynamics.of(eq.chains, eq.inputs, [e.posterior for e in eq], [e.terms for e in eq])
+
+
+@pytest.mark.parametrize("kind", ["cubic", "linear"])
+def test_the_free_run_agrees_with_an_adaptive_integrator(kind):
+    run = EQ.simulate(RECORD, draws=0, start=100, rows=300, interpolation=kind)
+    time, u = RECORD.time[100:400], RECORD["u"][100:400]
+    between = CubicSpline(time, u) if kind == "cubic" else lambda t: np.interp(t, time, u)
+    start = [RECORD["x"][100], RECORD["v"][100]]
+    twin = solve_ivp(law(EQ, time, between), time[[0, -1]], start, t_eval=time, rtol=1e-9, atol=1e-12, max_step=1 / FS)
+    for name, theirs in zip("xv", twin.y, strict=True):
+        np.testing.assert_allclose(run.mean[name], theirs, rtol=0, atol=1e-4 * theirs.std())
+
+
+def test_equations_without_inputs_run_together():
+    run = FLOW.simulate(LORENZ, draws=0, rows=150)
+    time = LORENZ.time[:150]
+    start = [LORENZ[name][0] for name in "xyz"]
+    twin = solve_ivp(law(FLOW, time), time[[0, -1]], start, t_eval=time, rtol=1e-10, atol=1e-10)
+    for name, theirs in zip("xyz", twin.y, strict=True):
+        np.testing.assert_allclose(run.mean[name], theirs, rtol=0, atol=1e-3 * theirs.std())
+
+
+def test_the_order_of_convergence_is_four():
+    tape = Tape.compile([parse("v"), parse("u-2*v-40*x-9*x**3")], ["x", "v", "u"])
+    time = np.linspace(0.0, 5.0, 60)
+    inputs = interpolant(time, 30 * np.sin(3 * time)[:, None], "cubic")
+
+    def run(step):
+        out = np.empty((1, 60, 2))
+        wide = np.full(2, np.inf)
+        free_runs(
+            tape.code, tape.outputs, tape.registers(), np.empty((1, 0)), np.array([[1.0, 0.0]]), np.zeros(1, np.uint32),
+            inputs, time, step, -wide, wide, out,
+        )  # fmt: skip
+        return out[0, :, 0]
+
+    dt = time[1]
+    exact = run(dt / 64)
+    errors = [np.max(np.abs(run(dt / s) - exact)) for s in (1, 2, 4)]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert np.all((orders > 3.6) & (orders < 4.6)), (errors, orders)
+
+
+def test_inputs_between_their_samples():
+    time = np.array([0.0, 0.5, 0.7, 1.5, 1.6])
+    samples = np.array([1.0, -2.0, 0.0, 5.0, 4.0])
+    at = np.array([0.1, 0.6, 1.4])
+    row = np.searchsorted(time, at) - 1
+    twins = {
+        "cubic": CubicSpline(time, samples)(at),
+        "linear": np.interp(at, time, samples),
+        "hold": samples[row],
+    }
+    for kind, theirs in twins.items():
+        c = interpolant(time, samples[:, None], kind)[row, 0]
+        np.testing.assert_allclose(np.sum(c * (at - time[row])[:, None] ** np.arange(4), axis=1), theirs, rtol=1e-12)
+    # after the last sample, and where there is but one
+    assert interpolant(time, samples[:, None], "cubic")[-1, 0].tolist() == [4.0, 0.0, 0.0, 0.0]
+    assert interpolant(time[:1], samples[:1, None], "cubic").tolist() == [[[1.0, 0.0, 0.0, 0.0]]]
+
+
+def test_steps_follow_the_sampling():
+    def step(record):
+        d = dynamics(EQ)
+        states = np.column_stack([record["x"], record["v"]])
+        return finest_step(d, d.means([EQ[0].posterior]), states, np.zeros((record.n, 1, 4)), record.time)
+
+    assert step(RECORD) < 0.3 / FS
+    fast = bq.simulate("duffing", seed=0, noise=0.0)
+    assert step(fast) == pytest.approx(1e-3)
+
+
+def test_the_same_seed_gives_the_same_bands():
+    first, again = (EQ.simulate(RECORD, draws=20, seed=5, rows=100) for _ in range(2))
+    other = EQ.simulate(RECORD, draws=20, seed=6, rows=100)
+    for name in "xv":
+        assert first.low[name].tobytes() == again.low[name].tobytes()
+        assert first.high[name].tobytes() == again.high[name].tobytes()
+        assert first.mean[name].tobytes() == other.mean[name].tobytes()
+        assert not np.array_equal(first.low[name], other.low[name])
+    without = EQ.simulate(RECORD, draws=0, rows=100)
+    assert without.draws == 0
+    assert not without.low
+    assert not without.high
+
+
+@pytest.mark.parametrize("block", [None, 400])
+def test_bands_are_order_statistics_of_single_runs(block, monkeypatch):
+    if block is not None:
+        monkeypatch.setattr("bayeq.forecast.free_run.BLOCK", block)
+    d, posteriors = dynamics(EQ), [EQ[0].posterior]
+    run = EQ.simulate(RECORD, draws=41, seed=2, start=50, rows=80)
+    drawn = d.draw(posteriors, 41, np.random.default_rng(2))
+    runs = []
+    for theta in drawn:
+        # an equation whose posterior mean is the draw
+        p = posteriors[0]
+        coef = p.coef.copy()
+        coef[p.support] = theta[1:]
+        one = replace(p, coef=coef, target_mean=theta[0] + float(p.center @ coef))
+        single = replace(EQ, equations=(replace(EQ[0], posterior=one),))
+        runs.append(single.simulate(RECORD, draws=0, start=50, rows=80).mean["x"])
+    ordered = np.sort(runs, axis=0)
+    # of 41 draws the second and the last but one: 2.5 % of 40 steps from one to the next
+    np.testing.assert_allclose(run.low["x"], ordered[1], rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(run.high["x"], ordered[39], rtol=1e-7, atol=1e-12)
+
+
+def test_draws_have_the_moments_of_the_posterior():
+    p = EQ[0].posterior
+    drawn = dynamics(EQ).draw([p], 200_000, np.random.default_rng(0))
+    assert drawn[:, 0].std() == pytest.approx(p.intercept_sd, rel=0.01)
+    np.testing.assert_allclose(drawn[:, 1:].std(axis=0), p.sd[p.support], rtol=0.01)
+    # standard error of a mean of 200,000
+    np.testing.assert_allclose(
+        drawn.mean(axis=0), dynamics(EQ).means([p]), atol=5e-3 * drawn.std(axis=0).max(), rtol=1e-4
+    )
+    # the intercept plus center'theta is the mean of the target, which is independent of the coefficients
+    level = drawn[:, 0] + drawn[:, 1:] @ p.center[p.support]
+    assert level.std() == pytest.approx(math.sqrt(p.noise_variance / p.n), rel=0.01)
+    assert np.abs(np.corrcoef(level, drawn[:, 1:].T)[0, 1:]).max() < 0.01
+
+
+def test_draws_of_badly_scaled_and_singular_covariances():
+    sd = np.array([1e-9, 1.0, 1e9, 0.0])
+    correlation = np.array([[1.0, 0.9, 0.0, 0.0], [0.9, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    drawn = normal_draws(np.zeros(4), correlation * np.outer(sd, sd), 50_000, np.random.default_rng(1))
+    np.testing.assert_allclose(drawn.std(axis=0), sd, rtol=0.02)
+    assert np.corrcoef(drawn[:, 0], drawn[:, 1])[0, 1] == pytest.approx(0.9, abs=0.01)
+
+
+# --- blow-ups --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def explosive():
+    """dx/dt = x**2, which reaches infinity at 1/x(0)."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 1, 400)
+    record = bq.Record.from_arrays(x=x, dx=x**2 + 0.01 * rng.normal(size=400), fs=100.0)
+    eq = bq.discover(record, chains=["x:dx"], dictionary="polynomial:3", smooth="none")
+    assert eq[0].included == ("x**2",)
+    return eq, record
+
+
+def test_a_run_that_blows_up_is_reported_and_stops(explosive):
+    eq, record = explosive
+    with np.errstate(all="raise"):
+        run = eq.simulate(record, initial={"x": 1.0}, draws=50)
+    assert run.blew_up_at == pytest.approx(1.0, abs=0.1)
+    assert run.blown == 50
+    reached = record.time < run.blew_up_at
+    np.testing.assert_allclose(run.mean["x"][record.time < 0.7], 1 / (1 - record.time[record.time < 0.7]), rtol=0.05)
+    assert np.isnan(run.mean["x"][~reached]).all()
+    assert run.low["x"][-1] == -math.inf
+    assert run.high["x"][-1] == math.inf
+    assert run.nrmse["x"] == math.inf
+    assert "blew up at" in str(run)
+    assert run.plot().axes
+
+
+def test_some_draws_may_blow_up(explosive):
+    eq, _ = explosive
+    # from zero it is the intercept, positive or negative, that decides; the run is long enough for either
+    long = bq.Record.from_arrays(x=np.zeros(40_000), fs=2.0)
+    run = eq.simulate(long, initial={"x": 0.0}, draws=100, seed=3)
+    assert 2 < run.blown < 98
+    assert run.high["x"][-1] == math.inf
+    # a run that blew up may be anywhere
+    assert run.low["x"][-1] == -math.inf
+    assert np.isfinite(run.low["x"][:10]).all()
+
+
+def test_no_range_is_needed_for_a_run_to_stop(explosive):
+    eq, _ = explosive
+    empty = bq.Record.from_arrays(q=np.zeros(300), fs=100.0)
+    run = eq.simulate(empty, initial={"x": 2.0}, draws=3)
+    assert run.blew_up_at == pytest.approx(0.5, abs=0.1)
+    assert not run.nrmse
+
+
+# --- initial states, rows, arguments ---------------------------------------------------------------------------------
+
+
+def test_a_new_input_with_an_initial_state_of_its_own():
+    time = np.arange(200) / FS
+    u = 30 * np.sin(20 * time)
+    run = EQ.simulate(bq.Record.from_arrays(u=u, time=time), initial={"x": 0.01, "v": -0.5}, draws=10)
+    between = CubicSpline(time, u)
+    twin = solve_ivp(law(EQ, time, between), time[[0, -1]], [0.01, -0.5], t_eval=time, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(run.mean["x"], twin.y[0], rtol=0, atol=1e-4 * twin.y[0].std())
+    assert not run.nrmse
+    assert not run.measured
+
+
+def test_some_states_may_be_given_and_others_taken():
+    run = EQ.simulate(RECORD, initial={"v": 0.0}, draws=0, start=7, rows=5)
+    assert run.mean["x"][0] == RECORD["x"][7]
+    assert run.mean["v"][0] == 0.0
+    assert run.time.tolist() == RECORD.time[7:12].tolist()
+
+
+def test_estimated_states_are_taken_as_discover_estimates_them():
+    shown = bq.Record.from_arrays(x=RECORD["x"], u=RECORD["u"], time=RECORD.time)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BayeqWarning)
+        eq = bq.discover(shown, chains=["x::"], inputs=["u"], dictionary=["x", "dx", "x**3", "u"], smooth="none")
+    run = eq.simulate(shown, draws=0, start=20, rows=50)
+    assert run.mean["dx"][0] == pytest.approx(np.gradient(RECORD["x"], RECORD.time)[20])
+    assert list(run.nrmse) == ["x"]
+
+
+def test_samples_that_were_dropped_do_not_change_the_run():
+    kept = np.flatnonzero(np.random.default_rng(0).random(RECORD.n) > 0.1)
+    run = EQ.simulate(RECORD.take(kept), initial={"x": 0.0, "v": 0.0}, draws=0)
+    # the force is what it was, but for the spline over its gaps
+    whole = EQ.simulate(RECORD, initial={"x": 0.0, "v": 0.0}, draws=0)
+    difference = run.mean["x"] - whole.mean["x"][kept]
+    assert np.sqrt(np.mean(difference**2)) < 0.15 * whole.mean["x"].std()
+    assert len(run.time) == len(kept)
+
+
+def test_errors_are_normalised_by_the_channel():
+    run = EQ.simulate(RECORD, draws=0)
+    for name in "xv":
+        error = run.mean[name] - RECORD[name]
+        assert run.nrmse[name] == pytest.approx(math.sqrt(np.mean(error**2)) / RECORD[name].std())
+    assert run.nrmse["x"] < 0.2
+    assert "normalised RMS error" in str(run)
+
+
+def test_missing_samples_are_not_judged():
+    gaps = RECORD["x"].copy()
+    gaps[40:60] = np.nan
+    run = EQ.simulate(RECORD.with_channels({"x": gaps}), initial={"x": 0.0, "v": 0.0}, draws=0)
+    assert math.isfinite(run.nrmse["x"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"start": 600}, "600 rows"),
+        ({"start": -1}, "at least 0"),
+        ({"rows": 1}, "at least 2"),
+        ({"start": 599}, "2 rows or more"),
+        ({"start": 500, "rows": 101}, "at most the 600"),
+        ({"draws": -1}, "draws must be at least 0"),
+        ({"draws": 1.5}, "whole number"),
+        ({"initial": {"x": math.nan}}, "finite"),
+        ({"interpolation": "spline"}, "cubic, linear, hold"),
+    ],
+)
+def test_bad_arguments(arguments, message):
+    with pytest.raises(InputError, match=message):
+        EQ.simulate(RECORD, **arguments)
+
+
+def test_bad_records():
+    with pytest.raises(UnknownNameError, match="state named 'w'"):
+        EQ.simulate(RECORD, initial={"w": 1.0})
+    with pytest.raises(InputError, match="initial 'v' is not measured: give initial="):
+        EQ.simulate(bq.Record.from_arrays(x=RECORD["x"], u=RECORD["u"], time=RECORD.time))
+    with pytest.raises(UnknownNameError, match="'u'"):
+        EQ.simulate(bq.Record.from_arrays(x=RECORD["x"], v=RECORD["v"], time=RECORD.time))
+    with pytest.raises(RecordError, match="time column"):
+        EQ.simulate(bq.Record.from_arrays(dict(RECORD.channels)))
+    force = RECORD["u"].copy()
+    force[5] = np.nan
+    with pytest.raises(RecordError, match="NaN"):
+        EQ.simulate(RECORD.with_channels({"u": force}))
+
+
+# --- scores and figures ----------------------------------------------------------------------------------------------
+
+
+def test_scores_are_of_the_rows_held_out():
+    scores = EQ.score(RECORD)
+    assert scores.rows == 120
+    # the same rows and the same error as the fit's own judgement
+    assert scores.one_step["a"] == pytest.approx(EQ[0].held_out.nrmse, rel=1e-6)
+    assert scores.free_run == EQ.simulate(RECORD, draws=0, start=480).nrmse
+    assert EQ.score(RECORD, start=10, rows=90).rows == 90
+    assert "one step: a" in str(scores)
+
+
+def test_scores_without_held_out_rows():
+    eq = bq.discover(RECORD, displacement="x", velocity="v", acceleration="a", force="u", smooth="none", holdout=0.0)
+    assert eq.scores is None
+    assert eq.score(RECORD) == eq.score(RECORD, start=480)
+
+
+def test_figure():
+    run = EQ.simulate(RECORD, draws=20)
+    axes = run.plot().axes
+    assert [ax.get_ylabel() for ax in axes] == ["x [m]", "v [m/s]"]
+    assert axes[1].get_xlabel() == "time [s]"
+    # band, measured, run
+    assert len(axes[0].collections) == 1
+    assert len(axes[0].lines) == 2
+    assert len(EQ.simulate(RECORD, draws=0).plot().axes[0].collections) == 0
+
+
+def test_figure_without_matplotlib(monkeypatch):
+    run = EQ.simulate(RECORD, draws=0, rows=10)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"bayeq\[plot\]"):
+        run.plot()
+
+
+def test_the_speed_promised():
+    # 1,000 steps per millisecond (perf/forecast.py measures 3,000); a tenth of it on a busy machine
+    import time
+
+    record = bq.simulate("duffing", n=100_000, seed=0)
+    EQ.simulate(record, initial={"x": 0.0, "v": 0.0}, draws=0, rows=100)
+    begin = time.perf_counter()
+    EQ.simulate(record, initial={"x": 0.0, "v": 0.0}, draws=0)
+    assert time.perf_counter() - begin < 1.0
