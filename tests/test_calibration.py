@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -183,7 +184,7 @@ def test_the_tables_and_their_verdict():
         ("correlated", "all"),
         ("all", "all"),
     ]
-    assert len(second) == 3 * BINS
+    assert len(second) == 4 * BINS
     assert first[-1]["tests"] == 3 * (BINS + len(QUANTITIES))
     assert first[-1]["verdict"] == "not rejected at 1 %"
     assert first[-1]["ci95_of_included"] == "0.9000"
@@ -192,6 +193,50 @@ def test_the_tables_and_their_verdict():
     assert first[-1]["verdict"] == "rejected at 1 %"
     assert [float(str(line["p_least_adjusted"])) < 0.01 for line in first] == [False, True, True, True]
     assert (second[10]["stated"], second[10]["true"], second[10]["se_robust"]) == ("0.50000", "0.59000", "0.09000")
+
+
+def test_bins_of_everything_are_those_of_all_tallies_together():
+    rng = np.random.default_rng(2)
+    tallies = {}
+    for cell in [("correlated", 20), ("correlated", 50), ("oscillator", 20)]:
+        terms = rng.integers(0, 400, BINS)
+        terms[0], terms[3] = 40_000, 0
+        one = bins(0, terms=1)
+        tallies[cell] = replace(
+            one,
+            terms=terms,
+            stated=terms * rng.uniform(size=BINS),
+            true=rng.binomial(terms, 0.4),
+            variance=terms * rng.uniform(size=BINS),
+            squared=terms * rng.uniform(size=BINS),
+        )
+    lines = tables(tallies)[1]
+    found = lines[-BINS:]
+    assert {(line["design"], line["rows"]) for line in found} == {("all", "all")}
+    expected = [{"design": "all", "rows": "all", **line} for line in calibration._bins(joined(list(tallies.values())))]
+    for line, whole in zip(found, expected, strict=True):
+        assert "p" not in line
+        assert line["terms"] == whole["terms"]
+        assert line.keys() == whole.keys() - {"p"}
+        # of numbers printed with five places
+        for key in line.keys() & {"stated", "true", "se", "se_robust"}:
+            assert float(line[key]) == pytest.approx(float(whole[key]), abs=2e-5)
+    # and the same from the table in its file
+    written = [{key: str(value) for key, value in line.items()} for line in lines[:-BINS]]
+    assert calibration.pooled(written) == found
+
+
+def test_the_committed_table_has_ten_bins_of_five_hundred_terms():
+    path = Path(calibration.__file__).parents[3] / "docs/tables/calibration_bins.csv"
+    if not path.exists():
+        pytest.skip("installed without its documents")
+    lines = list(csv.DictReader(path.read_text().splitlines()))
+    whole = [line for line in lines if line["design"] == "all"]
+    derived = [{key: str(value) for key, value in line.items()} for line in calibration.pooled(lines[:-BINS])]
+    assert [{key: value for key, value in line.items() if value} for line in whole] == derived
+    assert min(int(line["terms"]) for line in whole) >= 500
+    for line in whole:
+        assert abs(float(line["stated"]) - float(line["true"])) < 4.0 * float(line["se_robust"])
 
 
 def test_the_study_is_reproducible_whatever_the_number_of_jobs(tmp_path, monkeypatch, capsys):

@@ -4,14 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from bayeq.errors import InputError
 from bayeq.gram import Gram
 from bayeq.inference.gibbs import greedy_start, multivariate_rhat, sample_chain, sample_posterior, spike_slab_gibbs
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Problem
-from tests import reference
+from tests import geweke, reference
 
 BOTH = pytest.mark.parametrize("exchange", [False, True], ids=["paper", "exchange"])
 
@@ -116,48 +115,7 @@ class Replay:
 
 @BOTH
 def test_geweke_joint_distribution(exchange):
-    """Draws of (z, theta, sigma^2) from the prior, and from a chain that alternates data and posterior, agree.
-
-    Geweke (2004). The chain draws y given theta and sigma^2, then one Gibbs sweep given y; what it visits must be
-    distributed as the prior, here one that can be drawn from (a = b = 3).
-    """
-    rng = np.random.default_rng(11)
-    n, P, sweeps = 12, 3, 40_000
-    D = rng.normal(size=(n, P)) + 0.8 * rng.normal(size=(n, 1))
-    D -= D.mean(axis=0)
-    prior = Prior(slab_variance=2.0, prior_inclusion=0.4, noise_shape=3.0, noise_rate=3.0)
-    centring = np.eye(n) - 1.0 / n
-    z = rng.random(P) < 0.4
-    noise = 1.5
-    theta = np.zeros(P)
-    kept = {"z": [], "theta": [], "log_noise": []}
-    zs, thetas = np.empty((2, P), dtype=bool), np.empty((2, P))
-    noises, levels = np.empty(2), np.empty(2)
-    blank = Problem.of(Gram.from_data(D, np.zeros(n)), prior)
-    for _ in range(sweeps):
-        y = D @ theta + centring @ (math.sqrt(noise) * rng.normal(size=n))
-        # floor = 2 b_sigma whatever y, which is small here
-        p = blank._replace(Dty=D.T @ y, yty=float(y @ y))
-        sample_chain(p, z.copy(), noise, 0, exchange, rng, zs, thetas, noises, levels, np.zeros(P))
-        z, theta, noise = zs[1].copy(), thetas[1].copy(), float(noises[1])
-        # theta of row 1 was drawn given row 1's sigma^2 and z
-        kept["z"].append(z.copy())
-        kept["theta"].append(theta.copy())
-        kept["log_noise"].append(math.log(noise))
-
-    def z_score(samples, expected):
-        samples = np.asarray(samples, dtype=float)
-        batches = samples[: len(samples) // 50 * 50].reshape(50, -1, *samples.shape[1:]).mean(axis=1)
-        return (batches.mean(axis=0) - expected) / (batches.std(axis=0, ddof=1) / math.sqrt(50))
-
-    variance = 3.0 / 2.0 * 2.0 * 0.4  # E[sigma^2] v_s p_0
-    scores = [
-        *z_score(kept["z"], 0.4),
-        *z_score(kept["theta"], 0.0),
-        *z_score(np.square(kept["theta"]), variance),
-        z_score(kept["log_noise"], float(stats.invgamma(3.0, scale=3.0).expect(np.log))),
-        z_score(np.square(np.array(kept["z"]).sum(axis=1)), 3 * 0.4 * 0.6 + 1.44),
-    ]
+    scores, _ = geweke.scores(exchange)
     # eleven tests of a t-distribution of 49 degrees of freedom: 4.2 is a family-wise error of one in a thousand
     assert np.max(np.abs(scores)) < 4.2
 

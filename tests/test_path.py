@@ -16,7 +16,8 @@ from bayeq.cli import main
 from bayeq.errors import DataWarning, InputError
 from bayeq.gram import Gram
 from bayeq.inference import path
-from bayeq.inference.path import best_of_each_size, exact_posterior, model_log_posterior, partial_shares
+from bayeq.inference.conditional import exact_posterior
+from bayeq.inference.path import best_of_each_size, model_log_posterior, partial_shares
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Problem
 from bayeq.inference.search import log_evidence, neighbours

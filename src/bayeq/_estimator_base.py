@@ -181,9 +181,17 @@ class SpikeSlabRegressor(SparseRegressor):
     noise_shape: float
     noise_rate: float
     inclusion_beta: tuple[float, float] | None
+    signs: ArrayLike | None
 
     def _prior(self) -> Prior:
-        return Prior(self.slab_variance, self.prior_inclusion, self.noise_shape, self.noise_rate, self.inclusion_beta)
+        return Prior(
+            self.slab_variance,
+            self.prior_inclusion,
+            self.noise_shape,
+            self.noise_rate,
+            self.inclusion_beta,
+            self.signs,
+        )
 
     def _target(self, target: int | None) -> int:
         """The index of the one target, or of the one that was asked for."""

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from bayeq.errors import InputError
 from bayeq.gram import Gram, GramLike
 from bayeq.inference import ENGINES, Prior
-from bayeq.inference.path import best_of_each_size, exact_posterior, partial_shares, path_sizes
+from bayeq.inference.conditional import exact_posterior
+from bayeq.inference.path import best_of_each_size, partial_shares, path_sizes
 from bayeq.inference.problem import Problem
 from bayeq.inference.tableau import swept
 from bayeq.posterior import Posterior

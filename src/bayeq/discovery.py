@@ -67,7 +67,7 @@ LITTLE = 0.5
 MOST_TERMS_TO_THIN = 500
 
 # Methods that take signs of coefficients.
-SIGNED = ("auto", "bma")
+SIGNED = ("auto", "bma", "gibbs", "vb")
 
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
 RUNNER_UP_WINDOW = 12.0
@@ -132,8 +132,8 @@ def discover(
         those units; its v_s is used as it is.
     constraints : str or sequence of str
         What is known of the coefficients, in original units: linear equations, ``"u == 1"``,
-        ``"x*abs(x) == 0.5*x**3"``, and signs, ``"v <= 0"`` (methods auto and bma). They concern every equation, or with
-        a target in front that one, ``"a: v <= 0"``.
+        ``"x*abs(x) == 0.5*x**3"``, and signs, ``"v <= 0"`` (but not by rvm and stlsq). They concern every equation,
+        or with a target in front that one, ``"a: v <= 0"``.
     seed : int
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional

@@ -44,6 +44,9 @@ class SpikeSlabVB(SpikeSlabRegressor):
         a_sigma, b_sigma of the inverse-Gamma prior of the noise variance, in squared units of y.
     inclusion_beta : (a, b), optional
         Take p_0 as unknown, Beta(a, b): a beta-binomial prior of the number of terms. (1, P) suits large dictionaries.
+    signs : (P,) array of -1, 0 and +1, optional
+        Known signs of the coefficients, 0 for unknown: given inclusion a coefficient of known sign is half normal. The
+        answer is then the likeliest model with its exact posterior (see `spike_slab_vb`), and `init` "search".
     init : "search", "rvm" or (P,) array
         Start of the ascent: several points, keeping the highest ELBO; the paper's RVM start; or given w.
     tol : float
@@ -100,6 +103,7 @@ class SpikeSlabVB(SpikeSlabRegressor):
         noise_shape: float = 1e-4,
         noise_rate: float = 1e-4,
         inclusion_beta: tuple[float, float] | None = None,
+        signs: ArrayLike | None = None,
         init: Literal["search", "rvm"] | Floats = "search",
         tol: float = 1e-6,
         max_iter: int = 1000,
@@ -110,6 +114,7 @@ class SpikeSlabVB(SpikeSlabRegressor):
         self.noise_shape = noise_shape
         self.noise_rate = noise_rate
         self.inclusion_beta = inclusion_beta
+        self.signs = signs
         self.init = init
         self.tol = tol
         self.max_iter = max_iter
@@ -136,7 +141,7 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
 
     Parameters
     ----------
-    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta
+    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta, signs
         The prior, as in `SpikeSlabVB`.
     chains, samples, burn_in : int
         The paper's 4 chains of 5000 samples, the first 1000 left out.
@@ -168,6 +173,7 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
         noise_shape: float = 1e-4,
         noise_rate: float = 1e-4,
         inclusion_beta: tuple[float, float] | None = None,
+        signs: ArrayLike | None = None,
         chains: int = 4,
         samples: int = 5000,
         burn_in: int = 1000,
@@ -179,6 +185,7 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
         self.noise_shape = noise_shape
         self.noise_rate = noise_rate
         self.inclusion_beta = inclusion_beta
+        self.signs = signs
         self.chains = chains
         self.samples = samples
         self.burn_in = burn_in
@@ -245,7 +252,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
 
     Parameters
     ----------
-    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta
+    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta, signs
         The prior, as in `SpikeSlabVB`.
     tolerance : float
         Posterior mass that the search over models may leave out.
@@ -288,6 +295,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         noise_shape: float = 1e-4,
         noise_rate: float = 1e-4,
         inclusion_beta: tuple[float, float] | None = None,
+        signs: ArrayLike | None = None,
         tolerance: float = 5e-3,
         enumerate_up_to: int = 14,
     ) -> None:
@@ -296,6 +304,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         self.noise_shape = noise_shape
         self.noise_rate = noise_rate
         self.inclusion_beta = inclusion_beta
+        self.signs = signs
         self.tolerance = tolerance
         self.enumerate_up_to = enumerate_up_to
 
@@ -309,7 +318,9 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         self.average_ = read("average", listed=True)
         # what `sample` draws from: parameters may be set anew, and arrays written to, before the next fit
         prior = self._prior()
-        self._sampled = (grams, replace(prior, prior_inclusion=np.array(prior.prior_inclusion, dtype=np.float64)))
+        inclusion = np.array(prior.prior_inclusion, dtype=np.float64)
+        signs = None if prior.signs is None else np.array(prior.signs)
+        self._sampled = (grams, replace(prior, prior_inclusion=inclusion, signs=signs))
 
     def _draw(self, target: int, n: int, rng: np.random.Generator) -> tuple[Floats, Floats, NDArray[np.intp]]:
         """theta (n, P), sigma^2 (n,) and the model (n,) of each draw."""

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from bayeq.errors import InputError
 from bayeq.files import replacing
 from bayeq.gram import Gram, Standardised
+from bayeq.inference.conditional import exact_posterior
 from bayeq.inference.path import (
     DEFAULT_MOST,
     best_of_each_size,
-    exact_posterior,
     model_log_posterior,
     partial_shares,
 )

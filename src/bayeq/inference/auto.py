@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from bayeq.gram import GramLike
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.path import model_log_posterior
 from bayeq.inference.prior import Prior
+from bayeq.inference.problem import Problem
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.posterior import Posterior
 
@@ -43,17 +47,19 @@ def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: fl
         From model averaging: `pip`, `support` (the median probability model), `coef` and `covariance` (exact given
         that model), `averaged_coef`, `averaged_sd`, `noise_variance`, `average`. From variational Bayes: `elbo`,
         `elbo_trace`, and `optimum`, the terms at its optimum. If the models listed leave out more than 2 % of the mass,
-        collapsed Gibbs sampling gives what averaging would have; `average` is then None and `rhat` is not. Where the
-        prior knows signs, which neither VB nor Gibbs sampling does, all is from model averaging and `elbo` is None.
+        collapsed Gibbs sampling gives what averaging would have; `average` is then None and `rhat` is not.
     """
     bma = spike_slab_bma(gram, prior, tolerance=tolerance)
     assert bma.average is not None
-    if prior is not None and len(prior.sign_array(len(gram.names))):
-        return replace(bma, method="auto")
-    vb = spike_slab_vb(gram, prior, models=list(bma.average.models[:VB_STARTS]))
+    best = list(bma.average.models[:VB_STARTS])
     if bma.average.left_out > MOST_LEFT_OUT:
         samples = min(SAMPLES, max(500, SAMPLED_TERMS // len(gram.names)))
         bma = spike_slab_gibbs(gram, prior, samples=samples, burn_in=samples // 5, seed=seed, keep_draws=False)
+    if prior is not None and len(prior.sign_array(len(gram.names))):
+        # what VB would look for again
+        elbo = model_log_posterior(Problem.of(gram, prior), best[0])
+        return replace(bma, method="auto", elbo=elbo, elbo_trace=np.array([elbo]), optimum=best[0])
+    vb = spike_slab_vb(gram, prior, models=best)
     return replace(
         bma,
         method="auto",

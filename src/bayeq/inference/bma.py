@@ -6,11 +6,13 @@ to hold nearly all of the mass (`inference.models`).
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.gram import GramLike
-from bayeq.inference.conditional import given_model
+from bayeq.inference.conditional import exact_posterior
 from bayeq.inference.models import ModelSet, enumerate_models, search_models
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Floats, Ints, Problem
@@ -19,7 +21,7 @@ from bayeq.inference.tableau import active_block, flip, swept
 from bayeq.kernels import kernel
 from bayeq.posterior import ModelAverage, Posterior
 
-__all__ = ["average_models", "sample_average", "spike_slab_bma"]
+__all__ = ["average_models", "mean_noise_variance", "sample_average", "spike_slab_bma"]
 
 # Up to this many free terms all models are enumerated.
 ENUMERATE = 14
@@ -100,13 +102,10 @@ def _moments(
     return add_truncated(problem, models[~certain], weights[~certain], place, rest)
 
 
-def _given_model(problem: Problem, active: Bools) -> tuple[Floats, Floats]:
-    """`conditional.given_model`, and given the signs where they are known."""
-    if not len(problem.signs):
-        return given_model(problem, active)
-    from bayeq.inference.signs import given_signs
-
-    return given_signs(problem, active) or given_model(problem, active)
+def mean_noise_variance(problem: Problem, active: Bools) -> float:
+    """Mean of sigma^2 given a model, and the signs where they are known."""
+    nowhere = np.full(len(active), -1)
+    return float(_moments(problem, active[None, :], np.ones(1), nowhere, 0)[3])
 
 
 def spike_slab_bma(
@@ -153,7 +152,7 @@ def spike_slab_bma(
     place[terms] = np.arange(len(terms))
     mean, square, second, noise = _moments(problem, found.models[:enough], share, place, len(terms))
     support = pip > 0.5
-    coef, conditional = _given_model(problem, support)
+    coef, conditional = exact_posterior(problem, support)
     return Posterior(
         method="bma",
         names=gram.names,
@@ -180,30 +179,38 @@ def spike_slab_bma(
     )
 
 
+def _draw_given_model(p: Problem, active: Bools, n: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """theta (n, P) and sigma^2 (n,) given a model, without the signs."""
+    theta = np.zeros((n, len(active)))
+    T = swept(p, active)
+    kept = np.flatnonzero(active)
+    noise = 0.5 * max(float(T.diagonal[-1]), p.floor) / rng.standard_gamma(p.h, size=n)
+    if len(kept):
+        root = np.linalg.cholesky(active_block(T, kept))
+        normal = rng.standard_normal((n, len(kept))) @ root.T
+        theta[:, kept] = T.partial[kept] + np.sqrt(noise)[:, None] * normal
+    return theta, noise
+
+
 def sample_average(
     problem: Problem, average: ModelAverage, n: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats, NDArray[np.intp]]:
     """Independent draws from the mixture: theta (n, P), sigma^2 (n,), and the model (n,) each came from.
 
     sigma^2 | z, y is inverse-Gamma(h, s/2), theta | sigma^2, z, y Gaussian, eq. (33), on the columns of `problem`.
-
-    Raises
-    ------
-    InputError
-        A prior with signs: draws would have to be truncated.
+    Where signs are known draws are repeated until these are right; those that 50 attempts have not given are samples
+    of a chain within the model, twenty apart.
     """
-    problem.require_no_signs("sampling from the average")
     which = rng.choice(len(average.probability), size=n, p=average.probability)
     theta, noise = np.zeros((n, len(problem.Dty))), np.empty(n)
     for k in np.unique(which):
         rows = np.flatnonzero(which == k)
         active = average.models[k]
-        T = swept(problem, active)
-        kept = np.flatnonzero(active)
-        s = max(float(T.diagonal[-1]), problem.floor)
-        noise[rows] = 0.5 * s / rng.standard_gamma(problem.h, size=len(rows))
-        if len(kept):
-            root = np.linalg.cholesky(active_block(T, kept))
-            normal = rng.standard_normal((len(rows), len(kept))) @ root.T
-            theta[np.ix_(rows, kept)] = T.partial[kept] + np.sqrt(noise[rows])[:, None] * normal
+        draw = partial(_draw_given_model, problem, active, rng=rng)
+        if len(problem.signs):
+            from bayeq.inference.signed_gibbs import right_signs
+
+            theta[rows], noise[rows] = right_signs(problem, active, len(rows), draw, rng)
+        else:
+            theta[rows], noise[rows] = draw(len(rows))
     return theta, noise, which.astype(np.intp)

@@ -7,7 +7,7 @@ import numpy as np
 from bayeq.inference.problem import Bools, Floats, Problem
 from bayeq.inference.tableau import active_block, swept
 
-__all__ = ["given_model"]
+__all__ = ["exact_posterior", "given_model"]
 
 
 def given_model(problem: Problem, active: Bools) -> tuple[Floats, Floats]:
@@ -19,3 +19,13 @@ def given_model(problem: Problem, active: Bools) -> tuple[Floats, Floats]:
     T = swept(problem, active)
     variance = 0.5 * max(float(T.diagonal[-1]), problem.floor) / max(problem.h - 1.0, 0.5)
     return np.where(active, T.partial, 0.0), variance * active_block(T, np.flatnonzero(active))
+
+
+def exact_posterior(problem: Problem, active: Bools) -> tuple[Floats, Floats]:
+    """`given_model`, and given the signs where they are known."""
+    if len(problem.signs):
+        # brings scipy.special, which takes a while to import
+        from bayeq.inference.signs import given_signs
+
+        return given_signs(problem, active) or given_model(problem, active)
+    return given_model(problem, active)

@@ -14,14 +14,21 @@ import numpy as np
 
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
-from bayeq.inference.conditional import given_model
+from bayeq.inference.conditional import exact_posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Floats, Problem
 from bayeq.inference.tableau import Tableau, data_gain, flip, residual_sum, score, size_gains, swap_gains, swept
 from bayeq.kernels import kernel
 from bayeq.posterior import Draws, Posterior
 
-__all__ = ["multivariate_rhat", "sample_chain", "sample_posterior", "spike_slab_gibbs"]
+__all__ = [
+    "draw_theta",
+    "exchange_terms",
+    "multivariate_rhat",
+    "sample_chain",
+    "sample_posterior",
+    "spike_slab_gibbs",
+]
 
 # Flips after which the tableau is swept anew, against drift.
 REFRESH = 20_000
@@ -59,7 +66,7 @@ def greedy_start(p: Problem, size: int) -> Bools:
 
 
 @kernel
-def _draw_theta(T: Tableau, active: Bools, variance: float, rng: np.random.Generator, out: Floats) -> None:
+def draw_theta(T: Tableau, active: Bools, variance: float, rng: np.random.Generator, out: Floats) -> None:
     """theta_r ~ N(a_r, sigma^2 A_r) into `out`, zero elsewhere; the Cholesky factor of A_r = -M_rr is taken here."""
     terms = len(active)
     index = np.flatnonzero(active)
@@ -113,7 +120,7 @@ def _scan(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, inclu
 
 
 @kernel
-def _exchange(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, weight: Floats) -> int:
+def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, weight: Floats) -> int:
     """Draw anew which term stands in the place of a random active one; returns the number of flips.
 
     The model without term i is kept, and the term that completes it is drawn from its conditional among i and all
@@ -173,7 +180,7 @@ def sample_chain(
     """Run one chain from the model `active` (changed in place) and the noise variance `variance`.
 
     One sample is theta | sigma^2, z, then sigma^2 | z, then z (by a scan of flips, and with `exchange` one step of
-    `_exchange` before it); after `burn_in` of them the
+    `exchange_terms` before it); after `burn_in` of them the
     rows of z (S, P), theta (S, P), noise (S,) and log_posterior (S,) are filled and pip (P,) summed up.
     """
     terms = len(active)
@@ -185,7 +192,7 @@ def sample_chain(
         s = max(T.diagonal[terms], p.floor)
         if t > 0:
             variance = 0.5 * s / rng.standard_gamma(p.h)
-        _draw_theta(T, active, variance, rng, draw)
+        draw_theta(T, active, variance, rng, draw)
         k = t - burn_in
         if k >= 0:
             z[k] = active
@@ -194,7 +201,7 @@ def sample_chain(
             log_posterior[k] = score(p, active, p.slab_variance)
         before = flips
         if exchange:
-            flips += _exchange(p, T, active, rng, draw)
+            flips += exchange_terms(p, T, active, rng, draw)
         flips += _scan(p, T, active, rng, inclusion)
         if k >= 0:
             for j in range(terms):
@@ -235,11 +242,10 @@ def sample_posterior(
     Raises
     ------
     InputError
-        No chains, no samples after the burn-in, or a prior with signs.
+        No chains, or no samples after the burn-in.
     """
     if chains < 1 or burn_in < 0 or samples <= burn_in:
         raise InputError(f"need chains >= 1 and samples > burn_in >= 0, got {chains}, {samples}, {burn_in}")
-    problem.require_no_signs("gibbs")
     terms, kept = len(problem.Dty), samples - burn_in
     z = np.empty((chains, kept, terms), dtype=np.bool_)
     theta, pip = np.empty((chains, kept, terms)), np.zeros((chains, terms))
@@ -253,9 +259,18 @@ def sample_posterior(
     for k, stream in enumerate(_seed(seed).spawn(chains)):
         rng = np.random.Generator(np.random.PCG64(stream))
         variance = nominal * math.exp(0.1 * rng.standard_normal())
-        sample_chain(
-            problem, start.copy(), variance, burn_in, exchange, rng, z[k], theta[k], noise[k], levels[k], pip[k]
-        )
+        rest = variance, burn_in, exchange, rng, z[k], theta[k], noise[k]
+        if len(problem.signs):
+            # brings scipy.special, which takes a while to import
+            from bayeq.inference.signed_gibbs import doubled, sample_signed_chain
+
+            sample_signed_chain(doubled(problem), start.copy(), np.zeros(terms), *rest, pip[k])
+        else:
+            sample_chain(problem, start.copy(), *rest, levels[k], pip[k])
+    if len(problem.signs):
+        from bayeq.inference.signed_gibbs import signed_levels
+
+        levels = signed_levels(problem, z)
     return Draws(z=z, theta=theta, noise_variance=noise, log_posterior=levels, pip=pip / kept)
 
 
@@ -315,7 +330,7 @@ def spike_slab_gibbs(
     seed: int | Sequence[int] = 0,
     keep_draws: bool = True,
 ) -> Posterior:
-    """Posterior under spike-and-slab priors by collapsed Gibbs sampling.
+    """Posterior under spike-and-slab priors by collapsed Gibbs sampling, of `signed_gibbs` where signs are known.
 
     Parameters
     ----------
@@ -343,7 +358,7 @@ def spike_slab_gibbs(
     draws = sample_posterior(problem, chains=chains, samples=samples, burn_in=burn_in, exchange=exchange, seed=seed)
     pip = draws.pip.mean(axis=0)
     support = pip > 0.5
-    coef, covariance = given_model(problem, support)
+    coef, covariance = exact_posterior(problem, support)
     rhat = multivariate_rhat(draws.theta)
     return Posterior(
         method="gibbs",

@@ -14,7 +14,6 @@ import numpy as np
 
 from bayeq.errors import InputError
 from bayeq.gram import Gram
-from bayeq.inference.conditional import given_model
 from bayeq.inference.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.search import best_models, log_constant
 from bayeq.inference.tableau import MOST_ACTIVE, flip, flip_gains, score, swap_gains, swept
@@ -23,7 +22,6 @@ from bayeq.kernels import kernel
 __all__ = [
     "DEFAULT_MOST",
     "best_of_each_size",
-    "exact_posterior",
     "model_log_posterior",
     "partial_shares",
     "path_sizes",
@@ -119,15 +117,6 @@ def _scores(problem: Problem, models: Bools) -> Floats:
     from bayeq.inference.signs import signed_scores
 
     return signed_scores(problem, models, WINDOW)[1]
-
-
-def exact_posterior(problem: Problem, active: Bools) -> tuple[Floats, Floats]:
-    """Mean (P,) and covariance (r, r) of theta given a model, see `conditional.given_model`, and the signs if known."""
-    if len(problem.signs):
-        from bayeq.inference.signs import given_signs
-
-        return given_signs(problem, active) or given_model(problem, active)
-    return given_model(problem, active)
 
 
 @kernel

@@ -32,7 +32,7 @@ class Prior:
         included terms is then beta-binomial (Scott and Berger 2010), and the prior adapts to how many there are.
     signs : (P,) array of -1, 0 and +1, optional
         Known signs of coefficients, 0 for unknown. Given inclusion the prior of a coefficient of known sign is the half
-        normal on that side. Model averaging takes signs into account, other engines refuse them.
+        normal on that side.
 
     Notes
     -----

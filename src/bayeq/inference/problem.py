@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import InputError
 from bayeq.gram import GramLike, dense
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
@@ -182,17 +181,6 @@ class Problem(NamedTuple):
     def DtD(self) -> Floats:
         """D'D as one array."""
         return all_rows(self.columns)
-
-    def require_no_signs(self, engine: str) -> None:
-        """Refuse signs, for an engine that does not know what to do with them.
-
-        Raises
-        ------
-        InputError
-            A sign is given.
-        """
-        if len(self.signs):
-            raise InputError(f"{engine} takes no signs of coefficients; model averaging does (bma, auto)")
 
     def with_slab_variance(self, slab_variance: float) -> Problem:
         """The same problem with another v_s."""

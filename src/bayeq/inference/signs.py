@@ -17,7 +17,7 @@ from bayeq.inference.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.tableau import active_block, flip, score, swept
 from bayeq.kernels import kernel
 
-__all__ = ["Truncation", "add_truncated", "certain_signs", "given_signs", "signed_scores"]
+__all__ = ["Truncation", "add_truncated", "certain_signs", "coarse_scores", "given_signs", "signed_scores"]
 
 Moments = tuple[Floats, Floats, Floats, float]
 
@@ -186,6 +186,17 @@ def signed_scores(p: Problem, models: Bools, window: float, top: float = -math.i
             top = max(top, float(values[rows].max()))
         without[part], value[part] = truncation.scores, values
     return without, value
+
+
+def coarse_scores(p: Problem, models: Bools) -> Floats:
+    """Log posteriors of K models with the signs, up to `search.log_constant`, none of them a bound, by few points."""
+    out = np.empty(len(models))
+    for part in _chunks(p, len(models)):
+        truncation = Truncation(p, models[part])
+        values, left = truncation.scores + truncation.bound, np.flatnonzero(~truncation.exact)
+        values[left] = truncation.scores[left] + truncation.log_factors(left, COARSE_POINTS)
+        out[part] = values
+    return out
 
 
 def given_signs(p: Problem, active: Bools) -> tuple[Floats, Floats] | None:

@@ -17,7 +17,10 @@ import numpy as np
 
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
+from bayeq.inference.bma import average_models, mean_noise_variance
+from bayeq.inference.conditional import exact_posterior
 from bayeq.inference.lrvb import linear_response
+from bayeq.inference.path import model_log_posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Floats, Ints, Problem, fetch
 from bayeq.inference.rvm import rvm_ascent
@@ -254,6 +257,30 @@ def _best_ascent(
     return best
 
 
+def _signed_optimum(gram: GramLike, problem: Problem) -> Posterior:
+    """The model of highest posterior probability under signs, with its exact posterior."""
+    found = average_models(problem)
+    best = found.models[0]
+    coef, covariance = exact_posterior(problem, best)
+    elbo = model_log_posterior(problem, best)
+    return Posterior(
+        method="vb",
+        names=gram.names,
+        pip=best.astype(np.float64),
+        support=best,
+        coef=coef,
+        covariance=covariance,
+        center=np.zeros(len(best)),
+        target_mean=0.0,
+        noise_variance=mean_noise_variance(problem, best),
+        n=round(gram.dof) + 1,
+        elbo=elbo,
+        elbo_trace=np.array([elbo]),
+        n_iter=1,
+        slab_variance=problem.slab_variance,
+    )
+
+
 def spike_slab_vb(
     gram: GramLike,
     prior: Prior | None = None,
@@ -290,11 +317,26 @@ def spike_slab_vb(
     -------
     Posterior
         `pip` holds w, `elbo` the bound (28) with its misprint corrected.
+
+    Raises
+    ------
+    InputError
+        Options or prior parameters out of range, or signs with a start of one's own.
+
+    Notes
+    -----
+    Where signs of coefficients are known nothing ascends. w is restricted to 0 and 1 and q(theta, sigma^2) is the exact
+    posterior given the model and the signs, not factorised; the bound is then ln p(y, z), and its optimum the model of
+    highest posterior probability that the search of model averaging finds. Such a w holds no doubt of a term:
+    `spike_slab_bma` does.
     """
     if covariance not in ("mean-field", "lrvb"):
         raise InputError(f"covariance must be 'mean-field' or 'lrvb', got {covariance!r}")
     problem = Problem.of(gram, prior or Prior())
-    problem.require_no_signs("vb")
+    if len(problem.signs):
+        if not (isinstance(init, str) and init == "search"):
+            raise InputError(f"where signs are known vb starts from a search, init='search', not from {init!r}")
+        return _signed_optimum(gram, problem)
     if isinstance(init, str):
         if init == "rvm":
             starts = [_rvm_start(problem)]

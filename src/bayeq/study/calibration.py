@@ -47,7 +47,7 @@ from bayeq.study.tally import (
 )
 from bayeq.systems import simulate
 
-__all__ = ["DESIGNS", "PROBLEMS", "calibrate_one", "run_calibration", "tables"]
+__all__ = ["DESIGNS", "PROBLEMS", "calibrate_one", "pooled", "run_calibration", "tables"]
 
 Floats = NDArray[np.float64]
 Line = dict[str, object]
@@ -227,7 +227,7 @@ def _summary(tally: Tally) -> Line:
 
 
 def tables(tallies: Mapping[tuple[str, int], Tally]) -> tuple[list[Line], list[Line]]:
-    """The two tables: a line per cell and per design, and one per bin of each; all tests are one family.
+    """The two tables: a line per cell and per design, and one per bin of each and of all; all tests are one family.
 
     In the first table `p_least_adjusted` is the smallest of a line's p-values, of bins and ranks, after Holm's
     adjustment for the number of tests in both tables; the last line has that of all of them, and the verdict.
@@ -260,7 +260,25 @@ def tables(tallies: Mapping[tuple[str, int], Tally]) -> tuple[list[Line], list[L
     last: Line = {key: "" if key.startswith("p_") else value for key, value in whole.items()}
     verdict = f"{'rejected' if adjusted.min() < LEVEL else 'not rejected'} at {100 * LEVEL:g} %"
     last |= {"p_least_adjusted": f"{adjusted.min():.4g}", "tests": len(adjusted), "verdict": verdict}
-    return [*first, {"design": "all", "rows": "all", **last}], second
+    return [*first, {"design": "all", "rows": "all", **last}], [*second, *pooled(second)]
+
+
+def pooled(lines: Sequence[Mapping[str, object]]) -> list[Line]:
+    """Bins of all designs and numbers of rows together, from the lines of the single ones as the table prints them.
+
+    Problems are independent: numbers of terms, stated and true ones add up, and so do variances. These lines are no
+    tests of their own.
+    """
+    out: list[Line] = []
+    for name in dict.fromkeys(str(line["bin"]) for line in lines):
+        own = [line for line in lines if line["bin"] == name and line["rows"] != "all" and int(str(line["terms"]))]
+        terms = np.array([int(str(line["terms"])) for line in own])
+        out.append({"design": "all", "rows": "all", "bin": name, "terms": int(terms.sum())})
+        for key in ("stated", "true", "se", "se_robust") if own else ():
+            sums = terms * np.array([float(str(line[key])) for line in own])
+            total = math.sqrt(sums @ sums) if key.startswith("se") else sums.sum()
+            out[-1][key] = f"{total / terms.sum():.5f}"
+    return out
 
 
 def _write(path: Path, lines: Sequence[Line]) -> None:

@@ -1,0 +1,98 @@
+"""Geweke's joint distribution test (2004) of samplers of (z, theta, sigma^2).
+
+A chain that draws y given theta and sigma^2, then one sample of the posterior given y, visits the prior. The chain is
+a kernel, for the samplers would spend most of the time on being called from Python.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy import stats
+
+from bayeq.gram import Gram
+from bayeq.inference.gibbs import sample_chain
+from bayeq.inference.prior import Prior
+from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.signed_gibbs import doubled, sample_signed_chain
+from bayeq.kernels import kernel
+
+N, P = 12, 3
+
+
+@kernel
+def _with_data(p: Problem, D: Floats, theta: Floats, variance: float, rng: np.random.Generator) -> Problem:
+    y = np.empty(len(D))
+    for i in range(len(D)):
+        y[i] = math.sqrt(variance) * rng.standard_normal()
+    y += D @ theta - y.mean()
+    return Problem(
+        p.columns,
+        D.T @ y,
+        float(np.dot(y, y)),
+        p.dof,
+        p.log_odds,
+        p.size_prior,
+        p.inclusion_beta,
+        p.signs,
+        p.slab_variance,
+        p.noise_shape,
+        p.noise_rate,
+        p.half_log_slab,
+        p.h,
+        p.floor,
+    )
+
+
+@kernel
+def _visit(p: Problem, D: Floats, exchange: bool, rng: np.random.Generator, z: Bools, visited: Floats) -> None:
+    terms = D.shape[1]
+    theta, variance = np.zeros(terms), 1.5
+    zs, thetas = np.empty((2, terms), dtype=np.bool_), np.empty((2, terms))
+    noises, levels = np.empty(2), np.empty(2)
+    for t in range(len(visited)):
+        q = _with_data(p, D, theta, variance, rng)
+        sample_chain(q, z, variance, 0, exchange, rng, zs, thetas, noises, levels, np.zeros(terms))
+        # theta of row 1 was drawn given row 1's sigma^2 and z
+        z[:] = zs[1]
+        theta, variance = thetas[1].copy(), noises[1]
+        for j in range(terms):
+            visited[t, j], visited[t, terms + j] = z[j], theta[j]
+        visited[t, 2 * terms] = math.log(variance)
+
+
+@kernel
+def _visit_signed(p: Problem, D: Floats, exchange: bool, rng: np.random.Generator, z: Bools, visited: Floats) -> None:
+    terms = D.shape[1]
+    theta, variance = np.zeros(terms), 1.5
+    zs, thetas, noises = np.empty((1, terms), dtype=np.bool_), np.empty((1, terms)), np.empty(1)
+    for t in range(len(visited)):
+        q = _with_data(p, D, theta, variance, rng)
+        sample_signed_chain(q, z, theta, variance, 0, exchange, rng, zs, thetas, noises, np.zeros(terms))
+        variance = noises[0]
+        for j in range(terms):
+            visited[t, j], visited[t, terms + j] = z[j], theta[j]
+        visited[t, 2 * terms] = math.log(variance)
+
+
+def scores(exchange, signs=None, sweeps=40_000):
+    """Standardised differences of moments from those of the prior, and all theta visited."""
+    rng = np.random.default_rng(11)
+    D = rng.normal(size=(N, P)) + 0.8 * rng.normal(size=(N, 1))
+    D -= D.mean(axis=0)
+    # a prior that can be drawn from; its floor is 2 b_sigma whatever y, which is small here
+    blank = Problem.of(Gram.from_data(D, np.zeros(N)), Prior(2.0, 0.4, 3.0, 3.0, signs=signs))
+    visited = np.empty((sweeps, 2 * P + 1))
+    visit, p = (_visit, blank) if signs is None else (_visit_signed, doubled(blank))
+    visit(p, np.ascontiguousarray(D), exchange, rng, rng.random(P) < 0.4, visited)
+    z, theta = visited[:, :P], visited[:, P : 2 * P]
+    # E|theta| of a (half) normal, with E sigma = sqrt(3) Gamma(2.5)/Gamma(3)
+    half = 0.4 * math.sqrt(2.0 * 2.0 / math.pi) * math.sqrt(3.0) * math.gamma(2.5) / math.gamma(3.0)
+    samples = np.column_stack([visited, theta**2, z.sum(axis=1) ** 2])
+    log_noise = float(stats.invgamma(3.0, scale=3.0).expect(np.log))
+    # E theta^2 = p_0 v_s E sigma^2; the number of terms is binomial
+    mean = half * np.asarray(signs or [0] * P)
+    expected = [*[0.4] * P, *mean, log_noise, *[0.4 * 2.0 * 1.5] * P, 3 * 0.4 * 0.6 + 1.44]
+    batches = samples.reshape(50, -1, samples.shape[1]).mean(axis=1)
+    return (batches.mean(axis=0) - expected) / (batches.std(axis=0, ddof=1) / math.sqrt(50)), theta
