@@ -36,6 +36,8 @@ LEVELS = [
         "coef_units",
         "parsimony",
     },
+    {"infer", "notes"},
+    {"inspection", "negligible"},
     {"discovery"},
     {"study"},
     {"cli_study"},

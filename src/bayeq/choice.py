@@ -17,14 +17,14 @@ from bayeq.inference.problem import Problem
 from bayeq.inference.tableau import swept
 from bayeq.posterior import Posterior
 
-__all__ = ["Choice", "LeftOut"]
+__all__ = ["Choice", "LeftOut", "given_terms"]
 
 Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A term that the method includes and the equation, by the choice of its user, does not.
+    """A term that the method includes and the equation does not.
 
     Attributes
     ----------
@@ -35,7 +35,8 @@ class LeftOut:
     share : float
         What R2 loses on the training rows when it is left out of the method's equation and the others are refitted.
     reason : str
-        What left it out: ``"max_terms"`` or ``"min_share"``.
+        What left it out: ``"max_terms"``, ``"min_share"``, or ``"negligible"`` where it makes no practical difference
+        (`bayeq.negligible`).
     """
 
     name: str
@@ -129,16 +130,32 @@ class Choice:
             LeftOut(names[j], float(posterior.pip[j]), float(shares[j]), "min_share" if few[j] else "max_terms")
             for j in out
         )
-        coef, covariance = exact_posterior(problem, active)
-        s = max(float(swept(problem, active).diagonal[-1]), problem.floor)
-        noise = 0.5 * s / max(problem.h - 1.0, 0.5)
-        return replace(posterior, support=active, coef=coef, covariance=covariance, noise_variance=noise), left_out
+        return given_terms(gram, prior, posterior, active), left_out
 
     def _fewer(self, problem: Problem, active: Bools) -> Bools:
         """The likeliest model of at most `max_terms` terms, if `active` has more."""
         if self.max_terms is None or int(active.sum()) <= self.max_terms:
             return active
         return max(best_of_each_size(problem, self.max_terms, [active]), key=lambda found: found[1])[0]
+
+
+def given_terms(gram: GramLike, prior: Prior, posterior: Posterior, active: Bools) -> Posterior:
+    """The posterior given a model of other terms.
+
+    Parameters
+    ----------
+    gram, prior
+        What the posterior comes from.
+    posterior : Posterior
+        Probabilities and all else are left as they are.
+    active : (P,) bool array
+        The terms.
+    """
+    problem = Problem.of(gram, prior)
+    coef, covariance = exact_posterior(problem, active)
+    s = max(float(swept(problem, active).diagonal[-1]), problem.floor)
+    noise = 0.5 * s / max(problem.h - 1.0, 0.5)
+    return replace(posterior, support=active, coef=coef, covariance=covariance, noise_variance=noise)
 
 
 def _without_small(rows: Gram, active: Bools, forced: Bools, least: float) -> Bools:

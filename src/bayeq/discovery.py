@@ -2,51 +2,27 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.choice import Choice
 from bayeq.coef_units import channel_units
-from bayeq.constraints import Constraints, parse_constraints
-from bayeq.diagnostics import Residuals, inspect_residuals
-from bayeq.dictionary import Design, Variables, build_design, build_dictionary, evaluate_terms
-from bayeq.equation import Equation, Fit, Regression, RunnerUp
+from bayeq.constraints import parse_constraints
+from bayeq.dictionary import Design, Variables, build_design, build_dictionary
 from bayeq.equations import DataSummary, Equations
-from bayeq.errors import (
-    AmbiguityWarning,
-    BayeqWarning,
-    ChainError,
-    ConvergenceWarning,
-    CorrelatedResidualsWarning,
-    DataWarning,
-    InputError,
-    RecordError,
-    TermWarning,
-    UnknownNameError,
-)
-<<<<<<< HEAD
-from bayeq.expressions import Expression
-=======
+from bayeq.errors import ChainError, DataWarning, InputError, RecordError, TermWarning, UnknownNameError
 from bayeq.forecast.score import held_out_scores
->>>>>>> free-run
-from bayeq.gram import Gram
+from bayeq.infer import Setting, infer_equation
 from bayeq.inference import ENGINES, Prior
-from bayeq.inference.path import partial_shares
-from bayeq.inference.problem import Problem
-from bayeq.inference.search import neighbours
-from bayeq.inference.slab import learn_slab_variance, residual_scale
-from bayeq.posterior import Posterior
-from bayeq.propagation import propagated_covariance
+from bayeq.inspection import equation_of
+from bayeq.negligible import NEGLIGIBLE, training_rows, without_negligible
+from bayeq.notes import Notes
 from bayeq.records import Record, check_messages
-from bayeq.spectral import noise_floor
-from bayeq.states import Chain, ChainSmoothing, Smooth, States, derive_all, parse_chains
-from bayeq.weighting import InBand, Piece, thinned_gram, weighted_gram
+from bayeq.states import Chain, Smooth, derive_all, parse_chains
 
 __all__ = ["discover"]
 
@@ -57,22 +33,8 @@ Progress = Callable[[str, int, int], None]
 LEAST_ROWS_TO_HOLD_OUT = 50
 LEAST_TRAINING_ROWS = 3
 
-# Residuals smaller than this share of the target are rounding of the Gram, and correlated.
-ROUNDING = 1e-6
-
-# An equation that explains a smaller share of the target's variance is warned of.
-LITTLE = 0.5
-
-# With more candidates than this, correlation of the residuals is told of but not counted.
-MOST_TERMS_TO_THIN = 500
-
 # Methods that take signs of coefficients.
 SIGNED = ("auto", "bma", "gibbs", "vb")
-
-# Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
-RUNNER_UP_WINDOW = 12.0
-RUNNERS_UP = 5
-AMBIGUOUS = math.log(20.0)
 
 
 def discover(
@@ -90,6 +52,8 @@ def discover(
     holdout: float = 0.2,
     max_terms: int | None = None,
     min_share: float | None = None,
+    negligible: float = NEGLIGIBLE,
+    coarsen: float = 1.0,
     prior: Prior | None = None,
     constraints: str | Sequence[str] = (),
     seed: int = 0,
@@ -126,6 +90,15 @@ def discover(
         and the others refitted each time. Mind that the damping of a light structure explains little and yet decides
         how its motion decays. PIPs stay what they are with either limit, and what it leaves out is listed beside the
         equation.
+    negligible : float
+        Terms that are certain and yet make no practical difference are shown beside the equation: those that together
+        explain a smaller share of the target's variance than this, and without which free runs over the training rows
+        are hardly worse (`bayeq.negligible`). 0 keeps them in the equation, as `max_terms`, `min_share` and
+        `constraints` do.
+    coarsen : float
+        Power, above 0 and at most 1, that the likelihood is raised to: each row counts as this share of one (Miller
+        and Dunson 2019). It widens all intervals and asks more evidence of a term, for models that are only nearly
+        true. `Equation.coarsening` shows how PIPs depend on it.
     prior : Prior, optional
         By default p_0 = 0.1, a slab variance v_s that maximises the evidence (at least 10), and a vague prior of
         the noise in units of the least-squares residual. A given prior applies to standardised columns and
@@ -175,9 +148,13 @@ def discover(
         raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
     choice = Choice(max_terms, min_share)
     choice.check(method)
+    if not 0 <= negligible < 1:
+        raise InputError(f"negligible is a share of the variance, 0 <= negligible < 1, got {negligible!r}")
+    if not 0 < coarsen <= 1:
+        raise InputError(f"coarsen is a power of the likelihood, 0 < coarsen <= 1, got {coarsen!r}")
 
     step = progress or _silent
-    notes = _Notes()
+    notes = Notes()
     step("states", 0, len(pieces))
     share = holdout if sum(piece.n for piece in pieces) >= LEAST_ROWS_TO_HOLD_OUT else 0.0
     states = derive_all(pieces, parsed, all_inputs, smooth, share)
@@ -205,28 +182,27 @@ def discover(
     units, conflicts = channel_units([piece.units for piece in pieces], parsed, all_inputs)
     for message in conflicts:
         notes.warn(message, DataWarning)
-    equations = []
-    for k, chain in enumerate(parsed):
+    setting = Setting(
+        chains=parsed,
+        inputs=all_inputs,
+        design=design,
+        train=train,
+        observed=tuple(targets),
+        smoothings=states[0].smoothing,
+        method=method,
+        prior=prior,
+        coarsen=coarsen,
+        seed=seed,
+    )
+    inferred = []
+    for k in range(len(parsed)):
         step("inference", k, len(parsed))
-        in_band = _in_band(k, chain, states[0], design, train, all_inputs)
-        equations.append(
-            _solve(
-                parsed,
-                k,
-                design,
-                train,
-                targets[k],
-                in_band,
-                states[0].smoothing,
-                method,
-                prior,
-                constrained[k],
-                choice,
-                seed,
-                variables,
-                notes,
-            )
+        inferred.append(infer_equation(setting, k, constrained[k], choice))
+    if negligible > 0 and not choice.given and ENGINES[method].spike_slab and not known:
+        inferred = without_negligible(
+            setting, inferred, training_rows(pieces, states, parsed, all_inputs, share), negligible
         )
+    equations = [equation_of(setting, one, notes) for one in inferred]
     step("inference", len(parsed), len(parsed))
     for message, category in notes.collected:
         warnings.warn(message, category, stacklevel=2)
@@ -257,51 +233,8 @@ def _measured(target: str) -> str:
     return f"{target} as measured"
 
 
-def _in_band(
-    k: int,
-    chain: Chain,
-    states: States,
-    design: Design,
-    train: Sequence[Mapping[str, Floats]],
-    inputs: Sequence[str],
-) -> InBand | None:
-    """The Gram of smoothed, uniformly sampled records, weighted by the spectrum of the residuals."""
-    used = states.smoothing
-    if not used or any(s.fs is None for s in used):
-        return None
-    own, target = used[k], chain.target
-    pieces = [
-        Piece(
-            evaluate_terms(design.terms, piece),
-            piece[target],
-            np.column_stack([piece[name] for name in chain.states]),
-            np.column_stack([np.empty((len(piece[target]), 0)), *(piece[name] for name in inputs)]),
-        )
-        for piece in train
-    ]
-    names = tuple(term.text for term in design.terms)
-    driven = [j for j, term in enumerate(design.terms) if term.names & set(inputs)]
-    noise = {}
-    for j in driven:
-        if names[j] in inputs:
-            floor = noise_floor([piece[names[j]] for piece in train])
-            if floor is not None:
-                noise[j] = floor
-    return weighted_gram(pieces, names, own, min(s.limit for s in used), driven, noise)
-
-
 def _silent(stage: str, done: int, total: int) -> None:
     """No progress shown."""
-
-
-class _Notes:
-    """Warnings collected on the way: given at the end, and kept in the answer."""
-
-    def __init__(self) -> None:
-        self.collected: list[tuple[str, type[BayeqWarning]]] = []
-
-    def warn(self, message: str, category: type[BayeqWarning]) -> None:
-        self.collected.append((message, category))
 
 
 def _chains(
@@ -328,7 +261,7 @@ def _chains(
 
 
 def _split(
-    columns: Sequence[Mapping[str, Floats]], holdout: float, notes: _Notes, where: str
+    columns: Sequence[Mapping[str, Floats]], holdout: float, notes: Notes, where: str
 ) -> tuple[list[Mapping[str, Floats]], list[Mapping[str, Floats]]]:
     """Training rows and the last rows of each record, held out."""
     train: list[Mapping[str, Floats]] = []
@@ -352,7 +285,7 @@ def _split(
     return train, held_out
 
 
-def _check_size(design: Design, notes: _Notes) -> None:
+def _check_size(design: Design, notes: Notes) -> None:
     n, terms = design.train[0].n, len(design.terms)
     if n < LEAST_TRAINING_ROWS:
         raise RecordError(f"{n} training rows are too few for a regression (at least {LEAST_TRAINING_ROWS})")
@@ -366,201 +299,3 @@ def _check_size(design: Design, notes: _Notes) -> None:
         listed = "; ".join(f"{d.name} ({d.reason})" for d in design.dropped[:8])
         more = f" and {len(design.dropped) - 8} more" if len(design.dropped) > 8 else ""
         notes.warn(f"terms left out: {listed}{more}", TermWarning)
-
-
-def _solve(
-    chains: Sequence[Chain],
-    k: int,
-    design: Design,
-    train: Sequence[Mapping[str, Floats]],
-    observed: str,
-    in_band: InBand | None,
-    smoothings: Sequence[ChainSmoothing],
-    engine: str,
-    prior: Prior | None,
-    constraints: Constraints,
-    choice: Choice,
-    seed: int,
-    variables: Variables,
-    notes: _Notes,
-) -> Equation:
-    """Infer one equation and inspect it."""
-    chain, rows = chains[k], design.train[k]
-    if in_band is not None:
-        gram = in_band.gram
-    elif ENGINES[engine].spike_slab and len(rows.names) <= MOST_TERMS_TO_THIN:
-        gram = thinned_gram(rows, lambda posterior: _inspect(observed, design, rows, posterior, train))
-    else:
-        gram = rows
-    reduced, fitted = constraints.reduce(gram), constraints.reduce(rows)
-    standard = reduced.standardise(residual_scale(reduced))
-    learn, prior = prior is None, constraints.prior(prior or Prior())
-    if learn:
-        prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
-    method = ENGINES[engine]
-    options: dict[str, Any] = {"seed": (seed, k)} if method.random else {}
-    raw = method.run(standard.gram, prior, **options)
-    found = raw.support
-    raw, left_out = choice.apply(standard.gram, prior, fitted, raw) if choice.given else (raw, ())
-    posterior = constraints.expand(standard.restore(raw), gram)
-    if in_band is not None and not constraints.given:
-        posterior = _propagated(in_band, posterior, design.terms, train, chains, k, smoothings, variables.inputs)
-    if not posterior.converged:
-        rhat = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
-        notes.warn(f"{chain.target}: {engine} not converged after {posterior.n_iter} steps{rhat}", ConvergenceWarning)
-    runners_up = _runners_up(standard.gram, prior, raw) if method.spike_slab else ()
-    if raw.optimum is not None and bool((raw.optimum != found).any()):
-        other = [n for n, kept in zip(reduced.names, raw.optimum, strict=True) if kept]
-        notes.warn(
-            f"{chain.target}: the optimum of variational Bayes is another model ({', '.join(other) or 'no terms'});"
-            " the terms shown are those with a model-averaged PIP above 0.5",
-            AmbiguityWarning,
-        )
-    residuals = _inspect(observed, design, rows, posterior, train, (*variables.inputs, *variables.states))
-    if posterior.average is None:
-        _warn_of_ambiguity(chain.target, runners_up, notes)
-    else:
-        _warn_of_groups(chain.target, posterior, notes)
-    train_fit = _fit(rows, posterior)
-    if in_band is not None:
-        posterior = replace(posterior, noise_variance=_noise_variance(rows, posterior))
-    if train_fit.r2 < LITTLE:
-        estimated = " (it is estimated, not measured)" if chain.measured[-1] is None else ""
-        notes.warn(
-            f"{chain.target}: the terms explain only {100 * train_fit.r2:.0f} % of the target's variance{estimated}:"
-            " this is hardly the law; check the channels, their derivatives and the dictionary",
-            DataWarning,
-        )
-    counted = ", which is what the rows count for" if gram.n < rows.n else ""
-    if in_band is None and residuals.correlated:
-        notes.warn(
-            f"{chain.target}: the residuals are correlated in time (lag-1 autocorrelation {residuals.lag1:.2f},"
-            f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}{counted}): standard deviations and"
-            " intervals may be too narrow, and terms may be included that only fit the correlation",
-            CorrelatedResidualsWarning,
-        )
-    if residuals.driven and residuals.driver is not None:
-        notes.warn(
-            f"{chain.target}: the residuals follow {residuals.driver}: the equation misses dynamics, or channels are"
-            " delayed against each other",
-            CorrelatedResidualsWarning,
-        )
-    return Equation(
-        chain=chain,
-        terms=design.terms,
-        posterior=posterior,
-        train=train_fit,
-        held_out=_fit(design.held_out[k], posterior) if design.held_out else None,
-        residuals=residuals,
-        runners_up=runners_up,
-        regression=Regression(
-            standard,
-            prior,
-            fitted,
-            constraints.reduce(design.held_out[k]) if design.held_out else None,
-            raw.support,
-        ),
-        share=partial_shares(rows, posterior.support),
-        left_out=left_out,
-    )
-
-
-def _propagated(
-    in_band: InBand,
-    posterior: Posterior,
-    terms: Sequence[Expression],
-    train: Sequence[Mapping[str, Floats]],
-    chains: Sequence[Chain],
-    k: int,
-    smoothings: Sequence[ChainSmoothing],
-    inputs: Sequence[str],
-) -> Posterior:
-    """The posterior with the covariance that the noise of the channels makes, where there are terms."""
-    if not posterior.support.any():
-        return posterior
-    covariance = propagated_covariance(in_band, posterior, terms, train, chains, smoothings, k, inputs)
-    averaged = posterior.averaged_sd
-    if averaged is not None:
-        # within the model shown; between models it stays
-        kept = posterior.support
-        within = posterior.pip[kept] * np.diagonal(covariance)
-        change = within - posterior.pip[kept] * np.diagonal(posterior.covariance)
-        averaged = averaged.copy()
-        averaged[kept] = np.sqrt(np.maximum(averaged[kept] ** 2 + change, within))
-    return replace(posterior, covariance=covariance, averaged_sd=averaged)
-
-
-def _runners_up(gram: Gram, prior: Prior, posterior: Posterior) -> tuple[RunnerUp, ...]:
-    problem = Problem.of(gram, prior)
-    if len(problem.signs):
-        from bayeq.inference.signed_models import signed_neighbours
-
-        moves = signed_neighbours(problem, posterior.support, RUNNER_UP_WINDOW)
-    else:
-        moves = neighbours(problem, posterior.support, RUNNER_UP_WINDOW)
-    names = gram.names
-    return tuple(
-        RunnerUp(
-            leaves=None if move.leaves is None else names[move.leaves],
-            enters=None if move.enters is None else names[move.enters],
-            log_odds=move.gain,
-        )
-        for move in moves[:RUNNERS_UP]
-    )
-
-
-def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], notes: _Notes) -> None:
-    swaps = [r for r in runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
-    if swaps:
-        listed = "; ".join(f"{r} (odds {r.odds})" for r in swaps)
-        notes.warn(f"{target}: columns that the data hardly tell apart: {listed}", AmbiguityWarning)
-
-
-def _warn_of_groups(target: str, posterior: Posterior, notes: _Notes) -> None:
-    assert posterior.average is not None
-    for members, some in posterior.average.credible_groups():
-        if some <= 0.5:
-            continue  # more likely than not that none of them is in
-        listed = ", ".join(f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members)
-        included = [posterior.names[j] for j in members if posterior.support[j]]
-        advice = "" if len(included) == 1 else "; keep one of them in the dictionary, or decide by other knowledge"
-        notes.warn(
-            f"{target}: columns that the data hardly tell apart: {listed}; at least one of them is in with"
-            f" probability {some:.2f}; included here: {', '.join(included) or 'none'}{advice}",
-            AmbiguityWarning,
-        )
-
-
-def _residual(target: str, design: Design, posterior: Posterior, piece: Mapping[str, Floats]) -> Floats:
-    kept = np.flatnonzero(posterior.support)
-    out: Floats = piece[target] - posterior.intercept
-    if len(kept):
-        out = out - evaluate_terms([design.terms[j] for j in kept], piece) @ posterior.coef[kept]
-    return out
-
-
-def _inspect(
-    observed: str,
-    design: Design,
-    rows: Gram,
-    posterior: Posterior,
-    train: Sequence[Mapping[str, Floats]],
-    channels: Sequence[str] = (),
-) -> Residuals:
-    """Training residuals, against some channels; those that are rounding of the Gram count as white."""
-    found = inspect_residuals(
-        [_residual(observed, design, posterior, piece) for piece in train],
-        {name: [piece[name] for piece in train] for name in channels},
-    )
-    return found if _fit(rows, posterior).nrmse > ROUNDING else Residuals(found.n, 0.0, float(found.n))
-
-
-def _noise_variance(rows: Gram, posterior: Posterior) -> float:
-    """Variance of the residual over the rows: what the spectrum of the band does not tell."""
-    spare = max(rows.n - 1.0 - float(posterior.support.sum()), 1.0)
-    return rows.squared_error(posterior.coef, posterior.intercept) / spare
-
-
-def _fit(gram: Gram, posterior: Posterior) -> Fit:
-    share = gram.squared_error(posterior.coef, posterior.intercept) / gram.yty if gram.yty > 0 else 1.0
-    return Fit(n=round(gram.n), r2=1.0 - share, nrmse=math.sqrt(share))

@@ -192,6 +192,25 @@ class Gram:
             offset = self.n * (self.target_mean - float(self.mean[used] @ t) - intercept) ** 2
         return max(float(centred), 0.0) + offset
 
+    def raised(self, power: float) -> Gram:
+        """The statistics of a likelihood raised to a power of at most 1: as if of so many fewer rows.
+
+        Parameters
+        ----------
+        power : float
+            Every row counts as this share of one.
+        """
+        if power == 1.0:
+            return self
+        return replace(
+            self,
+            n=self.n * power,
+            DtD=self.DtD * power,
+            Dty=self.Dty * power,
+            yty=self.yty * power,
+            dof=self.n * power - 1.0,
+        )
+
     def standardise(self, target_scale: float = 1.0) -> Standardised:
         """Eq. (32) as algebra: columns of zero mean and unit standard deviation, y divided by `target_scale`.
 

@@ -29,8 +29,8 @@ Complexes = NDArray[np.complex128]
 # Independent projections that the covariance is estimated from: a standard deviation errs by 5 %.
 PROJECTIONS = 200
 
-# Projections of stretches of so many rows count as independent.
-STRETCH = 2000
+# Projections of stretches of so many rows count as independent: weighting has made the residual nearly white.
+STRETCH = 256
 
 
 def propagated_covariance(

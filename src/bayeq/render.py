@@ -84,9 +84,9 @@ def _render_equation(console: Console, equation: Equation, method: str, scores: 
     for line in _residuals(equation.residuals):
         console.print(escape(line))
     for left in equation.left_out:
+        why = "certain, but negligible" if left.reason == "negligible" else f"left out as asked ({left.reason})"
         console.print(
-            f"left out as asked ({left.reason}): {escape(left.name)}, {ENGINES[method].score} {left.pip:.3f}, explains"
-            f" {percent(left.share)}"
+            f"{why}: {escape(left.name)}, {ENGINES[method].score} {left.pip:.3f}, explains {percent(left.share)}"
         )
     if equation.runners_up:
         console.print("runners-up, with their posterior odds against this equation:")

@@ -187,23 +187,13 @@ def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gra
     """
     share = 1.0
     for _ in range(PILOTS):
-        found = residuals(_pilot(_power(gram, share)))
+        found = residuals(_pilot(gram.raised(_least(gram, share))))
         share = found.n_eff / found.n if found.correlated else 1.0
         if share == 1.0:
             break
-    return _power(gram, share)
+    return gram.raised(_least(gram, share))
 
 
-def _power(gram: Gram, share: float) -> Gram:
-    if share >= 1.0:
-        return gram
-    # at least as many rows as leave a regression
-    share = max(share, 3.0 / gram.n)
-    return replace(
-        gram,
-        n=gram.n * share,
-        DtD=gram.DtD * share,
-        Dty=gram.Dty * share,
-        yty=gram.yty * share,
-        dof=gram.n * share - 1.0,
-    )
+def _least(gram: Gram, share: float) -> float:
+    """The share, but at least as many rows as leave a regression."""
+    return min(max(share, 3.0 / gram.n), 1.0)

@@ -1,0 +1,145 @@
+"""From a posterior to an equation, with what makes it less than it seems."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from bayeq.equation import Equation, Fit, Regression, RunnerUp
+from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidualsWarning, DataWarning
+from bayeq.gram import Gram
+from bayeq.infer import Inferred, Setting, fit_of, inspected, posterior_of
+from bayeq.inference import ENGINES, Prior
+from bayeq.inference.path import partial_shares
+from bayeq.inference.problem import Problem
+from bayeq.inference.search import neighbours
+from bayeq.notes import Notes
+from bayeq.posterior import Posterior
+
+__all__ = ["equation_of"]
+
+# An equation that explains a smaller share of the target's variance is warned of.
+LITTLE = 0.5
+
+# Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
+RUNNER_UP_WINDOW = 12.0
+RUNNERS_UP = 5
+AMBIGUOUS = math.log(20.0)
+
+
+def equation_of(setting: Setting, inferred: Inferred, notes: Notes) -> Equation:
+    """The equation, its fits and diagnostics; what is to be warned of goes to the notes."""
+    k, standard, prior, shown = inferred.which, inferred.standard, inferred.prior, inferred.shown
+    chain, rows = setting.chains[k], setting.design.train[k]
+    posterior = posterior_of(setting, inferred)
+    if not posterior.converged:
+        rhat = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
+        notes.warn(
+            f"{chain.target}: {setting.method} not converged after {posterior.n_iter} steps{rhat}", ConvergenceWarning
+        )
+    spike_slab = ENGINES[setting.method].spike_slab
+    runners_up = _runners_up(standard.gram, prior, shown) if spike_slab else ()
+    if shown.optimum is not None and bool((shown.optimum != inferred.found.support).any()):
+        other = [n for n, kept in zip(standard.gram.names, shown.optimum, strict=True) if kept]
+        notes.warn(
+            f"{chain.target}: the optimum of variational Bayes is another model ({', '.join(other) or 'no terms'});"
+            " the terms shown are those with a model-averaged PIP above 0.5",
+            AmbiguityWarning,
+        )
+    if posterior.average is None:
+        _warn_of_ambiguity(chain.target, runners_up, notes)
+    else:
+        _warn_of_groups(chain.target, posterior, notes)
+    states = [name for one in setting.chains for name in one.states]
+    residuals = inspected(setting, k, posterior, (*setting.inputs, *states))
+    equation = Equation(
+        chain=chain,
+        terms=setting.design.terms,
+        posterior=posterior,
+        train=_fit(rows, posterior),
+        held_out=_fit(setting.design.held_out[k], posterior) if setting.design.held_out else None,
+        residuals=residuals,
+        runners_up=runners_up,
+        regression=Regression(
+            standard,
+            prior,
+            inferred.fitted,
+            inferred.constraints.reduce(setting.design.held_out[k]) if setting.design.held_out else None,
+            shown.support,
+        ),
+        share=partial_shares(rows, posterior.support),
+        left_out=inferred.left_out,
+    )
+    _warn_of_misfit(equation, inferred, notes)
+    return equation
+
+
+def _fit(gram: Gram, posterior: Posterior) -> Fit:
+    share = fit_of(gram, posterior)
+    return Fit(n=round(gram.n), r2=1.0 - share, nrmse=math.sqrt(share))
+
+
+def _warn_of_misfit(equation: Equation, inferred: Inferred, notes: Notes) -> None:
+    chain, residuals = equation.chain, equation.residuals
+    if equation.train.r2 < LITTLE:
+        estimated = " (it is estimated, not measured)" if chain.measured[-1] is None else ""
+        notes.warn(
+            f"{chain.target}: the terms explain only {100 * equation.train.r2:.0f} % of the target's"
+            f" variance{estimated}: this is hardly the law; check the channels, their derivatives and the dictionary",
+            DataWarning,
+        )
+    counted = ", which is what the rows count for" if inferred.gram.n < equation.train.n else ""
+    if inferred.in_band is None and residuals.correlated:
+        notes.warn(
+            f"{chain.target}: the residuals are correlated in time (lag-1 autocorrelation {residuals.lag1:.2f},"
+            f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}{counted}): standard deviations and"
+            " intervals may be too narrow, and terms may be included that only fit the correlation",
+            CorrelatedResidualsWarning,
+        )
+    if residuals.driven and residuals.driver is not None:
+        notes.warn(
+            f"{chain.target}: the residuals follow {residuals.driver}: the equation misses dynamics, or channels are"
+            " delayed against each other",
+            CorrelatedResidualsWarning,
+        )
+
+
+def _runners_up(gram: Gram, prior: Prior, posterior: Posterior) -> tuple[RunnerUp, ...]:
+    problem = Problem.of(gram, prior)
+    if len(problem.signs):
+        from bayeq.inference.signed_models import signed_neighbours
+
+        moves = signed_neighbours(problem, posterior.support, RUNNER_UP_WINDOW)
+    else:
+        moves = neighbours(problem, posterior.support, RUNNER_UP_WINDOW)
+    names = gram.names
+    return tuple(
+        RunnerUp(
+            leaves=None if move.leaves is None else names[move.leaves],
+            enters=None if move.enters is None else names[move.enters],
+            log_odds=move.gain,
+        )
+        for move in moves[:RUNNERS_UP]
+    )
+
+
+def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], notes: Notes) -> None:
+    swaps = [r for r in runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
+    if swaps:
+        listed = "; ".join(f"{r} (odds {r.odds})" for r in swaps)
+        notes.warn(f"{target}: columns that the data hardly tell apart: {listed}", AmbiguityWarning)
+
+
+def _warn_of_groups(target: str, posterior: Posterior, notes: Notes) -> None:
+    assert posterior.average is not None
+    for members, some in posterior.average.credible_groups():
+        if some <= 0.5:
+            continue  # more likely than not that none of them is in
+        listed = ", ".join(f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members)
+        included = [posterior.names[j] for j in members if posterior.support[j]]
+        advice = "" if len(included) == 1 else "; keep one of them in the dictionary, or decide by other knowledge"
+        notes.warn(
+            f"{target}: columns that the data hardly tell apart: {listed}; at least one of them is in with"
+            f" probability {some:.2f}; included here: {', '.join(included) or 'none'}{advice}",
+            AmbiguityWarning,
+        )
