@@ -83,7 +83,7 @@ def test_no_relative_imports_which_the_rule_would_not_see():
 
 
 def test_the_reader_of_imports_sees_them():
-    assert "gram" in set(imported_rooms(SOURCE / "discovery.py"))
+    assert "gram" in set(imported_rooms(SOURCE / "infer.py"))
     assert "records" in set(imported_rooms(SOURCE / "cli.py"))
 
 

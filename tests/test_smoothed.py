@@ -109,7 +109,7 @@ def test_noise_in_states_is_cut_and_derivatives_agree():
     slope = np.gradient(states[:, 0], rec.time)
     assert np.std((slope - states[:, 1])[5:-5]) < 0.01 * np.std(states[:, 1])
     assert smoothing.noise_ratio == pytest.approx(0.05, rel=0.05)
-    assert 60.0 < smoothing.limit < 300.0  # the force's band is 0-100 Hz
+    assert 60.0 < smoothing.band[1] < 300.0  # the force's band is 0-100 Hz
     gain = smoothing.gain(np.array([1.0, 20.0, 400.0]))
     assert gain[0] > 0.999
     assert gain[1] > 0.99
@@ -171,7 +171,7 @@ def test_smoothing_restores_what_noise_takes_in_the_paper_s_protocol():
 
 
 def test_a_band_counts_real_numbers():
-    band = to_band(np.ones((100, 1)), np.ones(100), 10.0, 2.0)
+    band = to_band(np.ones((100, 1)), np.ones(100), 10.0, (0.0, 2.0))
     assert isinstance(band, Band)
     assert band.frequency[-1] <= 2.0
     assert band.count.sum() == 2 * len(band.count) - 1

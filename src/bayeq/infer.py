@@ -194,7 +194,9 @@ def _in_band(setting: Setting, which: int) -> InBand | None:
             if floor is not None:
                 noise[j] = floor
     names = tuple(term.text for term in terms)
-    return weighted_gram(pieces, names, used[which], min(s.limit for s in used), driven, noise)
+    spans = [smoothing.band for smoothing in used]
+    span = max(low for low, _ in spans), min(high for _, high in spans)
+    return weighted_gram(pieces, names, used[which], span, driven, noise)
 
 
 def _residual(setting: Setting, which: int, posterior: Posterior, piece: Mapping[str, Floats]) -> Floats:

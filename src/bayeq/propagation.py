@@ -81,7 +81,7 @@ def propagated_covariance(
     for piece, band, spectrum in zip(pieces, in_band.bands, in_band.spectrum, strict=True):
         n = len(piece[target])
         root = np.sqrt(1.0 / spectrum)
-        X = _in_time(band.columns[:, np.append(0, kept + 1)], root, n)
+        X = _in_time(band.columns[:, np.append(0, kept + 1)], root, band.first, n)
         H += X.T @ X
         residual = band.columns[:, -1] - band.columns[:, np.append(0, kept + 1)] @ np.append(posterior.intercept, theta)
         stretches = max(n // STRETCH, 1)
@@ -95,17 +95,19 @@ def propagated_covariance(
             moved = {name: piece[name] + error for name, error in errors.items() if name != target}
             difference = evaluate_terms(chosen, {**piece, **moved}) - base
             columns = to_band(
-                difference, errors[target], _rate(own), in_band.limit, gains_of(errors[target], own), driven
+                difference, errors[target], _rate(own), in_band.span, gains_of(errors[target], own), driven
             ).columns
             e = columns[:, -1] - columns[:, 1:-1] @ theta
             level += float(band.count @ (np.abs(e * root) ** 2)) / count
-            scores = np.add.reduceat(X * _in_time(e[:, None], root, n), edges, axis=0)
+            scores = np.add.reduceat(X * _in_time(e[:, None], root, band.first, n), edges, axis=0)
             filling += scores.T @ scores / count
         M += filling
         drawn += level
         found += float(band.count @ (np.abs(residual * root) ** 2))
-    inverse = np.linalg.inv(H)
-    covariance = (inverse @ M @ inverse)[1:, 1:] * (found / drawn)
+    # in a band that does not begin at zero there is no constant
+    used = slice(0 if H[0, 0] > 0 else 1, None)
+    inverse = np.linalg.inv(H[used, used])
+    covariance = (inverse @ M[used, used] @ inverse)[-len(kept) :, -len(kept) :] * (found / drawn)
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
@@ -114,10 +116,10 @@ def _rate(smoothing: ChainSmoothing) -> float:
     return smoothing.fs
 
 
-def _in_time(columns: Complexes, factor: Floats, n: int) -> Floats:
+def _in_time(columns: Complexes, factor: Floats, first: int, n: int) -> Floats:
     """Weighted bins as a signal of n rows, scaled so that sums over rows are those over bins."""
     whole = np.zeros((n // 2 + 1, columns.shape[1]), dtype=np.complex128)
-    whole[: len(columns)] = columns * factor[:, None]
+    whole[first : first + len(columns)] = columns * factor[:, None]
     return np.asarray(np.fft.irfft(whole, n, axis=0) * np.sqrt(n))
 
 
@@ -135,9 +137,8 @@ def _errors(
         frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / _rate(smoothing)), dtype=np.float64)
         s = 2j * np.pi * np.maximum(frequency, 1e-6 * _rate(smoothing))
         coordinate = np.zeros(len(frequency), dtype=np.complex128)
-        for k, sd in enumerate(smoothing.model.noise_sd):
-            if sd is not None:
-                coordinate += (-s) ** k * np.fft.rfft(rng.standard_normal(n)) / sd
+        for k, sd in smoothing.measured_noise():
+            coordinate += (-s) ** k * np.fft.rfft(rng.standard_normal(n)) / sd
         coordinate *= smoothing.gain(frequency) / smoothing.information(frequency)
         for k, name in enumerate(chain.names):
             out[name] = np.fft.irfft(smoothing.unit_gains[k] * s**k * coordinate, n)

@@ -57,6 +57,8 @@ class Band:
         By which input columns have been multiplied.
     kept : float
         Share of the rows' information that the taper leaves.
+    first : int
+        Number of the first bin in the transform of the rows.
     """
 
     frequency: Floats
@@ -64,6 +66,7 @@ class Band:
     columns: Complexes
     gain: Floats
     kept: float
+    first: int
 
 
 def taper(n: int) -> Floats:
@@ -74,7 +77,12 @@ def taper(n: int) -> Floats:
 
 
 def to_band(
-    D: Floats, y: Floats, fs: float, limit: float, gain: Floats | None = None, inputs: Sequence[int] = ()
+    D: Floats,
+    y: Floats,
+    fs: float,
+    span: tuple[float, float],
+    gain: Floats | None = None,
+    inputs: Sequence[int] = (),
 ) -> Band:
     """Transform the rows of a record.
 
@@ -82,8 +90,10 @@ def to_band(
     ----------
     D, y : (n, P) array, (n,) array
         Dictionary and target, uniformly sampled.
-    fs, limit : float
-        Sampling rate and upper end of the band [Hz].
+    fs : float
+        Sampling rate [Hz].
+    span : (float, float)
+        Lower and upper end of the band [Hz]. A band that does not begin at zero holds no constant.
     gain : (n//2 + 1,) array, optional
         Factor of input columns at the frequencies of `numpy.fft.rfftfreq`.
     inputs : sequence of int
@@ -93,19 +103,22 @@ def to_band(
     window = taper(n)
     power = float(np.sum(window**2))
     frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / fs), dtype=np.float64)
-    bins = int(np.searchsorted(frequency, limit, side="right"))
+    first = int(np.searchsorted(frequency, span[0], side="left"))
     # the bin at half the sampling rate is left out: it is real, and aliased
-    bins = max(min(bins, (n + 1) // 2), 1)
-    columns = np.empty((bins, D.shape[1] + 2), dtype=np.complex128)
-    for j in range(columns.shape[1]):
+    last = min(int(np.searchsorted(frequency, span[1], side="right")), (n + 1) // 2)
+    chosen = slice(first, max(last, first + 1))
+    columns = np.zeros((len(frequency[chosen]), D.shape[1] + 2), dtype=np.complex128)
+    for j in range(first > 0, columns.shape[1]):
         values = np.ones(n) if j == 0 else y if j == D.shape[1] + 1 else D[:, j - 1]
-        columns[:, j] = np.fft.rfft(window * values)[:bins] / np.sqrt(power)
-    factor = np.ones(bins) if gain is None else gain[:bins]
+        columns[:, j] = np.fft.rfft(window * values)[chosen] / np.sqrt(power)
+    factor = np.ones(len(columns)) if gain is None else gain[chosen]
     for j in inputs:
         columns[:, j + 1] *= factor
-    count = np.full(bins, 2.0)
-    count[0] = 1.0
-    return Band(frequency[:bins], count, columns, factor, power**2 / (n * float(np.sum(window**4))))
+    count = np.full(len(columns), 2.0)
+    if first == 0:
+        count[0] = 1.0
+    kept = power**2 / (n * float(np.sum(window**4)))
+    return Band(frequency[chosen], count, columns, factor, kept, first)
 
 
 def band_gram(
@@ -156,8 +169,9 @@ def band_gram(
             products[j + 1, j + 1] -= removed
             if coef is not None:
                 added += float(coef[j]) ** 2 * removed
-    mean = products[0, 1:] / products[0, 0]
-    cross = products[1:, 1:] - np.outer(mean, mean) * products[0, 0]
+    constant = float(products[0, 0])
+    mean = products[0, 1:] / constant if constant > 0 else np.zeros(terms + 1)
+    cross = products[1:, 1:] - np.outer(mean, mean) * constant
     return Gram(
         names=names,
         n=rows,
@@ -166,7 +180,7 @@ def band_gram(
         DtD=np.ascontiguousarray(cross[:terms, :terms]),
         Dty=cross[:terms, terms].copy(),
         yty=float(cross[terms, terms]) + added,
-        dof=rows - 1.0,
+        dof=rows - (constant > 0),
     )
 
 

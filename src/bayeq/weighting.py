@@ -59,8 +59,8 @@ class InBand:
     ----------
     gram : Gram
         Weighted statistics of the bins.
-    limit : float
-        Upper end of the band [Hz].
+    span : (float, float)
+        The band [Hz].
     bands : tuple of Band
         The bins of each piece.
     spectrum : tuple of (b,) array
@@ -70,7 +70,7 @@ class InBand:
     """
 
     gram: Gram
-    limit: float
+    span: tuple[float, float]
     bands: tuple[Band, ...]
     spectrum: tuple[Floats, ...]
     noise: Mapping[int, float]
@@ -100,8 +100,8 @@ def _noise_shapes(pieces: Sequence[Piece], bands: Sequence[Band], smoothing: Cha
     for piece, band in zip(pieces, bands, strict=True):
         both = np.column_stack([piece.states, piece.inputs])
         driven = range(piece.states.shape[1], both.shape[1])
-        limit = float(band.frequency[-1])
-        linear.append(to_band(both, piece.y, smoothing.fs, limit, gains_of(piece.y, smoothing), driven).columns)
+        span = float(band.frequency[0]), float(band.frequency[-1])
+        linear.append(to_band(both, piece.y, smoothing.fs, span, gains_of(piece.y, smoothing), driven).columns)
     whole = np.concatenate(linear)
     stacked = np.concatenate([whole.real, whole.imag])
     coef = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1])[0]
@@ -127,7 +127,7 @@ def weighted_gram(
     pieces: Sequence[Piece],
     names: tuple[str, ...],
     smoothing: ChainSmoothing,
-    limit: float,
+    span: tuple[float, float],
     inputs: Sequence[int] = (),
     noise: Mapping[int, float] | None = None,
 ) -> InBand | None:
@@ -141,8 +141,8 @@ def weighted_gram(
         The P columns.
     smoothing : ChainSmoothing
         Of the target's chain.
-    limit : float
-        Upper end of the band [Hz].
+    span : (float, float)
+        The band [Hz].
     inputs : sequence of int
         Columns that involve measured inputs: they are filtered as the smoother filters the motion.
     noise : mapping of int to float, optional
@@ -155,7 +155,7 @@ def weighted_gram(
     """
     fs = smoothing.fs
     assert fs is not None
-    bands = [to_band(piece.D, piece.y, fs, limit, gains_of(piece.y, smoothing), inputs) for piece in pieces]
+    bands = [to_band(piece.D, piece.y, fs, span, gains_of(piece.y, smoothing), inputs) for piece in pieces]
     gram = band_gram(bands, names)
     if gram.dof < LEAST_PER_TERM * len(names):
         return None
@@ -169,7 +169,7 @@ def weighted_gram(
         spectrum = residual_spectrum(bands, coef, posterior.intercept, known)
     assert spectrum is not None
     gram = band_gram(bands, names, spectrum, noise, coef)
-    return InBand(gram, limit, tuple(bands), tuple(spectrum), noise or {})
+    return InBand(gram, span, tuple(bands), tuple(spectrum), noise or {})
 
 
 def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gram:

@@ -12,6 +12,9 @@ __all__ = ["MAX_ORDER", "Chain", "parse_chain", "parse_chains"]
 
 MAX_ORDER = 4
 
+# Name of a coordinate that is not measured.
+COORDINATE = "x"
+
 
 @dataclass(frozen=True, slots=True)
 class Chain:
@@ -20,7 +23,7 @@ class Chain:
     Parameters
     ----------
     measured : tuple of (str or None)
-        The channel that measures each derivative, from order 0 up; None where none does.
+        The channel that measures each derivative, from order 0 up; None where none does, at least one.
 
     Examples
     --------
@@ -29,6 +32,8 @@ class Chain:
     (2, ('x', 'v', 'ddx'), 'ddx', ('x', 'v'))
     >>> parse_chain("x").names
     ('x', 'dx')
+    >>> parse_chain("::a").names
+    ('x', 'dx', 'a')
     """
 
     measured: tuple[str | None, ...]
@@ -39,9 +44,17 @@ class Chain:
         return len(self.measured) - 1
 
     @property
+    def lowest(self) -> int:
+        """The lowest derivative that is measured."""
+        return next(k for k, name in enumerate(self.measured) if name is not None)
+
+    @property
     def names(self) -> tuple[str, ...]:
-        """Names of the derivatives: the channel's, or ``dx``, ``ddx`` ... where not measured."""
-        base = self.measured[0]
+        """Names of the derivatives: the channel's, or ``dx``, ``ddx`` ... where not measured.
+
+        A coordinate that is not measured itself is called ``x``.
+        """
+        base = self.measured[0] or COORDINATE
         return tuple(m if m is not None else "d" * k + str(base) for k, m in enumerate(self.measured))
 
     @property
@@ -61,14 +74,15 @@ class Chain:
 
 
 def parse_chain(text: str) -> Chain:
-    """Read a chain such as ``x:v:a``, ``x::`` (only displacement measured), ``x`` or ``x:xdot`` (first order).
+    """Read a chain such as ``x:v:a``, ``x::`` (only displacement measured), ``::a`` (only acceleration), ``x`` or
+    ``x:xdot`` (first order).
 
     Raises
     ------
     ChainError
-        Not of this form, or a chain whose coordinate is not measured.
+        Not of this form.
     """
-    form = "write it as x:v:a (second order), x:: (only x measured), x (first order) or x:xdot"
+    form = "write it as x:v:a (second order), x:: (only x measured), ::a (only a), x (first order) or x:xdot"
     if not isinstance(text, str):
         raise ChainError(f"a chain is a text, got {type(text).__name__}; {form}")
     parts = [part.strip() for part in text.split(":")]
@@ -84,11 +98,6 @@ def parse_chain(text: str) -> Chain:
     named = [part for part in parts if part]
     if len(set(named)) < len(named):
         raise ChainError(f"chain {text[:60]!r} names a channel twice; {form}")
-    if not parts[0]:
-        raise ChainError(
-            f"chain {text[:60]!r}: {named[0]!r} would have to be integrated to get the coordinate, which is not"
-            " supported: measure or integrate the displacement and name it first, as in x:v:a"
-        )
     return Chain(tuple(part or None for part in parts))
 
 

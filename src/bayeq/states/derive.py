@@ -78,15 +78,22 @@ def derive_all(
     """
     timed = all(record.time is not None for record in records)
     # what is checked is checked before the work
-    plain = [derive_states(record, chains, inputs, "none" if timed else smooth) for record in records]
+    whole = [chain for chain in chains if chain.lowest == 0]
+    plain = [derive_states(record, whole, inputs, "none" if timed else smooth) for record in records]
+    for chain in chains:
+        if chain.lowest > 0:
+            _require_integrable(records, chain, timed and smooth == "auto")
     if smooth == "none" or not timed:
         return plain
     measured = [name for chain in chains for name in chain.measured if name is not None]
     filled = [on_grid(record, measured, inputs) for record in records]
     cuts = [record.n - int(holdout * record.n) for record in filled]
     found = [smooth_chain(filled, chain, cuts) for chain in chains]
+    integrated = any(chain.lowest > 0 for chain in chains)
     clean = all(s is not None and s[1].noise_ratio < LEAST_NOISE for s in found)
-    if clean or None in found:
+    if (clean and not integrated) or None in found:
+        if integrated:
+            raise _not_integrable(records[0], next(chain for chain in chains if chain.lowest > 0))
         return [derive_states(record, chains, inputs, smooth) for record in records]
     out = []
     for i, record in enumerate(filled):
@@ -99,8 +106,41 @@ def derive_all(
             if top is not None:
                 samples[chain.target] = np.where(np.isnan(record[top]), columns[chain.target], record[top])
         smoothing = tuple(s[1] for s in found if s is not None)
-        out.append(States(columns, plain[i].estimated, samples, smoothing))
+        estimated = tuple(
+            name for chain in chains for name, sure in zip(chain.names, chain.measured, strict=True) if sure is None
+        )
+        out.append(States(columns, estimated, samples, smoothing))
     return out
+
+
+def _require_integrable(records: Sequence[Record], chain: Chain, smoothed: bool) -> None:
+    """Check the channels of a chain whose coordinate is not measured."""
+    for record in records:
+        for name in chain.measured:
+            if name is not None:
+                if name not in record.channels:
+                    raise UnknownNameError("channel", name, record.names, where=record.name)
+                record.require_finite(name)
+                _require_varying(record, name)
+        for name, sure in zip(chain.names, chain.measured, strict=True):
+            if sure is None and name in record.channels:
+                raise ChainError(
+                    f"chain {str(chain)!r} leaves {name!r} to be estimated, but the record has a channel of that"
+                    " name: name it in the chain, or rename it"
+                )
+        if not smoothed:
+            raise ChainError(
+                f"{record.name or 'record'}: chain {str(chain)!r} has to be integrated, which needs smooth='auto' and"
+                " a time column or fs"
+            )
+
+
+def _not_integrable(record: Record, chain: Chain) -> RecordError:
+    first = chain.measured[chain.lowest]
+    return RecordError(
+        f"{record.name or 'record'}: {first!r} cannot be integrated: that needs even steps of time, and a signal that"
+        " stands out of its noise"
+    )
 
 
 def derive_states(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,11 @@ GRAVITY = 9.80665
 # Units are compared in chains of up to so many derivatives.
 MOST_DERIVATIVES = 3
 
+# The signal of a channel comes out of its noise where its density, averaged over so many bins on either side, exceeds
+# that of the noise by this factor.
+LOW_SMOOTHING = 2
+EMERGED = 3.0
+
 # Fewer rows than this in all do not tell noise from motion.
 LEAST_ROWS = 10
 
@@ -49,41 +54,57 @@ class ChainSmoothing:
         standard deviation of its channel.
     unit_gains : (K+1,) array
         Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies.
+    coordinate_sd : float or None
+        Where the coordinate is not measured: the standard deviation with which each of its samples is taken to be zero,
+        so that it is bounded.
     """
 
     model: KinematicModel
     fs: float | None
     noise_ratio: float
     unit_gains: Floats
+    coordinate_sd: float | None = None
 
     def information(self, frequency: Floats) -> Floats:
         """J(f), the inverse variance of the noise in the coordinate at frequencies [Hz]: sum of omega^(2k)/R_k."""
         fs = 1.0 if self.fs is None else self.fs
         omega = np.maximum(2.0 * np.pi * np.asarray(frequency), 1e-6 * fs)
         out = np.zeros_like(omega)
-        for k, sd in enumerate(self.model.noise_sd):
-            if sd is not None:
-                out += omega ** (2 * k) / sd**2
+        for k, sd in self.measured_noise():
+            out += omega ** (2 * k) / sd**2
         return out
+
+    def measured_noise(self) -> list[tuple[int, float]]:
+        """Each measured derivative with the standard deviation of its noise."""
+        assumed = self.coordinate_sd is not None
+        return [(k, sd) for k, sd in enumerate(self.model.noise_sd) if sd is not None and not (assumed and k == 0)]
 
     def gain(self, frequency: Floats) -> Floats:
         """Gain of the smoother at frequencies [Hz], the same for all derivatives: signal over signal and noise.
 
-        The Wiener gain S/(S + 1/J) of uniform sampling, where S = Q/(dt omega^(2m)) is the density of the coordinate
-        under the model and J the information of the channels on it.
+        The Wiener gain J/(J + 1/S + 1/b^2) of uniform sampling, where S = Q/(dt omega^(2m)) is the density of the
+        coordinate under the model, J the information of the channels on it and b what bounds it.
         """
         fs = 1.0 if self.fs is None else self.fs
         omega = np.maximum(2.0 * np.pi * np.asarray(frequency), 1e-6 * fs)
-        signal = self.model.spectral_density * fs / omega ** (2 * self.model.order) * self.information(frequency)
-        return np.asarray(signal / (1.0 + signal))
+        density = self.model.spectral_density * fs / omega ** (2 * self.model.order)
+        information = self.information(frequency)
+        bound = 0.0 if self.coordinate_sd is None else 1.0 / self.coordinate_sd**2
+        return np.asarray(density * information / (1.0 + density * (information + bound)))
 
     @property
-    def limit(self) -> float:
-        """Frequency [Hz] up to which the smoother follows the motion: gain above 0.9."""
+    def band(self) -> tuple[float, float]:
+        """Frequencies [Hz] between which the smoother follows the motion: gain above 0.9."""
         assert self.fs is not None
-        grid = np.linspace(0.0, 0.5 * self.fs, 2000)[1:]
-        below = np.flatnonzero(self.gain(grid) < LEAST_GAIN)
-        return float(grid[below[0]]) if len(below) else 0.5 * self.fs
+        grid = np.linspace(0.0, 0.5 * self.fs, 4000)[1:]
+        gain = self.gain(grid)
+        above = np.flatnonzero(gain >= LEAST_GAIN)
+        if not len(above):
+            return 0.0, 0.0
+        first = int(above[0]) if self.coordinate_sd is not None else 0
+        below = np.flatnonzero(gain[first:] < LEAST_GAIN)
+        low = float(grid[first]) if first else 0.0
+        return low, (float(grid[first + below[0]]) if len(below) else 0.5 * self.fs)
 
 
 def _series(record: Record, chain: Chain) -> ChainSeries:
@@ -189,6 +210,12 @@ def smooth_chain(
     except InputError:
         # a channel with too few samples, or one that never changes
         return None
+    bound = None
+    if chain.lowest > 0:
+        bound = _coordinate_sd(series, chain.lowest, model)
+        if bound is None:
+            return None
+        whole, model = [_bounded(s) for s in whole], replace(model, noise_sd=(bound, *model.noise_sd[1:]))
     means = []
     for s, cut in zip(whole, cuts, strict=True):
         parts = [s.take(slice(0, cut)), *([s.take(slice(cut, s.n))] if s.n - cut > 1 else [])]
@@ -201,7 +228,43 @@ def smooth_chain(
     for k in states:
         samples = np.concatenate([np.asarray(s.channels[k]) for s in series])
         ratio = max(ratio, float(model.noise_sd[k] or 0.0) * abs(gains[k]) / float(np.nanstd(samples)))
-    return means, ChainSmoothing(model, _rate(series), ratio, gains)
+    return means, ChainSmoothing(model, _rate(series), ratio, gains, bound)
+
+
+def _bounded(series: ChainSeries) -> ChainSeries:
+    """With a channel of zeros for the coordinate."""
+    return ChainSeries(series.times, (np.zeros(series.n), *series.channels[1:]))
+
+
+def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicModel) -> float | None:
+    """How near to zero the samples of an unmeasured coordinate are taken to be.
+
+    Integrating the channel multiplies its noise by 1/omega^lowest, which is without bound. Below the frequency f_low at
+    which its signal comes out of its noise nothing is known of the coordinate but that it does not run away: zeros of
+    the standard deviation sigma/omega_low^lowest weigh there as much as the channel does at f_low.
+
+    Returns
+    -------
+    float or None
+        None for records at uneven steps, and where the signal never comes out of the noise.
+    """
+    fs, noise = _rate(series), model.noise_sd[lowest]
+    if fs is None or noise is None:
+        return None
+    levels, frequencies = [], []
+    for s in series:
+        samples = _bridged(s.channels[lowest])
+        window = np.hanning(s.n)
+        power = np.abs(np.fft.rfft(window * (samples - samples.mean()))) ** 2 / float(window @ window)
+        half = min(LOW_SMOOTHING, (len(power) - 1) // 4)
+        levels.append(np.convolve(np.pad(power, half, mode="edge"), np.full(2 * half + 1, 1 / (2 * half + 1)), "valid"))
+        frequencies.append(np.fft.rfftfreq(s.n, 1.0 / fs))
+    longest = int(np.argmax([len(level) for level in levels]))
+    above = np.flatnonzero(levels[longest][1:] > EMERGED * noise**2)
+    if not len(above):
+        return None
+    low = float(frequencies[longest][1 + above[0]])
+    return float(noise / (2.0 * np.pi * low) ** lowest)
 
 
 def _in_units(series: ChainSeries, gains: Floats) -> ChainSeries:

@@ -126,7 +126,7 @@ def _in_band(states: States, D: Floats, chain: Chain, names: tuple[str, ...], in
     own = np.column_stack([states.columns[name] for name in chain.states])
     driven = np.column_stack([np.empty((len(D), 0)), *(states.columns[name] for name in inputs)])
     piece = Piece(D, states.columns[chain.target], own, driven)
-    found = weighted_gram([piece], names, smoothing, smoothing.limit, columns, noise)
+    found = weighted_gram([piece], names, smoothing, smoothing.band, columns, noise)
     return None if found is None else found.gram
 
 
