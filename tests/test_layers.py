@@ -33,6 +33,7 @@ LEVELS = [
         "render",
         "sensitivity",
         "choice",
+        "coarsening",
         "coef_units",
         "parsimony",
     },

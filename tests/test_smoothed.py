@@ -29,7 +29,7 @@ def test_a_whole_band_without_a_taper_is_the_gram_of_the_rows(monkeypatch):
     monkeypatch.setattr("bayeq.spectral.taper", np.ones)
     D, rng = white(0, n=501)
     y = D @ [1.0, -2.0, 0.0] + rng.normal(size=501)
-    ours = band_gram([to_band(D, y, 100.0, 1e9)], ("a", "b", "c"))
+    ours = band_gram([to_band(D, y, 100.0, (0.0, 1e9))], ("a", "b", "c"))
     theirs = Gram.from_data(D, y, ("a", "b", "c"))
     np.testing.assert_allclose(ours.DtD, theirs.DtD, rtol=1e-9)
     np.testing.assert_allclose(ours.Dty, theirs.Dty, rtol=1e-9, atol=1e-9)
@@ -47,7 +47,7 @@ def test_weights_are_those_of_generalised_least_squares():
         e = rng.normal(size=1000)
         for t in range(1, 1000):
             e[t] += 0.9 * e[t - 1]
-        band = to_band(D, D[:, 0] + e, 1.0, 0.45)
+        band = to_band(D, D[:, 0] + e, 1.0, (0.0, 0.45))
         theta = np.array([1.0])
         spectrum = residual_spectrum([band], theta, 0.0)
         gram = band_gram([band], ("a",), spectrum)
@@ -71,7 +71,7 @@ def test_a_noisy_input_is_not_attenuated():
     measured = u + 0.3 * rng.normal(size=n)
     floor = noise_floor([measured])
     assert floor == pytest.approx(0.09, rel=0.05)
-    band = to_band(measured[:, None], 2.0 * u, 1.0, 0.1)
+    band = to_band(measured[:, None], 2.0 * u, 1.0, (0.0, 0.1))
     plain = band_gram([band], ("u",))
     corrected = band_gram([band], ("u",), None, {0: floor}, np.array([2.0]))
     attenuated = plain.Dty[0] / plain.DtD[0, 0]
@@ -151,7 +151,10 @@ def test_too_few_numbers_for_so_many_terms():
     names = tuple(f"d{j}" for j in range(36))
     assert (
         weighted_gram(
-            [Piece(D, states.columns["a"], np.zeros((300, 2)), np.zeros((300, 0)))], names, states.smoothing[0], 20.0
+            [Piece(D, states.columns["a"], np.zeros((300, 2)), np.zeros((300, 0)))],
+            names,
+            states.smoothing[0],
+            (0.0, 20.0),
         )
         is None
     )

@@ -20,6 +20,8 @@ from bayeq.states.smoothing import smooth_derivative
         ("x::a", ("x", "dx", "a"), 2),
         ("x", ("x", "dx"), 1),
         ("x:xdot", ("x", "xdot"), 1),
+        ("::a", ("x", "dx", "a"), 2),
+        (":v:a", ("x", "v", "a"), 2),
         (" x : v : a ", ("x", "v", "a"), 2),
     ],
 )
@@ -32,7 +34,7 @@ def test_chains(text, names, order):
 
 
 @pytest.mark.parametrize(
-    "text", ["", ":", "::", "::a", ":v:a", "x:x", "x:1v", "x y", "x:v:a:b:c:d", "lambda", "x;v", "x.v"]
+    "text", ["", ":", "::", "::x", "::dx", "x:x", "x:1v", "x y", "x:v:a:b:c:d", "lambda", "x;v", "x.v"]
 )
 def test_wrong_chains(text):
     with pytest.raises(ChainError):

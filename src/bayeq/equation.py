@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.choice import LeftOut
+from bayeq.coarsening import Coarsening, coarsening
 from bayeq.coef_units import quotient_unit
 from bayeq.diagnostics import Fit, Residuals
 from bayeq.errors import InputError
@@ -336,6 +337,32 @@ class Equation:
             prior_inclusions,
             every_pair=every_pair,
         )
+
+    def coarsening(self, powers: ArrayLike | None = None) -> Coarsening:
+        """PIPs by model averaging as each row counts for less, to see which terms hang on the number of rows.
+
+        Where the model is only nearly true, terms that stand in for what it lacks vanish long before the others. To get
+        the equation at a power, give it to `discover` as ``coarsen``.
+
+        Parameters
+        ----------
+        powers : sequence of float, optional
+            Powers of the likelihood, above 0 and at most 1; by default halved from 1 to 1/4096.
+
+        Returns
+        -------
+        Coarsening
+            Print it for a summary; ``table()`` and ``plot()`` tell more.
+
+        Raises
+        ------
+        InputError
+            As for `sensitivity`.
+        """
+        if self.regression is None:
+            raise InputError("a file of equations does not hold what their posterior came from: run discover again")
+        require_spike_slab(self.posterior.method)
+        return coarsening(self.regression.standard.gram, self.regression.prior, powers)
 
 
 def _factor(term: str) -> str:

@@ -88,9 +88,11 @@ def _render_equation(console: Console, equation: Equation, method: str, scores: 
         console.print(
             f"{why}: {escape(left.name)}, {ENGINES[method].score} {left.pip:.3f}, explains {percent(left.share)}"
         )
-    if equation.runners_up:
+    # of an equation that terms were left out of, the likelier ones are no runners-up
+    runners_up = [r for r in equation.runners_up if not equation.left_out or r.log_odds <= 0]
+    if runners_up:
         console.print("runners-up, with their posterior odds against this equation:")
-        for r in equation.runners_up:
+        for r in runners_up:
             console.print(f"{r.odds:>10}  {escape(str(r))}")
     console.print("")
 

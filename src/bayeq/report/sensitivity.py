@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["PipCurves", "draw_sensitivity", "spread"]
+__all__ = ["PipCurves", "draw_coarsening", "draw_sensitivity", "spread"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -109,6 +109,44 @@ def draw_sensitivity(rows: Sequence[PipCurves]) -> Figure:
                 if row.title:
                     figure.text(1.0 / FULL_WIDTH, ax.get_position().y1, _label(row.title), fontsize=9, va="bottom")
     figure.legend(handles=_legend(rows), loc="upper center", ncols=5, columnspacing=1.6, handlelength=2.2)
+    return figure
+
+
+def draw_coarsening(terms: tuple[str, ...], power: Floats, pip: Floats, listed: Bools) -> Figure:
+    """PIPs against the power of the likelihood, terms named at its end where each row counts in full.
+
+    Parameters
+    ----------
+    terms : tuple of str
+        The P candidates.
+    power : (K,) array
+        Descending.
+    pip : (K, P) array
+        PIPs.
+    listed : (K,) bool array
+        Powers where they stand on nearly all of the posterior mass.
+    """
+    inside = pip > 0.5
+    row = PipCurves(
+        title="",
+        terms=terms,
+        changing=np.asarray(inside.any(axis=0) & ~inside.all(axis=0)),
+        base=(float(power[0]), float(power[0])),
+        used=pip[0],
+        axes=(power[::-1], power[::-1]),
+        pip=(pip[::-1], pip[::-1]),
+        listed=(listed[::-1], listed[::-1]),
+    )
+    left = BETWEEN + 2.0
+    figure = new_figure(left + PANEL + BESIDE, LEGEND + ABOVE + HEIGHT + BELOW)
+    ax = add_axes(figure, left, LEGEND + ABOVE, PANEL, HEIGHT)
+    _panel(ax, row, 1, _groups(row))
+    ax.set_xlabel("power of the likelihood")
+    ax.set_ylabel("PIP")
+    handles = _legend([row])[:3]
+    for handle, label in zip(handles, ("included at all powers", "at some", "at none"), strict=True):
+        handle.set_label(label)
+    figure.legend(handles=handles, loc="upper center", ncols=3, columnspacing=1.6, handlelength=2.2)
     return figure
 
 

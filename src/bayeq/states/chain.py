@@ -98,7 +98,13 @@ def parse_chain(text: str) -> Chain:
     named = [part for part in parts if part]
     if len(set(named)) < len(named):
         raise ChainError(f"chain {text[:60]!r} names a channel twice; {form}")
-    return Chain(tuple(part or None for part in parts))
+    chain = Chain(tuple(part or None for part in parts))
+    if len(set(chain.names)) < len(chain.names):
+        raise ChainError(
+            f"chain {text[:60]!r}: derivatives that are not measured are called after the coordinate,"
+            f" {', '.join(chain.names)}: rename the channel of that name"
+        )
+    return chain
 
 
 def parse_chains(texts: Sequence[str]) -> tuple[Chain, ...]:

@@ -114,7 +114,10 @@ def derive_all(
 
 
 def _require_integrable(records: Sequence[Record], chain: Chain, smoothed: bool) -> None:
-    """Check the channels of a chain whose coordinate is not measured."""
+    """Check the channels of a chain whose coordinate is not measured.
+
+    A channel that happens to have the coordinate's name was left out of the chain, and is not used.
+    """
     for record in records:
         for name in chain.measured:
             if name is not None:
@@ -122,12 +125,6 @@ def _require_integrable(records: Sequence[Record], chain: Chain, smoothed: bool)
                     raise UnknownNameError("channel", name, record.names, where=record.name)
                 record.require_finite(name)
                 _require_varying(record, name)
-        for name, sure in zip(chain.names, chain.measured, strict=True):
-            if sure is None and name in record.channels:
-                raise ChainError(
-                    f"chain {str(chain)!r} leaves {name!r} to be estimated, but the record has a channel of that"
-                    " name: name it in the chain, or rename it"
-                )
         if not smoothed:
             raise ChainError(
                 f"{record.name or 'record'}: chain {str(chain)!r} has to be integrated, which needs smooth='auto' and"

@@ -2,7 +2,7 @@
 
 Simulated at 2 kHz or finer with 5 % noise and a force of pass band min(100 Hz, fs/4), decimated to fs. Beside the
 default (the kinematic smoother and regression in its band) stand derivatives by central differences and by
-Savitzky-Golay filters.
+Savitzky-Golay filters; where the acceleration alone is measured, integrals by the trapezoidal rule ("differences").
 
     python -m bayeq.study.channels --records 5 > docs/tables/channels.csv
 """
@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from bayeq.discovery import discover
 from bayeq.errors import BayeqError, BayeqWarning
@@ -27,15 +28,26 @@ from bayeq.systems.force import band_limited_noise
 
 __all__ = ["CHAINS", "METHODS", "RATES", "draw_record", "measure_cell"]
 
-CHAINS = {"x, v, a": "x:v:a", "x, a": "x::a", "x, v": "x:v:", "x": "x::", "x, v, a, 10 % of rows dropped": "x:v:a"}
+CHAINS = {
+    "x, v, a": "x:v:a",
+    "x, a": "x::a",
+    "x, v": "x:v:",
+    "x": "x::",
+    "a": "::a",
+    "x, v, a, 10 % of rows dropped": "x:v:a",
+}
 RATES = (1000.0, 500.0, 200.0, 100.0)
-METHODS = ("smoother", "savitzky-golay", "differences")
+FILTER = "savitzky-golay"
+METHODS = ("smoother", FILTER, "differences")
 
 # Rows of a record, and the rate that the motion is simulated at.
 ROWS = 4000
 FINEST = 2000.0
 
 DROPPED = 0.1
+
+# Degree of the polynomial that is taken out after an integration by the trapezoidal rule.
+DRIFT = 5
 
 
 def draw_record(system: str, fs: float, seed: int, dropped: bool = False) -> Record:
@@ -56,9 +68,23 @@ def draw_record(system: str, fs: float, seed: int, dropped: bool = False) -> Rec
 def _differentiated(record: Record, chain: str, method: str) -> Record:
     """The record with every derivative that is not measured put into a channel of its own."""
     (parsed,) = parse_chains([chain])
+    if parsed.lowest > 0:
+        return _integrated(record)
     states = derive_states(record, (parsed,), ("u",), "auto" if method == "savitzky-golay" else "none")
     columns = {name: states.columns[name] for name in (*parsed.names, "u")}
     return Record.from_arrays(columns, time=record.time)
+
+
+def _integrated(record: Record) -> Record:
+    """Velocity and displacement by the trapezoidal rule, a polynomial that follows the drift taken out each time."""
+    from scipy.integrate import cumulative_trapezoid
+
+    assert record.time is not None
+    columns = {"a": record["a"] - record["a"].mean()}
+    for below, name in (("a", "dx"), ("dx", "x")):
+        integral = np.asarray(cumulative_trapezoid(columns[below], record.time, initial=0), dtype=np.float64)
+        columns[name] = integral - Polynomial.fit(record.time, integral, DRIFT)(record.time)
+    return Record.from_arrays({**columns, "u": record["u"]}, time=record.time)
 
 
 def measure_cell(system: str, channels: str, fs: float, method: str, records: int) -> Mapping[str, object]:
@@ -114,7 +140,7 @@ def _cells(records: int) -> Iterator[tuple[str, str, float, str, int]]:
         for channels in CHAINS:
             for fs in RATES:
                 for method in METHODS:
-                    if "dropped" in channels and method == "differences":
+                    if ("dropped" in channels and method == "differences") or (channels == "a" and method == FILTER):
                         continue
                     yield system, channels, fs, method, records
 

@@ -1,0 +1,83 @@
+"""Certain, and of no practical difference."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayeq as bq
+from bayeq.errors import InputError
+from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.rows import Rows
+from bayeq.forecast.windows import typical_period, window_error
+from bayeq.study.discrepancy import draw_record
+
+DUFFING = {"x", "v", "x**3", "u"}
+OSCILLATOR = {"chains": "x:v:a", "inputs": ["u"]}
+
+
+@pytest.fixture(scope="module")
+def hysteretic():
+    return draw_record("bouc-wen", 0.05, seed=0, rows=40_000)
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_terms_that_stand_in_for_what_the_dictionary_lacks_stand_beside(hysteretic):
+    shown = bq.discover(hysteretic, **OSCILLATOR)[0]
+    everything = bq.discover(hysteretic, **OSCILLATOR, negligible=0.0)[0]
+    assert set(shown.included) == DUFFING < set(everything.included)
+    assert {left.name for left in shown.left_out} == set(everything.included) - DUFFING
+    for left in shown.left_out:
+        assert left.reason == "negligible"
+        assert left.share < 5e-5
+        assert left.pip > 0.5
+    assert "certain, but negligible: " in str(bq.discover(hysteretic, **OSCILLATOR))
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_limits_of_one_s_own_take_the_place_of_the_rule(hysteretic):
+    eq = bq.discover(hysteretic, **OSCILLATOR, max_terms=30)[0]
+    assert len(eq.included) > 4
+    assert eq.left_out == ()
+
+
+def test_the_damping_of_a_light_structure_stays():
+    # damping ratio 0.3 %: v explains 3e-5 of the variance, and without it a run is nowhere after a hundred periods
+    rec = bq.simulate("linear", n=20_000, seed=3, noise={"a": 0.01}, parameters={"c": 0.2})
+    eq = bq.discover(rec, **OSCILLATOR)[0]
+    share = dict(zip((t.text for t in eq.terms), eq.share, strict=True))
+    assert share["v"] < 5e-5
+    assert set(eq.included) == {"x", "v", "u"}
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_small_and_without_effect_and_yet_true_is_told():
+    # a cubic stiffness that shifts the period by some 0.01 %: certain with noise this small
+    rec = bq.simulate("duffing", n=10_000, seed=3, noise={"a": 1e-4}, parameters={"k3": 20.0})
+    eq = bq.discover(rec, **OSCILLATOR)[0]
+    assert set(eq.included) == {"x", "v", "u"}
+    assert [left.name for left in eq.left_out] == ["x**3"]
+    assert set(bq.discover(rec, **OSCILLATOR, negligible=0)[0].included) == DUFFING
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_errors_of_windows_are_those_of_simulate():
+    rec = bq.simulate("linear", n=400, seed=3, noise=0.0)
+    eq = bq.discover(rec, **OSCILLATOR, dictionary=["x", "u"], holdout=0.0, negligible=0.0)
+    rows = Rows(rec.time, rec.channels, {})
+    posteriors = [e.posterior for e in eq]
+    dynamics = Dynamics.of(eq.chains, eq.inputs, posteriors, [e.terms for e in eq])
+    assert typical_period(dynamics, [rows]) == pytest.approx(2 * np.pi * rec["x"].std() / rec["v"].std())
+    ours = window_error(dynamics, dynamics.means(posteriors), [rows], 0.1)
+    scale = {name: rec[name].std() for name in "xv"}
+    errors = []
+    for first in np.linspace(0, 400 - 101, 12).astype(int):
+        run = eq.simulate(rec, start=int(first), rows=101, draws=0)
+        errors.append(np.sqrt(np.mean([((run.mean[n] - rec[n][first : first + 101]) / scale[n]) ** 2 for n in "xv"])))
+    assert ours == pytest.approx(np.median(errors), rel=1e-3)
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.0, np.nan])
+def test_shares_out_of_range(value):
+    with pytest.raises(InputError, match="negligible"):
+        bq.discover(bq.simulate("linear", n=100), **OSCILLATOR, negligible=value)
