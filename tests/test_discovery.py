@@ -37,26 +37,34 @@ def quietly(records, **options):
         return bq.discover(records, **options)
 
 
-@pytest.mark.parametrize(("system", "least"), [("linear", 95), ("duffing", 72), ("quadratic", 80), ("coulomb", 80)])
+@pytest.mark.parametrize(("system", "least"), [("linear", 23), ("duffing", 21), ("quadratic", 23), ("coulomb", 23)])
 def test_the_paper_s_oscillators_at_five_per_cent_noise(system, least):
-    # nominal parameters, seeds 0..99; enumeration-quality search gives about 0.99 and 0.8 for the first two: the
-    # limit is the noise in the regressors
+    # nominal parameters, seeds 0..24. Of seeds 0..49 all are exact but 2 of the Duffing oscillator; at rates of 0.99
+    # and 0.96 other draws of the noise would fall below these limits with probabilities of 0.002 and 0.004. Without
+    # smoothing the rates are 0.75 to 0.9 for the nonlinear ones (docs/reproduction.md).
     exact = sum(
-        set(quietly(bq.simulate(system, seed=seed), **OSCILLATOR)[0].included) == TRUE[system] for seed in range(100)
+        set(quietly(bq.simulate(system, seed=seed), **OSCILLATOR)[0].included) == TRUE[system] for seed in range(25)
     )
     assert exact >= least
 
 
-@pytest.mark.parametrize("noise", [0.05, 0.01, 0.001])
-def test_clean_states_at_any_noise_of_the_acceleration(noise):
-    exact, ratios = 0, []
-    for seed in range(200):
+@pytest.mark.parametrize(("noise", "seeds"), [(0.05, 60), (0.01, 40), (0.001, 40)])
+def test_clean_states_at_any_noise_of_the_acceleration(noise, seeds):
+    # All of 80 seeds are exact; at a rate of 0.995 two misses are exceeded with a probability of 0.003 in 60 draws and
+    # of 0.001 in 40. With v_s fixed at 10 the rate is 0.9 at 1 % noise and 0.58 at 0.1 %.
+    exact, ratios, hits = 0, [], []
+    for seed in range(seeds):
         rec = bq.simulate("duffing", seed=seed, noise={"a": noise})
         eq = quietly(rec, **OSCILLATOR)[0]
         exact += set(eq.included) == TRUE["duffing"]
         ratios.append(eq.noise_sd / rec.truth.noise_sd["a"])
-    assert exact >= 196
+        ci = dict(zip([t.text for t in eq.terms], eq.ci95, strict=True))
+        hits += [ci[t][0] <= value <= ci[t][1] for t, value in rec.truth.coefficients["a"].items()]
+        hits.append(eq.intercept_ci95[0] <= 0 <= eq.intercept_ci95[1])
+    assert exact >= seeds - 2
     assert np.all(np.abs(np.array(ratios) - 1) < 0.05)
+    # 95 % of the intervals, and 3.5 standard deviations of a binomial: a probability of 0.001
+    assert abs(np.mean(hits) - 0.95) < 3.5 * np.sqrt(0.95 * 0.05 / len(hits))
 
 
 def test_noise_free_motion_gives_the_law_to_many_digits():
@@ -65,18 +73,6 @@ def test_noise_free_motion_gives_the_law_to_many_digits():
     assert set(eq.included) == TRUE["duffing"]
     for term, value in rec.truth.coefficients["a"].items():
         assert eq.coef[term] == pytest.approx(value, rel=1e-6)
-
-
-def test_intervals_cover_on_clean_states():
-    hits = []
-    for seed in range(100):
-        rec = bq.simulate("duffing", seed=seed, noise={"a": 0.05})
-        eq = quietly(rec, **OSCILLATOR)[0]
-        ci = dict(zip([t.text for t in eq.terms], eq.ci95, strict=True))
-        hits += [ci[t][0] <= value <= ci[t][1] for t, value in rec.truth.coefficients["a"].items()]
-        hits.append(eq.intercept_ci95[0] <= 0 <= eq.intercept_ci95[1])
-    # 500 intervals of 95 %: 475 +/- 3 standard deviations of a binomial
-    assert 460 <= sum(hits) <= 490
 
 
 DUFFING = bq.simulate("duffing", n=1500, seed=5, noise={"a": 0.02, "x": 0.005})

@@ -102,3 +102,4 @@ def test_import_is_lazy():
 def test_reading_and_discovering_do_not_load_what_they_do_not_use():
     loaded = loaded_after("import bayeq; bayeq.discover, bayeq.read, bayeq.simulate")
     assert not {"pandas", "sklearn", "sympy", "matplotlib", "pyarrow", "typer"} & loaded
+    assert not {"scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.stats"} & loaded

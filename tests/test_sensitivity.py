@@ -114,12 +114,12 @@ def test_shifting_the_prior_keeps_the_relation_among_terms():
 
 def test_a_wide_dictionary_gives_the_same_whether_its_gram_is_lazy_or_not():
     rng = np.random.default_rng(0)
-    D = rng.normal(size=(40, 600))
+    D = rng.normal(size=(40, 520))
     y = 3 * D[:, 7] - 2 * D[:, 300] + rng.normal(size=40)
     (lazy,) = grams_of(D, y[:, None])
     assert not isinstance(lazy, Gram)
-    prior = Prior(prior_inclusion=0.002)
-    some = {"slab_variances": [100.0], "prior_inclusions": [0.001]}
+    prior = Prior(prior_inclusion=0.0005)
+    some = {"slab_variances": [100.0], "prior_inclusions": [0.0002]}
     found = prior_sensitivity(lazy.standardise().gram, prior, **some)
     dense = prior_sensitivity(Gram.from_data(D, y).standardise().gram, prior, **some)
     np.testing.assert_allclose(found.pip, dense.pip, atol=1e-8)
@@ -428,9 +428,10 @@ def test_a_table_or_a_figure_of_all_equations(lorenz, tmp_path):
     np.testing.assert_allclose([float(r["pip"]) for r in rows], [e[4] for e in expected], atol=1e-12)
     for suffix, start in (("png", b"\x89PNG"), ("svg", b"<?xml"), ("PDF", b"%PDF")):
         path = tmp_path / f"pip.{suffix}"
-        written = []
-        for _ in range(2):
-            assert main([*arguments, "--sensitivity", str(path)]) == 0
-            written.append(path.read_bytes())
-        assert written[0].startswith(start)
-        assert written[0] == written[1]
+        assert main([*arguments, "--sensitivity", str(path)]) == 0
+        assert path.read_bytes().startswith(start)
+    # the same bytes every time, though SVG and PDF have room for dates and names by chance
+    for path in (tmp_path / "pip.svg", tmp_path / "pip.PDF"):
+        first = path.read_bytes()
+        assert main([*arguments, "--sensitivity", str(path)]) == 0
+        assert path.read_bytes() == first

@@ -161,15 +161,16 @@ def test_too_few_numbers_for_so_many_terms():
 
 
 def test_smoothing_restores_what_noise_takes_in_the_paper_s_protocol():
-    # 20 Coulomb records: exact on raw channels in about 3 of 4 (the paper, Table 2), smoothed in 98 of 100
+    # 12 Coulomb records: exact on raw channels in about 3 of 4 (the paper, Table 2), smoothed in 98 of 100, so that
+    # three misses have a probability of 0.002
     exact = {"auto": 0, "none": 0}
     for smooth in exact:
-        for index in range(20):
+        for index in range(12):
             data = draw(StudyConfig(smooth=smooth), "coulomb", index)
             standard = data.train.standardise()
             found = bq.inference.spike_slab_bma(standard.gram).support
             exact[smooth] += bool((found == (data.truth != 0)).all())
-    assert exact["auto"] >= 17
+    assert exact["auto"] >= 10
     assert exact["auto"] >= exact["none"]
 
 

@@ -218,7 +218,8 @@ def rows_in(path):
 
 def test_killed_at_random_it_ends_as_if_undisturbed(tmp_path):
     undisturbed, path = tmp_path / "undisturbed.db", tmp_path / "killed.db"
-    subprocess.run([sys.executable, "-c", KILLED, str(undisturbed), "1"], check=True)
+    options = {"systems": ["linear", "duffing"], "algorithms": ["rvm", "vb"], "realisations": 40}
+    run_study(undisturbed, **options)
     rng = random.Random(time.time_ns())
     kills = 0
     for jobs in ("1", "2", "1"):
@@ -230,7 +231,7 @@ def test_killed_at_random_it_ends_as_if_undisturbed(tmp_path):
         process.send_signal(signal.SIGKILL)
         kills += process.wait() == -signal.SIGKILL
     assert kills >= 2  # the last may come too late
-    subprocess.run([sys.executable, "-c", KILLED, str(path), "2"], check=True)
+    run_study(path, jobs=2, **options)
     assert shown(path) == shown(undisturbed)
     assert len(contents(path)) == 160
 

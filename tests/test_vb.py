@@ -66,8 +66,8 @@ def assert_monotone(trace):
     assert np.all(drops <= 1e-10 * (1 + np.abs(trace[1:])))
 
 
-def test_1000_problems_elbo_is_monotone_below_the_evidence_and_the_best_of_its_restarts():
-    for seed in range(1000):
+def test_elbo_is_monotone_below_the_evidence_and_the_best_of_its_restarts():
+    for seed in range(300):
         rng = np.random.default_rng(seed)
         D, y, _ = reference.random_problem(rng, P=int(rng.integers(2, 8 if seed % 10 else 11)))
         gram = Gram.from_data(D, y)

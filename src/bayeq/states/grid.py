@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from bayeq.records import Record
 
@@ -35,6 +34,9 @@ def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]
     regular = bool((np.abs(places - index) < OFF_GRID).all()) and bool((np.diff(index) > 0).all())
     if not regular or n == record.n or record.n < (1.0 - MOST_MISSING) * n:
         return record
+    # takes a second to import, and few records have gaps
+    from scipy.interpolate import CubicSpline
+
     grid = time[0] + step * np.arange(n)
     channels = {}
     for name in (*chain_channels, *inputs):
