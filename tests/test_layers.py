@@ -37,7 +37,7 @@ LEVELS = [
     },
     {"discovery"},
     {"study"},
-    {"cli_study"},
+    {"cli_outputs", "cli_study"},
     {"cli"},
     {"__main__"},
 ]

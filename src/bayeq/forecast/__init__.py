@@ -11,5 +11,6 @@ shooting      least squares of free runs of segments
 output_error  how long segments are, and what is known in the end
 refine        posteriors by output error: what `Equations.refine` puts into the equations
 results       what is kept of scores and refinements
+write         free runs as files
 physical      mass, damping, stiffness ... of an oscillator; physical_units: their units
 """

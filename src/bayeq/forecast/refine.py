@@ -90,9 +90,9 @@ def refine(
     """
     dynamics = Dynamics.of(chains, inputs, posteriors, terms, intercepts)
     names = [name for chain in chains for name in chain.measured if name is not None]
-    train, held_out = _split(chains, inputs, records, smooth, holdout)
+    train, held_out = _split(chains, inputs, records, smooth, holdout, interpolation)
     means = dynamics.means(posteriors)
-    measured = _measured(dynamics, means, train, names, interpolation)
+    measured = _measured(dynamics, means, train, names)
     found = output_error(measured, means, dynamics.covariance(posteriors), segment)
     if isinstance(found, Unrefined):
         return found
@@ -114,34 +114,38 @@ def refine(
         )
     return RefinedEquations(
         tuple(refined),
-        _summary(found, records, measured.rows, names),
-        score_rows(dynamics, found.parameters, held_out, interpolation) if held_out else None,
+        _summary(found, chains, records, measured.rows, names),
+        score_rows(dynamics, found.parameters, held_out) if held_out else None,
     )
 
 
-def _summary(found: OutputError, pieces: Sequence[Record], rows: int, names: Sequence[str]) -> Refinement:
+def _summary(
+    found: OutputError, chains: Sequence[Chain], pieces: Sequence[Record], rows: int, names: Sequence[str]
+) -> Refinement:
     return Refinement(
         files=tuple(piece.name for piece in pieces),
         n=rows,
         segments=found.segments,
         longest=found.longest,
         noise_sd=dict(zip(names, found.noise_sd.tolist(), strict=True)),
-        start_sd={
-            name: value if math.isfinite(value) else None
-            for name, value in zip(names, found.start_sd.tolist(), strict=True)
-        },
+        unseen_sd=dict(zip((chain.target for chain in chains), found.unseen_sd.tolist(), strict=True)),
         converged=found.converged,
     )
 
 
 def _split(
-    chains: Sequence[Chain], inputs: Sequence[str], pieces: Sequence[Record], smooth: Smooth, holdout: float
+    chains: Sequence[Chain],
+    inputs: Sequence[str],
+    pieces: Sequence[Record],
+    smooth: Smooth,
+    holdout: float,
+    interpolation: Interpolation,
 ) -> tuple[list[Rows], list[Rows]]:
     """Training rows and the last rows of each record, held out, with the states as `discover` has them."""
     share = holdout if sum(piece.n for piece in pieces) >= LEAST_ROWS_TO_HOLD_OUT else 0.0
     train, held_out = [], []
     for piece, states in zip(pieces, derive_all(pieces, chains, inputs, smooth, share), strict=True):
-        rows = rows_of(piece, states, chains, inputs, "refine")
+        rows = rows_of(piece, states, chains, inputs, "refine", interpolation)
         cut = rows.n - int(share * rows.n)
         if cut < LEAST_ROWS:
             raise RecordError(f"{piece.name or 'record'}: {cut} rows are too few to refine on (at least {LEAST_ROWS})")
@@ -151,13 +155,11 @@ def _split(
     return train, held_out
 
 
-def _measured(
-    dynamics: Dynamics, means: Floats, train: Sequence[Rows], names: Sequence[str], interpolation: Interpolation
-) -> Measured:
+def _measured(dynamics: Dynamics, means: Floats, train: Sequence[Rows], names: Sequence[str]) -> Measured:
     pieces = [
         Piece(
             rows.time,
-            rows.driven_by(dynamics.inputs, interpolation),
+            rows.driven,
             rows.stack(dynamics.states),
             np.column_stack([rows.samples[name] for name in names]),
         )
