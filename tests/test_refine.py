@@ -16,10 +16,12 @@ import bayeq as bq
 from bayeq.errors import BayeqWarning, ConvergenceWarning, InputError, RecordError
 from bayeq.expressions import FUNCTIONS, Tape, parse
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.innovations import Noise, filter_run, predict_run
+from bayeq.forecast.innovations import filter_run, predict_run
 from bayeq.forecast.integrate import interpolant
+from bayeq.forecast.measured import Measured, Piece
+from bayeq.forecast.noise import Noise
 from bayeq.forecast.output_error import Unrefined, _as_well_known, output_error
-from bayeq.forecast.shooting import Measured, Piece, Segments, minimise
+from bayeq.forecast.shooting import Segments, minimise
 from bayeq.forecast.tangent import run_tangents, shoot
 from bayeq.study.refinement import CASES, draw_record, measure_case, measure_record
 from tests.data import measured
@@ -139,7 +141,7 @@ def test_segments_divide_records_evenly():
     m, _ = problem(EQ, RECORD)
     assert [(a, e) for _, a, e in Segments(m, 150.0).bounds] == [(0, 150), (150, 300), (300, 450), (450, 600)]
     assert Segments(m, 1e9).count == 1
-    two = replace(m, pieces=[m.pieces[0], m.part(0.0, 0.25).pieces[0]])
+    two = replace(m, pieces=[m.pieces[0], problem(EQ, RECORD, slice(0, 150))[0].pieces[0]])
     assert Segments(two, 150.0).count == 5
     assert two.rows == 750
     np.testing.assert_array_equal(two.samples, [750, 750, 750])

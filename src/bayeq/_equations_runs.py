@@ -1,4 +1,4 @@
-"""What equations are run for: the methods of `Equations` that integrate them."""
+"""The methods of `Equations` that integrate them."""
 
 from __future__ import annotations
 
@@ -38,18 +38,14 @@ class EquationsRuns(EquationsBase):
         rows: int | None = None,
         interpolation: Interpolation = "cubic",
     ) -> Forecast:
-        """Free run of all equations together, driven by the inputs of a record.
-
-        Classical Runge-Kutta steps on the record's times, several to a sampling interval where one is too coarse (until
-        half the step would change the states by less than 1e-6 of their spread in most intervals).
+        """Free run of all equations together, driven by the inputs of a record, by classical Runge-Kutta steps.
 
         Parameters
         ----------
         record : Record
             Times and inputs; measured states where there are any.
         initial : mapping of str to float, optional
-            States at the first row. Those not given are the record's, as `discover` has them: measured, smoothed or
-            estimated.
+            States at the first row; by default the record's: measured, smoothed or estimated.
         draws : int
             Further runs with intercepts and coefficients drawn from their normal posterior given the included terms,
             for the bands; 0 for none. The initial state is the same for all.
@@ -58,8 +54,7 @@ class EquationsRuns(EquationsBase):
         start, rows : int
             First row, and how many; by default all that follow.
         interpolation : "cubic", "linear" or "hold"
-            Of the inputs between their samples: a cubic spline, for forces that are smooth; straight lines; the last
-            sample held, for commands that are switched.
+            Inputs between their samples: a cubic spline (smooth forces), straight lines, the last sample (commands).
 
         Returns
         -------
@@ -98,15 +93,14 @@ class EquationsRuns(EquationsBase):
         rows: int | None = None,
         interpolation: Interpolation = "cubic",
     ) -> Scores:
-        """Errors of the single step and of the free run, by default on the rows that `discover` held out.
+        """Errors of the single step and of the free run, by default on the rows held out.
 
         Parameters
         ----------
         records : Record or sequence of Record
             With the channels that the equations were found from.
         start, rows : int, optional
-            First row, and how many; by default the last ones of each record, the share of the rows that was held out of
-            the fit (a fifth, if none were).
+            First row, and how many; by default the last of each record, as many as were held out (a fifth, if none).
         interpolation : "cubic", "linear" or "hold"
             See `simulate`.
 
@@ -149,21 +143,21 @@ class EquationsRuns(EquationsBase):
     ) -> Self:
         """The same terms with coefficients by output error: those whose free run comes closest to what was measured.
 
-        Multiple shooting: a record is divided into segments, each a free run from an initial state of its own, which is
-        fitted with the coefficients and intercepts of all equations to every measured channel (Bock 1981).
-        Channels are weighted by the noise that the fit itself finds in them. Segments get longer from fit to fit, up to
-        the whole record, as long as the last quarter of the rows is forecast as well by it.
+        Multiple shooting (Bock 1981): a record is divided into segments, each a free run from an initial state of its
+        own, fitted with the coefficients and intercepts of all equations to every measured channel. Segments get longer
+        from fit to fit, up to the whole record, while their runs follow it. The noise of the channels, and forces that
+        the record does not show (noise in a measured one), are then estimated with the coefficients: a Kalman filter
+        leads the runs along the record where such forces drive it away.
 
-        Output error takes the inputs as exact and the channels as noisy; it needs no derivatives. It gains most where
-        these were not measured, or samples are few per period. Where the input is noisy it may know less than the
-        regression did: then the equations are returned as they were.
+        Output error needs no derivatives. It gains most where these were not measured, or samples are few per period.
+        Where it knows no more than the regression does, the equations are returned as they were.
 
         Parameters
         ----------
         records : Record or sequence of Record
             With the channels that the equations were found from, and time.
         segment : int, optional
-            Rows of a segment, instead of finding how long one may be.
+            Rows of a segment, instead of the longest with which runs follow the record.
         holdout : float
             Share of the rows, the last of each record, that is not used.
         intercept : bool, optional
@@ -175,8 +169,8 @@ class EquationsRuns(EquationsBase):
         Returns
         -------
         Equations
-            With coefficients, covariances and intercepts by output error, noise and fits anew; terms, inclusion
-            probabilities and runners-up are those of the regression. ``refined`` says how.
+            Coefficients, covariances, intercepts, noise and fits are new; terms, inclusion probabilities and runners-up
+            those of the regression. ``refined`` says how.
 
         Raises
         ------
@@ -246,8 +240,8 @@ class EquationsRuns(EquationsBase):
         Parameters
         ----------
         mass : float, optional
-            Where it is known, in the unit that goes with the channels (kg, for m and N). Otherwise it follows from the
-            force's coefficient; with neither, parameters are per unit of mass.
+            In the unit that goes with the channels (kg, for m and N). By default it follows from the force's coefficient;
+            without a force parameters are per unit of mass.
         target : str, optional
             Left-hand side of the equation meant, where several are of second order.
         force : str, optional

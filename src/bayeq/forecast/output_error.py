@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.diagnostics import inspect_residuals
-from bayeq.forecast.innovations import Noise, likeliest_noise
-from bayeq.forecast.shooting import Measured, Runs, Segments, Solution, minimise
+from bayeq.forecast.measured import Measured
+from bayeq.forecast.noise import Noise, likeliest_noise
+from bayeq.forecast.shooting import Runs, Segments, Solution, minimise
 
 __all__ = ["OutputError", "Unrefined", "output_error"]
 

@@ -15,11 +15,11 @@ from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.free_run import state_range
 from bayeq.forecast.integrate import Interpolation
+from bayeq.forecast.measured import Measured, Piece
 from bayeq.forecast.output_error import OutputError, Unrefined, output_error
 from bayeq.forecast.results import Refinement, Scores
 from bayeq.forecast.rows import Rows, predicted_target, rows_of
 from bayeq.forecast.score import score_rows
-from bayeq.forecast.shooting import Measured, Piece
 from bayeq.posterior import Posterior
 from bayeq.records import Record
 from bayeq.states import Chain, Smooth, derive_all

@@ -8,20 +8,20 @@ cost is linear in the number of rows, where a general solver's grows with the cu
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.expressions.tape import IndexArray
-from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.innovations import Noise, filter_run, predict_run
+from bayeq.forecast.innovations import filter_run, predict_run
+from bayeq.forecast.measured import Measured, Piece
+from bayeq.forecast.noise import Noise
 from bayeq.forecast.tangent import shoot
 
-__all__ = ["Measured", "Piece", "Segments", "Solution", "minimise"]
+__all__ = ["Segments", "Solution", "minimise"]
 
 Floats = NDArray[np.float64]
 
@@ -38,92 +38,6 @@ LARGEST = 1e140
 # Steps at most, and the range of the damping.
 MOST_STEPS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e12
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """Rows of a record that parameters are estimated from.
-
-    Attributes
-    ----------
-    time : (n,) array
-        [s].
-    inputs : (n, k, 4) array
-        From `bayeq.forecast.integrate.interpolant`.
-    states : (n, d) array
-        Measured or estimated states, from which the initial states of segments are taken at first.
-    channels : (n, m) array
-        What is measured of states and targets; NaN where a sample is missing.
-    """
-
-    time: Floats
-    inputs: Floats
-    states: Floats
-    channels: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """What free runs are fitted to.
-
-    Attributes
-    ----------
-    dynamics : Dynamics
-    pieces : sequence of Piece
-        One per record.
-    channels : (m,) uint32 array
-        What the pieces' channels are: state i is i, the derivative of state i is d + i.
-    step : float
-        Longest step of integration [s].
-    low, high : (d,) arrays
-        Range of the states; a run that leaves it has infinite cost.
-    """
-
-    dynamics: Dynamics
-    pieces: Sequence[Piece]
-    channels: IndexArray
-    step: float
-    low: Floats
-    high: Floats
-
-    @cached_property
-    def longest(self) -> int:
-        """Rows of the longest piece."""
-        return max(len(piece.time) for piece in self.pieces)
-
-    @cached_property
-    def rows(self) -> int:
-        """Rows of all pieces."""
-        return sum(len(piece.time) for piece in self.pieces)
-
-    @cached_property
-    def interval(self) -> float:
-        """Between two samples, as a rule [s]."""
-        return float(np.median(np.concatenate([np.diff(piece.time) for piece in self.pieces])))
-
-    @cached_property
-    def last(self) -> IndexArray:
-        """The highest state of each chain."""
-        return np.array(list(self.dynamics.slopes.values()), dtype=np.uint32)
-
-    def part(self, first: float, last: float) -> Measured:
-        """Rows of each piece from one share of them to another."""
-        cut = []
-        for piece in self.pieces:
-            n = len(piece.time)
-            rows = slice(round(first * n), round(last * n))
-            cut.append(Piece(piece.time[rows], piece.inputs[rows], piece.states[rows], piece.channels[rows]))
-        return replace(self, pieces=cut)
-
-    @cached_property
-    def samples(self) -> NDArray[np.intp]:
-        """Measured samples of each channel, (m,)."""
-        return np.asarray(np.sum([np.isfinite(piece.channels).sum(axis=0) for piece in self.pieces], axis=0))
-
-    @cached_property
-    def spread(self) -> Floats:
-        """Standard deviation of each channel over all pieces, (m,)."""
-        return np.asarray(np.nanstd(np.concatenate([piece.channels for piece in self.pieces]), axis=0))
 
 
 @dataclass(frozen=True, eq=False)
