@@ -289,6 +289,7 @@ def _restored_refinement(saved: Mapping[str, Any] | None) -> Refinement | None:
         longest=int(saved["longest"]),
         noise_sd={str(name): float(sd) for name, sd in saved["noise_sd"].items()},
         unseen_sd={str(name): float(sd) for name, sd in saved["unseen_sd"].items()},
+        interpolation=saved["interpolation"],
         converged=bool(saved["converged"]),
     )
 

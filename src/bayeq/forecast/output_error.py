@@ -20,7 +20,7 @@ from bayeq.forecast.measured import Measured
 from bayeq.forecast.noise import Noise, likeliest_noise
 from bayeq.forecast.shooting import Runs, Segments, Solution, minimise
 
-__all__ = ["OutputError", "Unrefined", "output_error"]
+__all__ = ["OutputError", "Unrefined", "follows_better", "output_error"]
 
 Floats = NDArray[np.float64]
 
@@ -52,6 +52,9 @@ BLOCK_ROWS = 8
 
 # Parameters are not told apart where the condition number of their scaled information exceeds this.
 SINGULAR = 1e13
+
+# Other inputs are taken where they make 2 log likelihood greater by this.
+CLOSER = 20.0
 
 # Output error is of use where it makes standard deviations smaller by this factor in the (geometric) mean, or
 # contradicts the regression at this level.
@@ -136,6 +139,17 @@ def output_error(
         longest=segments.longest,
         converged=found.converged,
     )
+
+
+def follows_better(other: Measured, measured: Measured, parameters: Floats, length: int | None) -> bool:
+    """Whether free runs come closer to the records with other inputs than with the given ones."""
+    rough = _longest_fit(measured, parameters, float(measured.longest if length is None else length))
+    if rough is None:
+        return False
+    again = _fit(other, rough[1].parameters, rough[0].length)
+    if again is None:
+        return False
+    return bool(2.0 * measured.samples @ np.log(rough[2][0] / again[2]) > CLOSER)
 
 
 def _longest_fit(

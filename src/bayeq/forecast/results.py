@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 __all__ = ["Refinement", "Scores", "percentages"]
 
@@ -75,6 +76,8 @@ class Refinement:
     unseen_sd : mapping of str to float
         For each equation the standard deviation of forces that the record does not show (noise in a measured force,
         what the terms lack), as noise in samples of the target.
+    interpolation : "cubic", "linear" or "hold"
+        Of the inputs between their samples.
     converged : bool
         Whether the fit ended by itself.
     """
@@ -85,6 +88,7 @@ class Refinement:
     longest: int
     noise_sd: Mapping[str, float]
     unseen_sd: Mapping[str, float]
+    interpolation: Literal["cubic", "linear", "hold"]
     converged: bool
 
     def __str__(self) -> str:

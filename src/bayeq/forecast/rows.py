@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
@@ -68,6 +68,10 @@ class Rows:
             self.driven[rows],
         )
 
+    def interpolated(self, inputs: Sequence[str], kind: Interpolation) -> Rows:
+        """The same with inputs interpolated otherwise, of a whole record."""
+        return replace(self, driven=interpolant(self.time, self.stack(inputs), kind))
+
     def nearest(self, time: float) -> int:
         """The row that is nearest to a time."""
         return int(np.argmin(np.abs(self.time - time)))
@@ -122,9 +126,9 @@ def require_time(record: Record, purpose: str) -> Floats:
     return record.time
 
 
-def check_interpolation(kind: str) -> None:
+def check_interpolation(kind: str | None) -> None:
     """Raise an InputError if there is no such interpolation."""
-    if kind not in get_args(Interpolation):
+    if kind is not None and kind not in get_args(Interpolation):
         raise InputError(f"interpolation must be one of {', '.join(get_args(Interpolation))}, got {kind!r}")
 
 
