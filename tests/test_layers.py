@@ -41,7 +41,7 @@ LEVELS = [
     {"inspection", "negligible"},
     {"discovery"},
     {"study"},
-    {"cli_study"},
+    {"cli_outputs", "cli_study"},
     {"cli"},
     {"__main__"},
 ]

@@ -1,4 +1,4 @@
-"""What equations are run for: the methods of `Equations` that integrate them."""
+"""The methods of `Equations` that integrate them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["EquationsRuns"]
 
-# Of records of which no rows were held out these are scored.
+# Scored where no rows were held out.
 LAST = 0.2
 
 
@@ -36,36 +36,30 @@ class EquationsRuns(EquationsBase):
         seed: int = 0,
         start: int = 0,
         rows: int | None = None,
-        interpolation: Interpolation = "cubic",
+        interpolation: Interpolation | None = None,
     ) -> Forecast:
         """Free run of all equations together, driven by the inputs of a record.
-
-        Classical Runge-Kutta steps on the record's times, several to a sampling interval where one is too coarse (until
-        half the step would change the states by less than 1e-6 of their spread in most intervals).
 
         Parameters
         ----------
         record : Record
-            Times and inputs; measured states where there are any.
+            Times and inputs; states where they are measured.
         initial : mapping of str to float, optional
-            States at the first row. Those not given are the record's, as `discover` has them: measured, smoothed or
-            estimated.
-        draws : int
+            States at the first row; by default the record's: measured, smoothed or estimated.
+        draws, seed : int
             Further runs with intercepts and coefficients drawn from their normal posterior given the included terms,
             for the bands; 0 for none. The initial state is the same for all.
-        seed : int
-            Of the draws.
         start, rows : int
             First row, and how many; by default all that follow.
-        interpolation : "cubic", "linear" or "hold"
-            Of the inputs between their samples: a cubic spline, for forces that are smooth; straight lines; the last
-            sample held, for commands that are switched.
+        interpolation : "cubic", "linear" or "hold", optional
+            Inputs between their samples: a cubic spline (by default, unless refined with another), straight lines, the
+            last sample (commands).
 
         Returns
         -------
         Forecast
-            ``mean``, ``low`` and ``high`` of every state, ``nrmse`` of those measured; ``plot()``. A run that leaves a
-            thousand times the range of the record, or is not finite, stops: see ``blew_up_at`` and ``blown``.
+            ``mean``, ``low`` and ``high`` of every state, ``nrmse`` of those measured; ``plot()``, ``table()``. A run
+            that leaves a thousand times the range of the record, or is not finite, stops: see ``blew_up_at``.
 
         Raises
         ------
@@ -86,7 +80,7 @@ class EquationsRuns(EquationsBase):
             seed=seed,
             start=start,
             rows=rows,
-            interpolation=interpolation,
+            interpolation=_between(self, interpolation),
             units={name: unit for equation in self.equations for name, unit in equation.units.items()},
         )
 
@@ -96,18 +90,17 @@ class EquationsRuns(EquationsBase):
         *,
         start: int | None = None,
         rows: int | None = None,
-        interpolation: Interpolation = "cubic",
+        interpolation: Interpolation | None = None,
     ) -> Scores:
-        """Errors of the single step and of the free run, by default on the rows that `discover` held out.
+        """Errors of the single step and of the free run, by default on the rows held out.
 
         Parameters
         ----------
         records : Record or sequence of Record
             With the channels that the equations were found from.
         start, rows : int, optional
-            First row, and how many; by default the last ones of each record, the share of the rows that was held out of
-            the fit (a fifth, if none were).
-        interpolation : "cubic", "linear" or "hold"
+            First row, and how many; by default the last of each record, as many as were held out (a fifth, if none).
+        interpolation : "cubic", "linear" or "hold", optional
             See `simulate`.
 
         Returns
@@ -135,7 +128,7 @@ class EquationsRuns(EquationsBase):
             start=start,
             rows=rows,
             share=share,
-            interpolation=interpolation,
+            interpolation=_between(self, interpolation),
         )
 
     def refine(
@@ -145,38 +138,37 @@ class EquationsRuns(EquationsBase):
         segment: int | None = None,
         holdout: float = 0.2,
         intercept: bool | None = None,
-        interpolation: Interpolation = "cubic",
+        interpolation: Interpolation | None = None,
     ) -> Self:
         """The same terms with coefficients by output error: those whose free run comes closest to what was measured.
 
-        Multiple shooting: a record is divided into segments, each a free run from an initial state of its own, which is
-        fitted with the coefficients and intercepts of all equations to every measured channel (Bock 1981).
-        Channels are weighted by the noise that the fit itself finds in them. Segments get longer from fit to fit, up to
-        the whole record, as long as the last quarter of the rows is forecast as well by it.
+        Multiple shooting (Bock 1981): a record is divided into segments, each a free run from an initial state of its
+        own, fitted with the coefficients and intercepts of all equations to every measured channel. Segments get longer
+        from fit to fit, up to the whole record, while their runs follow it. The noise of the channels, and forces that
+        the record does not show (noise in a measured one), are then estimated with the coefficients: a Kalman filter
+        leads the runs along the record where such forces drive it away.
 
-        Output error takes the inputs as exact and the channels as noisy; it needs no derivatives. It gains most where
-        these were not measured, or samples are few per period. Where the input is noisy it may know less than the
-        regression did: then the equations are returned as they were.
+        Output error needs no derivatives. It gains most where these were not measured, or samples are few per period.
+        Where it knows no more than the regression does, the equations are returned as they were.
 
         Parameters
         ----------
         records : Record or sequence of Record
             With the channels that the equations were found from, and time.
         segment : int, optional
-            Rows of a segment, instead of finding how long one may be.
+            Rows of a segment, instead of the longest with which runs follow the record.
         holdout : float
             Share of the rows, the last of each record, that is not used.
         intercept : bool, optional
-            Estimate the intercepts, or set them to zero; by default each is zero unless its interval excludes that, so
-            that the equation is what is written.
-        interpolation : "cubic", "linear" or "hold"
-            Of the inputs, see `simulate`.
+            Estimate the intercepts, or set them to zero; by default each is zero unless its interval excludes that.
+        interpolation : "cubic", "linear" or "hold", optional
+            See `simulate`; by default a cubic spline or straight lines, whichever runs follow better.
 
         Returns
         -------
         Equations
-            With coefficients, covariances and intercepts by output error, noise and fits anew; terms, inclusion
-            probabilities and runners-up are those of the regression. ``refined`` says how.
+            Coefficients, covariances, intercepts, noise and fits are new; terms, inclusion probabilities and runners-up
+            those of the regression. ``refined`` says how.
 
         Raises
         ------
@@ -186,7 +178,7 @@ class EquationsRuns(EquationsBase):
         Warns
         -----
         ConvergenceWarning
-            Nothing better was found, and why: the equations are returned as they were.
+            Nothing better was found, and why.
         """
         from bayeq.forecast.output_error import Unrefined
         from bayeq.forecast.refine import LEAST_ROWS, refine
@@ -246,26 +238,22 @@ class EquationsRuns(EquationsBase):
         Parameters
         ----------
         mass : float, optional
-            Where it is known, in the unit that goes with the channels (kg, for m and N). Otherwise it follows from the
-            force's coefficient; with neither, parameters are per unit of mass.
-        target : str, optional
-            Left-hand side of the equation meant, where several are of second order.
-        force : str, optional
-            The input that is a force, where several inputs are in the equation.
-        draws : int
-            From the joint posterior of the coefficients.
-        seed : int
-            Of the draws.
+            In the unit that goes with the channels (kg). By default it follows from the force's coefficient; without a
+            force parameters are per unit of mass.
+        target, force : str, optional
+            The equation meant, where several are of second order, and the input that is the force, of several.
+        draws, seed : int
+            Of the coefficients' joint posterior.
 
         Returns
         -------
         PhysicalParameters
-            Print it, or take ``table()``.
+            Print it, or take its ``table()``.
 
         Raises
         ------
         InputError
-            An equation that is not of second order, or without a restoring term; see `bayeq.forecast.physical`.
+            An equation that is not of second order, or without a restoring term.
         """
         from bayeq.forecast.physical import physical_parameters
 
@@ -281,6 +269,10 @@ class EquationsRuns(EquationsBase):
             draws=draws,
             seed=seed,
         )
+
+
+def _between(equations: EquationsBase, interpolation: Interpolation | None) -> Interpolation:
+    return interpolation or (equations.refined.interpolation if equations.refined else "cubic")
 
 
 def _as_list(records: Record | Sequence[Record], purpose: str) -> list[Record]:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.exceptions import TyperException
 
+from bayeq.cli_outputs import ForecastFile, Outputs, PathFile, Physical, Refine, SensitivityFile
 from bayeq.cli_study import study_app
 from bayeq.errors import BayeqError, BayeqWarning, FileFormatError, InputError, InterruptedRun, MissingExtraError
 
@@ -151,42 +152,18 @@ def discover(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     save: Annotated[Path | None, typer.Option(help="Write the equations to a JSON file, for bayeq.load.")] = None,
-    sensitivity: Annotated[
-        Path | None,
-        typer.Option(help="Write the PIPs under other v_s and p_0: a table (.csv) or a figure (.png, .svg, .pdf)."),
-    ] = None,
-    path: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the best equation of each size, with evidence and errors: a table (.csv) or a figure (.png,"
-            " .svg, .pdf)."
-        ),
-    ] = None,
+    sensitivity: SensitivityFile = None,
+    path: PathFile = None,
+    forecast: ForecastFile = None,
+    refine: Refine = False,
+    physical: Physical = False,
     seed: Annotated[int, typer.Option(help="Seed of methods that draw random numbers (gibbs).")] = 0,
 ) -> None:
     """Find the equation of motion of a measured record."""
     from bayeq.discovery import discover as run
-    from bayeq.render import render
 
-    for output in (save, sensitivity, path):
-        if output is None:
-            continue
-        _require_place(output)  # before the work
-        if output.exists() and any(file.exists() and output.samefile(file) for file in files):
-            raise InputError(f"{output}: is a record that is read; name another file to write to")
-    if sensitivity is not None:
-        from bayeq.sensitivity import require_spike_slab, require_writable, write_sensitivity
-
-        require_writable(sensitivity)
-        require_spike_slab(method.value)
-        if sensitivity == save:
-            raise InputError(f"{save}: named twice, to save the equations to and for their sensitivity")
-    if path is not None:
-        from bayeq import parsimony
-
-        parsimony.require_writable(path)
-        if path in (save, sensitivity):
-            raise InputError(f"{path}: named twice, for the path of best equations and for something else")
+    outputs = Outputs(save, sensitivity, path, forecast, refine, physical)
+    outputs.check(files, method.value, disp is not None, chain or ())
     for k, file in enumerate(files):
         if file.exists() and any(other.exists() and file.samefile(other) for other in files[:k]):
             raise InputError(f"{file}: named twice; the same rows twice are not twice the evidence")
@@ -202,6 +179,7 @@ def discover(
         for k, file in enumerate(files):
             progress("reading", k, len(files))
             records.extend(_read(file, used, time=time, fs=fs, names=columns, group=group))
+        outputs.check_records(records)
         answer = run(
             records,
             chains=chain or None,
@@ -222,16 +200,7 @@ def discover(
         )
     finally:
         progress.close()
-    if save is not None:
-        answer.save(save)
-    if sensitivity is not None:
-        write_sensitivity(sensitivity, {equation.target: equation.sensitivity() for equation in answer})
-    if path is not None:
-        parsimony.write_paths(path, {equation.target: equation.path() for equation in answer})
-    if json:
-        typer.echo(json_format.dumps(answer.to_dict(), allow_nan=False))
-    else:
-        typer.echo(render(answer, with_warnings=False))
+    outputs.write(answer, records, holdout, json)
 
 
 def _read(file: Path, used: list[str], **options: Any) -> list[Record]:
@@ -271,14 +240,6 @@ def _channel(name: str | None) -> str | None:
     from bayeq.records import clean_name
 
     return clean_name(name)[0]
-
-
-def _require_place(path: Path) -> None:
-    """Refuse a file to write that cannot be there."""
-    if path.is_dir():
-        raise InputError(f"{path}: is a directory; name a file in it")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: cannot be written: there is no directory {path.parent}")
 
 
 @app.command()

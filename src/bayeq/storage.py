@@ -288,7 +288,8 @@ def _restored_refinement(saved: Mapping[str, Any] | None) -> Refinement | None:
         segments=int(saved["segments"]),
         longest=int(saved["longest"]),
         noise_sd={str(name): float(sd) for name, sd in saved["noise_sd"].items()},
-        start_sd={str(name): None if sd is None else float(sd) for name, sd in saved["start_sd"].items()},
+        unseen_sd={str(name): float(sd) for name, sd in saved["unseen_sd"].items()},
+        interpolation=saved["interpolation"],
         converged=bool(saved["converged"]),
     )
 

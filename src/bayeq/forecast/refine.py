@@ -15,11 +15,11 @@ from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.free_run import state_range
 from bayeq.forecast.integrate import Interpolation
-from bayeq.forecast.output_error import OutputError, Unrefined, output_error
+from bayeq.forecast.measured import Measured, Piece
+from bayeq.forecast.output_error import OutputError, Unrefined, follows_better, output_error
 from bayeq.forecast.results import Refinement, Scores
 from bayeq.forecast.rows import Rows, predicted_target, rows_of
 from bayeq.forecast.score import score_rows
-from bayeq.forecast.shooting import Measured, Piece
 from bayeq.posterior import Posterior
 from bayeq.records import Record
 from bayeq.states import Chain, Smooth, derive_all
@@ -66,7 +66,7 @@ def refine(
     intercepts: Sequence[bool],
     segment: int | None,
     holdout: float,
-    interpolation: Interpolation,
+    interpolation: Interpolation | None,
 ) -> RefinedEquations | Unrefined:
     """Output-error estimate of the coefficients and intercepts.
 
@@ -90,12 +90,19 @@ def refine(
     """
     dynamics = Dynamics.of(chains, inputs, posteriors, terms, intercepts)
     names = [name for chain in chains for name in chain.measured if name is not None]
-    train, held_out = _split(chains, inputs, records, smooth, holdout)
     means = dynamics.means(posteriors)
-    measured = _measured(dynamics, means, train, names, interpolation)
+    rows = _rows(chains, inputs, records, smooth, holdout, interpolation or "cubic")
+    measured = _measured(dynamics, means, rows, names)
+    if interpolation is None and inputs:
+        straight = [(whole.interpolated(inputs, "linear"), cut) for whole, cut in rows]
+        other = _measured(dynamics, means, straight, names)
+        interpolation = "linear" if follows_better(other, measured, means, segment) else "cubic"
+        rows, measured = (straight, other) if interpolation == "linear" else (rows, measured)
     found = output_error(measured, means, dynamics.covariance(posteriors), segment)
     if isinstance(found, Unrefined):
         return found
+    train = [whole.part(slice(0, cut)) for whole, cut in rows]
+    held_out = [whole.part(slice(cut, whole.n)) for whole, cut in rows if cut < whole.n]
     refined = []
     for k, block in enumerate(dynamics.blocks()):
         parameters, covariance = found.parameters[block], found.covariance[block, block]
@@ -114,54 +121,60 @@ def refine(
         )
     return RefinedEquations(
         tuple(refined),
-        _summary(found, records, measured.rows, names),
-        score_rows(dynamics, found.parameters, held_out, interpolation) if held_out else None,
+        _summary(found, chains, records, measured.rows, names, interpolation or "cubic"),
+        score_rows(dynamics, found.parameters, held_out) if held_out else None,
     )
 
 
-def _summary(found: OutputError, pieces: Sequence[Record], rows: int, names: Sequence[str]) -> Refinement:
+def _summary(
+    found: OutputError,
+    chains: Sequence[Chain],
+    pieces: Sequence[Record],
+    rows: int,
+    names: Sequence[str],
+    interpolation: Interpolation,
+) -> Refinement:
     return Refinement(
         files=tuple(piece.name for piece in pieces),
         n=rows,
         segments=found.segments,
         longest=found.longest,
         noise_sd=dict(zip(names, found.noise_sd.tolist(), strict=True)),
-        start_sd={
-            name: value if math.isfinite(value) else None
-            for name, value in zip(names, found.start_sd.tolist(), strict=True)
-        },
+        unseen_sd=dict(zip((chain.target for chain in chains), found.unseen_sd.tolist(), strict=True)),
+        interpolation=interpolation,
         converged=found.converged,
     )
 
 
-def _split(
-    chains: Sequence[Chain], inputs: Sequence[str], pieces: Sequence[Record], smooth: Smooth, holdout: float
-) -> tuple[list[Rows], list[Rows]]:
-    """Training rows and the last rows of each record, held out, with the states as `discover` has them."""
+def _rows(
+    chains: Sequence[Chain],
+    inputs: Sequence[str],
+    pieces: Sequence[Record],
+    smooth: Smooth,
+    holdout: float,
+    interpolation: Interpolation,
+) -> list[tuple[Rows, int]]:
+    """Rows of each record, with the states as `discover` has them, and the first of those that are held out."""
     share = holdout if sum(piece.n for piece in pieces) >= LEAST_ROWS_TO_HOLD_OUT else 0.0
-    train, held_out = [], []
+    out = []
     for piece, states in zip(pieces, derive_all(pieces, chains, inputs, smooth, share), strict=True):
-        rows = rows_of(piece, states, chains, inputs, "refine")
+        rows = rows_of(piece, states, chains, inputs, "refine", interpolation)
         cut = rows.n - int(share * rows.n)
         if cut < LEAST_ROWS:
             raise RecordError(f"{piece.name or 'record'}: {cut} rows are too few to refine on (at least {LEAST_ROWS})")
-        train.append(rows.part(slice(0, cut)))
-        if cut < rows.n:
-            held_out.append(rows.part(slice(cut, rows.n)))
-    return train, held_out
+        out.append((rows, cut))
+    return out
 
 
-def _measured(
-    dynamics: Dynamics, means: Floats, train: Sequence[Rows], names: Sequence[str], interpolation: Interpolation
-) -> Measured:
+def _measured(dynamics: Dynamics, means: Floats, whole: Sequence[tuple[Rows, int]], names: Sequence[str]) -> Measured:
     pieces = [
         Piece(
             rows.time,
-            rows.driven_by(dynamics.inputs, interpolation),
+            rows.driven,
             rows.stack(dynamics.states),
             np.column_stack([rows.samples[name] for name in names]),
         )
-        for rows in train
+        for rows in (each.part(slice(0, cut)) for each, cut in whole)
     ]
     size = len(dynamics.states)
     places = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 __all__ = ["Refinement", "Scores", "percentages"]
 
@@ -71,9 +72,12 @@ class Refinement:
     segments, longest : int
         Free runs, and the rows of the longest.
     noise_sd : mapping of str to float
-        For each measured channel the standard deviation of what the free runs leave.
-    start_sd : mapping of str to (float or None)
-        The same before, initial states fitted; None if the free runs blew up.
+        For each measured channel the standard deviation of its noise.
+    unseen_sd : mapping of str to float
+        For each equation the standard deviation of forces that the record does not show (noise in a measured force,
+        what the terms lack), as noise in samples of the target.
+    interpolation : "cubic", "linear" or "hold"
+        Of the inputs between their samples.
     converged : bool
         Whether the fit ended by itself.
     """
@@ -83,16 +87,15 @@ class Refinement:
     segments: int
     longest: int
     noise_sd: Mapping[str, float]
-    start_sd: Mapping[str, float | None]
+    unseen_sd: Mapping[str, float]
+    interpolation: Literal["cubic", "linear", "hold"]
     converged: bool
 
     def __str__(self) -> str:
         """In a line."""
-        runs = "a free run" if self.segments == 1 else f"{self.segments} free runs"
-        left = []
-        for name, sd in self.noise_sd.items():
-            before = self.start_sd[name]
-            left.append(f"{name} {sd:.3g} ({'blew up' if before is None else f'{before:.3g}'} before)")
-        return (
-            f"coefficients refined by output error: {runs} of up to {self.longest} rows, leaving sd {', '.join(left)}"
+        runs = "one run" if self.segments == 1 else f"{self.segments} runs"
+        noise, unseen = (
+            ", ".join(f"{name} {sd:.3g}" for name, sd in levels.items()) for levels in (self.noise_sd, self.unseen_sd)
         )
+        how = f"{runs} of up to {self.longest} rows"
+        return f"coefficients refined by output error: {how}, noise sd {noise}, unseen forces sd {unseen}"

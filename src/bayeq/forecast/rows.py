@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
@@ -26,6 +26,7 @@ __all__ = [
     "predicted_target",
     "require_time",
     "rows_of",
+    "side_by_side",
     "whole_number",
     "window_of",
 ]
@@ -45,11 +46,14 @@ class Rows:
         States, targets (measured, where they are) and inputs, as `discover` has them.
     samples : mapping of str to (n,) array
         What was measured of states and targets; NaN where a sample is missing.
+    driven : (n, m, 4) array
+        Inputs between the rows, from `bayeq.forecast.integrate.interpolant` over the whole record.
     """
 
     time: Floats
     columns: Mapping[str, Floats]
     samples: Mapping[str, Floats]
+    driven: Floats
 
     @property
     def n(self) -> int:
@@ -61,22 +65,30 @@ class Rows:
             self.time[rows],
             {name: values[rows] for name, values in self.columns.items()},
             {name: values[rows] for name, values in self.samples.items()},
+            self.driven[rows],
         )
+
+    def interpolated(self, inputs: Sequence[str], kind: Interpolation) -> Rows:
+        """The same with inputs interpolated otherwise, of a whole record."""
+        return replace(self, driven=interpolant(self.time, self.stack(inputs), kind))
 
     def nearest(self, time: float) -> int:
         """The row that is nearest to a time."""
         return int(np.argmin(np.abs(self.time - time)))
 
     def stack(self, names: Sequence[str]) -> Floats:
-        """Columns side by side, (n, k), also for none."""
-        return np.column_stack([self.columns[name] for name in names]) if names else np.empty((self.n, 0))
-
-    def driven_by(self, inputs: Sequence[str], interpolation: Interpolation) -> Floats:
-        """Inputs between the rows, (n, m, 4), from `bayeq.forecast.integrate.interpolant`."""
-        return interpolant(self.time, self.stack(inputs), interpolation)
+        """Columns side by side, (n, k)."""
+        return side_by_side(self.columns, names, self.n)
 
 
-def rows_of(record: Record, states: States, chains: Sequence[Chain], inputs: Sequence[str], purpose: str) -> Rows:
+def rows_of(
+    record: Record,
+    states: States,
+    chains: Sequence[Chain],
+    inputs: Sequence[str],
+    purpose: str,
+    interpolation: Interpolation = "cubic",
+) -> Rows:
     """A record's rows with states that `derive_all` found, dropped samples put back.
 
     Raises
@@ -87,11 +99,18 @@ def rows_of(record: Record, states: States, chains: Sequence[Chain], inputs: Seq
     require_time(record, purpose)
     names = [name for chain in chains for name in chain.measured if name is not None]
     filled = record if states.n == record.n else on_grid(record, names, inputs)
+    time = require_time(filled, purpose)
     return Rows(
-        require_time(filled, purpose),
+        time,
         {**states.columns, **states.measured},
         {name: np.asarray(filled[name]) for name in names},
+        interpolant(time, side_by_side(states.columns, inputs, states.n), interpolation),
     )
+
+
+def side_by_side(columns: Mapping[str, Floats], names: Sequence[str], n: int) -> Floats:
+    """Some of the columns, (n, k), also for none."""
+    return np.column_stack([columns[name] for name in names]) if names else np.empty((n, 0))
 
 
 def require_time(record: Record, purpose: str) -> Floats:
@@ -107,9 +126,9 @@ def require_time(record: Record, purpose: str) -> Floats:
     return record.time
 
 
-def check_interpolation(kind: str) -> None:
+def check_interpolation(kind: str | None) -> None:
     """Raise an InputError if there is no such interpolation."""
-    if kind not in get_args(Interpolation):
+    if kind is not None and kind not in get_args(Interpolation):
         raise InputError(f"interpolation must be one of {', '.join(get_args(Interpolation))}, got {kind!r}")
 
 

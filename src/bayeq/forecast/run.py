@@ -19,16 +19,18 @@ from bayeq.forecast.rows import (
     normalised_error,
     require_time,
     rows_of,
+    side_by_side,
     whole_number,
     window_of,
 )
 from bayeq.posterior import Posterior
 from bayeq.records import Record
-from bayeq.report.forecast import Panel, draw_forecast
+from bayeq.report.forecast import Panel, Strip, draw_forecasts
 from bayeq.report.style import require_matplotlib, style
 from bayeq.states import Smooth, derive_all
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
 __all__ = ["Forecast", "forecast"]
@@ -84,6 +86,11 @@ class Forecast:
             matplotlib is not installed.
         """
         require_matplotlib()
+        with style():
+            return draw_forecasts([self.strip()])
+
+    def strip(self, title: str = "") -> Strip:
+        """What `bayeq.report.forecast` draws."""
         panels = [
             Panel(
                 name if name not in self.units else f"{name} [{self.units[name]}]",
@@ -94,8 +101,18 @@ class Forecast:
             )
             for name, mean in self.mean.items()
         ]
-        with style():
-            return draw_forecast(self.time, panels, self.blew_up_at)
+        return Strip(title, self.time, panels, self.blew_up_at)
+
+    def table(self) -> pd.DataFrame:
+        """Columns time, and of each state ``x``, ``x_low``, ``x_high`` and ``x_measured``, as far as known."""
+        import pandas as pd
+
+        columns = {"time": self.time}
+        for name, mean in self.mean.items():
+            others = {"low": self.low.get(name), "high": self.high.get(name), "measured": self.measured.get(name)}
+            columns[name] = mean
+            columns |= {f"{name}_{what}": values for what, values in others.items() if values is not None}
+        return pd.DataFrame(columns)
 
     def __str__(self) -> str:
         """The free run in a few lines."""
@@ -133,8 +150,7 @@ def forecast(
     part.require_finite(dynamics.inputs)
     time = time[window]
     first, low, high = _beginning(dynamics, record, smooth, window.start, initial)
-    samples = np.column_stack([part[name] for name in dynamics.inputs]) if dynamics.inputs else np.empty((part.n, 0))
-    inputs = interpolant(time, samples, interpolation)
+    inputs = _inputs(dynamics, record, window, interpolation)
     parameters = dynamics.means(posteriors)
     step, mean, stopped = mean_run(dynamics, parameters, first, inputs, time, low, high)
     bottom: Mapping[str, Floats] = {}
@@ -160,6 +176,14 @@ def forecast(
         measured=measured,
         units={name: unit for name, unit in (units or {}).items() if name in dynamics.states},
     )
+
+
+def _inputs(dynamics: Dynamics, record: Record, window: slice, interpolation: Interpolation) -> Floats:
+    """Inputs between the rows of a window, by what is known of them outside it too."""
+    samples = side_by_side(record.channels, dynamics.inputs, record.n)
+    known = window if not np.isfinite(samples).all() else slice(0, record.n)
+    out = interpolant(require_time(record, "a free run")[known], samples[known], interpolation)
+    return out if known is window else out[window]
 
 
 def _beginning(

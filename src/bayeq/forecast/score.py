@@ -33,9 +33,7 @@ Floats = NDArray[np.float64]
 LEAST_ROWS = 2
 
 
-def score_rows(
-    dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], interpolation: Interpolation = "cubic"
-) -> Scores:
+def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows]) -> Scores:
     """Scores over all rows of some records together, a free run in each.
 
     Parameters
@@ -44,14 +42,11 @@ def score_rows(
         The equations.
     pieces : sequence of Rows
         At least two rows each.
-    interpolation : "cubic", "linear" or "hold"
-        Of the inputs.
     """
     runs, blew_up_at = [], None
     for rows in pieces:
         states = rows.stack(dynamics.states)
-        inputs = rows.driven_by(dynamics.inputs, interpolation)
-        _, run, stopped = mean_run(dynamics, parameters, states[0], inputs, rows.time, *state_range(states))
+        _, run, stopped = mean_run(dynamics, parameters, states[0], rows.driven, rows.time, *state_range(states))
         runs.append(run)
         if stopped is not None and blew_up_at is None:
             blew_up_at = float(rows.time[stopped])
@@ -113,7 +108,7 @@ def score_records(
     pieces = []
     states = derive_all(records, dynamics.chains, dynamics.inputs, smooth, share if start is None else 0.0)
     for record, found in zip(records, states, strict=True):
-        whole = rows_of(record, found, dynamics.chains, dynamics.inputs, "a free run")
+        whole = rows_of(record, found, dynamics.chains, dynamics.inputs, "a free run", interpolation)
         time = require_time(record, "a free run")
         if start is None:
             cut = whole.n - max(int(share * whole.n), LEAST_ROWS)
@@ -123,4 +118,4 @@ def score_records(
         else:
             window = window_of(record, start, rows)
         pieces.append(whole.part(slice(whole.nearest(time[window.start]), whole.nearest(time[window.stop - 1]) + 1)))
-    return score_rows(dynamics, parameters, pieces, interpolation)
+    return score_rows(dynamics, parameters, pieces)

@@ -8,24 +8,29 @@ cost is linear in the number of rows, where a general solver's grows with the cu
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.expressions.tape import IndexArray
-from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.innovations import filter_run, predict_run
+from bayeq.forecast.measured import Measured, Piece
+from bayeq.forecast.noise import Noise
 from bayeq.forecast.tangent import shoot
 
-__all__ = ["Measured", "Piece", "Segments", "Solution", "minimise"]
+__all__ = ["Segments", "Solution", "minimise"]
 
 Floats = NDArray[np.float64]
 
-# Residuals (n, m) and derivatives (n, m, d + p) of each segment.
-Runs: TypeAlias = list[tuple[Floats, Floats]]
+# Of each segment (n, m, 1 + d + p): residuals of the channels and the derivatives of what is predicted of them by the
+# initial state and the parameters, over the residuals' standard deviations; 0 where a sample is missing.
+Runs: TypeAlias = list[Floats]
+
+# Runs of all segments from parameters (p,) and initial states (K, d); None if one leaves the range.
+Runner: TypeAlias = Callable[[Floats, Floats], Runs | None]
 
 # Derivatives beyond this have no square in floating point.
 LARGEST = 1e140
@@ -33,82 +38,6 @@ LARGEST = 1e140
 # Steps at most, and the range of the damping.
 MOST_STEPS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e12
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """Rows of a record that parameters are estimated from.
-
-    Attributes
-    ----------
-    time : (n,) array
-        [s].
-    inputs : (n, k, 4) array
-        From `bayeq.forecast.integrate.interpolant`.
-    states : (n, d) array
-        Measured or estimated states, from which the initial states of segments are taken at first.
-    channels : (n, m) array
-        What is measured of states and targets; NaN where a sample is missing.
-    """
-
-    time: Floats
-    inputs: Floats
-    states: Floats
-    channels: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """What free runs are fitted to.
-
-    Attributes
-    ----------
-    dynamics : Dynamics
-    pieces : sequence of Piece
-        One per record.
-    channels : (m,) uint32 array
-        What the pieces' channels are: state i is i, the derivative of state i is d + i.
-    step : float
-        Longest step of integration [s].
-    low, high : (d,) arrays
-        Range of the states; a run that leaves it has infinite cost.
-    """
-
-    dynamics: Dynamics
-    pieces: Sequence[Piece]
-    channels: IndexArray
-    step: float
-    low: Floats
-    high: Floats
-
-    @cached_property
-    def longest(self) -> int:
-        """Rows of the longest piece."""
-        return max(len(piece.time) for piece in self.pieces)
-
-    @cached_property
-    def rows(self) -> int:
-        """Rows of all pieces."""
-        return sum(len(piece.time) for piece in self.pieces)
-
-    def part(self, first: float, last: float) -> Measured:
-        """Rows of each piece from one share of them to another."""
-        cut = []
-        for piece in self.pieces:
-            n = len(piece.time)
-            rows = slice(round(first * n), round(last * n))
-            cut.append(Piece(piece.time[rows], piece.inputs[rows], piece.states[rows], piece.channels[rows]))
-        return replace(self, pieces=cut)
-
-    @cached_property
-    def samples(self) -> NDArray[np.intp]:
-        """Measured samples of each channel, (m,)."""
-        return np.asarray(np.sum([np.isfinite(piece.channels).sum(axis=0) for piece in self.pieces], axis=0))
-
-    @cached_property
-    def spread(self) -> Floats:
-        """Standard deviation of each channel over all pieces, (m,)."""
-        return np.asarray(np.nanstd(np.concatenate([piece.channels for piece in self.pieces]), axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,33 +78,61 @@ class Segments:
         """Initial states as the pieces have them, (K, d)."""
         return np.array([piece.states[a] for piece, a, _ in self.bounds])
 
-    def run(self, parameters: Floats, starts: Floats) -> Runs | None:
-        """Residuals (n, m), 0 where a sample is missing, and derivatives (n, m, d + p) of each segment's channels.
-
-        None if a run leaves the range.
-        """
+    def free(self, weights: Floats) -> Runner:
+        """Free runs, residuals multiplied by the weights (m,) of their channels."""
         m = self.measured
         tape, registers = m.dynamics.tape, m.dynamics.registers()
-        out = []
+
+        def run(parameters: Floats, starts: Floats) -> Runs | None:
+            out = []
+            for (piece, a, e), start in zip(self.bounds, starts, strict=True):
+                samples = piece.channels[a:e]
+                values = np.empty(samples.shape)
+                jacobian = np.empty((*samples.shape, len(start) + len(parameters)))
+                done = shoot(
+                    tape.code, tape.outputs, registers, parameters, start, piece.inputs[a:e], piece.time[a:e], m.step,
+                    m.low, m.high, m.channels, values, jacobian,
+                )  # fmt: skip
+                if done < e - a or not (np.abs(jacobian) < LARGEST).all():
+                    return None
+                whole = np.concatenate([(samples - values)[:, :, None], jacobian], axis=2) * weights[:, None]
+                out.append(np.where(np.isnan(samples)[:, :, None], 0.0, whole))
+            return out
+
+        return run
+
+    def led(self, parameters: Floats, starts: Floats, noise: Noise) -> tuple[Runner, float]:
+        """Runs that are led along the records by the gains at given parameters, and -2 log likelihood of these."""
+        m = self.measured
+        tape, registers, total, filters = m.dynamics.tape, m.dynamics.registers(parameters), 0.0, []
         for (piece, a, e), start in zip(self.bounds, starts, strict=True):
             samples = piece.channels[a:e]
-            values = np.empty(samples.shape)
-            jacobian = np.empty((*samples.shape, len(start) + len(parameters)))
-            done = shoot(
-                tape.code, tape.outputs, registers, parameters, start, piece.inputs[a:e], piece.time[a:e], m.step,
-                m.low, m.high, m.channels, values, jacobian,
+            slopes, gains = np.zeros((2, *samples.shape, len(start) + len(m.last)))
+            scale = np.ones(samples.shape)
+            total += filter_run(
+                tape.code, tape.outputs, registers, start, piece.inputs[a:e], piece.time[a:e], m.step, m.low, m.high,
+                m.channels, samples, noise.channels, m.last, noise.unseen, slopes, gains, scale,
             )  # fmt: skip
-            if done < e - a or not (np.abs(jacobian) < LARGEST).all():
-                return None
-            present = np.isfinite(samples)
-            if not present.all():
-                jacobian[~present] = 0.0
-            out.append((np.where(present, samples - values, 0.0), jacobian))
-        return out
+            filters.append((slopes, gains, scale))
+
+        def run(parameters: Floats, starts: Floats) -> Runs | None:
+            out = []
+            for (piece, a, e), start, filtered in zip(self.bounds, starts, filters, strict=True):
+                errors = np.empty((*filtered[2].shape, 1 + len(start) + len(parameters)))
+                done = predict_run(
+                    tape.code, tape.outputs, registers, parameters, start, piece.inputs[a:e], piece.time[a:e], m.step,
+                    m.low, m.high, m.channels, piece.channels[a:e], m.last, *filtered, errors,
+                )  # fmt: skip
+                if done < e - a or not (np.abs(errors) < LARGEST).all():
+                    return None
+                out.append(errors)
+            return out
+
+        return run, total
 
     def rms(self, runs: Runs) -> Floats:
         """Root mean square of each channel's residuals, (m,)."""
-        squares = np.sum([np.einsum("nm,nm->m", r, r) for r, _ in runs], axis=0)
+        squares = np.sum([np.sum(run[:, :, 0] ** 2, axis=0) for run in runs], axis=0)
         return np.asarray(np.sqrt(squares / np.maximum(self.measured.samples, 1)))
 
 
@@ -187,8 +144,8 @@ class Solution:
     ----------
     parameters, starts : (p,) and (K, d) arrays
         At the minimum.
-    rms : (m,) array
-        Of each channel's residuals.
+    runs : list of (n, m, 1 + d + p) arrays
+        Residuals and derivatives of the segments there.
     steps : int
         Steps taken.
     converged : bool
@@ -197,26 +154,22 @@ class Solution:
 
     parameters: Floats
     starts: Floats
-    rms: Floats
+    runs: Runs
     steps: int
     converged: bool
 
 
-def minimise(
-    segments: Segments, parameters: Floats, starts: Floats, weights: Floats, tolerance: float, fixed: bool = False
-) -> Solution | None:
-    """Least squares of the weighted residuals over parameters and initial states, by Levenberg-Marquardt.
+def minimise(run: Runner, parameters: Floats, starts: Floats, tolerance: float, fixed: bool = False) -> Solution | None:
+    """Least squares over parameters and initial states, by Levenberg-Marquardt.
 
     Parameters
     ----------
-    segments : Segments
-        Free runs and what they are fitted to.
+    run : callable
+        Residuals and derivatives of all segments: `Segments.free` or `Segments.led`.
     parameters, starts : (p,) and (K, d) arrays
         Where to start.
-    weights : (m,) array
-        Of each channel's residuals.
     tolerance : float
-        Relative decrease of the cost at which to stop.
+        Relative decrease of the sum of squares at which to stop.
     fixed : bool
         Keep the parameters: initial states only.
 
@@ -225,42 +178,39 @@ def minimise(
     Solution or None
         None if the first run already leaves the range.
     """
-    runs = segments.run(parameters, starts)
+    runs = run(parameters, starts)
     if runs is None:
         return None
-    damping, steps, converged = 1e-4, 0, False
-    cost, rms = _cost(segments, runs, weights)
+    damping, steps, converged, cost = 1e-4, 0, False, _cost(runs)
     while steps < MOST_STEPS and not converged:
-        H, g = _normal(runs, weights)
+        H, g = _normal(runs)
         while True:
             change = _step(H, g, damping, starts.shape[1], fixed)
             if change is not None:
-                trial = segments.run(parameters + change[0], starts + change[1])
-                if trial is not None and (new := _cost(segments, trial, weights))[0] <= cost:
+                trial = run(parameters + change[0], starts + change[1])
+                if trial is not None and (new := _cost(trial)) <= cost:
                     break
             damping *= 8.0
             if damping > MOST_DAMPING:  # no step makes it better: a minimum, to rounding
-                return Solution(parameters, starts, rms, steps, True)
-        converged = cost - new[0] <= tolerance * cost
-        parameters, starts, runs, (cost, rms) = parameters + change[0], starts + change[1], trial, new
+                return Solution(parameters, starts, runs, steps, True)
+        converged = cost - new <= tolerance * cost
+        parameters, starts, runs, cost = parameters + change[0], starts + change[1], trial, new
         damping = max(damping / 8.0, LEAST_DAMPING)
         steps += 1
-    return Solution(parameters, starts, rms, steps, converged)
+    return Solution(parameters, starts, runs, steps, converged)
 
 
-def _cost(segments: Segments, runs: Runs, weights: Floats) -> tuple[float, Floats]:
-    """Weighted sum of squares, and the rms of each channel's residuals."""
-    rms = segments.rms(runs)
-    return float(segments.measured.samples @ (weights * rms) ** 2), rms
+def _cost(runs: Runs) -> float:
+    return sum(float(np.sum(run[:, :, 0] ** 2)) for run in runs)
 
 
-def _normal(runs: Runs, weights: Floats) -> tuple[Floats, Floats]:
+def _normal(runs: Runs) -> tuple[Floats, Floats]:
     """J'J and J'r of each segment, (K, d + p, d + p) and (K, d + p)."""
     H, g = [], []
-    for r, jacobian in runs:
-        J = (jacobian * weights[:, None]).reshape(-1, jacobian.shape[2])
-        H.append(J.T @ J)
-        g.append(J.T @ (r * weights).ravel())
+    for run in runs:
+        flat = run.reshape(-1, run.shape[2])
+        H.append(flat[:, 1:].T @ flat[:, 1:])
+        g.append(flat[:, 1:].T @ flat[:, 0])
     return np.array(H), np.array(g)
 
 

@@ -40,7 +40,7 @@ from bayeq.expressions.tape import (
 from bayeq.forecast.integrate import STAGES, input_at, steps_between
 from bayeq.kernels import kernel
 
-__all__ = ["function_slope", "run_tangents", "shoot"]
+__all__ = ["function_slope", "interval_tangents", "run_tangents", "shoot", "slope_tangents"]
 
 
 @kernel
@@ -137,7 +137,7 @@ def run_tangents(code: IndexArray, registers: FloatArray, tangents: FloatArray) 
 
 
 @kernel
-def _slope(
+def slope_tangents(
     code: IndexArray,
     outputs: IndexArray,
     registers: FloatArray,
@@ -164,7 +164,7 @@ def _slope(
 
 
 @kernel
-def _interval(
+def interval_tangents(
     code: IndexArray,
     outputs: IndexArray,
     registers: FloatArray,
@@ -181,19 +181,19 @@ def _interval(
     h = dt / substeps
     for step in range(substeps):
         start, middle, end = h * step, h * (step + 0.5), h * (step + 1.0)
-        _slope(code, outputs, registers, tangents, x, inputs, row, start, k1)
+        slope_tangents(code, outputs, registers, tangents, x, inputs, row, start, k1)
         for i in range(states):
             for j in range(columns):
                 y[i, j] = x[i, j] + 0.5 * h * k1[i, j]
-        _slope(code, outputs, registers, tangents, y, inputs, row, middle, k2)
+        slope_tangents(code, outputs, registers, tangents, y, inputs, row, middle, k2)
         for i in range(states):
             for j in range(columns):
                 y[i, j] = x[i, j] + 0.5 * h * k2[i, j]
-        _slope(code, outputs, registers, tangents, y, inputs, row, middle, k3)
+        slope_tangents(code, outputs, registers, tangents, y, inputs, row, middle, k3)
         for i in range(states):
             for j in range(columns):
                 y[i, j] = x[i, j] + h * k3[i, j]
-        _slope(code, outputs, registers, tangents, y, inputs, row, end, k4)
+        slope_tangents(code, outputs, registers, tangents, y, inputs, row, end, k4)
         for i in range(states):
             for j in range(columns):
                 x[i, j] += h / 6.0 * (k1[i, j] + 2.0 * (k2[i, j] + k3[i, j]) + k4[i, j])
@@ -260,7 +260,7 @@ def shoot(
             if not (x[i, 0] >= low[i] and x[i, 0] <= high[i]):
                 return row
         if derivative:
-            _slope(code, outputs, registers, tangents, x, inputs, row, 0.0, slope)
+            slope_tangents(code, outputs, registers, tangents, x, inputs, row, 0.0, slope)
         for c in range(channels.shape[0]):
             which = channels[c]
             source = x[which] if which < d else slope[which - d]
@@ -269,5 +269,5 @@ def shoot(
                 jacobian[row, c, j] = source[1 + j]
         if row < n - 1:
             dt = time[row + 1] - time[row]
-            _interval(code, outputs, registers, tangents, inputs, row, dt, steps_between(dt, step), work)
+            interval_tangents(code, outputs, registers, tangents, inputs, row, dt, steps_between(dt, step), work)
     return n

@@ -172,12 +172,13 @@ def main(arguments: list[str] | None = None) -> None:
 
     parser = argparse.ArgumentParser(description="Free runs on unseen rows before and after refine.")
     parser.add_argument("--records", type=int, default=200, help="records per case, half of each system")
+    parser.add_argument("--cases", type=int, default=len(CASES), help="how many of the cases, from the first on")
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args(arguments)
     per_system = given.records // 2
     writer: csv.DictWriter[str] | None = None
     with Parallel(n_jobs=given.jobs, inner_max_num_threads=1) as pool:
-        for case in CASES:
+        for case in CASES[: given.cases]:
             pooled: list[dict[str, float]] = []
             table = []
             for system in SYSTEMS:

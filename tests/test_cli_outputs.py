@@ -1,0 +1,160 @@
+"""Refinement, physical parameters and free runs through the command."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayeq as bq
+from bayeq.cli import main
+
+OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x, v, x**3, u"]
+
+pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "duffing.csv"
+    made = bq.simulate("duffing", n=1000, seed=1, noise={"x": 0.05, "v": 0.05, "a": 0.05})
+    bq.write(made, path)
+    return path
+
+
+def run(capsys, *arguments):
+    code = main(["discover", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_scores_of_the_held_out_rows_are_shown(record, capsys):
+    code, out, _ = run(capsys, record, *OSCILLATOR)
+    assert code == 0
+    assert "free run over the held-out rows: normalised RMS error x " in out
+    code, out, _ = run(capsys, record, *OSCILLATOR, "--json")
+    scores = json.loads(out)["diagnostics"]["scores"]
+    assert scores["rows"] == 200
+    assert set(scores["free_run"]) == {"x", "v"}
+    assert scores["blew_up_at"] is None
+    eq = bq.discover(bq.read(record), chains=["x:v:a"], inputs=["u"], dictionary=["x", "v", "x**3", "u"])
+    assert scores["one_step"]["a"] == pytest.approx(eq[0].held_out.nrmse, rel=1e-6)
+    assert scores["free_run"] == dict(eq.scores.free_run)
+    code, out, _ = run(capsys, record, *OSCILLATOR, "--holdout", "0")
+    assert "free run" not in out
+
+
+def test_a_free_run_that_blows_up_is_told(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    x = rng.uniform(0.5, 1.0, 200)
+    a = x**3
+    columns = pd.DataFrame({"t": np.arange(200) / 2.0, "x": x, "v": rng.normal(size=200), "a": a})
+    columns.to_csv(tmp_path / "cubic.csv", index=False)
+    arguments = [tmp_path / "cubic.csv", "--chain", "x:v:a", "--dictionary", "x**3, v", "--smooth", "none"]
+    code, out, _ = run(capsys, *arguments, "--save", tmp_path / "eq.json")
+    assert code == 0
+    assert "free run over the held-out rows: blew up at " in out
+    code, out, _ = run(capsys, *arguments, "--json")
+    scores = json.loads(out)["diagnostics"]["scores"]
+    assert scores["free_run"] == {"x": None, "v": None}
+    again = bq.load(tmp_path / "eq.json").scores
+    assert again.blew_up_at == scores["blew_up_at"]
+    assert again.free_run == {"x": np.inf, "v": np.inf}
+
+
+def test_refine(record, tmp_path, capsys):
+    code, out, err = run(capsys, record, *OSCILLATOR, "--refine", "--save", tmp_path / "eq.json")
+    assert (code, err) == (0, "")
+    assert "coefficients refined by output error" in out
+    saved = bq.load(tmp_path / "eq.json")
+    assert saved.refined.n == 800
+    code, out, _ = run(capsys, record, *OSCILLATOR, "--refine", "--json")
+    found = json.loads(out)
+    assert found["diagnostics"]["refined"]["noise_sd"] == dict(saved.refined.noise_sd)
+    assert found["equations"][0]["terms"][0]["coef"] == saved[0].coef["x"]
+    plain = json.loads(run(capsys, record, *OSCILLATOR, "--json")[1])
+    assert plain["equations"][0]["terms"][0]["coef"] != saved[0].coef["x"]
+    assert "refined" not in plain["diagnostics"]
+
+
+def test_physical(record, capsys):
+    code, out, _ = run(capsys, record, *OSCILLATOR, "--physical")
+    assert code == 0
+    assert "physical parameters, from the equation of a" in out
+    assert "damping ratio" in out
+    found = json.loads(run(capsys, record, *OSCILLATOR, "--physical", "--json")[1])["physical"]["a"]
+    (k,) = (q for q in found if q["symbol"] == "k")
+    assert k["ci95"][0] < 1000.0 < k["ci95"][1]
+    assert (k["meaning"], k["unit"]) == ("stiffness", "N/m")
+
+
+def test_physical_needs_a_second_order_equation(record, capsys):
+    code, out, err = run(capsys, record, "--chain", "x", "--chain", "v", "--physical")
+    assert (code, out) == (2, "")
+    assert err.startswith("bayeq: error: --physical: ")
+    assert "second-order" in err
+    assert err.count("\n") == 1
+    # the order is right, the restoring force is not there: the equation is printed, and why there is no more
+    terms = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "v, u"]
+    code, out, err = run(capsys, record, *terms, "--physical")
+    assert code == 2
+    assert out.startswith("a = ")
+    assert "no restoring term" in err
+
+
+def test_forecast_table(record, tmp_path, capsys):
+    file = tmp_path / "run.csv"
+    assert run(capsys, record, *OSCILLATOR, "--forecast", file)[0] == 0
+    table = pd.read_csv(file)
+    assert list(table) == ["time", *(f"{s}{e}" for s in "xv" for e in ("", "_low", "_high", "_measured"))]
+    assert len(table) == 200
+    source = bq.read(record)
+    np.testing.assert_allclose(table["x_measured"], source["x"][800:])
+    eq = bq.discover(source, chains=["x:v:a"], inputs=["u"], dictionary=["x", "v", "x**3", "u"])
+    np.testing.assert_allclose(table["x_low"], eq.simulate(source, start=800).low["x"])
+    # without rows held out, the whole record
+    assert run(capsys, record, *OSCILLATOR, "--forecast", file, "--holdout", "0")[0] == 0
+    assert len(pd.read_csv(file)) == 1000
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_forecast_figure(record, tmp_path, capsys, suffix):
+    first, second = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+    for file in (first, second):
+        assert run(capsys, record, *OSCILLATOR, "--refine", "--forecast", file)[0] == 0
+    assert first.read_bytes() == second.read_bytes()
+    assert len(first.read_bytes()) > 5000
+
+
+def test_forecasts_of_several_records(record, tmp_path, capsys):
+    other = tmp_path / "other.csv"
+    bq.write(bq.simulate("duffing", n=500, seed=2), other)
+    assert run(capsys, record, other, *OSCILLATOR, "--forecast", tmp_path / "run.csv")[0] == 0
+    table = pd.read_csv(tmp_path / "run.csv")
+    assert table["record"].value_counts().to_dict() == {"duffing.csv": 200, "other.csv": 100}
+    assert run(capsys, record, other, *OSCILLATOR, "--forecast", tmp_path / "run.svg")[0] == 0
+    # two panels for each record, of two lines and a band
+    assert (tmp_path / "run.svg").read_text().count('id="axes_') == 4
+
+
+def test_what_cannot_be_written_is_refused_before_the_work(record, tmp_path, capsys):
+    for arguments, message in (
+        (["--forecast", tmp_path / "run.txt"], "end it in .csv"),
+        (["--forecast", tmp_path / "no" / "run.csv"], "there is no directory"),
+        (["--forecast", record], "is a record that is read"),
+        (["--forecast", tmp_path / "a.csv", "--path", tmp_path / "a.csv"], "named twice"),
+    ):
+        code, out, err = run(capsys, record, *OSCILLATOR, *arguments)
+        assert (code, out) == (2, "")
+        assert message in err
+    timeless = tmp_path / "timeless.csv"
+    pd.read_csv(record).iloc[:, 1:].to_csv(timeless, index=False)
+    for option in (["--refine"], ["--forecast", tmp_path / "a.csv"]):
+        code, out, err = run(capsys, timeless, *OSCILLATOR, *option)
+        assert (code, out) == (2, "")
+        assert f"{option[0]} needs a time column or fs" in err
+    code, out, _ = run(capsys, timeless, *OSCILLATOR)
+    assert code == 0
+    assert "free run" not in out
