@@ -66,7 +66,7 @@ def _dots(axes: Axes, rows: Sequence[Row]) -> None:
     axes.tick_params(axis="y", length=0)
     axes.set_xscale("log")
     axes.set_xlabel("time of a whole fit [s]")
-    axes.set_title("The paper's oscillators, P = 36 (blue: bayeq)")
+    axes.set_title("Oscillators, P = 36 (blue: bayeq)")
 
 
 def _limit(rows: Sequence[Row]) -> float:

@@ -25,8 +25,10 @@ Floats = NDArray[np.float64]
 # Rows that are centred and multiplied at a time: large enough for BLAS, small enough for the cache.
 BLOCK_ROWS = 8192
 
-# Up to this many columns the product Z'Z is our own kernel, above it is BLAS.
+# Up to this many columns the product Z'Z is our own kernel, above it is BLAS. The kernel centres so many rows at a time, a
+# multiple of 4: they fit into the cache.
 SMALL = 96
+CACHED_ROWS = 64
 
 
 class GramLike(Protocol):
@@ -300,21 +302,21 @@ class _Moments:
 
 
 @kernel
-def _column_sums(D: Floats, y: Floats, out: Floats) -> None:
+def _column_means(D: Floats, y: Floats) -> Floats:
     n, p = D.shape
-    out[:] = 0.0
+    mean = np.zeros(p + y.shape[1])
     for i in range(n):
         for j in range(p):
-            out[j] += D[i, j]
+            mean[j] += D[i, j]
         for j in range(y.shape[1]):
-            out[p + j] += y[i, j]
+            mean[p + j] += y[i, j]
+    return mean / n
 
 
 @kernel
-def _centred(D: Floats, y: Floats, mean: Floats, z: Floats, rest: Floats) -> None:
-    """z = [D y] - mean, and the sums of z that rounding of the mean has left."""
+def _centre(D: Floats, y: Floats, mean: Floats, z: Floats, rest: Floats) -> None:
+    """z = [D y] - mean; the sums of z, which rounding of the mean has left, are added to `rest`."""
     n, p = D.shape
-    rest[:] = 0.0
     for i in range(n):
         for j in range(p):
             value = D[i, j] - mean[j]
@@ -327,14 +329,9 @@ def _centred(D: Floats, y: Floats, mean: Floats, z: Floats, rest: Floats) -> Non
 
 
 @kernel
-def _small_cross(z: Floats, cross: Floats) -> None:
-    """cross = z'z, four rows and two columns at a time.
-
-    For narrow matrices as fast as BLAS, and unlike it the same to the last bit for any number of threads (and
-    not slowed down when other processes hold the cores that a threaded BLAS waits for).
-    """
+def _add_cross(z: Floats, cross: Floats) -> None:
+    """Add the lower triangle of z'z to that of `cross`, four rows and two columns at a time."""
     n, p = z.shape
-    cross[:] = 0.0
     whole, even = n - n % 4, p - p % 2
     for i in range(0, whole, 4):
         r0, r1, r2, r3 = z[i], z[i + 1], z[i + 2], z[i + 3]
@@ -354,27 +351,45 @@ def _small_cross(z: Floats, cross: Floats) -> None:
         for a in range(p):
             for b in range(a + 1):
                 cross[a, b] += z[i, a] * z[i, b]
-    for a in range(p):
+
+
+@kernel
+def _narrow_cross(D: Floats, y: Floats, mean: Floats) -> tuple[Floats, Floats]:
+    """z'z and the sums of z = [D y] - mean, which is formed a few rows at a time and so never leaves the cache.
+
+    For narrow matrices faster than BLAS, and unlike it the same to the last bit for any number of threads (and
+    not slowed down when other processes hold the cores that a threaded BLAS waits for).
+    """
+    n, columns = len(D), len(mean)
+    rest, cross = np.zeros(columns), np.zeros((columns, columns))
+    z = np.empty((CACHED_ROWS, columns))
+    for start in range(0, n, CACHED_ROWS):
+        stop = min(start + CACHED_ROWS, n)
+        part = z[: stop - start]
+        _centre(D[start:stop], y[start:stop], mean, part, rest)
+        _add_cross(part, cross)
+    for a in range(columns):
         for b in range(a):
             cross[b, a] = cross[a, b]
+    return cross, rest
+
+
+def _wide_cross(D: Floats, y: Floats, mean: Floats) -> tuple[Floats, Floats]:
+    """`_narrow_cross` of many columns, by BLAS."""
+    z, rest = np.empty((len(D), len(mean))), np.zeros(len(mean))
+    _centre(D, y, mean, z, rest)
+    return z.T @ z, rest
 
 
 def _block_moments(D: Floats, Y: Floats) -> _Moments:
     """Two-pass centred co-moments of a block, corrected for the rounding of its mean."""
-    n, columns = D.shape[0], D.shape[1] + Y.shape[1]
+    n = len(D)
     D = np.ascontiguousarray(D)
     Y = np.ascontiguousarray(Y)
-    mean, rest, z = np.empty(columns), np.empty(columns), np.empty((n, columns))
-    _column_sums(D, Y, mean)
-    mean /= n
-    _centred(D, Y, mean, z, rest)
-    cross = np.empty((columns, columns))
+    mean = _column_means(D, Y)
     with np.errstate(over="ignore", invalid="ignore"):
-        if columns <= SMALL:
-            _small_cross(z, cross)
-        else:
-            np.matmul(z.T, z, out=cross)
-        cross -= np.outer(rest, rest / n)
+        cross, rest = (_narrow_cross if len(mean) <= SMALL else _wide_cross)(D, Y, mean)
+        cross -= rest[:, None] * (rest / n)
     return _Moments(n, mean + rest / n, cross)
 
 
