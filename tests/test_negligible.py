@@ -8,6 +8,7 @@ import pytest
 import bayeq as bq
 from bayeq.errors import InputError
 from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.integrate import interpolant
 from bayeq.forecast.rows import Rows
 from bayeq.forecast.windows import typical_period, window_error
 from bayeq.study.discrepancy import draw_record
@@ -64,7 +65,7 @@ def test_small_and_without_effect_and_yet_true_is_told():
 def test_errors_of_windows_are_those_of_simulate():
     rec = bq.simulate("linear", n=400, seed=3, noise=0.0)
     eq = bq.discover(rec, **OSCILLATOR, dictionary=["x", "u"], holdout=0.0, negligible=0.0)
-    rows = Rows(rec.time, rec.channels, {})
+    rows = Rows(rec.time, rec.channels, {}, interpolant(rec.time, rec["u"][:, None], "cubic"))
     posteriors = [e.posterior for e in eq]
     dynamics = Dynamics.of(eq.chains, eq.inputs, posteriors, [e.terms for e in eq])
     assert typical_period(dynamics, [rows]) == pytest.approx(2 * np.pi * rec["x"].std() / rec["v"].std())

@@ -64,8 +64,7 @@ def window_error(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows],
         states = rows.stack(dynamics.states)
         for first in np.linspace(0, rows.n - length, count).astype(int):
             window = rows.part(slice(first, first + length))
-            inputs = window.driven_by(dynamics.inputs, "cubic")
-            run = mean_run(dynamics, parameters, states[first], inputs, window.time, low, high)[1]
+            run = mean_run(dynamics, parameters, states[first], window.driven, window.time, low, high)[1]
             difference = (run - states[first : first + length]) / np.where(scale > 0, scale, 1.0)
             square = float(np.mean(difference**2))
             errors.append(math.sqrt(square) if math.isfinite(square) else math.inf)
