@@ -120,7 +120,8 @@ def discover(
     chain: Annotated[
         list[str] | None,
         typer.Option(
-            help="A coordinate and its measured derivatives: x:v:a, x:: (only x measured), x (first order), x:xdot."
+            help="A coordinate and its measured derivatives: x:v:a, x:: (only x measured), ::a (only a), x (first order),"
+            " x:xdot."
             " Once per coordinate.",
         ),
     ] = None,
@@ -150,6 +151,16 @@ def discover(
     min_share: Annotated[
         float | None, typer.Option(help="Leave out terms that explain a smaller share of the target's variance.")
     ] = None,
+    negligible: Annotated[
+        float | None,
+        typer.Option(
+            help="Terms that together explain a smaller share of the variance than this (0.00005) and make no"
+            " difference to free runs stand beside the equation; 0 keeps them in it."
+        ),
+    ] = None,
+    coarsen: Annotated[
+        float, typer.Option(help="Power (0 to 1) of the likelihood, for models that are only nearly true.")
+    ] = 1.0,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
     save: Annotated[Path | None, typer.Option(help="Write the equations to a JSON file, for bayeq.load.")] = None,
     sensitivity: SensitivityFile = None,
@@ -194,9 +205,11 @@ def discover(
             holdout=holdout,
             max_terms=max_terms,
             min_share=min_share,
+            coarsen=coarsen,
             seed=seed,
             progress=progress,
             constraints=constraint or (),
+            **({} if negligible is None else {"negligible": negligible}),
         )
     finally:
         progress.close()

@@ -66,7 +66,8 @@ def discover(
     records : Record or sequence of Record
         Measured channels; several records of the same system are used together.
     chains : sequence of str, optional
-        A coordinate and its measured derivatives each: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order).
+        A coordinate and its measured derivatives each: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order). In ``"::a"``, only
+        the acceleration measured, the coordinate is called x.
     displacement, velocity, acceleration : str, optional
         Channels of one oscillator's chain, instead of `chains`.
     force : str, optional
@@ -247,7 +248,7 @@ def _chains(
         if displacement or velocity or acceleration:
             raise ChainError("give either chains or displacement, velocity and acceleration, not both")
         return parse_chains([chains] if isinstance(chains, str) else list(chains))
-    if displacement is None:
+    if displacement is None and acceleration is None:
         raise ChainError(
             "no coordinate given: name the displacement (and, where measured, velocity and acceleration), or a chain"
             " such as x:v:a"
@@ -257,7 +258,7 @@ def _chains(
             raise ChainError(
                 f"{role} {channel[:60]!r} is not a channel's name; name one, or give a chain such as x:v:a instead"
             )
-    return parse_chains([f"{displacement}:{velocity or ''}:{acceleration or ''}"])
+    return parse_chains([":".join(name or "" for name in (displacement, velocity, acceleration))])
 
 
 def _split(
