@@ -120,9 +120,8 @@ def discover(
     chain: Annotated[
         list[str] | None,
         typer.Option(
-            help="A coordinate and its measured derivatives: x:v:a, x:: (only x measured), ::a (only a), x (first order),"
-            " x:xdot."
-            " Once per coordinate.",
+            help="A coordinate and its measured derivatives: x:v:a, x:: (only x measured), ::a (only a), x (first"
+            " order), x:xdot. Once per coordinate.",
         ),
     ] = None,
     inputs: Annotated[list[str] | None, typer.Option("--input", help="Input channel; once per input.")] = None,
@@ -185,6 +184,7 @@ def discover(
         c for text in (*(chain or ()), disp, vel, acc, force, *(inputs or ())) for c in (text or "").split(":") if c
     ]
     records: list[Record] = []
+    options = {} if negligible is None else {"negligible": negligible}
     progress = Progress()
     try:
         for k, file in enumerate(files):
@@ -209,7 +209,7 @@ def discover(
             seed=seed,
             progress=progress,
             constraints=constraint or (),
-            **({} if negligible is None else {"negligible": negligible}),
+            **options,
         )
     finally:
         progress.close()

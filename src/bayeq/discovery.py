@@ -66,8 +66,8 @@ def discover(
     records : Record or sequence of Record
         Measured channels; several records of the same system are used together.
     chains : sequence of str, optional
-        A coordinate and its measured derivatives each: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order). In ``"::a"``, only
-        the acceleration measured, the coordinate is called x.
+        A coordinate and its measured derivatives each: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order). In ``"::a"``,
+        only the acceleration measured, the coordinate is called x.
     displacement, velocity, acceleration : str, optional
         Channels of one oscillator's chain, instead of `chains`.
     force : str, optional
