@@ -171,6 +171,7 @@ def discover(
 ) -> None:
     """Find the equation of motion of a measured record."""
     from bayeq.discovery import discover as run
+    from bayeq.negligible import NEGLIGIBLE
 
     outputs = Outputs(save, sensitivity, path, forecast, refine, physical)
     outputs.check(files, method.value, disp is not None, chain or ())
@@ -184,7 +185,6 @@ def discover(
         c for text in (*(chain or ()), disp, vel, acc, force, *(inputs or ())) for c in (text or "").split(":") if c
     ]
     records: list[Record] = []
-    options = {} if negligible is None else {"negligible": negligible}
     progress = Progress()
     try:
         for k, file in enumerate(files):
@@ -209,7 +209,7 @@ def discover(
             seed=seed,
             progress=progress,
             constraints=constraint or (),
-            **options,
+            negligible=NEGLIGIBLE if negligible is None else negligible,
         )
     finally:
         progress.close()
