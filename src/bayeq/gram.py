@@ -25,8 +25,8 @@ Floats = NDArray[np.float64]
 # Rows that are centred and multiplied at a time: large enough for BLAS, small enough for the cache.
 BLOCK_ROWS = 8192
 
-# Up to this many columns the product Z'Z is our own kernel, above it is BLAS. The kernel centres so many rows at a time,
-# a multiple of 4: they fit into the cache.
+# Up to this many columns the product Z'Z is our own kernel, above it is BLAS. The kernel centres so many
+# rows at a time, few enough for the cache; a multiple of 4.
 SMALL = 96
 CACHED_ROWS = 64
 
