@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,15 +19,24 @@ from bayeq.errors import InputError
 from bayeq.kernels import kernel
 from bayeq.posterior import Posterior
 
-__all__ = ["Gram", "GramLike", "Standardised", "checked_weights", "dense", "grams_from_blocks", "grams_from_data"]
+__all__ = [
+    "Gram",
+    "GramLike",
+    "Standardised",
+    "checked_weights",
+    "default_names",
+    "dense",
+    "grams_from_blocks",
+    "grams_from_data",
+]
 
 Floats = NDArray[np.float64]
 
 # Rows that are centred and multiplied at a time: large enough for BLAS, small enough for the cache.
 BLOCK_ROWS = 8192
 
-# Up to this many columns the product Z'Z is our own kernel, above it is BLAS. The kernel centres so many rows at a
-# time, a multiple of 4: they fit into the cache.
+# Up to this many columns the product Z'Z is our own kernel, above it is BLAS. The kernel centres so many
+# rows at a time, few enough for the cache; a multiple of 4.
 SMALL = 96
 CACHED_ROWS = 64
 
@@ -487,7 +497,7 @@ def grams_from_data(
     Y = np.asarray(Y, dtype=np.float64)
     if D.ndim != 2 or Y.ndim != 2 or len(D) != len(Y):
         raise InputError(f"need D of shape (n, P) and a target of as many rows, got {D.shape} and {Y.shape}")
-    columns = tuple(names) if names is not None else tuple(f"x{j}" for j in range(D.shape[1]))
+    columns = tuple(names) if names is not None else default_names(D.shape[1])
     if weights is None:
         starts = range(0, len(D), BLOCK_ROWS)
         blocks = (_block_moments(D[i : i + BLOCK_ROWS], Y[i : i + BLOCK_ROWS]) for i in starts)
@@ -498,6 +508,12 @@ def grams_from_data(
         D, Y, w = D[kept], Y[kept], w[kept]
     rows = (slice(i, i + BLOCK_ROWS) for i in range(0, len(D), BLOCK_ROWS))
     return _joined((_weighted_moments(D[r], Y[r], w[r]) for r in rows), columns, Y.shape[1])
+
+
+@lru_cache(maxsize=16)
+def default_names(columns: int) -> tuple[str, ...]:
+    """x0, x1 ... for columns without names."""
+    return tuple(f"x{j}" for j in range(columns))
 
 
 def checked_weights(weights: ArrayLike, rows: int) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError
-from bayeq.gram import Gram, Standardised, checked_weights, grams_from_data
+from bayeq.gram import Gram, Standardised, checked_weights, default_names, grams_from_data
 
 __all__ = ["LazyGram", "grams_of"]
 
@@ -84,7 +84,7 @@ class LazyGram:
 
 def _lazy_grams(D: Floats, Y: Floats, names: Sequence[str] | None, weights: ArrayLike | None) -> tuple[LazyGram, ...]:
     """One `LazyGram` per column of Y, all with the same data."""
-    columns = tuple(names) if names is not None else tuple(f"x{j}" for j in range(D.shape[1]))
+    columns = tuple(names) if names is not None else default_names(D.shape[1])
     w = np.ones(len(D)) if weights is None else checked_weights(weights, len(D))
     n = float(w.sum())
     with np.errstate(over="ignore", invalid="ignore"):

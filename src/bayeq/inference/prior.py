@@ -61,7 +61,7 @@ class Prior:
         p0 = np.asarray(self.prior_inclusion, dtype=np.float64)
         if p0.ndim > 1 or (p0.ndim == 1 and len(p0) != terms):
             raise InputError(f"prior_inclusion must be one number or one per term ({terms}), got shape {p0.shape}")
-        if not bool(np.all((p0 >= 0) & (p0 <= 1))):
+        if not ((p0 >= 0) & (p0 <= 1)).all():
             raise InputError("prior_inclusion must lie between 0 and 1")
         if self.inclusion_beta is not None:
             shapes = np.asarray(self.inclusion_beta, dtype=np.float64)
@@ -74,19 +74,20 @@ class Prior:
 
     def sign_array(self, terms: int) -> NDArray[np.int64]:
         """Known signs of the terms, (P,); empty if none is known."""
-        signs = np.zeros(0) if self.signs is None else np.asarray(self.signs)
-        return signs.astype(np.int64) if signs.any() else np.zeros(0, dtype=np.int64)
+        if self.signs is None or not np.any(self.signs):
+            return np.zeros(0, dtype=np.int64)
+        return np.asarray(self.signs).astype(np.int64)
 
     def log_odds(self, terms: int) -> Floats:
         """logit(p_0) of each of `terms` terms: +inf for a forced, -inf for a forbidden one.
 
         0 for the others if their p_0 is unknown (`inclusion_beta`): `size_prior` then says the rest.
         """
-        p0 = np.broadcast_to(np.asarray(self.prior_inclusion, dtype=np.float64), (terms,))
+        p0 = np.asarray(self.prior_inclusion, dtype=np.float64)
         if self.inclusion_beta is not None:
             p0 = np.where((p0 > 0) & (p0 < 1), 0.5, p0)
         with np.errstate(divide="ignore"):
-            return np.log(p0) - np.log1p(-p0)
+            return np.full(terms, np.log(p0) - np.log1p(-p0))
 
     def size_prior(self, terms: int) -> Floats:
         """What a model of r = 0..P terms has on top of the log-odds of its terms, (P+1,).

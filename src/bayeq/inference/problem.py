@@ -99,7 +99,7 @@ def gram_columns(gram: GramLike) -> Columns:
     data = getattr(gram, "data", None)
     if data is None:
         DtD = np.ascontiguousarray(dense(gram))
-        return Columns(np.diagonal(DtD).copy(), DtD, np.arange(terms), np.array([terms]), NOTHING)
+        return Columns(DtD.diagonal().copy(), DtD, np.arange(terms), np.array([terms]), NOTHING)
     return Columns(
         np.ascontiguousarray(gram.diagonal),
         np.empty((terms, terms)),

@@ -17,12 +17,12 @@ import numpy as np
 
 from bayeq.gram import GramLike
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Columns, Floats, gram_columns
+from bayeq.inference.problem import Bools, Columns, Floats, Problem, gram_columns
 from bayeq.inference.tableau import Tableau, active_block, build, enter, leave
 from bayeq.kernels import kernel
 from bayeq.posterior import Posterior
 
-__all__ = ["rvm", "rvm_ascent"]
+__all__ = ["rvm", "rvm_ascent", "rvm_gamma"]
 
 # A step that raises the log marginal likelihood by less is not taken.
 MIN_GAIN = 1e-6
@@ -117,6 +117,12 @@ def rvm_ascent(
         if lam[j] < math.inf:
             gamma[j] = min(max(1.0 + lam[j] * T.diagonal[j], 1e-300), 1.0)
     return gamma, T, max(T.diagonal[p], floor) / dof, steps, converged
+
+
+@kernel
+def rvm_gamma(p: Problem) -> Floats:
+    """gamma (P,) of a machine that starts another engine: 0 for a term left out."""
+    return rvm_ascent(p.columns, p.Dty, p.yty, p.dof, 50 * len(p.Dty) + 100)[0]
 
 
 def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0, max_iter: int = 10_000) -> Posterior:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayeq.inference.problem import Bools, Floats, Ints, Problem
-from bayeq.inference.rvm import rvm_ascent
+from bayeq.inference.rvm import rvm_gamma
 from bayeq.inference.tableau import climb, flip_gains, score, swap_gains, swept
 from bayeq.kernels import kernel
 
@@ -61,6 +61,13 @@ def _moves(p: Problem, active: Bools, window: float) -> tuple[Ints, Ints, Floats
     return out[:count], into[:count], gains[:count]
 
 
+@kernel
+def _climb_and_look(p: Problem, models: Bools, window: float) -> tuple[Floats, tuple[Ints, Ints, Floats]]:
+    """`_climb_all` with swaps, and then `_moves` from the best model."""
+    scores = _climb_all(p, models, True)
+    return scores, _moves(p, models[np.argmax(scores)], window)
+
+
 def log_constant(problem: Problem) -> float:
     """What `tableau.score` leaves out of ln p(y, z): eq. (34) and the Bernoulli prior."""
     p = problem
@@ -97,7 +104,11 @@ def best_models(problem: Problem, starts: list[Bools] | None = None) -> list[tup
     if starts is None:
         starts = default_starts(problem)
     models = np.array(starts, dtype=np.bool_)
-    scores = _climb_all(problem, models, True)
+    return _ranked(_climb_all(problem, models, True), models)
+
+
+def _ranked(scores: Floats, models: Bools) -> list[tuple[float, Bools]]:
+    """Distinct models with their scores, best first."""
     found: dict[bytes, tuple[float, Bools]] = {}
     for k in np.argsort(-scores, kind="stable"):
         found.setdefault(models[k].tobytes(), (float(scores[k]), models[k]))
@@ -124,7 +135,11 @@ class Move:
 
 def neighbours(problem: Problem, active: Bools, window: float = math.inf) -> list[Move]:
     """Flips and swaps from a model whose log posterior lies within `window` nats of it, best first."""
-    out, into, gains = _moves(problem, active, window)
+    return _listed(*_moves(problem, active, window))
+
+
+def _listed(out: Ints, into: Ints, gains: Floats) -> list[Move]:
+    """What `_moves` found, best first."""
     order = np.argsort(-gains, kind="stable")
     return [
         Move(float(gains[k]), int(out[k]) if out[k] >= 0 else None, int(into[k]) if into[k] >= 0 else None)
@@ -148,7 +163,7 @@ def default_starts(problem: Problem, gamma: Floats | None = None) -> list[Bools]
     terms = len(p.Dty)
     starts = [np.zeros(terms, dtype=np.bool_)]
     if gamma is None and terms <= RVM_START_TERMS:
-        gamma = rvm_ascent(p.columns, p.Dty, p.yty, p.dof, 50 * terms + 100)[0]
+        gamma = rvm_gamma(p)
     if gamma is not None:
         starts.append(gamma > 0.0)
     if terms <= FULL_START_TERMS:
@@ -164,10 +179,12 @@ def candidate_models(
     Mean-field indicators let VB gain a fraction of a nat on a model with undecided terms, so that its optimum
     may belong to a model slightly below the best one.
     """
-    found = best_models(problem, starts)
+    climbed = np.array(default_starts(problem) if starts is None else starts, dtype=np.bool_)
+    scores, moves = _climb_and_look(problem, climbed, window)
+    found = _ranked(scores, climbed)
     top, best = found[0]
     pool = [(value - top, model) for value, model in found[1:] if value > top - window]
-    pool += [(move.gain, move.apply(best)) for move in neighbours(problem, best, window)]
+    pool += [(move.gain, move.apply(best)) for move in _listed(*moves)]
     pool.sort(key=lambda entry: -entry[0])
     models = {best.tobytes(): best}
     for _, model in pool:

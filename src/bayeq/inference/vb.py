@@ -23,7 +23,7 @@ from bayeq.inference.lrvb import linear_response
 from bayeq.inference.path import model_log_posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Floats, Ints, Problem, fetch
-from bayeq.inference.rvm import rvm_ascent
+from bayeq.inference.rvm import rvm_gamma
 from bayeq.inference.search import RVM_START_TERMS, candidate_models, default_starts, neighbours
 from bayeq.inference.tableau import GAIN_TOLERANCE
 from bayeq.kernels import kernel
@@ -31,8 +31,14 @@ from bayeq.posterior import Posterior
 
 __all__ = ["spike_slab_vb"]
 
+# What `vb_ascent` returns.
+Ascent = tuple[Floats, Floats, Ints, float, float, Floats]
+
 # Moves that VB restarts from when its optimum turns out to be improvable.
 RETESTS = 4
+
+# Noise precision that goes with the RVM's start (the paper's section 3.2).
+RVM_PRECISION = 1000.0
 
 # Below this log-odds (w = 1e-20) a term counts as out: exp underflows soon after, and w = 0 is exact.
 ETA_OUT = -46.0
@@ -43,31 +49,38 @@ def _factorise(A: Floats, C: Floats) -> float:
     """C = A^-1 by Cholesky (A is overwritten); returns ln|A|, or NaN if A is not positive definite."""
     r = A.shape[0]
     logdet = 0.0
+    # A = U'U; all three parts run along rows
     for j in range(r):
-        for k in range(j):
-            factor = A[j, k]
-            for i in range(j, r):
-                A[i, j] -= factor * A[i, k]
-        if not A[j, j] > 0.0:
+        own = A[j]
+        if not own[j] > 0.0:
             return math.nan
-        root = math.sqrt(A[j, j])
+        root = math.sqrt(own[j])
         logdet += 2.0 * math.log(root)
-        for i in range(j, r):
-            A[i, j] /= root
-    # invert the triangle, then multiply it with its transpose
-    for j in range(r):
-        C[j, j] = 1.0 / A[j, j]
+        for k in range(j, r):
+            own[k] /= root
         for i in range(j + 1, r):
-            value = 0.0
-            for k in range(j, i):
-                value -= A[i, k] * C[k, j]
-            C[i, j] = value / A[i, i]
-    for i in range(r):
-        for j in range(i + 1):
-            value = 0.0
+            factor, row = own[i], A[i]
             for k in range(i, r):
-                value += C[k, i] * C[k, j]
-            A[i, j] = value
+                row[k] -= factor * own[k]
+    # C = U'^-1
+    C[:] = 0.0
+    for i in range(r):
+        row, pivot = C[i], A[i, i]
+        for k in range(i):
+            factor, other = A[k, i], C[k]
+            for j in range(k + 1):
+                row[j] -= factor * other[j]
+        for j in range(i):
+            row[j] /= pivot
+        row[i] = 1.0 / pivot
+    # A^-1 = C'C
+    A[:] = 0.0
+    for k in range(r):
+        other = C[k]
+        for i in range(k + 1):
+            factor, row = other[i], A[i]
+            for j in range(i + 1):
+                row[j] += factor * other[j]
     for i in range(r):
         for j in range(i + 1):
             C[i, j] = A[i, j]
@@ -165,9 +178,7 @@ def _update_indicators(
 
 
 @kernel
-def vb_ascent(
-    p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int
-) -> tuple[Floats, Floats, Ints, float, float, Floats]:
+def vb_ascent(p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int) -> Ascent:
     """Coordinate ascent from inclusion probabilities `w` (changed in place) and noise precision `tau`.
 
     tau <= 0 asks for the precision that is optimal for `w`. Returns mu (P,), Sigma of the active terms, their
@@ -231,30 +242,39 @@ def vb_ascent(
     return full, C / tau, index, shape, rate, trace[:steps]
 
 
-def _rvm_start(problem: Problem) -> tuple[Floats, float]:
-    """The paper's start (section 3.2): w = gamma of the RVM, tau = 1000."""
-    p = problem
-    return rvm_ascent(p.columns, p.Dty, p.yty, p.dof, 50 * len(p.Dty) + 100)[0], 1000.0
+@kernel
+def _best_ascent(p: Problem, starts: Floats, taus: Floats, tolerance: float, max_iter: int) -> tuple[Floats, Ascent]:
+    """w and result of the ascent with the highest ELBO, from the rows of `starts` (changed in place) and `taus`."""
+    best = 0
+    best_run = vb_ascent(p, starts[0], taus[0], tolerance, max_iter)
+    for k in range(1, len(starts)):
+        run = vb_ascent(p, starts[k], taus[k], tolerance, max_iter)
+        if len(run[5]) > 0 and (len(best_run[5]) == 0 or run[5][-1] > best_run[5][-1]):
+            best, best_run = k, run
+    return starts[best].copy(), best_run
 
 
-Ascent = tuple[Floats, Floats, Ints, float, float, Floats]
-
-
-def _binary(models: Sequence[Bools]) -> list[tuple[Floats, float]]:
-    return [(model.astype(np.float64), 0.0) for model in models]
-
-
-def _best_ascent(
-    problem: Problem, starts: Sequence[tuple[Floats, float]], tolerance: float, max_iter: int
-) -> tuple[Floats, Ascent]:
-    """w and result of the ascent with the highest ELBO."""
-    best: tuple[Floats, Ascent] | None = None
-    for w, tau in starts:
-        run = vb_ascent(problem, w, tau, tolerance, max_iter)
-        if best is None or run[5][-1] > best[1][5][-1]:
-            best = w, run
-    assert best is not None
-    return best
+def _starts(
+    problem: Problem, init: Literal["search", "rvm"] | Floats, models: Sequence[Bools]
+) -> tuple[Floats, Floats, Bools | None]:
+    """Where the ascents start: w (K, P) and tau (K,); and the model that the search found best, if there was one."""
+    terms = len(problem.Dty)
+    if not isinstance(init, str):
+        w = np.array(init, dtype=np.float64)
+        if w.shape != (terms,) or not np.all((w >= 0) & (w <= 1)):
+            raise InputError(f"init must hold one probability per term ({terms})")
+        return w[None], np.zeros(1), None
+    if init == "rvm":
+        return rvm_gamma(problem)[None], np.full(1, RVM_PRECISION), None
+    if init != "search":
+        raise InputError(f"init must be 'search', 'rvm' or an array of inclusion probabilities, got {init!r}")
+    gamma = rvm_gamma(problem) if terms <= RVM_START_TERMS else None
+    found = candidate_models(problem, default_starts(problem, gamma))
+    starts = np.array([*found, *models] if gamma is None else [*found, *models, gamma], dtype=np.float64)
+    taus = np.zeros(len(starts))
+    if gamma is not None:
+        taus[-1] = RVM_PRECISION
+    return starts, taus, found[0]
 
 
 def _signed_optimum(gram: GramLike, problem: Problem) -> Posterior:
@@ -337,32 +357,21 @@ def spike_slab_vb(
         if not (isinstance(init, str) and init == "search"):
             raise InputError(f"where signs are known vb starts from a search, init='search', not from {init!r}")
         return _signed_optimum(gram, problem)
-    if isinstance(init, str):
-        if init == "rvm":
-            starts = [_rvm_start(problem)]
-        elif init == "search":
-            from_rvm = _rvm_start(problem) if len(problem.Dty) <= RVM_START_TERMS else None
-            found = candidate_models(problem, default_starts(problem, from_rvm[0] if from_rvm else None))
-            starts = [*_binary(found), *_binary(models), *([from_rvm] if from_rvm else [])]
-        else:
-            raise InputError(f"init must be 'search', 'rvm' or an array of inclusion probabilities, got {init!r}")
-    else:
-        w = np.array(init, dtype=np.float64)
-        if w.shape != (len(gram.names),) or not np.all((w >= 0) & (w <= 1)):
-            raise InputError(f"init must hold one probability per term ({len(gram.names)})")
-        starts = [(w, 0.0)]
-    best_w, best = _best_ascent(problem, starts, tolerance, max_iter)
-    while isinstance(init, str) and init == "search":
-        # every excluded term and every swap is tested again where the ascent has ended
-        better = neighbours(problem, best_w > 0.5, -GAIN_TOLERANCE)[:RETESTS]
+    starts, taus, tested = _starts(problem, init, models)
+    best_w, best = _best_ascent(problem, starts, taus, tolerance, max_iter)
+    # every excluded term and every swap is tested again where the ascents have ended, unless the search has done so
+    while tested is not None and not np.array_equal(model := best_w > 0.5, tested):
+        better = neighbours(problem, model, -GAIN_TOLERANCE)[:RETESTS]
         if not better:
             break
-        moved = [move.apply(best_w > 0.5) for move in better]
-        w, run = _best_ascent(problem, _binary(moved), tolerance, max_iter)
-        if not run[5][-1] > best[5][-1] + tolerance:
+        moved = np.array([move.apply(model) for move in better], dtype=np.float64)
+        w, run = _best_ascent(problem, moved, np.zeros(len(moved)), tolerance, max_iter)
+        if not len(run[5]) or not run[5][-1] > best[5][-1] + tolerance:
             break
         best_w, best = w, run
     mu, sigma, index, shape, rate, trace = best
+    if not len(trace):
+        raise InputError("D'D of the starting models is not positive semi-definite: no Gram of real rows is so")
     if covariance == "lrvb":
         sigma = linear_response(problem, best_w, mu, sigma, index, shape / rate)
     kept = np.flatnonzero(best_w[index] > 0.5)
@@ -374,7 +383,7 @@ def spike_slab_vb(
         pip=best_w,
         support=support,
         coef=np.where(support, mu, 0.0),
-        covariance=sigma[np.ix_(kept, kept)],
+        covariance=sigma[kept[:, None], kept],
         center=np.zeros(len(best_w)),
         target_mean=0.0,
         noise_variance=float(rate / shape),
