@@ -71,6 +71,51 @@ def test_equations_without_inputs_run_together():
         np.testing.assert_allclose(run.mean[name], theirs, rtol=0, atol=1e-3 * theirs.std())
 
 
+def runs(chain, laws, start, time):
+    """Free run of x' = ... or x'' = ... as texts, without inputs."""
+    tape = Tape.compile([parse(text) for text in laws], chain)
+    out = np.empty((1, len(time), len(chain)))
+    wide = np.full(len(chain), np.inf)
+    free_runs(
+        tape.code, tape.outputs, tape.registers(), np.empty((1, 0)), np.array([start], dtype=float),
+        np.zeros(1, np.uint32), np.empty((len(time), 0, 4)), time, time[1] - time[0], -wide, wide, out,
+    )  # fmt: skip
+    return out[0]
+
+
+def test_a_linear_oscillator_runs_as_its_solution_says():
+    time = np.linspace(0.0, 3.0, 3001)
+    damping, omega = 0.5, math.sqrt(40.0 - 0.25)
+    exact = np.exp(-damping * time) * (np.cos(omega * time) + damping / omega * np.sin(omega * time))
+    np.testing.assert_allclose(runs(["x", "v"], ["v", "-40*x-v"], [1.0, 0.0], time)[:, 0], exact, atol=1e-10)
+
+
+def test_terms_that_jump():
+    # dx/dt = -sign(x) reaches zero at t = 1 and stays there, to within a step
+    time = np.linspace(0.0, 2.0, 201)
+    x = runs(["x"], ["-sign(x)"], [1.0], time)[:, 0]
+    np.testing.assert_allclose(x, np.maximum(1.0 - time, 0.0), atol=0.011)
+    # Coulomb friction: each half swing loses 2 F/k of its height
+    time = np.linspace(0.0, 3.0 * math.pi, 30_001)
+    x = runs(["x", "v"], ["v", "-x-0.1*sign(v)"], [1.0, 0.0], time)[:, 0]
+    np.testing.assert_allclose(x[[10_000, 20_000, 30_000]], [-0.8, 0.6, -0.4], atol=1e-3)
+
+
+def test_nothing_is_compiled_or_executed_for_an_equation(monkeypatch):
+    EQ.simulate(RECORD, draws=2, rows=20)
+    compiled = len(free_runs.signatures)
+    other = replace(EQ, equations=(replace(EQ[0], terms=tuple(parse(f"tanh({t})") for t in EQ[0].terms)),))
+
+    def spy(*_, **__):
+        raise AssertionError("text is executed")
+
+    for name in ("exec", "eval", "compile"):
+        monkeypatch.setattr(f"builtins.{name}", spy)
+    run = other.simulate(RECORD, draws=2, rows=20)
+    assert np.isfinite(run.mean["x"]).all()
+    assert len(free_runs.signatures) == compiled
+
+
 def test_the_order_of_convergence_is_four():
     tape = Tape.compile([parse("v"), parse("u-2*v-40*x-9*x**3")], ["x", "v", "u"])
     time = np.linspace(0.0, 5.0, 60)

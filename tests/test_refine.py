@@ -532,6 +532,9 @@ def test_bad_arguments(arguments, message):
 def test_bad_records():
     with pytest.raises(InputError, match="Record"):
         EQ.refine([])
+    known = replace(EQ, constraints=("u == 1",))
+    with pytest.raises(InputError, match="cannot keep to what is known of coefficients: u == 1"):
+        known.refine(RECORD)
     with pytest.raises(RecordError, match="time column"):
         EQ.refine(bq.Record.from_arrays(dict(RECORD.channels)))
     with pytest.raises(RecordError, match="5 rows are too few"):

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["EquationsRuns"]
 
-# Scored where no rows were held out.
-LAST = 0.2
+LAST = 0.2  # scored where no rows were held out
 
 
 class EquationsRuns(EquationsBase):
@@ -173,7 +172,7 @@ class EquationsRuns(EquationsBase):
         Raises
         ------
         InputError
-            No time, too few rows, channels that are missing, no terms to refine.
+            No time, too few rows, channels that are missing, no terms to refine, constraints.
 
         Warns
         -----
@@ -190,6 +189,8 @@ class EquationsRuns(EquationsBase):
             raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
         if segment is not None:
             whole_number("segment, a number of rows,", segment, LEAST_ROWS)
+        if self.constraints:
+            raise InputError(f"refine cannot keep to what is known of coefficients: {'; '.join(self.constraints)}")
         for equation in self.equations:
             if not equation.included:
                 raise InputError(f"{equation.target}: no terms are included, there is nothing to refine")
