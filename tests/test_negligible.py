@@ -30,7 +30,7 @@ def test_terms_that_stand_in_for_what_the_dictionary_lacks_stand_beside(hysteret
     assert {left.name for left in shown.left_out} == set(everything.included) - DUFFING
     for left in shown.left_out:
         assert left.reason == "negligible"
-        assert left.share < 5e-5
+        assert left.share < 4e-5
         assert left.pip > 0.5
     assert "certain, but negligible: " in str(bq.discover(hysteretic, **OSCILLATOR))
 
@@ -47,14 +47,14 @@ def test_the_damping_of_a_light_structure_stays():
     rec = bq.simulate("linear", n=20_000, seed=3, noise={"a": 0.01}, parameters={"c": 0.2})
     eq = bq.discover(rec, **OSCILLATOR)[0]
     share = dict(zip((t.text for t in eq.terms), eq.share, strict=True))
-    assert share["v"] < 5e-5
+    assert share["v"] < 4e-5
     assert set(eq.included) == {"x", "v", "u"}
 
 
 @pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 def test_small_and_without_effect_and_yet_true_is_told():
     # a cubic stiffness that shifts the period by some 0.01 %: certain with noise this small
-    rec = bq.simulate("duffing", n=10_000, seed=3, noise={"a": 1e-4}, parameters={"k3": 20.0})
+    rec = bq.simulate("duffing", n=15_000, seed=3, noise={"a": 1e-4}, parameters={"k3": 20.0})
     eq = bq.discover(rec, **OSCILLATOR)[0]
     assert set(eq.included) == {"x", "v", "u"}
     assert [left.name for left in eq.left_out] == ["x**3"]

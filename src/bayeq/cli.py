@@ -153,7 +153,7 @@ def discover(
     negligible: Annotated[
         float | None,
         typer.Option(
-            help="Terms that together explain a smaller share of the variance than this (0.00005) and make no"
+            help="Terms that together explain a smaller share of the variance than this (0.00004) and make no"
             " difference to free runs stand beside the equation; 0 keeps them in it."
         ),
     ] = None,
@@ -237,7 +237,8 @@ def _require_rate(record: Record, name: str) -> None:
     """Refuse an --fs that contradicts a column that looks like time (with --fs it is read as a channel)."""
     import numpy as np
 
-    steps = np.diff(record[name])
+    with np.errstate(invalid="ignore"):  # of infinite times
+        steps = np.diff(record[name])
     step = float(np.median(steps)) if len(steps) else 0.0
     if record.fs is not None and step > 0 and not 0.99 < record.fs * step < 1.01:
         raise InputError(

@@ -43,11 +43,6 @@ class Constraints:
     equalities: Equalities
     signs: NDArray[np.int64]
 
-    @property
-    def given(self) -> bool:
-        """Whether anything is known."""
-        return bool(len(self.equalities.eliminated)) or bool(self.signs.any())
-
     def reduce(self, gram: Gram) -> Gram:
         """The regression that the equalities leave."""
         return self.equalities.reduce(gram)

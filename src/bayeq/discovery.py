@@ -94,8 +94,8 @@ def discover(
     negligible : float
         Terms that are certain and yet make no practical difference are shown beside the equation: those that together
         explain a smaller share of the target's variance than this, and without which free runs over the training rows
-        are hardly worse (`bayeq.negligible`). 0 keeps them in the equation, as `max_terms`, `min_share` and
-        `constraints` do.
+        (10,000 or more) are hardly worse (`bayeq.negligible`). 0 keeps them in the equation, as do `max_terms`,
+        `min_share` and `constraints`.
     coarsen : float
         Power, above 0 and at most 1, that the likelihood is raised to: each row counts as this share of one (Miller
         and Dunson 2019). It widens all intervals and asks more evidence of a term, for models that are only nearly

@@ -89,6 +89,19 @@ class Equalities:
     slopes: Floats
     offsets: Floats
 
+    def basis(self, support: Bools) -> Floats:
+        """How the r coefficients of some terms move with the free ones among them, (r, f).
+
+        Parameters
+        ----------
+        support : (P,) bool array
+            The terms.
+        """
+        whole = np.zeros((len(self.names), len(self.kept)))
+        whole[self.kept, np.arange(len(self.kept))] = 1.0
+        whole[self.eliminated] = self.slopes
+        return whole[np.ix_(support, support[self.kept])]
+
     @classmethod
     def solving(cls, names: Sequence[str], equations: Sequence[tuple[Linear, str]]) -> Equalities:
         """Solve equations (a combination that is zero, and where it was stated), each for its first term if it can be.

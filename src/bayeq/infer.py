@@ -142,12 +142,13 @@ def posterior_of(setting: Setting, inferred: Inferred) -> Posterior:
     posterior = inferred.constraints.expand(inferred.standard.restore(inferred.shown), inferred.gram)
     if inferred.in_band is None:
         return posterior
-    if not inferred.constraints.given and posterior.support.any():
-        posterior = _propagated(setting, inferred.in_band, inferred.which, posterior)
+    if posterior.support.any() and not inferred.constraints.signs.any():
+        basis = inferred.constraints.equalities.basis(posterior.support)
+        posterior = _propagated(setting, inferred.in_band, inferred.which, posterior, basis)
     return replace(posterior, noise_variance=_noise_variance(setting.design.train[inferred.which], posterior))
 
 
-def _propagated(setting: Setting, in_band: InBand, which: int, posterior: Posterior) -> Posterior:
+def _propagated(setting: Setting, in_band: InBand, which: int, posterior: Posterior, basis: Floats) -> Posterior:
     """The posterior with the covariance that the noise of the channels makes."""
     covariance = propagated_covariance(
         in_band,
@@ -158,6 +159,7 @@ def _propagated(setting: Setting, in_band: InBand, which: int, posterior: Poster
         setting.smoothings,
         which,
         setting.inputs,
+        basis,
     )
     covariance = covariance / setting.coarsen
     averaged = posterior.averaged_sd

@@ -2,9 +2,9 @@
 
 Where a model is only nearly true, more rows make ever more terms certain: they stand in for what the dictionary does
 not hold. A fixed share of variance alone does not tell them from what matters, since the damping of a light structure
-explains next to nothing and yet decides how its motion decays. So terms are negligible only if both hold: together
-they explain less of the target's variance than a small share, and without them, the others estimated anew, free runs
-are hardly worse, over ten periods and over a hundred.
+explains next to nothing and yet decides how its motion decays. So in long records terms are negligible if both hold:
+together they explain less of the target's variance than a small share, and without them, the others estimated anew,
+free runs are hardly worse, over ten periods and over a hundred.
 """
 
 from __future__ import annotations
@@ -33,8 +33,10 @@ __all__ = ["NEGLIGIBLE", "training_rows", "without_negligible"]
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-# Share of the target's variance that negligible terms together explain at most.
-NEGLIGIBLE = 5e-5
+# Share of the target's variance that negligible terms together explain at most, and the training rows from which on a
+# term may be certain that means nothing.
+NEGLIGIBLE = 4e-5
+LONG = 10_000
 
 # Free runs over so many periods are hardly worse if their error is at most this share of the states' spread, or at most
 # WORSE times that of the whole equation.
@@ -67,12 +69,13 @@ def without_negligible(
     inferred : sequence of Inferred
         One per equation, without constraints.
     pieces : sequence of Rows
-        Training rows, from `training_rows`; without any, nothing is left out.
+        Training rows, from `training_rows`. Of fewer than 10,000 nothing is left out: there a term that is certain
+        explains more than next to nothing, unless there is hardly any noise.
     share : float
         Of the variance.
     """
     out = list(inferred)
-    if not pieces:
+    if sum(rows.n for rows in pieces) < LONG:
         return out
     for k, one in enumerate(out):
         shares = partial_shares(one.fitted, one.shown.support)

@@ -42,6 +42,7 @@ def propagated_covariance(
     smoothings: Sequence[ChainSmoothing],
     which: int,
     inputs: Sequence[str],
+    basis: Floats,
 ) -> Floats:
     """Covariance of the included coefficients.
 
@@ -61,6 +62,9 @@ def propagated_covariance(
         The chain whose target is meant.
     inputs : sequence of str
         Measured inputs; those whose noise is not known add none, but the level of the whole is that of the residuals.
+
+    basis : (r, f) array
+        How the coefficients move with those that are free; the identity where all are.
 
     Returns
     -------
@@ -105,9 +109,11 @@ def propagated_covariance(
         drawn += level
         found += float(band.count @ (np.abs(residual * root) ** 2))
     # in a band that does not begin at zero there is no constant
-    used = slice(0 if H[0, 0] > 0 else 1, None)
-    inverse = np.linalg.inv(H[used, used])
-    covariance = (inverse @ M[used, used] @ inverse)[-len(kept) :, -len(kept) :] * (found / drawn)
+    constant = np.eye(1 + len(kept))[:, : int(H[0, 0] > 0)]
+    free = np.hstack([constant, np.vstack([np.zeros((1, basis.shape[1])), basis])])
+    inverse = np.linalg.inv(free.T @ H @ free)
+    covariance = free @ inverse @ (free.T @ M @ free) @ inverse @ free.T * (found / drawn)
+    covariance = covariance[1:, 1:]
     return np.asarray(0.5 * (covariance + covariance.T))
 
 

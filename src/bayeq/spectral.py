@@ -36,6 +36,9 @@ SMOOTHING = 30
 # Floors of white noise are looked for down to this power of 1/2 of the mean.
 FLOORS = 24
 
+# Up to this factor they are found.
+FLOOR_TOLERANCE = 1e-4
+
 # No more than this share of a column's sum of squares is subtracted as noise.
 MOST_NOISE = 0.5
 
@@ -227,9 +230,19 @@ def added_floor(power: Floats, shape: Floats, count: Floats) -> float:
     levels = float(np.average(power, weights=count)) * np.append(0.0, 2.0 ** np.arange(-FLOORS, 3.0, 0.5))
     # where the known part is nothing, a floor there must be
     least = np.finfo(np.float64).tiny
-    density = np.maximum(shape[:, None] + levels, least)
-    misfit = count @ (np.log(density) + power[:, None] / density)
-    return float(levels[np.argmin(misfit)])
+
+    def misfits(candidates: Floats) -> Floats:
+        density = np.maximum(shape[:, None] + candidates, least)
+        return np.asarray(count @ (np.log(density) + power[:, None] / density))
+
+    best = int(np.argmin(misfits(levels)))
+    width = np.sqrt(2.0)
+    level = float(levels[best])
+    while level > 0 and width > 1.0 + FLOOR_TOLERANCE:
+        nearby = level * width ** np.linspace(-1.0, 1.0, 9)
+        level = float(nearby[np.argmin(misfits(nearby))])
+        width **= 0.25
+    return level
 
 
 def noise_floor(values: Sequence[Floats], widest: float = 0.85) -> float | None:

@@ -104,7 +104,10 @@ def _noise_shapes(pieces: Sequence[Piece], bands: Sequence[Band], smoothing: Cha
         linear.append(to_band(both, piece.y, smoothing.fs, span, gains_of(piece.y, smoothing), driven).columns)
     whole = np.concatenate(linear)
     stacked = np.concatenate([whole.real, whole.imag])
-    coef = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1])[0]
+    # columns in units of their own, whatever those of the channels
+    size = np.linalg.norm(stacked[:, :-1], axis=0)
+    size[size == 0] = 1.0
+    coef = np.linalg.lstsq(stacked[:, :-1] / size, stacked[:, -1])[0] / size
     gains, order = smoothing.unit_gains, pieces[0].states.shape[1]
     shapes = []
     for band in bands:
