@@ -536,7 +536,7 @@ def test_names_that_the_terminal_cannot_show(folder: Path) -> None:
 # --- fuzz ------------------------------------------------------------------------------------------------------------
 
 BRIEF = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 cells = st.sampled_from(
     ["0", "1", "-2.5", "1e9", "1e150", "1e308", "1e-300", "5e-324", "-0.0", "nan", "inf", "", "abc", '"', '"a"', "1,5"]

@@ -42,12 +42,11 @@ def test_editing_a_callee_or_a_constant_recompiles_its_callers(tmp_path):
     (tmp_path / "middle.py").write_text(MIDDLE)
     (tmp_path / "caller.py").write_text(CALLER.format(scale=10.0))
     assert run(tmp_path) == (20.0, 0)
-    assert run(tmp_path) == (20.0, 1)  # from the cache
     (tmp_path / "callee.py").write_text(CALLEE.format(shift=2.0))  # two files below
     assert run(tmp_path) == (30.0, 0)
     (tmp_path / "caller.py").write_text(CALLER.format(scale=100.0))
     assert run(tmp_path) == (300.0, 0)
-    # comments and places do not matter
+    # comments and places do not matter: from the cache
     (tmp_path / "callee.py").write_text("# a comment\n\n" + CALLEE.format(shift=2.0))
     assert run(tmp_path) == (300.0, 1)
 
@@ -81,7 +80,6 @@ def test_another_order_of_the_fields_of_a_record_recompiles(tmp_path):
     file = tmp_path / "layouts.py"
     file.write_text(RECORDS.format(inner="a: float; b: float"))
     assert run(tmp_path) == (2.0, 0)
-    assert run(tmp_path) == (2.0, 1)
     file.write_text(RECORDS.format(inner="b: float; a: float"))
     assert run(tmp_path) == (2.0, 0)
 

