@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint types tests bench study lock clean
+.PHONY: demo test lint types tests bench study examples lock clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -13,8 +13,8 @@ demo: $(VENV)/.runtime
 test: lint types tests
 
 lint: $(VENV)/.dev
-	$(BIN)/ruff check src tests perf
-	$(BIN)/ruff format --check src tests perf
+	$(BIN)/ruff check src tests perf examples
+	$(BIN)/ruff format --check src tests perf examples
 
 types: $(VENV)/.dev
 	$(BIN)/mypy
@@ -46,6 +46,10 @@ study: $(VENV)/.dev
 	$(BIN)/python -m bayeq.study.refinement > docs/tables/refinement.csv
 	$(BIN)/python -m bayeq.study.reliability --figures docs/figures > docs/tables/reliability.csv
 	$(BIN)/bayeq study figures docs/figures
+
+# The measured records behind docs/examples.md, from $BAYEQ_DATA or ../shared/data.
+examples: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m examples
 
 # Pin what is installed now, after an upgrade that the tests have passed.
 lock: $(VENV)/.dev

@@ -1,0 +1,69 @@
+"""The air-track oscillator of Schmidt and Lipson: a linear law with next to no damping."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+import bayeq as bq
+from bayeq.negligible import NEGLIGIBLE
+from examples.page import Example, draw
+
+NAME = "air_track"
+FILE = "schmidt_lipson/real_linear_a_1.txt"
+
+
+def run(example: Example, data: Path) -> None:
+    """Discover, ask how far to trust it, and let free runs decide on the damping."""
+    with example.block("found"):
+        rec = bq.read(data / "schmidt_lipson/real_linear_a_1.txt")
+        eq = bq.discover(rec, displacement="x", velocity="v", acceleration="a")
+        print(eq)
+    with example.block("path"):
+        print(eq[0].path())
+        print()
+        print(eq[0].coarsening())
+        print()
+        print("max_terms=1:", bq.discover(rec, chains="x:v:a", max_terms=1)[0].text)
+        print("coarsen=0.5:", bq.discover(rec, chains="x:v:a", coarsen=0.5)[0].text)
+    with example.block("damping"):
+        given = bq.Prior(prior_inclusion=1.0, slab_variance=1e6)  # all terms are in, hardly shrunk
+        compared = []
+        for damping in ([], ["v"], ["v*abs(v)"], ["sign(v)"]):
+            one = bq.discover(rec, chains="x:v:a", dictionary=["x", *damping], prior=given, negligible=0)
+            better = one.refine(rec)
+            before, after = (e.simulate(rec, draws=0).nrmse["x"] for e in (one, better))
+            compared.append((one, better))
+            print(f"{one[0].text:34} {100 * before:5.1f} %    refined: {better[0].text:36} {100 * after:5.1f} %")
+
+    with example.block("period"):
+        time, x = np.asarray(rec.time), rec["x"]
+        position = CubicSpline(time, x - x.mean())
+        zeros = position.roots(extrapolate=False)
+        periods = (len(zeros) - 1) // 2
+        print(f"(2 pi / period)**2 = {(2 * np.pi * periods / (zeros[2 * periods] - zeros[0])) ** 2:.3f}")
+        rate = position(time, 1)
+        print(f"v is {rec['v'] @ rate / (rate @ rate):.3f} of dx/dt")
+
+    whole = eq.simulate(rec)
+    viscous = compared[1][1]
+    run = viscous.simulate(rec)
+    regressed, alone = (e[0].coef["x"] for e in compared[0])
+    low, high = viscous[0].ci95[list(viscous[0].posterior.names).index("v")]
+    example.numbers |= {
+        "free run of the whole record, discovered equation, error of x": f"{100 * whole.nrmse['x']:.0f} %",
+        "free run of the whole record, x and v refined, error of x": f"{100 * run.nrmse['x']:.1f} %",
+        "stiffness refined against regression, x alone": f"{100 * (alone / regressed - 1):+.1f} %",
+        "limit of negligible": f"{100 * NEGLIGIBLE:.3f} %",
+        "coefficient of v, refined, 95 % interval": f"{low:.3f} .. {high:.3f}",
+        "README of the record, coefficients of x and v": "-6.04, -0.012",
+    }
+    example.figure = draw(
+        [
+            whole.strip(title=f"as discovered: {eq[0].text}"),
+            run.strip(title=f"refined: {viscous[0].text}"),
+        ],
+        "time [s]",
+    )

@@ -1,0 +1,75 @@
+"""The encoder pendulum: sin(th) is certain, the form of the friction is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import bayeq as bq
+from examples.page import Example, draw
+
+NAME = "encoder"
+FILE = "multiarm_single_pendulum/SinglePendulumDataForParameterEstimation.mat"
+
+
+def run(example: Example, data: Path) -> None:
+    """Discover, doubt the friction, and compare its forms by free runs."""
+    with example.block("found"):
+        from scipy.io import loadmat
+
+        content = loadmat(data / "multiarm_single_pendulum/SinglePendulumDataForParameterEstimation.mat")
+        arrays = list(zip(content["Time_id"].ravel(), content["Y_id"].ravel(), strict=True))
+        pieces = [bq.Record.from_arrays(time=t.ravel(), th=y[0], w=y[1]) for t, y in arrays]
+        terms = ["th", "th**2", "th**3", "sin(th)", "cos(th)", "w", "w*abs(w)", "sign(w)"]
+        eq = bq.discover(pieces, chains="th:w:", dictionary=terms)
+        print(eq)
+    with example.block("path"):
+        print(eq[0].path())
+        print()
+        print(eq[0].coarsening())
+    with example.block("doubt"):
+        coef = eq[0].coef
+        for w in (1, 3, 5, 10):
+            total = coef["w"] * w + coef["w*abs(w)"] * w**2 + coef["sign(w)"]
+            print(f"friction at w = {w:2} rad/s: {total:+.2f} rad/s^2")
+        thin = {}
+        for step in (5, 10):
+            thin[step] = [
+                bq.Record.from_arrays(time=t.ravel()[::step], th=y[0, ::step], w=y[1, ::step]) for t, y in arrays
+            ]
+            print(f"{1000 // step} Hz: {bq.discover(thin[step], chains='th:w:', dictionary=terms)[0].text}")
+        signs = ["w <= 0", "w*abs(w) <= 0", "sign(w) <= 0"]
+        print("friction that brakes:", bq.discover(pieces, chains="th:w:", dictionary=terms, constraints=signs)[0].text)
+    with example.block("friction"):
+        given = bq.Prior(prior_inclusion=1.0, slab_variance=1e6)  # all terms are in, hardly shrunk
+        refined = []
+        for friction in (
+            ["w"],
+            ["w*abs(w)"],
+            ["sign(w)"],
+            ["w", "sign(w)"],
+            ["w*abs(w)", "sign(w)"],
+            ["w", "w*abs(w)", "sign(w)"],
+        ):
+            one = bq.discover(thin[10], chains="th:w:", dictionary=["sin(th)", *friction], prior=given, negligible=0)
+            refined.append(one.refine(thin[10]))
+            errors = [refined[-1].simulate(piece, draws=0).nrmse["th"] for piece in thin[10]]
+            print(f"{refined[-1][0].text:70}", *(f"{100 * error:5.1f} %" for error in errors))
+
+    pushing = refined[-1][0]
+    low, high = pushing.ci95[list(pushing.posterior.names).index("w")]
+    example.numbers |= {
+        "authors' parameters, A and B": "64.22, 0.067",
+        "A times one sample [1/s]": f"{eq[0].coef['sin(th)'] * 0.001:.3f}",
+        "coefficient of sin(th), refined with viscous friction": f"{refined[0][0].coef['sin(th)']:.2f}",
+        "coefficient of w, refined with viscous friction": f"{refined[0][0].coef['w']:.4f}",
+    }
+    example.numbers["coefficient of w, refined with three forms, 95 % interval"] = f"{low:.3f} .. {high:.3f}"
+    strips = [
+        replace(strip, panels=strip.panels[:1])
+        for strip in (
+            eq.simulate(pieces[0]).strip(title=f"as discovered: {eq[0].text}"),
+            *(refined[k].simulate(thin[10][0]).strip(title=f"refined: {refined[k][0].text}") for k in (0, 2, 5)),
+        )
+    ]
+    example.figure = draw(strips, "time [s]")

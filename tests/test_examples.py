@@ -1,0 +1,120 @@
+"""The worked examples: what they claim, and that their page is what they print."""
+
+from __future__ import annotations
+
+import csv
+import re
+import textwrap
+import warnings
+from pathlib import Path
+
+import pytest
+from examples import pendulum, populations, tanks
+from examples.__main__ import DOCS, EXAMPLES, PAGE, main
+from examples.page import Example, markers, put_blocks
+
+from bayeq.errors import ConvergenceWarning, DataWarning
+from tests.data import ROOT, measured
+
+FENCED = re.compile(r"^```(\w+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+
+
+def page() -> str:
+    return PAGE.read_text(encoding="utf-8")
+
+
+def ran(module) -> Example:
+    measured(module.FILE)
+    example = Example(module.NAME)
+    module.run(example, ROOT)
+    return example
+
+
+# --- the page -------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_shows_the_code_there_is():
+    sources = "".join(Path(module.__file__).read_text(encoding="utf-8") for module in EXAMPLES.values())
+    blocks = [text for language, text in FENCED.findall(page()) if language == "python"]
+    assert len(blocks) == len(markers(page()))
+    for code in blocks:
+        assert textwrap.indent(code, 8 * " ") in sources
+
+
+def test_every_decimal_of_the_text_is_printed_or_in_the_table():
+    with (DOCS / "tables" / "examples.csv").open(encoding="utf-8") as file:
+        known = " ".join(row["value"] for row in csv.DictReader(file))
+    known += " ".join(text for _, text in FENCED.findall(page()))
+    printed = set(re.findall(r"\d+\.\d+", known))
+    rounded = {f"{float(number):.{digits}f}" for number in printed for digits in (2, 3)}
+    prose = re.sub(r"\[.*?\]\(.*?\)", "", FENCED.sub("", page()))
+    quoted = set(re.findall(r"\d+\.\d+", prose)) - {"2.0"}  # a licence
+    assert len(quoted) > 10
+    assert quoted <= printed | rounded
+
+
+def test_every_example_has_its_figure():
+    for name in EXAMPLES:
+        assert f"figures/example_{name}.png" in page()
+        assert (DOCS / "figures" / f"example_{name}.png").is_file()
+
+
+# --- how it is written ----------------------------------------------------------------------------------------------
+
+
+def test_a_block_keeps_its_source_and_what_it_prints():
+    example = Example("a")
+    with example.block("b"):
+        value = 2
+
+        print(value + 1)
+        warnings.warn("as it was", ConvergenceWarning, stacklevel=1)
+        warnings.warn("said elsewhere", DataWarning, stacklevel=1)
+    code, output = (text for _, text in FENCED.findall(example.blocks["b"]))
+    assert code.startswith("value = 2\n\nprint(value + 1)\n")
+    assert output == "3\nwarning: as it was\n"
+    text = put_blocks("before\n<!-- begin: a b -->\nold\n<!-- end -->\nafter", [example])
+    assert text == f"before\n<!-- begin: a b -->\n\n{example.blocks['b']}\n\n<!-- end -->\nafter"
+    assert put_blocks(text, [example]) == text
+    with pytest.raises(ValueError, match="lacks <!-- begin: a b -->"):
+        put_blocks("no place", [example])
+
+
+def test_absent_records_are_named(tmp_path, capsys):
+    assert main(["--data", str(tmp_path), "tanks"]) == 2
+    message = capsys.readouterr().err
+    assert tanks.FILE in message
+    assert str(tmp_path) in message
+    assert main(["nothing"]) == 2
+    assert "no example is called 'nothing'" in capsys.readouterr().err
+
+
+# --- what is claimed ------------------------------------------------------------------------------------------------
+
+
+def test_refined_rates_of_the_populations():
+    example = ran(populations)
+    assert set(example.blocks) == {"found", "refined", "smooth"}
+    refined = [value for quantity, value in example.numbers.items() if quantity.endswith("refined")]
+    assert len(refined) == 4
+    # of the published medians, as the page says
+    assert all(abs(int(re.search(r"([+-]\d+) %", value).group(1))) <= 15 for value in refined)
+    assert "Hare*Lynx" not in example.blocks["smooth"].split("```text")[1]
+
+
+def test_the_tanks_are_not_explained():
+    example = ran(tanks)
+    first, second = example.blocks["found"], example.blocks["second"]
+    for warning in ("y is clipped", "the residuals are correlated in time"):
+        assert warning in first
+    assert "this is hardly the law" in second
+    assert float(re.search(r"y: normalised RMS error (\d+) %", first).group(1)) > 100
+
+
+def test_the_pendulum_leaves_friction_undecided():
+    example = ran(pendulum)
+    found = example.blocks["found"]
+    assert "hardly tell apart: w*abs(w)" in found
+    errors = [int(e) for e in re.findall(r"whole record: o (\d+) %", example.blocks["friction"].split("```text")[1])]
+    none, viscous, quadratic, coulomb = errors
+    assert max(viscous, quadratic) < 0.5 * coulomb < none
