@@ -39,8 +39,9 @@ study: $(VENV)/.dev
 	$(BIN)/bayeq study show study_smoothed.db --format markdown > docs/tables/table2_smoothed.md
 	$(BIN)/bayeq study show study_smoothed.db --format csv > docs/tables/table2_smoothed.csv
 	$(BIN)/python -m bayeq.study.channels --records 5 > docs/tables/channels.csv
+	$(BIN)/python -m bayeq.study.discrepancy > docs/tables/discrepancy.csv
 	$(BIN)/python -m bayeq.study.coverage --smooth none > docs/tables/coverage.csv
-	$(BIN)/python -m bayeq.study.coverage --records 100 > docs/tables/coverage_smoothed.csv
+	$(BIN)/python -m bayeq.study.coverage --records 200 > docs/tables/coverage_smoothed.csv
 	$(BIN)/python -m bayeq.study.coverage --clean-states > docs/tables/coverage_clean.csv
 	$(BIN)/python -m bayeq.study.calibration --folder docs/tables
 	$(BIN)/python -m bayeq.study.refinement > docs/tables/refinement.csv

@@ -23,7 +23,7 @@ def run(example: Example, data: Path) -> None:
     """Discover, refine, and compare the rates with published ones."""
     with example.block("found"):
         rec = bq.read(data / "lynx_hare/hudson-bay-lynx-hare.csv", time="Year")
-        eq = bq.discover(rec, chains=["Hare", "Lynx"], dictionary="polynomial:2", smooth="none")
+        eq = bq.discover(rec, chains=["Hare", "Lynx"], dictionary="polynomial:2")
         print(eq)
     with example.block("refined"):
         better = eq.refine(rec)
@@ -31,11 +31,6 @@ def run(example: Example, data: Path) -> None:
             run = one.simulate(rec, draws=0)
             print(f"{one[0].text};  {one[1].text}")
             print(f"    free run: Hare {100 * run.nrmse['Hare']:.0f} %, Lynx {100 * run.nrmse['Lynx']:.0f} %")
-    with example.block("smooth"):
-        smoothed = bq.discover(rec, chains=["Hare", "Lynx"], dictionary="polynomial:2", smooth="auto")
-        run = smoothed.simulate(rec, draws=0)
-        print(f"{smoothed[0].text};  {smoothed[1].text}")
-        print(f"    free run: Hare {100 * run.nrmse['Hare']:.0f} %, Lynx {100 * run.nrmse['Lynx']:.0f} %")
 
     for (target, term), published in PUBLISHED.items():
         for how, one in (("regression", eq), ("refined", better)):

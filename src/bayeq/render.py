@@ -18,6 +18,7 @@ from bayeq.equations import Equations
 from bayeq.forecast.results import Scores, percentages
 from bayeq.inference import ENGINES
 from bayeq.parsimony import percent
+from bayeq.states import FEW_ROWS
 
 __all__ = ["render"]
 
@@ -46,7 +47,7 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
     source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
     console.print(f"{eq.data.n} rows{source}, {eq.data.n_train} used; method: {ENGINES[eq.method].title}")
     if eq.data.estimated:
-        how = "smoothing" if eq.smooth == "auto" else "central differences"
+        how = "smoothing" if eq.smooth == "auto" and eq.data.n >= FEW_ROWS else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
     if eq.refined:
         console.print(escape(str(eq.refined)))

@@ -1,7 +1,17 @@
 """States: from measured channels to coordinates and their derivatives."""
 
 from bayeq.states.chain import Chain, parse_chain, parse_chains
-from bayeq.states.derive import Smooth, States, derive_all, derive_states
+from bayeq.states.derive import FEW_ROWS, Smooth, States, derive_all, derive_states
 from bayeq.states.smoothed import ChainSmoothing
 
-__all__ = ["Chain", "ChainSmoothing", "Smooth", "States", "derive_all", "derive_states", "parse_chain", "parse_chains"]
+__all__ = [
+    "FEW_ROWS",
+    "Chain",
+    "ChainSmoothing",
+    "Smooth",
+    "States",
+    "derive_all",
+    "derive_states",
+    "parse_chain",
+    "parse_chains",
+]

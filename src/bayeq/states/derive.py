@@ -19,13 +19,16 @@ from bayeq.states.grid import on_grid
 from bayeq.states.smoothed import ChainSmoothing, smooth_chain
 from bayeq.states.smoothing import smooth_derivative
 
-__all__ = ["Smooth", "States", "derive_states"]
+__all__ = ["FEW_ROWS", "Smooth", "States", "derive_states"]
 
 Floats = NDArray[np.float64]
 Smooth = Literal["auto", "none"]
 
 # Fewer rows than this cannot carry a smoother.
 LEAST_ROWS = 5
+
+# In fewer rows nothing tells noise from motion: they are taken as they are.
+FEW_ROWS = 40
 
 # Noise in the states, as a share of their standard deviation, below which they are used as measured: it does no harm,
 # and what a smoother makes of motion that is not its model's may do more.
@@ -70,13 +73,15 @@ def derive_all(
 ) -> list[States]:
     """States, targets and inputs of records of one system, which share their noise levels.
 
-    With "auto" the kinematic smoother fuses all measured channels of a chain (`states.smoothed`), and samples that
-    were dropped from a uniform grid are bridged: the states then have a row for each. Records without time, with too
+    With "auto" the kinematic smoother fuses all measured channels of a chain (`states.smoothed`), unless records have
+    fewer than 40 rows, and samples that were dropped from a uniform grid are bridged: the states then have a row for each. Records without time, with too
     few rows, or with states that hardly have noise are left to `derive_states`, whose parameters and errors are those
     of this function. Noise levels are learned without the last rows of each record, a share `holdout`, which are
     smoothed apart.
     """
     timed = all(record.time is not None for record in records)
+    if timed and smooth == "auto" and max(record.n for record in records) < FEW_ROWS:
+        smooth = "none"
     # what is checked is checked before the work
     whole = [chain for chain in chains if chain.lowest == 0]
     plain = [derive_states(record, whole, inputs, "none" if timed else smooth) for record in records]

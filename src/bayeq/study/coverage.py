@@ -1,7 +1,7 @@
 """Do 95 % intervals cover on the paper's oscillators? Not with noisy regressors taken as exact; smoothed they do.
 
 python -m bayeq.study.coverage --records 200 --smooth none > docs/tables/coverage.csv
-python -m bayeq.study.coverage --records 100 > docs/tables/coverage_smoothed.csv
+python -m bayeq.study.coverage --records 200 > docs/tables/coverage_smoothed.csv
 """
 
 from __future__ import annotations
