@@ -119,11 +119,11 @@ def coarsening(gram: Gram, prior: Prior, powers: ArrayLike | None = None) -> Coa
     --------
     >>> rng = np.random.default_rng(1)
     >>> D = rng.normal(size=(500, 3))
-    >>> y = D[:, 0] + 0.2 * D[:, 1] + rng.normal(size=500)
+    >>> y = D[:, 0] + 0.3 * D[:, 1] + rng.normal(size=500)
     >>> gram = Gram.from_data(D, y, names=("x", "v", "u")).standardise().gram
-    >>> print(coarsening(gram, Prior(), [1.0, 0.25, 0.05]))
-    included (PIP > 0.5) as the likelihood is raised to powers from 1 to 0.05:
-    x: always
+    >>> print(coarsening(gram, Prior(), [1.0, 0.5, 0.01]))
+    included (PIP > 0.5) as the likelihood is raised to powers from 1 to 0.01:
+    x: 1 to 0.5
     v: 1 to 1
     """
     given = POWERS if powers is None else np.unique(np.atleast_1d(np.asarray(powers, dtype=np.float64)))[::-1]

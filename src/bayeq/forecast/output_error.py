@@ -56,9 +56,9 @@ SINGULAR = 1e13
 # Other inputs are taken where they make 2 log likelihood greater by this.
 CLOSER = 20.0
 
-# Output error is of use where it makes standard deviations smaller by this factor in the (geometric) mean, or
+# Output error is of use where its errors make runs err less, by this factor, than those of the regression do, or
 # contradicts the regression at this level.
-PRECISER = 0.8
+PRECISER = 0.97
 CONTRADICTED = 0.99
 
 
@@ -224,13 +224,17 @@ def _likeliest(segments: Segments, found: Solution, left: Sequence[Floats]) -> t
 
 
 def _as_well_known(found: Floats, ours: Floats, parameters: Floats, covariance: Floats) -> bool:
-    """Whether the regression is about as precise, and not contradicted (Hausman 1978)."""
+    """Whether runs with the regression's coefficients err about as little, and it is not contradicted (Hausman 1978).
+
+    What errors of the coefficients do to runs over the rows is their mean square in the metric of the output error's
+    information, the inverse of its covariance: p for its own errors, tr(information x covariance) for the regression's.
+    """
     from scipy.stats import chi2
 
     change = found - parameters
     contradicted = change @ np.linalg.solve(ours + covariance, change) > chi2.ppf(CONTRADICTED, len(change))
-    gain = 0.5 * (np.linalg.slogdet(ours)[1] - np.linalg.slogdet(covariance)[1]) / len(change)
-    return bool(gain > math.log(PRECISER) and not contradicted)
+    excess = float(np.trace(np.linalg.solve(ours, covariance))) / len(change)
+    return bool(excess < PRECISER**-2 and not contradicted)
 
 
 def _covariance(segments: Segments, found: Solution) -> Floats | None:

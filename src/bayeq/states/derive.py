@@ -73,11 +73,11 @@ def derive_all(
 ) -> list[States]:
     """States, targets and inputs of records of one system, which share their noise levels.
 
-    With "auto" the kinematic smoother fuses all measured channels of a chain (`states.smoothed`), unless records have
-    fewer than 40 rows, and samples that were dropped from a uniform grid are bridged: the states then have a row for each. Records without time, with too
-    few rows, or with states that hardly have noise are left to `derive_states`, whose parameters and errors are those
-    of this function. Noise levels are learned without the last rows of each record, a share `holdout`, which are
-    smoothed apart.
+    With "auto" the kinematic smoother fuses all measured channels of a chain (`states.smoothed`), and samples that
+    were dropped from a uniform grid are bridged: the states then have a row for each. Records of fewer than 40 rows are
+    differentiated as they are. Records without time, or with states that hardly have noise, are left to
+    `derive_states`, whose parameters and errors are those of this function. Noise levels are learned without the last
+    rows of each record, a share `holdout`, which are smoothed apart.
     """
     timed = all(record.time is not None for record in records)
     if timed and smooth == "auto" and max(record.n for record in records) < FEW_ROWS:
