@@ -115,6 +115,8 @@ def _free_run(equation: Equation, scores: Scores | None) -> list[str]:
     if scores.blew_up_at is not None:
         return [f"free run over the held-out rows: blew up at {scores.blew_up_at:.6g} s"]
     errors = {name: scores.free_run[name] for name in equation.chain.states if name in scores.free_run}
+    if not errors:  # no state is measured
+        return []
     return [f"free run over the held-out rows: normalised RMS error {percentages(errors)}"]
 
 
