@@ -348,6 +348,12 @@ def test_free_runs_come_closer_on_unseen_rows():
     assert naive["after"] < 0.05 * naive["before"]
 
 
+def test_where_unseen_forces_drive_the_runs_little_gain_is_no_reason():
+    # 5 % noise on the force, too, and hardly smaller errors of the coefficients; with an exact force they count
+    assert measure_record("linear", CASES[3], 0)["refined"] == 0
+    assert measure_record("linear", CASES[0], 0)["refined"] == 1
+
+
 def test_a_start_that_loses_its_way_is_led_back():
     # free decay over 100 periods: 1 % off in frequency is a period in the end
     time = np.arange(2000) / 100.0

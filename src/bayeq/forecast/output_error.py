@@ -59,7 +59,12 @@ CLOSER = 20.0
 # Output error is of use where its errors make runs err less, by this factor, than those of the regression do, or
 # contradicts the regression at this level.
 PRECISER = 0.97
+PRECISER_DISTURBED = 0.8
 CONTRADICTED = 0.99
+
+# Unseen forces disturb runs above this share of the spread of the targets: free runs over other rows then err by these
+# forces, which better coefficients hardly change.
+TRIFLE = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +133,8 @@ def output_error(
     if fine is None:
         return Unrefined("the records do not determine all coefficients in a free run")
     found, spread, noise = fine
-    if length is None and _as_well_known(found.parameters, spread, parameters, covariance):
+    least = PRECISER_DISTURBED if _disturbed(measured, noise.unseen) else PRECISER
+    if length is None and _as_well_known(found.parameters, spread, parameters, covariance, least):
         return Unrefined("free runs determine the coefficients no better than is known already")
     return OutputError(
         parameters=found.parameters,
@@ -223,7 +229,16 @@ def _likeliest(segments: Segments, found: Solution, left: Sequence[Floats]) -> t
     return found, spread, noise
 
 
-def _as_well_known(found: Floats, ours: Floats, parameters: Floats, covariance: Floats) -> bool:
+def _disturbed(measured: Measured, unseen: Floats) -> bool:
+    """Whether unseen forces of these variances are more than a trifle beside the targets."""
+    for k, state in enumerate(measured.last):
+        rates = [np.diff(piece.states[:, state]) / np.diff(piece.time) for piece in measured.pieces]
+        if math.sqrt(unseen[k]) > TRIFLE * float(np.nanstd(np.concatenate(rates))):
+            return True
+    return False
+
+
+def _as_well_known(found: Floats, ours: Floats, parameters: Floats, covariance: Floats, least: float) -> bool:
     """Whether runs with the regression's coefficients err about as little, and it is not contradicted (Hausman 1978).
 
     What errors of the coefficients do to runs over the rows is their mean square in the metric of the output error's
@@ -234,7 +249,7 @@ def _as_well_known(found: Floats, ours: Floats, parameters: Floats, covariance: 
     change = found - parameters
     contradicted = change @ np.linalg.solve(ours + covariance, change) > chi2.ppf(CONTRADICTED, len(change))
     excess = float(np.trace(np.linalg.solve(ours, covariance))) / len(change)
-    return bool(excess < PRECISER**-2 and not contradicted)
+    return bool(excess < least**-2 and not contradicted)
 
 
 def _covariance(segments: Segments, found: Solution) -> Floats | None:
