@@ -496,11 +496,16 @@ def test_a_refined_equation_does_what_equations_do(refined):
 
 def test_when_output_error_is_of_use():
     theta, spread = np.array([1.0, -2.0]), np.array([[0.04, 0.01], [0.01, 0.09]])
-    assert _as_well_known(theta + 0.1, spread, theta, spread)
-    assert not _as_well_known(theta + 0.1, 0.25 * spread, theta, spread)
-    assert not _as_well_known(theta + 2.0, spread, theta, spread)
+    assert _as_well_known(theta + 0.1, spread, theta, spread, 0.97)
+    # errors of 1/0.8 of the standard deviations have 1.56 times the variance
+    assert not _as_well_known(theta + 0.1, spread / 1.3, theta, spread, 0.97)
+    assert _as_well_known(theta + 0.1, spread / 1.3, theta, spread, 0.8)
+    assert not _as_well_known(theta + 0.1, spread / 1.7, theta, spread, 0.8)
+    assert not _as_well_known(theta + 2.0, spread, theta, spread, 0.97)
     # a regression that seems to be precise is believed unless it is contradicted
-    assert _as_well_known(theta + 0.1, 9.0 * spread, theta, spread)
+    assert _as_well_known(theta + 0.1, 9.0 * spread, theta, spread, 0.97)
+    # one direction that is known badly counts, whatever the others
+    assert not _as_well_known(theta, spread, theta, spread @ np.diag([1.0, 0.0]) + 4.0 * np.diag(np.diag(spread)), 0.97)
 
 
 def test_a_start_that_follows_nothing_is_returned():
