@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import InputError
-from bayeq.files import replacing
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.conditional import exact_posterior
 from bayeq.inference.path import (
@@ -23,8 +21,9 @@ from bayeq.inference.path import (
 )
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Problem
+from bayeq.report.outputs import by_target, require_suffix, write_output
 from bayeq.report.parsimony import Elbow, draw_paths
-from bayeq.report.style import UNSIGNED, require_matplotlib, style
+from bayeq.report.style import style
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -297,11 +296,7 @@ def require_writable(file: Path) -> None:
     MissingExtraError
         matplotlib is needed and not installed.
     """
-    suffixes = [".csv", *(f".{name}" for name in UNSIGNED)]
-    if file.suffix.lower() not in suffixes:
-        raise InputError(f"{file}: a path of equations is a table or a figure: end it in {', '.join(suffixes)}")
-    if file.suffix.lower() != ".csv":
-        require_matplotlib()
+    require_suffix(file, "a path of equations is")
 
 
 def write_paths(file: Path, paths: Mapping[str, ParsimonyPath]) -> None:
@@ -320,15 +315,8 @@ def write_paths(file: Path, paths: Mapping[str, ParsimonyPath]) -> None:
         As `require_writable`.
     """
     require_writable(file)
-    suffix = file.suffix.lower()[1:]
-    if suffix == "csv":
-        import pandas as pd
-
-        tables = [path.table() for path in paths.values()]
-        whole = pd.concat(tables, keys=list(paths), names=["target", None]).reset_index(level=0)
-        with replacing(file) as part:
-            whole.to_csv(part, index=False)
-        return
-    figure = _figure(paths)
-    with replacing(file) as part, style():
-        figure.savefig(part, format=suffix, metadata=UNSIGNED[suffix])
+    write_output(
+        file,
+        lambda: by_target({target: path.table() for target, path in paths.items()}),
+        lambda: _figure(paths),
+    )

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import ConvergenceWarning, InputError
-from bayeq.files import replacing
 from bayeq.gram import GramLike
 from bayeq.inference import ENGINES
 from bayeq.inference.auto import MOST_LEFT_OUT
 from bayeq.inference.prior import Prior
 from bayeq.inference.sensitivity import inclusion_axis, pip_grid, slab_axis
+from bayeq.report.outputs import by_target, require_suffix, write_output
 from bayeq.report.sensitivity import PipCurves, draw_sensitivity
-from bayeq.report.style import UNSIGNED, require_matplotlib, style
+from bayeq.report.style import style
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 __all__ = ["PriorSensitivity", "prior_sensitivity", "require_spike_slab", "require_writable", "write_sensitivity"]
 
 Floats = NDArray[np.float64]
-
-# Files that `write_sensitivity` makes: a table, or a figure.
-SUFFIXES = (".csv", *(f".{name}" for name in UNSIGNED))
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,10 +258,7 @@ def require_writable(path: Path) -> None:
     MissingExtraError
         matplotlib is needed and not installed.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: a sensitivity is written to a table or a figure: end it in {', '.join(SUFFIXES)}")
-    if path.suffix.lower() != ".csv":
-        require_matplotlib()
+    require_suffix(path, "a sensitivity is written to")
 
 
 def write_sensitivity(path: Path, results: Mapping[str, PriorSensitivity]) -> None:
@@ -283,15 +277,8 @@ def write_sensitivity(path: Path, results: Mapping[str, PriorSensitivity]) -> No
         As `require_writable`.
     """
     require_writable(path)
-    suffix = path.suffix.lower()[1:]
-    if suffix == "csv":
-        import pandas as pd
-
-        tables = [result.table() for result in results.values()]
-        whole = pd.concat(tables, keys=list(results), names=["target", None]).reset_index(level=0)
-        with replacing(path) as part:
-            whole.to_csv(part, index=False)
-        return
-    figure = _figure(results)
-    with replacing(path) as part, style():
-        figure.savefig(part, format=suffix, metadata=UNSIGNED[suffix])
+    write_output(
+        path,
+        lambda: by_target({target: result.table() for target, result in results.items()}),
+        lambda: _figure(results),
+    )

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from bayeq.errors import InputError
-from bayeq.files import replacing
 from bayeq.forecast.run import Forecast
 from bayeq.report.forecast import draw_forecasts
-from bayeq.report.style import UNSIGNED, require_matplotlib, style
+from bayeq.report.outputs import require_suffix, write_output
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 __all__ = ["require_writable", "write_forecasts"]
-
-SUFFIXES = (".csv", *(f".{name}" for name in UNSIGNED))
 
 # More records do not fit on a page.
 MOST_DRAWN = 6
@@ -29,10 +30,7 @@ def require_writable(file: Path) -> None:
     MissingExtraError
         matplotlib is needed and not installed.
     """
-    if file.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{file}: a free run is written to a table or a figure: end it in {', '.join(SUFFIXES)}")
-    if file.suffix.lower() != ".csv":
-        require_matplotlib()
+    require_suffix(file, "a free run is written to")
 
 
 def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
@@ -51,17 +49,18 @@ def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
         As `require_writable`.
     """
     require_writable(file)
-    suffix = file.suffix.lower()[1:]
-    if suffix == "csv":
+    several = len(runs) > 1
+
+    def table() -> pd.DataFrame:
         import pandas as pd
 
         tables = [run.table() for _, run in runs]
-        if len(runs) > 1:
-            for (name, _), table in zip(runs, tables, strict=True):
-                table.insert(0, "record", name)
-        with replacing(file) as part:
-            pd.concat(tables, ignore_index=True).to_csv(part, index=False)
-        return
-    with replacing(file) as part, style():
-        drawn = [run.strip(name if len(runs) > 1 else "") for name, run in runs[:MOST_DRAWN]]
-        draw_forecasts(drawn).savefig(part, format=suffix, metadata=UNSIGNED[suffix])
+        if several:
+            for (name, _), one in zip(runs, tables, strict=True):
+                one.insert(0, "record", name)
+        return pd.concat(tables, ignore_index=True)
+
+    def figure() -> Figure:
+        return draw_forecasts([run.strip(name if several else "") for name, run in runs[:MOST_DRAWN]])
+
+    write_output(file, table, figure)
