@@ -19,9 +19,8 @@ from bayeq.inference import ENGINES, Prior
 from bayeq.inference.slab import learn_slab_variance, residual_scale
 from bayeq.posterior import Posterior
 from bayeq.propagation import propagated_covariance
-from bayeq.spectral import noise_floor
 from bayeq.states import Chain, ChainSmoothing
-from bayeq.weighting import InBand, Piece, thinned_gram, weighted_gram
+from bayeq.weighting import InBand, regress_in_band, thinned_gram
 
 __all__ = ["Inferred", "Setting", "fit_of", "infer_equation", "inspected", "posterior_of"]
 
@@ -118,7 +117,9 @@ def infer_equation(setting: Setting, which: int, constraints: Constraints, choic
     """The posterior of one equation."""
     rows = setting.design.train[which]
     method = ENGINES[setting.method]
-    in_band = _in_band(setting, which)
+    in_band = regress_in_band(
+        setting.design.terms, setting.train, setting.chains, setting.smoothings, which, setting.inputs
+    )
     if in_band is not None:
         gram = in_band.gram
     elif method.spike_slab and len(rows.names) <= MOST_TERMS_TO_THIN:
@@ -171,34 +172,6 @@ def _propagated(setting: Setting, in_band: InBand, which: int, posterior: Poster
         averaged = averaged.copy()
         averaged[kept] = np.sqrt(np.maximum(averaged[kept] ** 2 + change, within))
     return replace(posterior, covariance=covariance, averaged_sd=averaged)
-
-
-def _in_band(setting: Setting, which: int) -> InBand | None:
-    """The Gram of smoothed, uniformly sampled records, weighted by the spectrum of the residuals."""
-    used = setting.smoothings
-    if not used or any(s.fs is None for s in used):
-        return None
-    chain, inputs, terms = setting.chains[which], setting.inputs, setting.design.terms
-    pieces = [
-        Piece(
-            evaluate_terms(terms, piece),
-            piece[chain.target],
-            np.column_stack([piece[name] for name in chain.states]),
-            np.column_stack([np.empty((len(piece[chain.target]), 0)), *(piece[name] for name in inputs)]),
-        )
-        for piece in setting.train
-    ]
-    driven = [j for j, term in enumerate(terms) if term.names & set(inputs)]
-    noise = {}
-    for j in driven:
-        if terms[j].text in inputs:
-            floor = noise_floor([piece[terms[j].text] for piece in setting.train])
-            if floor is not None:
-                noise[j] = floor
-    names = tuple(term.text for term in terms)
-    spans = [smoothing.band for smoothing in used]
-    span = max(low for low, _ in spans), min(high for _, high in spans)
-    return weighted_gram(pieces, names, used[which], span, driven, noise)
 
 
 def _residual(setting: Setting, which: int, posterior: Posterior, piece: Mapping[str, Floats]) -> Floats:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayeq.gram import Gram
 
-__all__ = ["Band", "added_floor", "band_gram", "noise_floor", "residual_spectrum", "taper", "to_band"]
+__all__ = ["Band", "added_floor", "band_gram", "noise_floor", "periodogram", "residual_spectrum", "taper", "to_band"]
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -187,6 +187,12 @@ def band_gram(
     )
 
 
+def periodogram(band: Band, coef: Floats, intercept: float) -> Floats:
+    """Squared modulus of the residual that coefficients (P,) leave in each bin, (b,)."""
+    theta = np.concatenate([[intercept], coef])
+    return np.asarray(np.abs(band.columns[:, -1] - band.columns[:, :-1] @ theta) ** 2)
+
+
 def residual_spectrum(
     bands: Sequence[Band], coef: Floats, intercept: float, shapes: Sequence[Floats] | None = None
 ) -> list[Floats]:
@@ -202,8 +208,7 @@ def residual_spectrum(
         Densities known up to a factor that varies slowly with frequency: it is the ratio to these that is averaged, so
         that what is narrower than the average, a resonance, keeps its form.
     """
-    theta = np.concatenate([[intercept], coef])
-    power = [np.abs(band.columns[:, -1] - band.columns[:, :-1] @ theta) ** 2 for band in bands]
+    power = [periodogram(band, coef, intercept) for band in bands]
     known = np.ones(sum(len(p) for p in power)) if shapes is None else np.concatenate(shapes)
     frequency = np.concatenate([band.frequency for band in bands])
     order = np.argsort(frequency, kind="stable")

@@ -10,15 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.diagnostics import Residuals
+from bayeq.dictionary import evaluate_terms
+from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.inference.prior import Prior
 from bayeq.inference.slab import learn_slab_variance, residual_scale
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.posterior import Posterior
-from bayeq.spectral import Band, added_floor, band_gram, residual_spectrum, to_band
-from bayeq.states import ChainSmoothing
+from bayeq.spectral import Band, added_floor, band_gram, noise_floor, periodogram, residual_spectrum, to_band
+from bayeq.states import Chain, ChainSmoothing
 
-__all__ = ["InBand", "Piece", "gains_of", "thinned_gram", "weighted_gram"]
+__all__ = ["InBand", "Piece", "gains_of", "regress_in_band", "thinned_gram", "weighted_gram"]
 
 Floats = NDArray[np.float64]
 
@@ -119,8 +121,7 @@ def _noise_shapes(pieces: Sequence[Piece], bands: Sequence[Band], smoothing: Cha
 
 def _with_floor(bands: Sequence[Band], shapes: Sequence[Floats], posterior: Posterior) -> list[Floats]:
     """The shapes and white noise beneath: that of inputs, and all else that the chain's noise does not explain."""
-    theta = np.append(posterior.intercept, posterior.coef)
-    power = np.concatenate([np.abs(b.columns[:, -1] - b.columns[:, :-1] @ theta) ** 2 for b in bands])
+    power = np.concatenate([periodogram(band, posterior.coef, posterior.intercept) for band in bands])
     floor = added_floor(power, np.concatenate(shapes), np.concatenate([b.count for b in bands]))
     least = LEAST_FLOOR * float(power.mean())
     return [shape + max(floor, least) * band.gain**2 for shape, band in zip(shapes, bands, strict=True)]
@@ -173,6 +174,55 @@ def weighted_gram(
     assert spectrum is not None
     gram = band_gram(bands, names, spectrum, noise, coef)
     return InBand(gram, span, tuple(bands), tuple(spectrum), noise or {})
+
+
+def regress_in_band(
+    terms: Sequence[Expression],
+    pieces: Sequence[Mapping[str, Floats]],
+    chains: Sequence[Chain],
+    smoothings: Sequence[ChainSmoothing],
+    which: int,
+    inputs: Sequence[str],
+) -> InBand | None:
+    """The band regression of one target, noise of the inputs read from their spectra.
+
+    Parameters
+    ----------
+    terms : sequence of Expression
+        The P candidates.
+    pieces : sequence of mapping of str to (n,) array
+        Smoothed states and targets, and inputs, of each record.
+    chains, smoothings : sequences
+        All chains and how they were smoothed.
+    which : int
+        The chain whose target is meant.
+    inputs : sequence of str
+        Measured inputs.
+
+    Returns
+    -------
+    InBand or None
+        None where nothing was smoothed, records are not sampled uniformly, or the band holds too few numbers.
+    """
+    if not smoothings or any(s.fs is None for s in smoothings):
+        return None
+    chain = chains[which]
+    rows = [
+        Piece(
+            evaluate_terms(terms, piece),
+            piece[chain.target],
+            np.column_stack([piece[name] for name in chain.states]),
+            np.column_stack([np.empty((len(piece[chain.target]), 0)), *(piece[name] for name in inputs)]),
+        )
+        for piece in pieces
+    ]
+    names = tuple(term.text for term in terms)
+    floors = {j: noise_floor([piece[name] for piece in pieces]) for j, name in enumerate(names) if name in inputs}
+    noise = {j: floor for j, floor in floors.items() if floor is not None}
+    driven = [j for j, term in enumerate(terms) if term.names & set(inputs)]
+    spans = [smoothing.band for smoothing in smoothings]
+    span = max(low for low, _ in spans), min(high for _, high in spans)
+    return weighted_gram(rows, names, smoothings[which], span, driven, noise)
 
 
 def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gram:

@@ -15,14 +15,13 @@ from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.records import Truth
-from bayeq.spectral import noise_floor
-from bayeq.states import Chain, Smooth, States, derive_all, parse_chains
+from bayeq.states import Smooth, derive_all, parse_chains
 from bayeq.study.algorithms import ALGORITHMS
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
 from bayeq.study.metrics import measure
 from bayeq.study.result import Result
 from bayeq.systems import System, get_system, simulate
-from bayeq.weighting import Piece, weighted_gram
+from bayeq.weighting import regress_in_band
 
 __all__ = ["Realisation", "Task", "draw", "realise"]
 
@@ -107,27 +106,11 @@ def draw(config: StudyConfig, system: str, index: int) -> Realisation:
     # the smoother sees the training rows alone
     parts = [record.slice(0, cut), record.slice(cut)]
     states = [derive_all([part], chains, known.inputs, cast(Smooth, config.smooth))[0] for part in parts]
-    D = [evaluate_terms(terms, part.columns) for part in states]
-    test = Gram.from_data(D[1], states[1].measured.get(target, states[1].columns[target]), names)
-    train = _in_band(states[0], D[0], chains[0], names, known.inputs)
-    if train is None:
-        train = Gram.from_data(D[0], states[0].columns[target], names)
+    seen, unseen = (part.columns for part in states)
+    test = Gram.from_data(evaluate_terms(terms, unseen), states[1].measured.get(target, unseen[target]), names)
+    in_band = regress_in_band(terms, [seen], chains, states[0].smoothing, 0, known.inputs)
+    train = Gram.from_data(evaluate_terms(terms, seen), seen[target], names) if in_band is None else in_band.gram
     return Realisation(train=train, test=test, truth=truth)
-
-
-def _in_band(states: States, D: Floats, chain: Chain, names: tuple[str, ...], inputs: tuple[str, ...]) -> Gram | None:
-    """The weighted Gram of the band, where the record was smoothed."""
-    smoothing = states.smoothing[0] if states.smoothing else None
-    if smoothing is None or smoothing.fs is None:
-        return None
-    columns = [j for j, name in enumerate(names) if name in inputs]
-    floors = {j: noise_floor([states.columns[names[j]]]) for j in columns}
-    noise = {j: floor for j, floor in floors.items() if floor is not None}
-    own = np.column_stack([states.columns[name] for name in chain.states])
-    driven = np.column_stack([np.empty((len(D), 0)), *(states.columns[name] for name in inputs)])
-    piece = Piece(D, states.columns[chain.target], own, driven)
-    found = weighted_gram([piece], names, smoothing, smoothing.band, columns, noise)
-    return None if found is None else found.gram
 
 
 def realise(config: StudyConfig, task: Task) -> list[Result]:
