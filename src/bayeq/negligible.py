@@ -17,14 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.choice import LeftOut, given_terms
-from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.rows import Rows, rows_of
 from bayeq.forecast.windows import typical_period, window_error
 from bayeq.infer import Inferred, Setting
 from bayeq.inference.path import best_of_each_size, partial_shares
 from bayeq.inference.problem import Problem
-from bayeq.posterior import Posterior
 from bayeq.records import Record
 from bayeq.states import Chain, States
 
@@ -120,12 +118,8 @@ def _unexplained(inferred: Inferred, active: Bools) -> float:
 
 def _errors(setting: Setting, inferred: Sequence[Inferred], pieces: Sequence[Rows]) -> dict[float, float]:
     """Errors of free runs over so many periods."""
-    posteriors: list[Posterior] = []
-    terms: list[tuple[Expression, ...]] = []
-    for one in inferred:
-        posteriors.append(one.constraints.expand(one.standard.restore(one.shown), one.gram))
-        terms.append(setting.design.terms)
-    dynamics = Dynamics.of(setting.chains, setting.inputs, posteriors, terms)
+    posteriors = [one.constraints.expand(one.standard.restore(one.shown), one.gram) for one in inferred]
+    dynamics = Dynamics.of(setting.chains, setting.inputs, posteriors, [setting.design.terms] * len(inferred))
     period = typical_period(dynamics, pieces)
     parameters = dynamics.means(posteriors)
     return {periods: window_error(dynamics, parameters, pieces, periods * period) for periods in TOLERANCES}

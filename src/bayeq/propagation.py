@@ -10,6 +10,7 @@ coefficients (the sandwich form, with its filling from the known noise instead o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.posterior import Posterior
-from bayeq.spectral import to_band
+from bayeq.spectral import periodogram, to_band
 from bayeq.states import Chain, ChainSmoothing
 from bayeq.weighting import InBand, gains_of
 
@@ -62,7 +63,6 @@ def propagated_covariance(
         The chain whose target is meant.
     inputs : sequence of str
         Measured inputs; those whose noise is not known add none, but the level of the whole is that of the residuals.
-
     basis : (r, f) array
         How the coefficients move with those that are free; the identity where all are.
 
@@ -87,27 +87,26 @@ def propagated_covariance(
         root = np.sqrt(1.0 / spectrum)
         X = _in_time(band.columns[:, np.append(0, kept + 1)], root, band.first, n)
         H += X.T @ X
-        residual = band.columns[:, -1] - band.columns[:, np.append(0, kept + 1)] @ np.append(posterior.intercept, theta)
         stretches = max(n // STRETCH, 1)
         edges = (np.arange(stretches) * n) // stretches
         count = -(-PROJECTIONS // stretches)
         base = evaluate_terms(chosen, piece)
+        gain = gains_of(piece[target], own)
+        filters = [_noise_filter(smoothing, n) for smoothing in smoothings]
         level = 0.0
         filling = np.zeros_like(M)
         for _ in range(count):
-            errors = _errors(piece, chains, smoothings, noisy, rng)
+            errors = _errors(n, chains, filters, noisy, rng)
             moved = {name: piece[name] + error for name, error in errors.items() if name != target}
             difference = evaluate_terms(chosen, {**piece, **moved}) - base
-            columns = to_band(
-                difference, errors[target], _rate(own), in_band.span, gains_of(errors[target], own), driven
-            ).columns
+            columns = to_band(difference, errors[target], _rate(own), in_band.span, gain, driven).columns
             e = columns[:, -1] - columns[:, 1:-1] @ theta
             level += float(band.count @ (np.abs(e * root) ** 2)) / count
             scores = np.add.reduceat(X * _in_time(e[:, None], root, band.first, n), edges, axis=0)
             filling += scores.T @ scores / count
         M += filling
         drawn += level
-        found += float(band.count @ (np.abs(residual * root) ** 2))
+        found += float(band.count @ (periodogram(band, posterior.coef, posterior.intercept) / spectrum))
     # in a band that does not begin at zero there is no constant
     constant = np.eye(1 + len(kept))[:, : int(H[0, 0] > 0)]
     free = np.hstack([constant, np.vstack([np.zeros((1, basis.shape[1])), basis])])
@@ -129,25 +128,36 @@ def _in_time(columns: Complexes, factor: Floats, first: int, n: int) -> Floats:
     return np.asarray(np.fft.irfft(whole, n, axis=0) * np.sqrt(n))
 
 
+class _NoiseFilter(NamedTuple):
+    """From white noise of unit variance on each measured derivative to the errors of all smoothed ones."""
+
+    channels: list[Complexes]
+    derivatives: list[Complexes]
+
+
+def _noise_filter(smoothing: ChainSmoothing, n: int) -> _NoiseFilter:
+    frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / _rate(smoothing)), dtype=np.float64)
+    s = 2j * np.pi * np.maximum(frequency, 1e-6 * _rate(smoothing))
+    coordinate = smoothing.gain(frequency) / smoothing.information(frequency)
+    return _NoiseFilter(
+        [coordinate * (-s) ** k / sd for k, sd in smoothing.measured_noise()],
+        [gain * s**k for k, gain in enumerate(smoothing.unit_gains)],
+    )
+
+
 def _errors(
-    piece: Mapping[str, Floats],
+    n: int,
     chains: Sequence[Chain],
-    smoothings: Sequence[ChainSmoothing],
+    filters: Sequence[_NoiseFilter],
     inputs: Mapping[str, float],
     rng: np.random.Generator,
 ) -> dict[str, Floats]:
-    """Errors that noise makes in the smoothed derivatives of all chains, and noise of the inputs."""
+    """Errors that noise makes in n rows of the smoothed derivatives of all chains, and noise of the inputs."""
     out: dict[str, Floats] = {}
-    for chain, smoothing in zip(chains, smoothings, strict=True):
-        n = len(piece[chain.target])
-        frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / _rate(smoothing)), dtype=np.float64)
-        s = 2j * np.pi * np.maximum(frequency, 1e-6 * _rate(smoothing))
-        coordinate = np.zeros(len(frequency), dtype=np.complex128)
-        for k, sd in smoothing.measured_noise():
-            coordinate += (-s) ** k * np.fft.rfft(rng.standard_normal(n)) / sd
-        coordinate *= smoothing.gain(frequency) / smoothing.information(frequency)
-        for k, name in enumerate(chain.names):
-            out[name] = np.fft.irfft(smoothing.unit_gains[k] * s**k * coordinate, n)
+    for chain, noise in zip(chains, filters, strict=True):
+        coordinate = sum(factor * np.fft.rfft(rng.standard_normal(n)) for factor in noise.channels)
+        for name, factor in zip(chain.names, noise.derivatives, strict=True):
+            out[name] = np.fft.irfft(factor * coordinate, n)
     for name, sd in inputs.items():
-        out[name] = sd * rng.standard_normal(len(piece[name]))
+        out[name] = sd * rng.standard_normal(n)
     return out
