@@ -17,7 +17,7 @@ from bayeq.inference.models import ModelSet, enumerate_models, search_models
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.search import best_models
-from bayeq.inference.tableau import active_block, flip, swept
+from bayeq.inference.tableau import active_block, drifted, flip, renew, swept
 from bayeq.kernels import kernel
 from bayeq.posterior import ModelAverage, Posterior
 
@@ -50,16 +50,13 @@ def _mixture_moments(
     mean, square, second, noise = np.zeros(terms), np.zeros(terms), np.zeros((count, count)), 0.0
     current = np.zeros(terms, dtype=np.bool_)
     T = swept(p, current)
-    flips = 0
     for k in range(len(models)):
         for j in range(terms):
             if models[k, j] != current[j]:
                 flip(p, T, j)
                 current[j] = not current[j]
-                flips += 1
-        if flips > 20_000:
-            flips = 0
-            T = swept(p, current)
+        if drifted(p, T):
+            renew(p, T, current)
         variance = 0.5 * max(T.diagonal[terms], p.floor) / max(p.h - 1.0, 0.5)
         noise += weights[k] * variance
         for m in range(T.size[0]):

@@ -17,7 +17,19 @@ from bayeq.gram import GramLike
 from bayeq.inference.conditional import exact_posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Floats, Problem
-from bayeq.inference.tableau import Tableau, data_gain, flip, residual_sum, score, size_gains, swap_gains, swept
+from bayeq.inference.tableau import (
+    LOOK,
+    Tableau,
+    data_gain,
+    drifted,
+    flip,
+    renew,
+    residual_sum,
+    score,
+    size_gains,
+    swap_gains,
+    swept,
+)
 from bayeq.kernels import kernel
 from bayeq.posterior import Draws, Posterior
 
@@ -29,9 +41,6 @@ __all__ = [
     "sample_posterior",
     "spike_slab_gibbs",
 ]
-
-# Flips after which the tableau is swept anew, against drift.
-REFRESH = 20_000
 
 # Multivariate R-hat below which chains count as converged (the paper, section 4).
 RHAT_LIMIT = 1.1
@@ -92,9 +101,8 @@ def draw_theta(T: Tableau, active: Bools, variance: float, rng: np.random.Genera
 
 
 @kernel
-def _scan(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, inclusion: Floats) -> int:
-    """One sweep over the indicators in order; writes p(z_i = 1 | z_-i, y), returns the number of flips."""
-    flips = 0
+def _scan(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, inclusion: Floats) -> None:
+    """One sweep over the indicators in order; writes p(z_i = 1 | z_-i, y)."""
     diagonal, partial, log_odds, floor, h = T.diagonal, T.partial, p.log_odds, p.floor, p.h
     enters, leaves = size_gains(p, T)
     for j in range(len(active)):
@@ -115,8 +123,6 @@ def _scan(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, inclu
             flip(p, T, j)
             active[j] = not active[j]
             enters, leaves = size_gains(p, T)
-            flips += 1
-    return flips
 
 
 @kernel
@@ -187,7 +193,6 @@ def sample_chain(
     inclusion = np.empty(terms)
     draw = np.empty(terms)
     T = swept(p, active)
-    flips = 0
     for t in range(burn_in + len(noise)):
         s = max(T.diagonal[terms], p.floor)
         if t > 0:
@@ -199,15 +204,14 @@ def sample_chain(
             theta[k] = draw
             noise[k] = variance
             log_posterior[k] = score(p, active, p.slab_variance)
-        before = flips
         if exchange:
-            flips += exchange_terms(p, T, active, rng, draw)
-        flips += _scan(p, T, active, rng, inclusion)
+            exchange_terms(p, T, active, rng, draw)
+        _scan(p, T, active, rng, inclusion)
         if k >= 0:
             for j in range(terms):
                 pip[j] += inclusion[j]
-        if flips // REFRESH != before // REFRESH:
-            T = swept(p, active)
+        if t % LOOK == 0 and drifted(p, T):
+            renew(p, T, active)
 
 
 def _seed(seed: int | Sequence[int]) -> np.random.SeedSequence:

@@ -15,15 +15,12 @@ from numpy.typing import NDArray
 
 from bayeq.inference.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.search import best_models
-from bayeq.inference.tableau import flip, flip_gain, flip_gains, score, swap_gains, swept
+from bayeq.inference.tableau import drifted, flip, flip_gains, renew, score, swap_gains, swept
 from bayeq.kernels import kernel
 
-__all__ = ["ModelSet", "enumerate_models", "search_models"]
+__all__ = ["ModelSet", "enumerate_models", "model_scores", "search_models"]
 
 Words = NDArray[np.uint64]
-
-# The tableau is swept anew after so many flips.
-REFRESH = 20_000
 
 # Models less likely than the best by more nats are counted as mass left out and not kept.
 KEEP = 18.0
@@ -75,41 +72,29 @@ class ModelSet:
 
 
 @kernel
-def _enumerate(p: Problem, free: Ints, base: Bools) -> Floats:
-    """Scores of all models over the `free` terms; entry g belongs to the Gray code g ^ (g >> 1) of their bits."""
+def model_scores(p: Problem, free: Ints, base: Bools) -> Floats:
+    """Scores of all models over the `free` terms; bit k of entry g tells whether `free[k]` is in."""
     levels = np.empty(1 << len(free))
     current = base.copy()
-    T = swept(p, current)
-    value = score(p, current, p.slab_variance)
-    levels[0] = value
-    for g in range(1, len(levels)):
-        bit, k = 0, g
-        while k % 2 == 0:
-            k //= 2
-            bit += 1
-        j = free[bit]
-        value += flip_gain(p, T, j)
-        flip(p, T, j)
-        current[j] = not current[j]
-        if g % REFRESH == 0:
-            T = swept(p, current)
-            value = score(p, current, p.slab_variance)
-        levels[g] = value
+    for g in range(len(levels)):
+        for k in range(len(free)):
+            current[free[k]] = (g >> k) & 1 == 1
+        levels[g] = score(p, current, p.slab_variance)
     return levels
 
 
 def enumerate_models(problem: Problem) -> ModelSet:
-    """All models, by Gray code: one flip each. Meant for up to about 20 terms that are neither forced nor forbidden."""
+    """All models, each by a Cholesky factor of its own. Meant for up to about 20 terms that are neither forced nor
+    forbidden."""
     free = np.flatnonzero(np.isfinite(problem.log_odds))
     base = problem.log_odds == math.inf
-    levels = _enumerate(problem, free, base)
+    levels = model_scores(problem, free, base)
     order = np.argsort(-levels, kind="stable")
     # models too unlikely to matter in double precision are dropped
     order = order[levels[order] > levels[order[0]] - 40.0]
-    codes = order ^ (order >> 1)
     models = np.repeat(base[None, :], len(order), axis=0)
     for bit, j in enumerate(free):
-        models[:, j] = (codes >> bit) & 1
+        models[:, j] = (order >> bit) & 1
     return ModelSet(models, levels[order], 0.0, len(levels))
 
 
@@ -193,7 +178,7 @@ def _search(
     recent_found = recent_spent = all_found = all_spent = 0.0
     current = starts[0].copy()
     T = swept(p, current)
-    flips = expanded = moves = 0
+    expanded = moves = 0
     gains = np.empty(terms)
     ratio = 1.0
     while size > 0 and count < room and moves < MOST_MOVES:
@@ -206,10 +191,8 @@ def _search(
             if models[item, j] != current[j]:
                 flip(p, T, j)
                 current[j] = not current[j]
-                flips += 1
-        if flips > REFRESH:
-            T = swept(p, current)
-            flips = 0
+        if drifted(p, T):
+            renew(p, T, current)
         spent = math.exp(scores[item] - reference)
         found = 0.0
         frontier -= spent

@@ -14,9 +14,10 @@ import numpy as np
 
 from bayeq.errors import InputError
 from bayeq.gram import Gram
+from bayeq.inference.models import model_scores
 from bayeq.inference.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.search import best_models, log_constant
-from bayeq.inference.tableau import MOST_ACTIVE, flip, flip_gains, score, swap_gains, swept
+from bayeq.inference.tableau import MOST_ACTIVE, flip_gains, score, swap_gains, swept
 from bayeq.kernels import kernel
 
 __all__ = [
@@ -119,40 +120,17 @@ def _scores(problem: Problem, models: Bools) -> Floats:
     return signed_scores(problem, models, WINDOW)[1]
 
 
-@kernel
-def _best_codes(p: Problem, free: Ints, base: Bools) -> Ints:
-    """Bits over the `free` terms of the best model with 0, 1, ... of them. By Gray code: one flip a model."""
-    codes = np.zeros(len(free) + 1, dtype=np.int64)
-    best = np.full(len(free) + 1, -math.inf)
-    current = base.copy()
-    T = swept(p, current)
-    gains = np.empty(len(base))
-    value, size, code = 0.0, 0, 0
-    best[0] = value
-    for g in range(1, 1 << len(free)):
-        bit, k = 0, g
-        while k % 2 == 0:
-            k //= 2
-            bit += 1
-        j = free[bit]
-        flip_gains(p, T, gains)
-        value += gains[j]
-        flip(p, T, j)
-        current[j] = not current[j]
-        code ^= 1 << bit
-        size += 1 if current[j] else -1
-        if value > best[size]:
-            best[size], codes[size] = value, code
-    return codes
-
-
 def _by_enumeration(problem: Problem, sizes: range) -> list[Bools]:
     free = np.flatnonzero(np.isfinite(problem.log_odds))
     base = problem.log_odds == math.inf
+    levels = model_scores(problem, free, base)
+    codes = np.arange(len(levels))
+    count = np.bitwise_count(codes)
     out = []
-    for code in _best_codes(problem, free, base)[: len(sizes)]:
+    for size in range(len(sizes)):
+        of_size = np.flatnonzero(count == size)
         model = base.copy()
-        model[free] = (int(code) >> np.arange(len(free))) & 1
+        model[free] = (of_size[np.argmax(levels[of_size])] >> np.arange(len(free))) & 1
         out.append(model)
     return out
 

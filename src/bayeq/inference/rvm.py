@@ -18,7 +18,7 @@ import numpy as np
 from bayeq.gram import GramLike
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Columns, Floats, Problem, gram_columns
-from bayeq.inference.tableau import Tableau, active_block, build, enter, leave
+from bayeq.inference.tableau import LOOK, Tableau, active_block, build, enter, leave, strayed
 from bayeq.kernels import kernel
 from bayeq.posterior import Posterior
 
@@ -112,6 +112,11 @@ def rvm_ascent(
         else:
             _shift_ridge(T, j, new - lam[j])
         lam[j] = new
+        if steps % LOOK == 0 and strayed(columns, Dty, yty, np.where(np.isinf(lam), 0.0, lam), floor, T):
+            T = build(columns, Dty, yty, 0.0)
+            for k in range(p):
+                if lam[k] < math.inf:
+                    enter(columns, Dty, T, k, lam[k])
     gamma = np.zeros(p)
     for j in range(p):
         if lam[j] < math.inf:

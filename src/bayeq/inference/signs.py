@@ -14,7 +14,7 @@ from scipy.special import stdtr
 
 from bayeq.inference.orthant import POINTS, log_orthant, orthant_moments
 from bayeq.inference.problem import Bools, Floats, Ints, Problem
-from bayeq.inference.tableau import active_block, flip, score, swept
+from bayeq.inference.tableau import active_block, drifted, flip, renew, score, swept
 from bayeq.kernels import kernel
 
 __all__ = ["Truncation", "add_truncated", "certain_signs", "coarse_scores", "given_signs", "signed_scores"]
@@ -28,9 +28,8 @@ CERTAIN = 1e-9
 # relative to the square of the least probability of a right one.
 NEGLIGIBLE = 1e-12
 
-# Numbers (models times squares of constrained terms) held at a time, and flips after which the tableau is swept anew.
+# Numbers (models times squares of constrained terms) held at a time.
 CHUNK = 1 << 21
-REFRESH = 20_000
 
 # Models whose orthants are computed at a time, from the likeliest on.
 BATCH = 64
@@ -49,16 +48,13 @@ def _blocks(p: Problem, models: Bools, terms: Ints) -> tuple[Floats, Floats, Flo
     rate, scores = np.empty(count), np.empty(count)
     current = np.zeros(models.shape[1], dtype=np.bool_)
     T = swept(p, current)
-    flips = 0
     for k in range(count):
         for j in range(len(current)):
             if models[k, j] != current[j]:
                 flip(p, T, j)
                 current[j] = not current[j]
-                flips += 1
-        if flips > REFRESH:
-            flips = 0
-            T = swept(p, current)
+        if drifted(p, T):
+            renew(p, T, current)
         rate[k] = max(T.diagonal[-1], p.floor)
         scores[k] = score(p, current, p.slab_variance)
         for a in range(chosen):

@@ -28,27 +28,36 @@ from bayeq.inference.problem import Bools, Columns, Floats, Ints, Problem, all_r
 from bayeq.kernels import kernel
 
 __all__ = [
+    "LOOK",
     "Tableau",
     "active_block",
     "best_swap",
     "build",
     "climb",
     "data_gain",
+    "drifted",
     "enter",
     "flip",
     "flip_gain",
     "flip_gains",
     "leave",
     "least_squares_rss",
+    "renew",
     "residual_sum",
     "score",
     "size_gains",
+    "strayed",
     "swap_gains",
     "swept",
 ]
 
 # A climb stops when no move gains this much log posterior: above the rounding of h ln(s).
 GAIN_TOLERANCE = 1e-8
+
+# A tableau has drifted if what it keeps is this far from what its rows and the Gram give: s and Schur complements in
+# their own units, M_jy in those of a t-value. Looked for after so many steps of engines that go from model to model.
+DRIFT = 1e-6
+LOOK = 16
 
 # A column whose variance left by earlier ones is a smaller share of its own depends on them.
 DEPENDENT = 1e-13
@@ -203,6 +212,63 @@ def swept(p: Problem, active: Bools) -> Tableau:
 
 
 @kernel
+def renew(p: Problem, T: Tableau, active: Bools) -> None:
+    """Sweep the tableau of a model anew, in place."""
+    for j in range(len(active)):
+        T.row[j] = -1
+        T.diagonal[j] = p.columns.diagonal[j] + 1.0 / p.slab_variance
+        T.partial[j] = p.Dty[j]
+    T.diagonal[-1] = p.yty + 2.0 * p.noise_rate
+    T.size[0] = 0
+    for j in range(len(active)):
+        if active[j]:
+            flip(p, T, j)
+
+
+@kernel
+def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: float, T: Tableau) -> bool:
+    """Whether rounding has spoilt a tableau that was led from model to model, so that it is to be swept anew.
+
+    Each time that a column enters which the model nearly spans, what earlier flips left of rounding is magnified by its
+    variance inflation. So M_yy, M_jy and M_jj are compared to what they are by definition given the active rows,
+    b - sum_a M_ja b_a with the b of the Gram. About the price of one flip.
+
+    `ridges` (P,) holds the ridge of each term, `floor` the least s that counts.
+    """
+    terms, r = len(Dty), T.size[0]
+    s = max(T.diagonal[terms], floor)
+    left = yty
+    pull, own = Dty.copy(), columns.diagonal + ridges
+    for a in range(r):
+        i = T.term[a]
+        gram, row, mean = columns.rows[columns.slot[i]], T.rows[a], T.partial[i]
+        left -= mean * Dty[i]
+        for j in range(terms):
+            pull[j] -= mean * gram[j]
+            own[j] -= row[j] * gram[j]
+    if not abs(max(left, floor) - s) <= DRIFT * s:
+        return True
+    for j in range(terms):
+        if T.row[j] >= 0:
+            # the normal equations, in units of a t-value of a column alone
+            error, pivot = pull[j] - ridges[j] * T.partial[j], -1.0 / T.diagonal[j]
+        else:
+            error, pivot = pull[j] - T.partial[j], T.diagonal[j]
+            if not abs(own[j] - pivot) <= DRIFT * pivot:
+                return True
+        if not abs(error) <= DRIFT * math.sqrt(pivot * s):
+            return True
+    return False
+
+
+@kernel
+def drifted(p: Problem, T: Tableau) -> bool:
+    """Whether the tableau of a model has `strayed`."""
+    ridges = np.full(len(p.Dty), 1.0 / p.slab_variance)
+    return strayed(p.columns, p.Dty, p.yty + 2.0 * p.noise_rate, ridges, p.floor, T)
+
+
+@kernel
 def active_block(T: Tableau, index: Ints) -> Floats:
     """A^-1 of the active terms `index`, (r, r)."""
     r = len(index)
@@ -296,7 +362,9 @@ def climb(p: Problem, T: Tableau, active: Bools, swaps: bool = True) -> float:
     terms = len(active)
     gained = 0.0
     gains = np.empty(terms)
-    for _ in range(20 * terms + 20):
+    for step in range(20 * terms + 20):
+        if step % LOOK == LOOK - 1 and drifted(p, T):
+            renew(p, T, active)
         flip_gains(p, T, gains)
         best_i, best_j = -1, int(np.argmax(gains))
         best = gains[best_j]
