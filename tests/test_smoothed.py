@@ -204,3 +204,31 @@ def test_a_record_without_a_grid_is_left_as_it_is():
     irregular = bq.Record.from_arrays(dict(rec.channels), time=times)
     assert on_grid(irregular, ["x", "v", "a"], ["u"]) is irregular
     assert on_grid(rec, ["x", "v", "a"], ["u"]) is rec
+
+
+@pytest.mark.parametrize(("fs", "decimals"), [(30.0, 3), (29.97, 3), (120.0, 3), (1000.0 / 3.0, 4), (0.3, 0)])
+def test_rounded_times_become_even_again(fs, decimals):
+    n = 700
+    exact = 12.3 + np.arange(n) / fs
+    wave = np.sin(exact * fs / 20)
+    rec = bq.Record.from_arrays(time=np.round(exact, decimals), x=wave)
+    even = on_grid(rec, ["x"], [])
+    if decimals == 0:
+        # whole seconds: not taken for rounded ones
+        assert even is rec
+        return
+    assert even.is_uniform()
+    # the mean of n rounding errors, uniform within one unit
+    np.testing.assert_allclose(even.time, exact, atol=6 * 10.0**-decimals / np.sqrt(12 * n))
+    kept = np.delete(np.arange(n), [5, 6, 100, 333])
+    gappy = on_grid(rec.take(kept), ["x"], [])
+    assert gappy.n == n
+    np.testing.assert_allclose(gappy.time, exact, atol=8 * 10.0**-decimals / np.sqrt(12 * n))
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(gappy["x"])), [5, 6, 100, 333])
+
+
+def test_times_uneven_by_more_than_their_rounding_stay():
+    rng = np.random.default_rng(3)
+    jittered = np.round(np.arange(500) / 30.0 + 1e-3 * rng.uniform(-1, 1, 500), 6)
+    rec = bq.Record.from_arrays(time=jittered, x=np.sin(jittered))
+    assert on_grid(rec, ["x"], []) is rec

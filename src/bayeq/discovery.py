@@ -22,7 +22,7 @@ from bayeq.inspection import equation_of
 from bayeq.negligible import NEGLIGIBLE, training_rows, without_negligible
 from bayeq.notes import Notes
 from bayeq.records import Record, check_messages
-from bayeq.states import Chain, Smooth, derive_all, parse_chains
+from bayeq.states import Chain, Smooth, derive_all, measured_apart, parse_chains
 
 __all__ = ["discover"]
 
@@ -94,8 +94,8 @@ def discover(
     negligible : float
         Terms that are certain and yet make no practical difference are shown beside the equation: those that together
         explain a smaller share of the target's variance than this, and without which free runs over the training rows
-        (10,000 or more) are hardly worse (`bayeq.negligible`). 0 keeps them in the equation, as do `max_terms`,
-        `min_share` and `constraints`.
+        are hardly worse (`bayeq.negligible`). 0 keeps them in the equation, as do `max_terms`, `min_share` and
+        `constraints`.
     coarsen : float
         Power, above 0 and at most 1, that the likelihood is raised to: each row counts as this share of one (Miller
         and Dunson 2019). It widens all intervals and asks more evidence of a term, for models that are only nearly
@@ -158,9 +158,14 @@ def discover(
     notes = Notes()
     step("states", 0, len(pieces))
     share = holdout if sum(piece.n for piece in pieces) >= LEAST_ROWS_TO_HOLD_OUT else 0.0
+    given = parsed
+    if smooth == "auto" and all(piece.time is not None for piece in pieces):
+        parsed, computed = measured_apart(pieces, parsed, share)
+        for message in computed:
+            notes.warn(message, DataWarning)
     states = derive_all(pieces, parsed, all_inputs, smooth, share)
     step("states", len(pieces), len(pieces))
-    for message in check_messages(pieces, [chain.measured for chain in parsed], all_inputs):
+    for message in check_messages(pieces, [chain.measured for chain in given], all_inputs):
         notes.warn(message, DataWarning)
     variables = Variables(tuple(name for chain in parsed for name in chain.states), all_inputs)
     terms = build_dictionary(dictionary, variables)

@@ -2,9 +2,10 @@
 
 Where a model is only nearly true, more rows make ever more terms certain: they stand in for what the dictionary does
 not hold. A fixed share of variance alone does not tell them from what matters, since the damping of a light structure
-explains next to nothing and yet decides how its motion decays. So in long records terms are negligible if both hold:
-together they explain less of the target's variance than a small share, and without them, the others estimated anew,
-free runs are hardly worse, over ten periods and over a hundred.
+explains next to nothing and yet decides how its motion decays. So terms are negligible if both hold: together they
+explain less of the target's variance than a small share, and without them, the others estimated anew, free runs are
+hardly worse, over ten periods and over a hundred. In shorter records less is certain, and what is certain matters
+sooner: there free runs must be all but the same.
 """
 
 from __future__ import annotations
@@ -31,15 +32,16 @@ __all__ = ["NEGLIGIBLE", "training_rows", "without_negligible"]
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-# Share of the target's variance that negligible terms together explain at most, and the training rows from which on a
-# term may be certain that means nothing.
+# Share of the target's variance that negligible terms together explain at most.
 NEGLIGIBLE = 4e-5
-LONG = 10_000
 
 # Free runs over so many periods are hardly worse if their error is at most this share of the states' spread, or at most
-# WORSE times that of the whole equation.
+# WORSE times that of the whole equation. Of fewer training rows than LONG, if it is larger than that by this share of
+# the spread at most.
 TOLERANCES = {10.0: 0.1, 100.0: 0.25}
 WORSE = 1.5
+LONG = 10_000
+RISE = 0.01
 
 
 def training_rows(
@@ -67,14 +69,14 @@ def without_negligible(
     inferred : sequence of Inferred
         One per equation, without constraints.
     pieces : sequence of Rows
-        Training rows, from `training_rows`. Of fewer than 10,000 nothing is left out: there a term that is certain
-        explains more than next to nothing, unless there is hardly any noise.
+        Training rows, from `training_rows`; nothing is left out where there are none.
     share : float
         Of the variance.
     """
     out = list(inferred)
-    if sum(rows.n for rows in pieces) < LONG:
+    if not pieces:
         return out
+    hardly_worse = _hardly_worse if sum(rows.n for rows in pieces) >= LONG else _all_but_the_same
     for k, one in enumerate(out):
         shares = partial_shares(one.fitted, one.shown.support)
         forced = np.isposinf(one.prior.log_odds(len(shares)))
@@ -86,7 +88,7 @@ def without_negligible(
             if errors is None:
                 errors = _errors(setting, out, pieces)
             trial = [*out[:k], replace(one, shown=shown), *out[k + 1 :]]
-            if _hardly_worse(_errors(setting, trial, pieces), errors):
+            if hardly_worse(_errors(setting, trial, pieces), errors):
                 names = one.shown.names
                 gone = np.flatnonzero(one.shown.support & ~fewer)
                 left = tuple(LeftOut(names[j], float(one.shown.pip[j]), float(shares[j]), "negligible") for j in gone)
@@ -128,3 +130,8 @@ def _errors(setting: Setting, inferred: Sequence[Inferred], pieces: Sequence[Row
 def _hardly_worse(fewer: dict[float, float], whole: dict[float, float]) -> bool:
     """Whether errors are within the tolerances; not where there are none."""
     return all(fewer[p] <= max(tolerance, WORSE * whole[p]) for p, tolerance in TOLERANCES.items())
+
+
+def _all_but_the_same(fewer: dict[float, float], whole: dict[float, float]) -> bool:
+    """Whether errors rise by next to nothing; not where there are none."""
+    return all(fewer[p] <= whole[p] + RISE for p in TOLERANCES)

@@ -26,9 +26,12 @@ __all__ = ["Band", "added_floor", "band_gram", "noise_floor", "periodogram", "re
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-# Share of a record that is tapered at either end, and the least number of rows.
+# Share of a record that is tapered at either end, and the least number of rows; so many rows as the inverse of the
+# band's width are, since that is how far a smoother's errors at the ends reach; and not more than this share.
 TAPERED = 1 / 40
 LEAST_TAPER = 16
+MEMORY = 2.0
+MOST_TAPERED = 1 / 5
 
 # Bins on either side over which the spectrum of residuals is averaged: 122 degrees of freedom.
 SMOOTHING = 30
@@ -72,9 +75,12 @@ class Band:
     first: int
 
 
-def taper(n: int) -> Floats:
-    """Window that rises from 0 to 1 with three continuous derivatives over 1/40 of the rows at either end."""
-    length = max(LEAST_TAPER, round(TAPERED * n))
+def taper(n: int, memory: float = 0.0) -> Floats:
+    """Window that rises from 0 to 1 with three continuous derivatives at either end.
+
+    It does so over 1/40 of the rows, or 16, or over twice the `memory` in rows, whichever is most.
+    """
+    length = max(LEAST_TAPER, round(TAPERED * n), round(min(MEMORY * memory, MOST_TAPERED * n)))
     s = np.clip(np.minimum(np.arange(n), n - 1 - np.arange(n)) / length, 0.0, 1.0)
     return np.asarray(s**4 * (35.0 - 84.0 * s + 70.0 * s**2 - 20.0 * s**3))
 
@@ -103,7 +109,7 @@ def to_band(
         Columns to be multiplied by it.
     """
     n = len(y)
-    window = taper(n)
+    window = taper(n, fs / span[1] if span[1] > 0 else 0.0)
     power = float(np.sum(window**2))
     frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / fs), dtype=np.float64)
     first = int(np.searchsorted(frequency, span[0], side="left"))

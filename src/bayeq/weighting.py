@@ -31,7 +31,7 @@ PILOTS = 3
 LEAST_FLOOR = 1e-6
 
 # Real numbers in the band that a candidate term needs.
-LEAST_PER_TERM = 2.0
+LEAST_PER_TERM = 1.0
 
 
 class Piece(NamedTuple):

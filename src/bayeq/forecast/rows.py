@@ -98,7 +98,7 @@ def rows_of(
     """
     require_time(record, purpose)
     names = [name for chain in chains for name in chain.measured if name is not None]
-    filled = record if states.n == record.n else on_grid(record, names, inputs)
+    filled = on_grid(record, names, inputs)
     time = require_time(filled, purpose)
     return Rows(
         time,

@@ -1,6 +1,7 @@
 """States: from measured channels to coordinates and their derivatives."""
 
 from bayeq.states.chain import Chain, parse_chain, parse_chains
+from bayeq.states.computed import measured_apart
 from bayeq.states.derive import FEW_ROWS, Smooth, States, derive_all, derive_states
 from bayeq.states.smoothed import ChainSmoothing
 
@@ -12,6 +13,7 @@ __all__ = [
     "States",
     "derive_all",
     "derive_states",
+    "measured_apart",
     "parse_chain",
     "parse_chains",
 ]

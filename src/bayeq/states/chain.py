@@ -24,6 +24,8 @@ class Chain:
     ----------
     measured : tuple of (str or None)
         The channel that measures each derivative, from order 0 up; None where none does, at least one.
+    called : tuple of (str or None), optional
+        Names of derivatives that are not measured, where they have one of their own.
 
     Examples
     --------
@@ -34,9 +36,12 @@ class Chain:
     ('x', 'dx')
     >>> parse_chain("::a").names
     ('x', 'dx', 'a')
+    >>> parse_chain("x:~v:~a").names
+    ('x', 'v', 'a')
     """
 
     measured: tuple[str | None, ...]
+    called: tuple[str | None, ...] = ()
 
     @property
     def order(self) -> int:
@@ -50,12 +55,16 @@ class Chain:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the derivatives: the channel's, or ``dx``, ``ddx`` ... where not measured.
+        """Names of the derivatives: the channel's, or ``dx``, ``ddx`` ... where not measured and not called otherwise.
 
         A coordinate that is not measured itself is called ``x``.
         """
         base = self.measured[0] or COORDINATE
-        return tuple(m if m is not None else "d" * k + str(base) for k, m in enumerate(self.measured))
+        return tuple(self.own_name(k) or "d" * k + base for k in range(len(self.measured)))
+
+    def own_name(self, k: int) -> str | None:
+        """Name of a derivative that is not made from the coordinate's."""
+        return self.measured[k] or (self.called[k] if self.called else None)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -70,12 +79,14 @@ class Chain:
     def __str__(self) -> str:
         if self.order == 1 and self.measured[1] is None:
             return str(self.measured[0])
-        return ":".join(m or "" for m in self.measured)
+        return ":".join(m or (f"~{self.own_name(k)}" if self.own_name(k) else "") for k, m in enumerate(self.measured))
 
 
 def parse_chain(text: str) -> Chain:
     """Read a chain such as ``x:v:a``, ``x::`` (only displacement measured), ``::a`` (only acceleration), ``x`` or
     ``x:xdot`` (first order).
+
+    ``x:~v:~a`` is ``x::`` with names for what is not measured, instead of dx and ddx.
 
     Raises
     ------
@@ -93,12 +104,17 @@ def parse_chain(text: str) -> Chain:
     if not any(parts):
         raise ChainError(f"chain {text[:60]!r} names no channel; {form}")
     for part in parts:
-        if part and (not part.isidentifier() or keyword.iskeyword(part)):
+        name = part.removeprefix("~")
+        if part and (not name.isidentifier() or keyword.iskeyword(name)):
             raise ChainError(f"chain {text[:60]!r}: {part[:40]!r} is not a channel name; {form}")
-    named = [part for part in parts if part]
+    named = [part.removeprefix("~") for part in parts if part]
     if len(set(named)) < len(named):
         raise ChainError(f"chain {text[:60]!r} names a channel twice; {form}")
-    chain = Chain(tuple(part or None for part in parts))
+    measured = tuple(part if part and not part.startswith("~") else None for part in parts)
+    if not any(measured):
+        raise ChainError(f"chain {text[:60]!r} has no measured channel; {form}")
+    called = tuple(part[1:] if part.startswith("~") else None for part in parts)
+    chain = Chain(measured, called if any(called) else ())
     if len(set(chain.names)) < len(chain.names):
         raise ChainError(
             f"chain {text[:60]!r}: derivatives that are not measured are called after the coordinate,"

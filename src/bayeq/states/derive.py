@@ -30,8 +30,8 @@ LEAST_ROWS = 5
 # In fewer rows nothing tells noise from motion: they are taken as they are.
 FEW_ROWS = 40
 
-# Noise in the states, as a share of their standard deviation, below which they are used as measured: it does no harm,
-# and what a smoother makes of motion that is not its model's may do more.
+# Noise in states that are all measured, as a share of their standard deviation, below which they are used as they are:
+# it does no harm, and what a smoother makes of motion that is not its model's may do more.
 LEAST_NOISE = 0.01
 
 # Samples beyond, and channels that vary by less than its inverse, have no square in floating point.
@@ -75,9 +75,9 @@ def derive_all(
 
     With "auto" the kinematic smoother fuses all measured channels of a chain (`states.smoothed`), and samples that
     were dropped from a uniform grid are bridged: the states then have a row for each. Records of fewer than 40 rows are
-    differentiated as they are. Records without time, or with states that hardly have noise, are left to
-    `derive_states`, whose parameters and errors are those of this function. Noise levels are learned without the last
-    rows of each record, a share `holdout`, which are smoothed apart.
+    differentiated as they are. Records without time, and states and targets that are all measured with hardly any
+    noise, are left to `derive_states`, whose parameters and errors are those of this function. Noise levels are learned
+    without the last rows of each record, a share `holdout`, which are smoothed apart.
     """
     timed = all(record.time is not None for record in records)
     if timed and smooth == "auto" and max(record.n for record in records) < FEW_ROWS:
@@ -95,8 +95,9 @@ def derive_all(
     cuts = [record.n - int(holdout * record.n) for record in filled]
     found = [smooth_chain(filled, chain, cuts) for chain in chains]
     integrated = any(chain.lowest > 0 for chain in chains)
-    clean = all(s is not None and s[1].noise_ratio < LEAST_NOISE for s in found)
-    if (clean and not integrated) or None in found:
+    measured_all = all(name is not None for chain in chains for name in chain.measured)
+    clean = measured_all and all(s is not None and s[1].noise_ratio < LEAST_NOISE for s in found)
+    if clean or None in found:
         if integrated:
             raise _not_integrable(records[0], next(chain for chain in chains if chain.lowest > 0))
         return [derive_states(record, chains, inputs, smooth) for record in records]
@@ -190,7 +191,7 @@ def derive_states(
         for order, name in enumerate(chain.names):
             if chain.measured[order] is not None:
                 continue
-            if name in columns or name in record.channels:
+            if name in columns or (name in record.channels and chain.own_name(order) is None):
                 raise ChainError(
                     f"chain {str(chain)!r} leaves {name!r} to be estimated, but the record has a channel of that"
                     " name: name it in the chain, or rename it"
