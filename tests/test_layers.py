@@ -37,6 +37,7 @@ LEVELS = [
         "coef_units",
         "parsimony",
     },
+    {"stand_in"},
     {"infer", "notes"},
     {"inspection", "negligible"},
     {"discovery"},

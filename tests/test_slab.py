@@ -51,4 +51,18 @@ def test_residual_scale_without_noise_without_signal_and_without_rows_to_spare()
     assert residual_scale(Gram.from_data(D, np.ones(500))) == 1.0
     rng = np.random.default_rng(0)
     wide, target = rng.normal(size=(20, 15)), rng.normal(size=20)
-    assert residual_scale(Gram.from_data(wide, target)) == pytest.approx(target.std())
+    # five columns, a quarter of the rows, by forward selection
+    D, y = wide - wide.mean(axis=0), target - target.mean()
+    chosen: list[int] = []
+    for _ in range(5):
+        left = [np.linalg.lstsq(D[:, [*chosen, j]], y)[1].sum() if j not in chosen else np.inf for j in range(15)]
+        chosen.append(int(np.argmin(left)))
+    assert residual_scale(Gram.from_data(wide, target)) == pytest.approx(math.sqrt(min(left) / 14), rel=1e-6)
+
+
+def test_little_noise_is_seen_in_few_rows_too():
+    # 40 rows, 36 columns: in units of y the prior of the noise would hide a term that explains 1e-5
+    rng = np.random.default_rng(1)
+    D = rng.normal(size=(40, 36))
+    y = D[:, 0] + 3e-3 * D[:, 1] + 1e-4 * rng.normal(size=40)
+    assert 1e-5 < residual_scale(Gram.from_data(D, y)) < 1e-3

@@ -26,7 +26,7 @@ def white(seed, n=2000, P=3):
 
 def test_a_whole_band_without_a_taper_is_the_gram_of_the_rows(monkeypatch):
     # Parseval's theorem: sums of products over rows are sums over bins
-    monkeypatch.setattr("bayeq.spectral.taper", np.ones)
+    monkeypatch.setattr("bayeq.spectral.taper", lambda n, memory: np.ones(n))
     D, rng = white(0, n=501)
     y = D @ [1.0, -2.0, 0.0] + rng.normal(size=501)
     ours = band_gram([to_band(D, y, 100.0, (0.0, 1e9))], ("a", "b", "c"))

@@ -19,6 +19,7 @@ from bayeq.inference import ENGINES, Prior
 from bayeq.inference.slab import learn_slab_variance, residual_scale
 from bayeq.posterior import Posterior
 from bayeq.propagation import propagated_covariance
+from bayeq.stand_in import plausible
 from bayeq.states import Chain, ChainSmoothing
 from bayeq.weighting import InBand, regress_in_band, thinned_gram
 
@@ -134,6 +135,8 @@ def infer_equation(setting: Setting, which: int, constraints: Constraints, choic
         prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
     options: dict[str, Any] = {"seed": (setting.seed, which)} if method.random else {}
     found = method.run(standard.gram, prior, **options)
+    if setting.method == "auto":
+        found = plausible(standard.gram, prior, found, setting.design.terms)
     shown, left_out = choice.apply(standard.gram, prior, fitted, found) if choice.given else (found, ())
     return Inferred(which, in_band, gram, standard, prior, fitted, constraints, found, shown, left_out)
 

@@ -41,7 +41,7 @@ NEGLIGIBLE = 4e-5
 TOLERANCES = {10.0: 0.1, 100.0: 0.25}
 WORSE = 1.5
 LONG = 10_000
-RISE = 0.01
+RISE = 0.003
 
 
 def training_rows(

@@ -91,11 +91,13 @@ def gains_of(y: Floats, smoothing: ChainSmoothing) -> Floats:
     return smoothing.gain(np.asarray(np.fft.rfftfreq(len(y), 1.0 / smoothing.fs), dtype=np.float64))
 
 
-def _noise_shapes(pieces: Sequence[Piece], bands: Sequence[Band], smoothing: ChainSmoothing) -> list[Floats]:
+def _noise_shapes(
+    pieces: Sequence[Piece], bands: Sequence[Band], smoothing: ChainSmoothing
+) -> tuple[list[Floats], list[Floats]]:
     """Density of the residual that the noise of the chain's channels makes: G^2 |L|^2/J.
 
     L(i omega) is the equation linearised: the target on the states and inputs by least squares in the band. At a
-    resonance of L the noise of the motion leaves nothing in the residual.
+    resonance of L the noise of the motion leaves nothing in the residual. Also the periodograms of what L leaves.
     """
     assert smoothing.fs is not None
     linear = []
@@ -111,17 +113,18 @@ def _noise_shapes(pieces: Sequence[Piece], bands: Sequence[Band], smoothing: Cha
     size[size == 0] = 1.0
     coef = np.linalg.lstsq(stacked[:, :-1] / size, stacked[:, -1])[0] / size
     gains, order = smoothing.unit_gains, pieces[0].states.shape[1]
-    shapes = []
-    for band in bands:
+    shapes, left = [], []
+    for band, columns in zip(bands, linear, strict=True):
+        left.append(np.asarray(np.abs(columns[:, -1] - columns[:, :-1] @ coef) ** 2))
         s = 2j * np.pi * band.frequency
         response = gains[order] * s**order - sum(coef[1 + k] * gains[k] * s**k for k in range(order))
         shapes.append(band.gain**2 * np.abs(response) ** 2 / smoothing.information(band.frequency))
-    return shapes
+    return shapes, left
 
 
-def _with_floor(bands: Sequence[Band], shapes: Sequence[Floats], posterior: Posterior) -> list[Floats]:
+def _with_floor(bands: Sequence[Band], shapes: Sequence[Floats], periodograms: Sequence[Floats]) -> list[Floats]:
     """The shapes and white noise beneath: that of inputs, and all else that the chain's noise does not explain."""
-    power = np.concatenate([periodogram(band, posterior.coef, posterior.intercept) for band in bands])
+    power = np.concatenate(periodograms)
     floor = added_floor(power, np.concatenate(shapes), np.concatenate([b.count for b in bands]))
     least = LEAST_FLOOR * float(power.mean())
     return [shape + max(floor, least) * band.gain**2 for shape, band in zip(shapes, bands, strict=True)]
@@ -163,15 +166,15 @@ def weighted_gram(
     gram = band_gram(bands, names)
     if gram.dof < LEAST_PER_TERM * len(names):
         return None
-    shapes = _noise_shapes(pieces, bands, smoothing)
-    spectrum: list[Floats] | None = None
+    shapes, left = _noise_shapes(pieces, bands, smoothing)
+    # weights that see next to a resonance from the first: there the damping of a light structure is, and nowhere else
+    spectrum = _with_floor(bands, shapes, left)
     coef: Floats | None = None
     for _ in range(PILOTS):
         posterior = _pilot(band_gram(bands, names, spectrum, noise, coef))
         coef = posterior.coef
-        known = _with_floor(bands, shapes, posterior)
-        spectrum = residual_spectrum(bands, coef, posterior.intercept, known)
-    assert spectrum is not None
+        left = [periodogram(band, coef, posterior.intercept) for band in bands]
+        spectrum = residual_spectrum(bands, coef, posterior.intercept, _with_floor(bands, shapes, left))
     gram = band_gram(bands, names, spectrum, noise, coef)
     return InBand(gram, span, tuple(bands), tuple(spectrum), noise or {})
 

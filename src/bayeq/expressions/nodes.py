@@ -167,6 +167,16 @@ def _symbols(node: Node) -> frozenset[str]:
             return _symbols(left) | _symbols(right)
 
 
+def _size(node: Node) -> int:
+    match node:
+        case Number() | Symbol():
+            return 1
+        case Negate(operand) | Call(_, operand):
+            return 1 + _size(operand)
+        case Binary(_, left, right):
+            return 1 + _size(left) + _size(right)
+
+
 @dataclass(frozen=True, repr=False)
 class Expression:
     """A term or a right-hand side, as made by `parse`; equal, and hashed, by its tree.
@@ -180,6 +190,8 @@ class Expression:
         ``parse(e.text) == e``.
     names : frozenset of str
         The symbols that occur.
+    size : int
+        Number of nodes: 1 of ``x``, 2 of ``sign(v)``, 3 of ``x**3``.
 
     Examples
     --------
@@ -198,6 +210,10 @@ class Expression:
     @cached_property
     def names(self) -> frozenset[str]:
         return _symbols(self.tree)
+
+    @cached_property
+    def size(self) -> int:
+        return _size(self.tree)
 
     def __str__(self) -> str:
         return self.text

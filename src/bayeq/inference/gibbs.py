@@ -17,6 +17,7 @@ from bayeq.gram import GramLike
 from bayeq.inference.conditional import exact_posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Floats, Problem
+from bayeq.inference.search import greedy_start
 from bayeq.inference.tableau import (
     LOOK,
     Tableau,
@@ -48,30 +49,6 @@ MOST_IN_RHAT = 200
 
 # Terms that a chain starts with at most.
 MOST_AT_START = 30.0
-
-
-@kernel
-def greedy_start(p: Problem, size: int) -> Bools:
-    """The paper's start: terms activated one by one, each time the one that lowers the squared error most."""
-    terms = len(p.Dty)
-    active = np.zeros(terms, dtype=np.bool_)
-    T = swept(p, active)
-    for j in range(terms):
-        if p.log_odds[j] == math.inf:
-            flip(p, T, j)
-            active[j] = True
-    for _ in range(size):
-        best, best_j = 0.0, -1
-        for j in range(terms):
-            if not active[j] and not math.isinf(p.log_odds[j]):
-                drop = T.partial[j] * T.partial[j] / T.diagonal[j]
-                if drop > best:
-                    best, best_j = drop, j
-        if best_j < 0:
-            break
-        flip(p, T, best_j)
-        active[best_j] = True
-    return active
 
 
 @kernel

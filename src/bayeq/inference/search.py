@@ -9,10 +9,10 @@ import numpy as np
 
 from bayeq.inference.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.rvm import rvm_gamma
-from bayeq.inference.tableau import climb, flip_gains, score, swap_gains, swept
+from bayeq.inference.tableau import climb, flip, flip_gains, score, swap_gains, swept
 from bayeq.kernels import kernel
 
-__all__ = ["Move", "best_models", "candidate_models", "greedy_model", "log_evidence", "neighbours"]
+__all__ = ["Move", "best_models", "candidate_models", "greedy_model", "greedy_start", "log_evidence", "neighbours"]
 
 # Up to this many terms a climb also starts from the full model (its cost grows as P^3), and from the support of the
 # RVM, which may be large.
@@ -145,6 +145,30 @@ def _listed(out: Ints, into: Ints, gains: Floats) -> list[Move]:
         Move(float(gains[k]), int(out[k]) if out[k] >= 0 else None, int(into[k]) if into[k] >= 0 else None)
         for k in order
     ]
+
+
+@kernel
+def greedy_start(p: Problem, size: int) -> Bools:
+    """Forward selection: terms activated one by one, each time the one that lowers the squared error most."""
+    terms = len(p.Dty)
+    active = np.zeros(terms, dtype=np.bool_)
+    T = swept(p, active)
+    for j in range(terms):
+        if p.log_odds[j] == math.inf:
+            flip(p, T, j)
+            active[j] = True
+    for _ in range(size):
+        best, best_j = 0.0, -1
+        for j in range(terms):
+            if not active[j] and not math.isinf(p.log_odds[j]):
+                drop = T.partial[j] * T.partial[j] / T.diagonal[j]
+                if drop > best:
+                    best, best_j = drop, j
+        if best_j < 0:
+            break
+        flip(p, T, best_j)
+        active[best_j] = True
+    return active
 
 
 def greedy_model(problem: Problem) -> Bools:

@@ -9,8 +9,8 @@ import numpy as np
 from bayeq.gram import Gram, GramLike
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Problem, gram_columns
-from bayeq.inference.search import best_models
-from bayeq.inference.tableau import residual_sum, score
+from bayeq.inference.search import best_models, greedy_start
+from bayeq.inference.tableau import residual_sum, score, swept
 from bayeq.kernels import kernel
 
 __all__ = ["learn_slab_variance", "residual_scale"]
@@ -22,6 +22,10 @@ GOLDEN_STEPS = 30
 
 # Turns of maximising the model, then v_s.
 MAX_TURNS = 10
+
+# Most terms of a forward selection, and a slab that does not shrink their coefficients.
+MOST_SELECTED = 30
+UNSHRUNK = 1e12
 
 # Below this share of the target's standard deviation a residual is rounding of the Gram matrix.
 LEAST_RESIDUAL = 1e-6
@@ -94,13 +98,20 @@ def residual_scale(gram: Gram) -> float:
 
     b_sigma is not scale free. In units of y, IG(1e-4, 1e-4) weighs on the noise once it falls to about 0.1 % of
     the signal; in units of the least-squares residual it never does. With hardly more rows than terms there is
-    no such residual, and the standard deviation of y takes its place.
+    no such residual, and that of a quarter as many terms as there are rows, chosen by forward selection, takes its
+    place.
     """
     sd = math.sqrt(gram.yty / gram.n)
     spare = gram.n - 1 - len(gram.names)
     if sd == 0.0:
         return 1.0
+    standard = gram.standardise(sd).gram
     if spare < max(10, 0.1 * gram.n):
-        return sd
-    rss = _residual_sum(gram.standardise(sd).gram)
+        chosen = min(int(gram.n) // 4, MOST_SELECTED)
+        problem = Problem.of(standard, Prior(slab_variance=UNSHRUNK))
+        active = greedy_start(problem, chosen)
+        rss = float(swept(problem, active).diagonal[-1]) - 2.0 * problem.noise_rate
+        spare = gram.n - 1 - int(active.sum())
+    else:
+        rss = _residual_sum(standard)
     return sd * max(math.sqrt(max(rss, 0.0) / spare), LEAST_RESIDUAL)

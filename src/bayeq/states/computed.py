@@ -18,6 +18,7 @@ from scipy.special import comb
 
 from bayeq.records import Record
 from bayeq.states.chain import Chain
+from bayeq.states.derive import usable
 from bayeq.states.grid import on_grid
 from bayeq.states.smoothed import smooth_chain
 
@@ -84,7 +85,7 @@ def measured_apart(
 def _computed(records: Sequence[Record], chain: Chain, holdout: float) -> list[int]:
     """Orders of the derivatives that were computed from the lowest measured one."""
     names = [name for name in chain.measured if name is not None]
-    if not all(name in record.channels and np.isfinite(record[name]).all() for record in records for name in names):
+    if not all(name in record.channels and usable(record[name]) for record in records for name in names):
         # told of where channels are checked
         return []
     even = [on_grid(record, names, ()) for record in records]

@@ -19,7 +19,7 @@ from bayeq.states.grid import on_grid
 from bayeq.states.smoothed import ChainSmoothing, smooth_chain
 from bayeq.states.smoothing import smooth_derivative
 
-__all__ = ["FEW_ROWS", "Smooth", "States", "derive_states"]
+__all__ = ["FEW_ROWS", "Smooth", "States", "derive_all", "derive_states", "usable"]
 
 Floats = NDArray[np.float64]
 Smooth = Literal["auto", "none"]
@@ -201,6 +201,13 @@ def derive_states(
             _fill(columns, record, source, name, order - below, smooth)
             estimated.append(name)
     return States(columns=columns, estimated=tuple(estimated))
+
+
+def usable(values: Floats) -> bool:
+    """Whether samples are finite, vary, and have squares in floating point."""
+    if not np.isfinite(values).all() or np.abs(values).max() > LARGEST:
+        return False
+    return bool(values.max() - values.min() >= 1 / LARGEST)
 
 
 def _require_varying(record: Record, name: str) -> None:

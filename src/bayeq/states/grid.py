@@ -59,7 +59,8 @@ def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]
             values = CubicSpline(grid[index], record[name])(grid)
             values[index] = record[name]
         channels[name] = values
-    return Record(channels=channels, time=grid, units=record.units, name=record.name)
+    units = {name: unit for name, unit in record.units.items() if name in channels or name == "t"}
+    return Record(channels=channels, time=grid, units=units, name=record.name)
 
 
 def _places(time: Floats) -> tuple[Ints, float]:
