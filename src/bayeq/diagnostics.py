@@ -92,6 +92,9 @@ class Residuals:
         (Lobato and Velasco 2004).
     driver : Driver or None
         The input or state that they follow most, where channels were given.
+    excess : float or None
+        Of a regression on smoothed states: the power of the residual in the band over what the noise of the channels
+        makes there, 1 for an adequate model. None elsewhere, and where the noise of an input is not known.
     """
 
     n: int
@@ -101,6 +104,7 @@ class Residuals:
     kurtosis: float = 0.0
     normality: float = 1.0
     driver: Driver | None = None
+    excess: float | None = None
 
     @property
     def correlated(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -100,6 +100,8 @@ class Inferred:
         The same given the terms that the equation is to have.
     left_out : tuple of LeftOut
         Terms that are in the one and not in the other.
+    undecided : mapping of str to tuple of str
+        Terms that are shown, each with terms left out that could as well stand in its place.
     """
 
     which: int
@@ -112,6 +114,7 @@ class Inferred:
     found: Posterior
     shown: Posterior
     left_out: tuple[LeftOut, ...] = ()
+    undecided: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def infer_equation(setting: Setting, which: int, constraints: Constraints, choice: Choice) -> Inferred:
@@ -141,20 +144,27 @@ def infer_equation(setting: Setting, which: int, constraints: Constraints, choic
     return Inferred(which, in_band, gram, standard, prior, fitted, constraints, found, shown, left_out)
 
 
-def posterior_of(setting: Setting, inferred: Inferred) -> Posterior:
-    """The posterior of what is shown, in original units and of all terms."""
+def posterior_of(setting: Setting, inferred: Inferred) -> tuple[Posterior, float | None]:
+    """The posterior of what is shown, in original units and of all terms; and the `Residuals.excess` of a band."""
     posterior = inferred.constraints.expand(inferred.standard.restore(inferred.shown), inferred.gram)
-    if inferred.in_band is None:
-        return posterior
+    in_band, excess = inferred.in_band, None
+    if in_band is None:
+        return posterior, excess
     if posterior.support.any() and not inferred.constraints.signs.any():
         basis = inferred.constraints.equalities.basis(posterior.support)
-        posterior = _propagated(setting, inferred.in_band, inferred.which, posterior, basis)
-    return replace(posterior, noise_variance=_noise_variance(setting.design.train[inferred.which], posterior))
+        posterior, excess = _propagated(setting, in_band, inferred.which, posterior, basis)
+        named = {setting.design.terms[j].text for j in in_band.noise}
+        if not named.issuperset(setting.inputs):
+            # noise of inputs that nobody knows is in the residual too
+            excess = None
+    return replace(posterior, noise_variance=_noise_variance(setting.design.train[inferred.which], posterior)), excess
 
 
-def _propagated(setting: Setting, in_band: InBand, which: int, posterior: Posterior, basis: Floats) -> Posterior:
-    """The posterior with the covariance that the noise of the channels makes."""
-    covariance = propagated_covariance(
+def _propagated(
+    setting: Setting, in_band: InBand, which: int, posterior: Posterior, basis: Floats
+) -> tuple[Posterior, float]:
+    """The posterior with the covariance that the noise of the channels makes; and how far the residual exceeds it."""
+    covariance, excess = propagated_covariance(
         in_band,
         posterior,
         setting.design.terms,
@@ -174,7 +184,7 @@ def _propagated(setting: Setting, in_band: InBand, which: int, posterior: Poster
         change = within - posterior.pip[kept] * np.diagonal(posterior.covariance)
         averaged = averaged.copy()
         averaged[kept] = np.sqrt(np.maximum(averaged[kept] ** 2 + change, within))
-    return replace(posterior, covariance=covariance, averaged_sd=averaged)
+    return replace(posterior, covariance=covariance, averaged_sd=averaged), excess
 
 
 def _residual(setting: Setting, which: int, posterior: Posterior, piece: Mapping[str, Floats]) -> Floats:

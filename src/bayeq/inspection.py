@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from bayeq.equation import Equation, Fit, Regression, RunnerUp
 from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidualsWarning, DataWarning
@@ -21,6 +22,9 @@ __all__ = ["equation_of"]
 # An equation that explains a smaller share of the target's variance is warned of.
 LITTLE = 0.5
 
+# A residual of more than this many times the power that is explained is warned of; of adequate models it is 0.8 to 1.1.
+INADEQUATE = 2.0
+
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
 RUNNER_UP_WINDOW = 12.0
 RUNNERS_UP = 5
@@ -31,7 +35,7 @@ def equation_of(setting: Setting, inferred: Inferred, notes: Notes) -> Equation:
     """The equation, its fits and diagnostics; what is to be warned of goes to the notes."""
     k, standard, prior, shown = inferred.which, inferred.standard, inferred.prior, inferred.shown
     chain, rows = setting.chains[k], setting.design.train[k]
-    posterior = posterior_of(setting, inferred)
+    posterior, excess = posterior_of(setting, inferred)
     if not posterior.converged:
         rhat = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
         notes.warn(
@@ -51,7 +55,7 @@ def equation_of(setting: Setting, inferred: Inferred, notes: Notes) -> Equation:
     else:
         _warn_of_groups(chain.target, posterior, notes)
     states = [name for one in setting.chains for name in one.states]
-    residuals = inspected(setting, k, posterior, (*setting.inputs, *states))
+    residuals = replace(inspected(setting, k, posterior, (*setting.inputs, *states)), excess=excess)
     equation = Equation(
         chain=chain,
         terms=setting.design.terms,
@@ -95,6 +99,19 @@ def _warn_of_misfit(equation: Equation, inferred: Inferred, notes: Notes) -> Non
             f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}{counted}): standard deviations and"
             " intervals may be too narrow, and terms may be included that only fit the correlation",
             CorrelatedResidualsWarning,
+        )
+    if residuals.excess is not None and residuals.excess > INADEQUATE:
+        notes.warn(
+            f"{chain.target}: the residual has {residuals.excess:.1f} times the power that the noise of the channels"
+            " explains: the equation is only nearly true, or the channels do not fit each other. Terms may be certain"
+            " that stand in for what is missing, and intervals do not cover that",
+            DataWarning,
+        )
+    for term, others in inferred.undecided.items():
+        notes.warn(
+            f"{chain.target}: {term} is needed, but its form is undecided: with {' or '.join(others)} instead the fit"
+            " and free runs are hardly worse",
+            AmbiguityWarning,
         )
     if residuals.driven and residuals.driver is not None:
         notes.warn(

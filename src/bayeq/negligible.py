@@ -35,6 +35,9 @@ Bools = NDArray[np.bool_]
 # Share of the target's variance that negligible terms together explain at most.
 NEGLIGIBLE = 4e-5
 
+# Terms that explain less than so many times as much may have been kept for the free runs alone.
+MATTERS = 3.0
+
 # Free runs over so many periods are hardly worse if their error is at most this share of the states' spread, or at most
 # WORSE times that of the whole equation. Of fewer training rows than LONG, if it is larger than that by this share of
 # the spread at most.
@@ -92,8 +95,39 @@ def without_negligible(
                 names = one.shown.names
                 gone = np.flatnonzero(one.shown.support & ~fewer)
                 left = tuple(LeftOut(names[j], float(one.shown.pip[j]), float(shares[j]), "negligible") for j in gone)
-                out[k] = replace(trial[k], left_out=left)
+                undecided: dict[str, tuple[str, ...]] = {}
+                for j, models in _exchanged(one, fewer, gone, share).items():
+                    posteriors = [given_terms(one.standard.gram, one.prior, one.shown, model) for _, model in models]
+                    swapped = [[*out[:k], replace(one, shown=shown), *out[k + 1 :]] for shown in posteriors]
+                    as_good = tuple(
+                        names[i]
+                        for (i, _), other in zip(models, swapped, strict=True)
+                        if hardly_worse(_errors(setting, other, pieces), errors)
+                    )
+                    if as_good:
+                        undecided[names[j]] = as_good
+                out[k] = replace(trial[k], left_out=left, undecided=undecided)
                 break
+    return out
+
+
+def _exchanged(
+    inferred: Inferred, model: Bools, gone: NDArray[np.intp], share: float
+) -> dict[int, list[tuple[int, Bools]]]:
+    """Models that put a negligible term in the place of one that is kept for the free runs alone, by the latter."""
+    shares = partial_shares(inferred.fitted, model)
+    forced = np.isposinf(inferred.prior.log_odds(len(shares)))
+    whole = _unexplained(inferred, model)
+    out = {}
+    for j in np.flatnonzero(model & ~forced & (np.nan_to_num(shares, nan=np.inf) < share * MATTERS)):
+        models = []
+        for i in gone:
+            other = model.copy()
+            other[j], other[i] = False, True
+            if _unexplained(inferred, other) - whole < share:
+                models.append((int(i), other))
+        if models:
+            out[int(j)] = models
     return out
 
 

@@ -44,8 +44,8 @@ def propagated_covariance(
     which: int,
     inputs: Sequence[str],
     basis: Floats,
-) -> Floats:
-    """Covariance of the included coefficients.
+) -> tuple[Floats, float]:
+    """Covariance of the included coefficients, and how far the residual exceeds the noise that it is to come from.
 
     Parameters
     ----------
@@ -71,6 +71,8 @@ def propagated_covariance(
     (r, r) array
         H^-1 M H^-1: H the sums of squares and products of the weighted columns, M the covariance of their products with
         the residual.
+    float
+        Weighted sum of squares of the residual over what the noise drawn gives.
     """
     kept = np.flatnonzero(posterior.support)
     chosen = [terms[int(j)] for j in kept]
@@ -113,7 +115,7 @@ def propagated_covariance(
     inverse = np.linalg.inv(free.T @ H @ free)
     covariance = free @ inverse @ (free.T @ M @ free) @ inverse @ free.T * (found / drawn)
     covariance = covariance[1:, 1:]
-    return np.asarray(0.5 * (covariance + covariance.T))
+    return np.asarray(0.5 * (covariance + covariance.T)), found / drawn
 
 
 def _rate(smoothing: ChainSmoothing) -> float:

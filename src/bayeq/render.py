@@ -127,6 +127,8 @@ def _residuals(found: Residuals) -> list[str]:
         f"residuals: skewness {found.skewness:.2f} and excess kurtosis {found.kurtosis:.2f}, {shape}"
         f" ({_chance(found.normality)})",
     ]
+    if found.excess is not None:
+        lines.append(f"residuals: {found.excess:.2g} times the power that the noise of the channels explains")
     if found.driver is not None and found.driver.p_value < DOUBTFUL:
         lines.append(f"residuals: follow {found.driver} ({_chance(found.driver.p_value)})")
     elif found.driver is not None:

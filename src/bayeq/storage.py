@@ -359,6 +359,7 @@ def _restored_residuals(saved: Mapping[str, Any]) -> Residuals:
         kurtosis=float(saved.get("kurtosis", 0.0)),
         normality=float(saved.get("normality", 1.0)),
         driver=None if driver is None else Driver(**driver),
+        excess=None if saved.get("excess") is None else float(saved["excess"]),
     )
 
 
