@@ -20,7 +20,7 @@ from bayeq.expressions import Expression
 from bayeq.posterior import Posterior
 from bayeq.spectral import periodogram, to_band
 from bayeq.states import Chain, ChainSmoothing
-from bayeq.weighting import InBand, gains_of
+from bayeq.weighting import InBand, gains_of, unsmoothed
 
 __all__ = ["propagated_covariance"]
 
@@ -79,7 +79,7 @@ def propagated_covariance(
     theta = posterior.coef[kept]
     own = smoothings[which]
     target = chains[which].target
-    driven = [i for i, term in enumerate(chosen) if term.names & set(inputs)]
+    filtered = unsmoothed(chosen, chains)
     noisy = {terms[j].text: float(np.sqrt(variance)) for j, variance in in_band.noise.items()}
     rng = np.random.default_rng(0)
     H, M = np.zeros((len(kept) + 1,) * 2), np.zeros((len(kept) + 1,) * 2)
@@ -101,7 +101,7 @@ def propagated_covariance(
             errors = _errors(n, chains, filters, noisy, rng)
             moved = {name: piece[name] + error for name, error in errors.items() if name != target}
             difference = evaluate_terms(chosen, {**piece, **moved}) - base
-            columns = to_band(difference, errors[target], _rate(own), in_band.span, gain, driven).columns
+            columns = to_band(difference, errors[target], _rate(own), in_band.span, gain, filtered).columns
             e = columns[:, -1] - columns[:, 1:-1] @ theta
             level += float(band.count @ (np.abs(e * root) ** 2)) / count
             scores = np.add.reduceat(X * _in_time(e[:, None], root, band.first, n), edges, axis=0)

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 # a delay from so many samples, a gain from this ratio.
 LEAST_OFFSET = 0.01
 LEAST_DELAY = 0.2
-LEAST_GAIN = 1.05
+LEAST_GAIN = 1.03
 
 # ... and if it is so many standard errors from nothing.
 SIGNIFICANT = 4.0
