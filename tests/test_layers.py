@@ -19,6 +19,7 @@ LEVELS = [
     {"expressions", "records", "posterior", "diagnostics"},
     {"gram", "lazy_gram", "spectral"},
     {"systems", "states", "dictionary", "inference"},
+    {"seen"},
     {"weighting"},
     {"propagation"},
     {"adapters", "constraints", "equalities", "forecast", "report"},

@@ -22,6 +22,7 @@ from bayeq.inspection import equation_of
 from bayeq.negligible import NEGLIGIBLE, training_rows, without_negligible
 from bayeq.notes import Notes
 from bayeq.records import Record, check_messages
+from bayeq.seen import seen_design
 from bayeq.states import Chain, Smooth, derive_all, measured_apart, parse_chains
 
 __all__ = ["discover"]
@@ -185,6 +186,11 @@ def discover(
     if method not in SIGNED and any(c.signs.any() for c in constrained):
         raise InputError(f"method {method!r} takes no signs of coefficients; take one of: {', '.join(SIGNED)}")
 
+    smoothing = states[0].smoothing
+    estimated = tuple(
+        smoothing[k] if smoothing and chain.measured[-1] is None else None for k, chain in enumerate(parsed)
+    )
+    design = seen_design(design, parsed, estimated, train, held_out)
     units, conflicts = channel_units([piece.units for piece in pieces], parsed, all_inputs)
     for message in conflicts:
         notes.warn(message, DataWarning)
@@ -194,7 +200,8 @@ def discover(
         design=design,
         train=train,
         observed=tuple(targets),
-        smoothings=states[0].smoothing,
+        smoothings=smoothing,
+        estimated=estimated,
         method=method,
         prior=prior,
         coarsen=coarsen,

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from bayeq.choice import Choice, LeftOut
 from bayeq.constraints import Constraints
 from bayeq.diagnostics import Residuals, inspect_residuals
-from bayeq.dictionary import Design, evaluate_terms
+from bayeq.dictionary import Design
 from bayeq.gram import Gram, Standardised
 from bayeq.inference import ENGINES, Prior
 from bayeq.inference.slab import learn_slab_variance, residual_scale
 from bayeq.posterior import Posterior
 from bayeq.propagation import propagated_covariance
+from bayeq.seen import evaluate_seen
 from bayeq.stand_in import plausible
 from bayeq.states import Chain, ChainSmoothing
 from bayeq.weighting import InBand, regress_in_band, thinned_gram
@@ -52,6 +53,8 @@ class Setting:
         The column of each target that equations are judged by: measured, where there is one.
     smoothings : tuple of ChainSmoothing
         How each chain was smoothed; empty if none was.
+    estimated : tuple of (ChainSmoothing or None)
+        The same of each target that was estimated, None of those measured.
     method : str
         Of `ENGINES`.
     prior : Prior or None
@@ -68,6 +71,7 @@ class Setting:
     train: Sequence[Mapping[str, Floats]]
     observed: tuple[str, ...]
     smoothings: tuple[ChainSmoothing, ...]
+    estimated: tuple[ChainSmoothing | None, ...]
     method: str
     prior: Prior | None
     coarsen: float
@@ -191,7 +195,8 @@ def _residual(setting: Setting, which: int, posterior: Posterior, piece: Mapping
     kept = np.flatnonzero(posterior.support)
     out: Floats = piece[setting.observed[which]] - posterior.intercept
     if len(kept):
-        out = out - evaluate_terms([setting.design.terms[j] for j in kept], piece) @ posterior.coef[kept]
+        terms = [setting.design.terms[j] for j in kept]
+        out = out - evaluate_seen(terms, piece, setting.chains, setting.estimated[which]) @ posterior.coef[kept]
     return out
 
 

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.posterior import Posterior
+from bayeq.seen import unsmoothed
 from bayeq.spectral import periodogram, to_band
 from bayeq.states import Chain, ChainSmoothing
-from bayeq.weighting import InBand, gains_of, unsmoothed
+from bayeq.weighting import InBand, gains_of
 
 __all__ = ["propagated_covariance"]
 
@@ -30,8 +31,11 @@ Complexes = NDArray[np.complex128]
 # Independent projections that the covariance is estimated from: a standard deviation errs by 5 %.
 PROJECTIONS = 200
 
-# Projections of stretches of so many rows count as independent: weighting has made the residual nearly white.
+# Weighting makes the residual nearly white, so that projections of stretches of it count as independent: of at least so
+# many rows, and of so many times those in which the filter that weights has this share of its energy.
 STRETCH = 256
+MEMORIES = 8
+ENERGY = 0.9
 
 
 def propagated_covariance(
@@ -89,7 +93,7 @@ def propagated_covariance(
         root = np.sqrt(1.0 / spectrum)
         X = _in_time(band.columns[:, np.append(0, kept + 1)], root, band.first, n)
         H += X.T @ X
-        stretches = max(n // STRETCH, 1)
+        stretches = max(n // max(STRETCH, MEMORIES * _memory(root, band.first, n)), 1)
         edges = (np.arange(stretches) * n) // stretches
         count = -(-PROJECTIONS // stretches)
         base = evaluate_terms(chosen, piece)
@@ -113,7 +117,7 @@ def propagated_covariance(
     constant = np.eye(1 + len(kept))[:, : int(H[0, 0] > 0)]
     free = np.hstack([constant, np.vstack([np.zeros((1, basis.shape[1])), basis])])
     inverse = np.linalg.inv(free.T @ H @ free)
-    covariance = free @ inverse @ (free.T @ M @ free) @ inverse @ free.T * (found / drawn)
+    covariance = free @ inverse @ (free.T @ M @ free) @ inverse @ free.T * max(found / drawn, 1.0)
     covariance = covariance[1:, 1:]
     return np.asarray(0.5 * (covariance + covariance.T)), found / drawn
 
@@ -128,6 +132,12 @@ def _in_time(columns: Complexes, factor: Floats, first: int, n: int) -> Floats:
     whole = np.zeros((n // 2 + 1, columns.shape[1]), dtype=np.complex128)
     whole[first : first + len(columns)] = columns * factor[:, None]
     return np.asarray(np.fft.irfft(whole, n, axis=0) * np.sqrt(n))
+
+
+def _memory(root: Floats, first: int, n: int) -> int:
+    """Rows in which the filter of that gain has most of its energy."""
+    energy = _in_time(np.ones((len(root), 1), dtype=np.complex128), root, first, n)[: n // 2, 0] ** 2
+    return int(np.searchsorted(np.cumsum(energy), ENERGY * energy.sum()))
 
 
 class _NoiseFilter(NamedTuple):

@@ -26,11 +26,11 @@ __all__ = ["Band", "added_floor", "band_gram", "noise_floor", "periodogram", "re
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-# Share of a record that is tapered at either end, and the least number of rows; so many rows as the inverse of the
-# band's width are, since that is how far a smoother's errors at the ends reach; and not more than this share.
+# Share of a record that is tapered at either end, and the least number of rows; so many times the inverse of the band's
+# width, since that is how far a smoother's errors at the ends reach; and not more than this share.
 TAPERED = 1 / 40
 LEAST_TAPER = 16
-MEMORY = 2.0
+MEMORY = 4.0
 MOST_TAPERED = 1 / 5
 
 # Bins on either side over which the spectrum of residuals is averaged: 122 degrees of freedom.
@@ -78,7 +78,7 @@ class Band:
 def taper(n: int, memory: float = 0.0) -> Floats:
     """Window that rises from 0 to 1 with three continuous derivatives at either end.
 
-    It does so over 1/40 of the rows, or 16, or over twice the `memory` in rows, whichever is most.
+    It does so over 1/40 of the rows, or 16, or over four times the `memory` in rows, whichever is most.
     """
     length = max(LEAST_TAPER, round(TAPERED * n), round(min(MEMORY * memory, MOST_TAPERED * n)))
     s = np.clip(np.minimum(np.arange(n), n - 1 - np.arange(n)) / length, 0.0, 1.0)

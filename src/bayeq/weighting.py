@@ -17,10 +17,11 @@ from bayeq.inference.prior import Prior
 from bayeq.inference.slab import learn_slab_variance, residual_scale
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.posterior import Posterior
+from bayeq.seen import unsmoothed
 from bayeq.spectral import Band, added_floor, band_gram, noise_floor, periodogram, residual_spectrum, to_band
 from bayeq.states import Chain, ChainSmoothing
 
-__all__ = ["InBand", "Piece", "gains_of", "regress_in_band", "thinned_gram", "unsmoothed", "weighted_gram"]
+__all__ = ["InBand", "Piece", "gains_of", "regress_in_band", "thinned_gram", "weighted_gram"]
 
 Floats = NDArray[np.float64]
 
@@ -151,7 +152,7 @@ def weighted_gram(
     span : (float, float)
         The band [Hz].
     inputs : sequence of int
-        Columns to be filtered as the smoother filters the motion, see `unsmoothed`.
+        Columns to be filtered as the smoother filters the motion, see `bayeq.seen.unsmoothed`.
     noise : mapping of int to float, optional
         Noise variance of columns that are inputs themselves.
 
@@ -226,16 +227,6 @@ def regress_in_band(
     spans = [smoothing.band for smoothing in smoothings]
     span = max(low for low, _ in spans), min(high for _, high in spans)
     return weighted_gram(rows, names, smoothings[which], span, filtered, noise)
-
-
-def unsmoothed(terms: Sequence[Expression], chains: Sequence[Chain]) -> list[int]:
-    """Terms that are not states: the smoother's gain is in the states and in the target, but not in these.
-
-    An input is as measured. A product such as x**3 is that of smoothed states, which follow the motion where it is
-    strong, so that its harmonics stand there at full height.
-    """
-    states = {name for chain in chains for name in chain.states}
-    return [j for j, term in enumerate(terms) if term.text not in states]
 
 
 def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gram:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import get_args
 
 import numpy as np
@@ -16,7 +16,7 @@ from bayeq.errors import InputError, RecordError
 from bayeq.expressions import Expression
 from bayeq.forecast.integrate import Interpolation, interpolant
 from bayeq.records import Record
-from bayeq.states import Chain, States
+from bayeq.states import Chain, ChainSmoothing, States
 from bayeq.states.grid import on_grid
 
 __all__ = [
@@ -48,12 +48,15 @@ class Rows:
         What was measured of states and targets; NaN where a sample is missing.
     driven : (n, m, 4) array
         Inputs between the rows, from `bayeq.forecast.integrate.interpolant` over the whole record.
+    estimated : mapping of str to ChainSmoothing
+        How targets that were not measured were estimated.
     """
 
     time: Floats
     columns: Mapping[str, Floats]
     samples: Mapping[str, Floats]
     driven: Floats
+    estimated: Mapping[str, ChainSmoothing] = field(default_factory=dict)
 
     @property
     def n(self) -> int:
@@ -66,6 +69,7 @@ class Rows:
             {name: values[rows] for name, values in self.columns.items()},
             {name: values[rows] for name, values in self.samples.items()},
             self.driven[rows],
+            self.estimated,
         )
 
     def interpolated(self, inputs: Sequence[str], kind: Interpolation) -> Rows:
@@ -105,6 +109,11 @@ def rows_of(
         {**states.columns, **states.measured},
         {name: np.asarray(filled[name]) for name in names},
         interpolant(time, side_by_side(states.columns, inputs, states.n), interpolation),
+        {
+            chain.target: smoothing
+            for chain, smoothing in zip(chains, states.smoothing, strict=bool(states.smoothing))
+            if chain.measured[-1] is None
+        },
     )
 
 

@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 # The smoother is trusted to follow the motion where its gain exceeds this.
 LEAST_GAIN = 0.9
 
+# A smoother's filter reaches over so many times as many samples as the inverse of its band's width.
+REACH = 4.0
+
 # Steps of time that differ by a smaller share count as one.
 UNIFORM = 1e-3
 
@@ -91,6 +94,23 @@ class ChainSmoothing:
         information = self.information(frequency)
         bound = 0.0 if self.coordinate_sd is None else 1.0 / self.coordinate_sd**2
         return np.asarray(density * information / (1.0 + density * (information + bound)))
+
+    def follow(self, values: Floats) -> Floats:
+        """Columns (n, k) as the smoother would show them: filtered by its gain, reflected at the ends.
+
+        Sampled uniformly; otherwise they are left as they are.
+        """
+        n = len(values)
+        if self.fs is None or n < 3 or not values.shape[1]:
+            return values
+        reach = min(n - 1, int(np.ceil(REACH * self.fs / max(self.band[1], self.fs / n))))
+        padded = np.pad(values, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+        size = len(padded)
+        gain = self.gain(np.asarray(np.fft.rfftfreq(size, 1.0 / self.fs), dtype=np.float64))
+        # what does not change passes, though it is no motion where the coordinate was integrated
+        gain[0] = 1.0
+        filtered = np.fft.irfft(gain[:, None] * np.fft.rfft(padded, axis=0), size, axis=0)
+        return np.asarray(filtered[reach : reach + n])
 
     @property
     def band(self) -> tuple[float, float]:
