@@ -133,6 +133,7 @@ def test_a_wrong_sign_is_named(channel):
     ("gain", "hint"),
     [
         (1.1, "calibration"),
+        (1.04, "calibration"),
         (0.9, "calibration"),
         (9.80665, "g and m/s^2"),
         (1 / 9.80665, "g and m/s^2"),

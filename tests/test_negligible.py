@@ -82,3 +82,39 @@ def test_errors_of_windows_are_those_of_simulate():
 def test_shares_out_of_range(value):
     with pytest.raises(InputError, match="negligible"):
         bq.discover(bq.simulate("linear", n=100), **OSCILLATOR, negligible=value)
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_short_records_without_noise_show_the_law_alone():
+    # the force between the samples is not what the smoother takes it for; terms come in that stand for the difference
+    rec = bq.simulate("quadratic", seed=3, noise=0)
+    options = {"chains": "x:v:", "inputs": ["u"]}
+    assert set(bq.discover(rec, **options)[0].included) == {"x", "v", "v*abs(v)", "u"}
+    everything = bq.discover(rec, **options, negligible=0)[0]
+    assert {left.name for left in bq.discover(rec, **options)[0].left_out} == (
+        set(everything.included) - {"x", "v", "v*abs(v)", "u"}
+    )
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_a_form_that_free_runs_leave_undecided_is_told_of():
+    # friction that is partly viscous and partly dry; over a hundred periods either kind alone follows the motion
+    rng = np.random.default_rng(0)
+    t = np.arange(15_000) / 200.0
+    th, w, states = 1.0, 0.0, []
+    for _ in t:
+        states.append((th, w))
+        for _ in range(5):  # semi-implicit Euler steps of 1 ms
+            w += 1e-3 * (-39.5 * np.sin(th) - 0.02 * w - 0.01 * np.sign(w))
+            th += 1e-3 * w
+    th, w = np.array(states).T
+    rec = bq.Record.from_arrays(
+        time=t, th=th + 5e-4 * rng.standard_normal(len(t)), w=w + 5e-3 * rng.standard_normal(len(t))
+    )
+    eq = bq.discover(rec, chains="th:w:", dictionary=["th", "sin(th)", "w", "w*abs(w)", "sign(w)"])
+    assert "sin(th)" in eq[0].included
+    friction = {"w", "w*abs(w)", "sign(w)"}
+    (shown,) = friction & set(eq[0].included)
+    told = [message for message in eq.warnings if "its form is undecided" in message]
+    assert len(told) == 1
+    assert told[0].startswith(f"ddth: {shown} is needed, but its form is undecided: with ")

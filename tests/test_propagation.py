@@ -93,3 +93,43 @@ def test_what_cannot_be_integrated():
     )
     with pytest.raises(RecordError, match="even steps"):
         bq.discover(odd, chains="::a", inputs=["u"])
+
+
+def test_an_adequate_residual_is_that_of_the_noise():
+    for seed in range(3):
+        eq = bq.discover(bq.simulate("duffing", seed=seed), chains="x:v:a", inputs=["u"])
+        # chi-square of some 800 numbers
+        assert eq[0].residuals.excess == pytest.approx(1.0, abs=0.15)
+        assert f"{eq[0].residuals.excess_text} times the power that the noise of the channels explains" in str(eq)
+
+
+def test_a_residual_beyond_the_noise_is_warned_of():
+    for system, terms in (("linear", ["x", "u"]), ("duffing", ["x", "v", "u"])):
+        rec = bq.simulate(system, seed=0)
+        with pytest.warns(bq.errors.DataWarning, match="times the power that the noise of the channels explains"):
+            eq = bq.discover(rec, chains="x:v:a", inputs=["u"], dictionary=terms)
+        assert eq[0].residuals.excess > 2
+
+
+def test_of_inputs_of_unknown_noise_no_excess_is_told():
+    # white to half the sampling rate: nothing tells the force's noise from the force
+    rec = bq.simulate("linear", fs=200.0, seed=0, noise=0.05)
+    eq = bq.discover(rec, chains="x:v:a", inputs=["u"])
+    assert eq[0].residuals.excess is None
+    assert "times the power" not in str(eq)
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_intervals_of_a_free_decay_cover():
+    # the memory of the weights is a good part of the record; 2 x 40 intervals
+    inside = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        t = np.arange(1500) / 30.0
+        x = 100 * np.exp(-0.0067 * t) * np.cos(np.sqrt(6.22 - 0.0067**2) * t + rng.uniform(0, 6.28))
+        rec = bq.Record.from_arrays(time=t, x=x + 0.34 * rng.standard_normal(1500))
+        given = bq.Prior(prior_inclusion=1.0, slab_variance=1e8)
+        eq = bq.discover(rec, chains="x::", dictionary=["x", "dx"], prior=given, holdout=0.0, negligible=0)
+        inside += [low < truth < high for (low, high), truth in zip(eq[0].ci95[:2], (-6.22, -0.0134), strict=True)]
+    # 95 % +- 2.4; 73 % before, when stretches of 256 rows counted as independent
+    assert np.mean(inside) > 0.88

@@ -93,8 +93,8 @@ class Residuals:
     driver : Driver or None
         The input or state that they follow most, where channels were given.
     excess : float or None
-        Of a regression on smoothed states: the power of the residual in the band over what the noise of the channels
-        makes there, 1 for an adequate model. None elsewhere, and where the noise of an input is not known.
+        Of a regression on smoothed states: the power of the residual over what the noise of the channels makes, bin by
+        bin of the band, 1 for an adequate model. None elsewhere, and where the noise of an input is not known.
     """
 
     n: int
@@ -105,6 +105,13 @@ class Residuals:
     normality: float = 1.0
     driver: Driver | None = None
     excess: float | None = None
+
+    @property
+    def excess_text(self) -> str:
+        """The excess as a person says it."""
+        if self.excess is None:
+            return "unknown"
+        return f"{self.excess:.2g}" if self.excess < 10 else f"{self.excess:,.0f}"
 
     @property
     def correlated(self) -> bool:

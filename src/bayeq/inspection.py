@@ -22,8 +22,8 @@ __all__ = ["equation_of"]
 # An equation that explains a smaller share of the target's variance is warned of.
 LITTLE = 0.5
 
-# A residual of more than this many times the power that is explained is warned of; of adequate models it is 0.8 to 1.1.
-INADEQUATE = 2.0
+# A residual of more than this many times the power that is explained is warned of; of adequate models it is 0.9 to 1.3.
+INADEQUATE = 1.75
 
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
 RUNNER_UP_WINDOW = 12.0
@@ -102,7 +102,7 @@ def _warn_of_misfit(equation: Equation, inferred: Inferred, notes: Notes) -> Non
         )
     if residuals.excess is not None and residuals.excess > INADEQUATE:
         notes.warn(
-            f"{chain.target}: the residual has {residuals.excess:.1f} times the power that the noise of the channels"
+            f"{chain.target}: the residual has {residuals.excess_text} times the power that the noise of the channels"
             " explains: the equation is only nearly true, or the channels do not fit each other. Terms may be certain"
             " that stand in for what is missing, and intervals do not cover that",
             DataWarning,

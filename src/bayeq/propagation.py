@@ -76,7 +76,7 @@ def propagated_covariance(
         H^-1 M H^-1: H the sums of squares and products of the weighted columns, M the covariance of their products with
         the residual.
     float
-        Weighted sum of squares of the residual over what the noise drawn gives.
+        Squares of the residual over what the noise drawn gives in the same bin, on average over the bins.
     """
     kept = np.flatnonzero(posterior.support)
     chosen = [terms[int(j)] for j in kept]
@@ -87,7 +87,7 @@ def propagated_covariance(
     noisy = {terms[j].text: float(np.sqrt(variance)) for j, variance in in_band.noise.items()}
     rng = np.random.default_rng(0)
     H, M = np.zeros((len(kept) + 1,) * 2), np.zeros((len(kept) + 1,) * 2)
-    drawn = found = 0.0
+    drawn = found = surplus = numbers = 0.0
     for piece, band, spectrum in zip(pieces, in_band.bands, in_band.spectrum, strict=True):
         n = len(piece[target])
         root = np.sqrt(1.0 / spectrum)
@@ -99,7 +99,7 @@ def propagated_covariance(
         base = evaluate_terms(chosen, piece)
         gain = gains_of(piece[target], own)
         filters = [_noise_filter(smoothing, n) for smoothing in smoothings]
-        level = 0.0
+        power = np.zeros(len(band.frequency))
         filling = np.zeros_like(M)
         for _ in range(count):
             errors = _errors(n, chains, filters, noisy, rng)
@@ -107,19 +107,23 @@ def propagated_covariance(
             difference = evaluate_terms(chosen, {**piece, **moved}) - base
             columns = to_band(difference, errors[target], _rate(own), in_band.span, gain, filtered).columns
             e = columns[:, -1] - columns[:, 1:-1] @ theta
-            level += float(band.count @ (np.abs(e * root) ** 2)) / count
+            power += np.abs(e) ** 2 / count
             scores = np.add.reduceat(X * _in_time(e[:, None], root, band.first, n), edges, axis=0)
             filling += scores.T @ scores / count
         M += filling
-        drawn += level
-        found += float(band.count @ (periodogram(band, posterior.coef, posterior.intercept) / spectrum))
+        left = periodogram(band, posterior.coef, posterior.intercept)
+        drawn += float(band.count @ (power / spectrum))
+        found += float(band.count @ (left / spectrum))
+        # the mean of 1/power over `count` draws of an exponential is larger than the inverse of its mean
+        surplus += float(band.count @ (left / power)) * (count - 1) / count
+        numbers += float(band.count.sum())
     # in a band that does not begin at zero there is no constant
     constant = np.eye(1 + len(kept))[:, : int(H[0, 0] > 0)]
     free = np.hstack([constant, np.vstack([np.zeros((1, basis.shape[1])), basis])])
     inverse = np.linalg.inv(free.T @ H @ free)
     covariance = free @ inverse @ (free.T @ M @ free) @ inverse @ free.T * max(found / drawn, 1.0)
     covariance = covariance[1:, 1:]
-    return np.asarray(0.5 * (covariance + covariance.T)), found / drawn
+    return np.asarray(0.5 * (covariance + covariance.T)), surplus / numbers
 
 
 def _rate(smoothing: ChainSmoothing) -> float:

@@ -29,6 +29,9 @@ PLAIN_WIDTH = 110
 # An intercept of zero that is known so well was not estimated.
 NOTHING = 1e-100
 
+# A term of a higher PIP is called certain.
+CERTAIN = 0.99
+
 # What is told of residuals, if it had a smaller probability by chance.
 DOUBTFUL = 1e-3
 
@@ -85,7 +88,8 @@ def _render_equation(console: Console, equation: Equation, method: str, scores: 
     for line in _residuals(equation.residuals):
         console.print(escape(line))
     for left in equation.left_out:
-        why = "certain, but negligible" if left.reason == "negligible" else f"left out as asked ({left.reason})"
+        sure = "certain" if left.pip > CERTAIN else "likely"
+        why = f"{sure}, but negligible" if left.reason == "negligible" else f"left out as asked ({left.reason})"
         console.print(
             f"{why}: {escape(left.name)}, {ENGINES[method].score} {left.pip:.3f}, explains {percent(left.share)}"
         )
@@ -128,7 +132,7 @@ def _residuals(found: Residuals) -> list[str]:
         f" ({_chance(found.normality)})",
     ]
     if found.excess is not None:
-        lines.append(f"residuals: {found.excess:.2g} times the power that the noise of the channels explains")
+        lines.append(f"residuals: {found.excess_text} times the power that the noise of the channels explains")
     if found.driver is not None and found.driver.p_value < DOUBTFUL:
         lines.append(f"residuals: follow {found.driver} ({_chance(found.driver.p_value)})")
     elif found.driver is not None:
