@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 import bayeq as bq
+from bayeq.errors import DataWarning
 from bayeq.gram import Gram
 from bayeq.spectral import Band, band_gram, noise_floor, residual_spectrum, taper, to_band
 from bayeq.states import derive_all, parse_chains
@@ -292,3 +293,12 @@ def _lorenz_step(s, h):
         k4 = rate(s + h * k3)
         s = s + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return s
+
+
+def test_dropped_rows_of_states_taken_as_measured():
+    rec = bq.simulate("duffing", n=3000, noise=0.001, seed=3)
+    kept = np.delete(np.arange(3000), [100, 101, 700, 2500])
+    with pytest.warns(DataWarning, match="samples are missing"):
+        eq = bq.discover(rec.take(kept), chains="x:v:a", inputs=["u"])
+    assert set(eq[0].included) == {"x", "v", "x**3", "u"}
+    assert eq.scores.free_run["x"] < 0.05

@@ -44,7 +44,8 @@ class EquationsRuns(EquationsBase):
         record : Record
             Times and inputs; states where they are measured.
         initial : mapping of str to float, optional
-            States at the first row; by default the record's: measured, smoothed or estimated.
+            States at the first row; by default those with which the run follows the first period of the record best,
+            looked for from what was measured, smoothed or estimated there.
         draws, seed : int
             Further runs with intercepts and coefficients drawn from their normal posterior given the included terms,
             for the bands; 0 for none. The initial state is the same for all.

@@ -103,6 +103,9 @@ def rows_of(
     require_time(record, purpose)
     names = [name for chain in chains for name in chain.measured if name is not None]
     filled = on_grid(record, names, inputs)
+    if filled.n != states.n:
+        # states that were taken as measured are on the record's own rows
+        filled = record
     time = require_time(filled, purpose)
     return Rows(
         time,

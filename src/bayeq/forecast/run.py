@@ -15,6 +15,7 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import ANYWHERE, GENEROUS, mean_run, run_bands, state_range
 from bayeq.forecast.integrate import Interpolation, interpolant
 from bayeq.forecast.rows import (
+    Rows,
     check_interpolation,
     normalised_error,
     require_time,
@@ -23,6 +24,7 @@ from bayeq.forecast.rows import (
     whole_number,
     window_of,
 )
+from bayeq.forecast.start import fitted_start
 from bayeq.posterior import Posterior
 from bayeq.records import Record
 from bayeq.report.forecast import Panel, Strip, draw_forecasts
@@ -149,9 +151,9 @@ def forecast(
     part = record.slice(window.start, window.stop)
     part.require_finite(dynamics.inputs)
     time = time[window]
-    first, low, high = _beginning(dynamics, record, smooth, window.start, initial)
     inputs = _inputs(dynamics, record, window, interpolation)
     parameters = dynamics.means(posteriors)
+    first, low, high = _beginning(dynamics, parameters, record, smooth, window, initial)
     step, mean, stopped = mean_run(dynamics, parameters, first, inputs, time, low, high)
     bottom: Mapping[str, Floats] = {}
     top: Mapping[str, Floats] = {}
@@ -187,7 +189,12 @@ def _inputs(dynamics: Dynamics, record: Record, window: slice, interpolation: In
 
 
 def _beginning(
-    dynamics: Dynamics, record: Record, smooth: Smooth, row: int, initial: Mapping[str, float] | None
+    dynamics: Dynamics,
+    parameters: Floats,
+    record: Record,
+    smooth: Smooth,
+    window: slice,
+    initial: Mapping[str, float] | None,
 ) -> tuple[Floats, Floats, Floats]:
     """Initial state, and the range in which runs go on."""
     given = dict(initial or {})
@@ -196,7 +203,15 @@ def _beginning(
             raise UnknownNameError("state", name, dynamics.states, where="initial")
         if not math.isfinite(value):
             raise InputError(f"initial: {name} must be finite, not {value!r}")
-    columns, row = _known_states(dynamics, record, smooth, row, [n for n in dynamics.states if n not in given])
+    needed = [name for name in dynamics.states if name not in given]
+    rows = _rows(dynamics, record, smooth) if needed else None
+    if rows is not None:
+        times = require_time(record, "a free run")
+        row = rows.nearest(times[window.start])
+        columns = rows.columns
+    else:
+        row = window.start
+        columns = _measured_states(dynamics, record, row, needed)
     start = np.array([given.get(name, columns[name][row] if name in columns else 0.0) for name in dynamics.states])
     low, high = np.full(len(start), -ANYWHERE), np.full(len(start), ANYWHERE)
     for i, name in enumerate(dynamics.states):
@@ -204,18 +219,25 @@ def _beginning(
             (low[i],), (high[i],) = state_range(columns[name][:, None])
     # a start far from what was measured is the caller's wish
     margin = GENEROUS * np.abs(start)
-    return start, np.minimum(low, start - margin), np.maximum(high, start + margin)
+    low, high = np.minimum(low, start - margin), np.maximum(high, start + margin)
+    if rows is not None and not given:
+        start = fitted_start(
+            dynamics, parameters, rows.part(slice(row, rows.nearest(times[window.stop - 1]) + 1)), low, high
+        )
+    return start, low, high
 
 
-def _known_states(
-    dynamics: Dynamics, record: Record, smooth: Smooth, row: int, needed: Sequence[str]
-) -> tuple[Mapping[str, Floats], int]:
-    """Columns of the states that are measured or can be estimated, and the row among them of a row of the record."""
+def _rows(dynamics: Dynamics, record: Record, smooth: Smooth) -> Rows | None:
+    """The record with its states, where all channels that they come from are measured."""
     channels = [name for chain in dynamics.chains for name in chain.measured if name is not None]
-    if needed and all(name in record.channels for name in channels):
-        (states,) = derive_all([record], dynamics.chains, dynamics.inputs, smooth)
-        rows = rows_of(record, states, dynamics.chains, dynamics.inputs, "a free run")
-        return rows.columns, rows.nearest(require_time(record, "a free run")[row])
+    if not all(name in record.channels for name in channels):
+        return None
+    (states,) = derive_all([record], dynamics.chains, dynamics.inputs, smooth)
+    return rows_of(record, states, dynamics.chains, dynamics.inputs, "a free run")
+
+
+def _measured_states(dynamics: Dynamics, record: Record, row: int, needed: Sequence[str]) -> Mapping[str, Floats]:
+    """Columns of the states that happen to be measured; those needed must be, in a row."""
     measured = {name: record[name] for name in dynamics.states if name in record.channels}
     for name in needed:
         if name not in measured or not np.isfinite(measured[name][row]):
@@ -223,4 +245,4 @@ def _known_states(
                 f"{record.name or 'record'}: the initial {name!r} is not measured: give"
                 f" initial={{{', '.join(f'{n!r}: ...' for n in needed)}}}"
             )
-    return measured, row
+    return measured

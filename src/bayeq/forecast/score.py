@@ -21,6 +21,7 @@ from bayeq.forecast.rows import (
     rows_of,
     window_of,
 )
+from bayeq.forecast.start import fitted_start
 from bayeq.posterior import Posterior
 from bayeq.records import Record
 from bayeq.states import Chain, Smooth, States, derive_all
@@ -45,8 +46,9 @@ def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows]) -
     """
     runs, blew_up_at = [], None
     for rows in pieces:
-        states = rows.stack(dynamics.states)
-        _, run, stopped = mean_run(dynamics, parameters, states[0], rows.driven, rows.time, *state_range(states))
+        limits = state_range(rows.stack(dynamics.states))
+        first = fitted_start(dynamics, parameters, rows, *limits)
+        _, run, stopped = mean_run(dynamics, parameters, first, rows.driven, rows.time, *limits)
         runs.append(run)
         if stopped is not None and blew_up_at is None:
             blew_up_at = float(rows.time[stopped])
