@@ -44,19 +44,23 @@ def run(example: Example, data: Path) -> None:
         position = CubicSpline(time, x - x.mean())
         zeros = position.roots(extrapolate=False)
         periods = (len(zeros) - 1) // 2
-        print(f"(2 pi / period)**2 = {(2 * np.pi * periods / (zeros[2 * periods] - zeros[0])) ** 2:.3f}")
+        stiffness = (2 * np.pi * periods / (zeros[2 * periods] - zeros[0])) ** 2
+        print(f"(2 pi / period)**2 = {stiffness:.3f}")
         rate = position(time, 1)
         print(f"v is {rec['v'] @ rate / (rate @ rate):.3f} of dx/dt")
 
     whole = eq.simulate(rec)
     viscous = compared[1][1]
     run = viscous.simulate(rec)
-    low, high = viscous[0].ci95[list(viscous[0].posterior.names).index("v")]
+    low, high = eq[0].ci95[list(eq[0].posterior.names).index("v")]
     example.numbers |= {
         "free run of the whole record, discovered equation, error of x": f"{100 * whole.nrmse['x']:.0f} %",
         "free run of the whole record, x and v refined, error of x": f"{100 * run.nrmse['x']:.1f} %",
         "limit of negligible": f"{100 * NEGLIGIBLE:.3f} %",
-        "coefficient of v, refined, 95 % interval": f"{low:.3f} .. {high:.3f}",
+        "coefficient of v, discovered, 95 % interval": f"{low:.4f} .. {high:.4f}",
+        "sampling rate [Hz]": f"{(rec.n - 1) / (time[-1] - time[0]):.2f}",
+        "amplitude of the second harmonic [tracking units]": f"{_second_harmonic(rec, stiffness):.1f}",
+        "stiffness against the period": f"{100 * (eq[0].coef['x'] / -stiffness - 1):+.2f} %",
         "README of the record, coefficients of x and v": "-6.04, -0.012",
     }
     example.figure = draw(
@@ -66,3 +70,13 @@ def run(example: Example, data: Path) -> None:
         ],
         "time [s]",
     )
+
+
+def _second_harmonic(rec: bq.Record, stiffness: float) -> float:
+    """Amplitude of x at twice its frequency, beside a polynomial and the decaying fundamental."""
+    time = np.asarray(rec.time) - np.mean(rec.time)
+    omega, slow = np.sqrt(stiffness), [np.ones_like(time), time, time**2]
+    columns = [s * wave for s in slow for wave in (np.cos(omega * time), np.sin(omega * time), np.ones_like(time))]
+    columns += [np.cos(2 * omega * time), np.sin(2 * omega * time)]
+    fitted = np.linalg.lstsq(np.column_stack(columns), rec["x"])[0]
+    return float(np.hypot(*fitted[-2:]))
