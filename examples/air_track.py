@@ -66,7 +66,7 @@ def run(example: Example, data: Path) -> None:
     example.figure = draw(
         [
             whole.strip(title=f"as discovered: {eq[0].text}"),
-            run.strip(title=f"refined: {viscous[0].text}"),
+            raw.simulate(rec).strip(title=f"channels as given: {raw[0].text}"),
         ],
         "time [s]",
     )

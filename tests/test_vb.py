@@ -9,7 +9,9 @@ from scipy.special import logsumexp
 from bayeq.errors import InputError
 from bayeq.gram import Gram
 from bayeq.inference.prior import Prior
+from bayeq.inference.problem import Problem
 from bayeq.inference.rvm import rvm
+from bayeq.inference.search import greedy_model
 from bayeq.inference.vb import spike_slab_vb
 from tests import reference
 
@@ -49,6 +51,19 @@ def test_the_paper_start_equals_the_printed_equations_from_gamma_and_tau_1000(se
     w, _, _, _, _, trace = reference.vb(D, y, rvm(gram).pip, 1000.0)
     np.testing.assert_allclose(fast.elbo_trace, trace, rtol=1e-9, atol=1e-8)
     np.testing.assert_allclose(fast.pip, w, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_greedy_start_is_the_model_that_adding_and_dropping_leads_to(seed):
+    D, y, _ = reference.random_problem(np.random.default_rng(seed))
+    gram = paper_gram(D, y)
+    start = greedy_model(Problem.of(gram, Prior()))
+    given = spike_slab_vb(gram, init=start.astype(float))
+    greedy = spike_slab_vb(gram, init="greedy")
+    np.testing.assert_array_equal(greedy.pip, given.pip)
+    assert greedy.elbo == given.elbo
+    with pytest.raises(InputError, match="'search', 'greedy', 'rvm'"):
+        spike_slab_vb(gram, init="nothing")
 
 
 @pytest.mark.parametrize("seed", range(10))

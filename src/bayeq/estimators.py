@@ -47,7 +47,7 @@ class SpikeSlabVB(SpikeSlabRegressor):
     signs : (P,) array of -1, 0 and +1, optional
         Known signs of the coefficients, 0 for unknown: given inclusion a coefficient of known sign is half normal. The
         answer is then the likeliest model with its exact posterior (see `spike_slab_vb`), and `init` "search".
-    init : "search", "rvm" or (P,) array
+    init : "search", "greedy", "rvm" or (P,) array
         Start of the ascent: several points, keeping the highest ELBO; the paper's RVM start; or given w.
     tol : float
         Stop when the ELBO rises by less.
@@ -104,7 +104,7 @@ class SpikeSlabVB(SpikeSlabRegressor):
         noise_rate: float = 1e-4,
         inclusion_beta: tuple[float, float] | None = None,
         signs: ArrayLike | None = None,
-        init: Literal["search", "rvm"] | Floats = "search",
+        init: Literal["search", "greedy", "rvm"] | Floats = "search",
         tol: float = 1e-6,
         max_iter: int = 1000,
         covariance: Literal["mean-field", "lrvb"] = "mean-field",

@@ -24,7 +24,7 @@ from bayeq.inference.path import model_log_posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.problem import Bools, Floats, Ints, Problem, fetch
 from bayeq.inference.rvm import rvm_gamma
-from bayeq.inference.search import RVM_START_TERMS, candidate_models, default_starts, neighbours
+from bayeq.inference.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
 from bayeq.inference.tableau import GAIN_TOLERANCE
 from bayeq.kernels import kernel
 from bayeq.posterior import Posterior
@@ -255,7 +255,7 @@ def _best_ascent(p: Problem, starts: Floats, taus: Floats, tolerance: float, max
 
 
 def _starts(
-    problem: Problem, init: Literal["search", "rvm"] | Floats, models: Sequence[Bools]
+    problem: Problem, init: Literal["search", "greedy", "rvm"] | Floats, models: Sequence[Bools]
 ) -> tuple[Floats, Floats, Bools | None]:
     """Where the ascents start: w (K, P) and tau (K,); and the model that the search found best, if there was one."""
     terms = len(problem.Dty)
@@ -266,8 +266,10 @@ def _starts(
         return w[None], np.zeros(1), None
     if init == "rvm":
         return rvm_gamma(problem)[None], np.full(1, RVM_PRECISION), None
+    if init == "greedy":
+        return greedy_model(problem).astype(np.float64)[None], np.zeros(1), None
     if init != "search":
-        raise InputError(f"init must be 'search', 'rvm' or an array of inclusion probabilities, got {init!r}")
+        raise InputError(f"init must be 'search', 'greedy', 'rvm' or an array of inclusion probabilities, got {init!r}")
     gamma = rvm_gamma(problem) if terms <= RVM_START_TERMS else None
     found = candidate_models(problem, default_starts(problem, gamma))
     starts = np.array([*found, *models] if gamma is None else [*found, *models, gamma], dtype=np.float64)
@@ -305,7 +307,7 @@ def spike_slab_vb(
     gram: GramLike,
     prior: Prior | None = None,
     *,
-    init: Literal["search", "rvm"] | Floats = "search",
+    init: Literal["search", "greedy", "rvm"] | Floats = "search",
     models: Sequence[Bools] = (),
     tolerance: float = 1e-6,
     max_iter: int = 1000,
@@ -319,11 +321,12 @@ def spike_slab_vb(
         Sufficient statistics, standardised.
     prior : Prior, optional
         By default the paper's.
-    init : "search", "rvm" or (P,) array
+    init : "search", "greedy", "rvm" or (P,) array
         Where the ascent starts. VB can only prune (a term with w = 0 never returns) and keeps false terms of a
         correlated dictionary, so its optimum is the optimum of its start. "rvm" starts from the RVM's gamma as
         the paper does; "search" (default) from several points, the RVM and the best models of a search on the
-        collapsed tableau, and keeps the highest ELBO; an array gives w itself.
+        collapsed tableau, and keeps the highest ELBO; "greedy" from the one model that adding and dropping single
+        terms leads to; an array gives w itself.
     models : sequence of (P,) bool arrays
         Further models to start from, with "search".
     tolerance : float

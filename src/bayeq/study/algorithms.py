@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from bayeq.gram import Gram, Standardised
 from bayeq.inference import Prior, rvm, spike_slab_bma, spike_slab_gibbs, spike_slab_vb, sweep_stlsq
-from bayeq.inference.problem import Problem
-from bayeq.inference.search import greedy_model
 from bayeq.inference.slab import learn_slab_variance, residual_scale
 from bayeq.posterior import Posterior
 from bayeq.study.config import StudyConfig
@@ -127,8 +125,7 @@ def _vb_greedy(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int
     """SS-VB started from a greedy search that adds and drops terms but never swaps them."""
     del held_out, seed
     standard, prior = _posed(train, config)
-    start = greedy_model(Problem.of(standard.gram, prior)).astype(np.float64)
-    return estimate(standard.restore(spike_slab_vb(standard.gram, prior, init=start)))
+    return estimate(standard.restore(spike_slab_vb(standard.gram, prior, init="greedy")))
 
 
 def _vb_rvm(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
