@@ -73,7 +73,8 @@ def test_errors_of_windows_are_those_of_simulate():
     scale = {name: rec[name].std() for name in "xv"}
     errors = []
     for first in np.linspace(0, 400 - 101, 12).astype(int):
-        run = eq.simulate(rec, start=int(first), rows=101, draws=0)
+        read = {name: float(rec[name][first]) for name in "xv"}
+        run = eq.simulate(rec, start=int(first), rows=101, draws=0, initial=read)
         errors.append(np.sqrt(np.mean([((run.mean[n] - rec[n][first : first + 101]) / scale[n]) ** 2 for n in "xv"])))
     assert ours == pytest.approx(np.median(errors), rel=1e-3)
 

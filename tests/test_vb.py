@@ -162,7 +162,7 @@ def test_priors_out_of_range_are_refused(prior):
         spike_slab_vb(Gram.from_data(D, y), prior)
 
 
-@pytest.mark.parametrize("init", ["greedy", np.ones(3), np.array([0.1, 0.2, 0.3, 1.4])])
+@pytest.mark.parametrize("init", ["eager", np.ones(3), np.array([0.1, 0.2, 0.3, 1.4])])
 def test_wrong_starts_are_refused(init):
     D, y, _ = reference.random_problem(np.random.default_rng(0), P=4)
     with pytest.raises(InputError, match="init"):

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,56 +80,72 @@ def without_negligible(
     out = list(inferred)
     if not pieces:
         return out
-    hardly_worse = _hardly_worse if sum(rows.n for rows in pieces) >= LONG else _all_but_the_same
     for k, one in enumerate(out):
-        shares = partial_shares(one.fitted, one.shown.support)
-        forced = np.isposinf(one.prior.log_odds(len(shares)))
-        if not (np.nan_to_num(shares, nan=np.inf)[~forced] < share).any():
+        if not (_small(one, one.shown.support, share)).any():
             continue
-        errors: dict[float, float] | None = None
-        for fewer in _smaller_models(one, share):
-            shown = given_terms(one.standard.gram, one.prior, one.shown, fewer)
-            if errors is None:
-                errors = _errors(setting, out, pieces)
-            trial = [*out[:k], replace(one, shown=shown), *out[k + 1 :]]
-            if hardly_worse(_errors(setting, trial, pieces), errors):
-                names = one.shown.names
-                gone = np.flatnonzero(one.shown.support & ~fewer)
-                left = tuple(LeftOut(names[j], float(one.shown.pip[j]), float(shares[j]), "negligible") for j in gone)
-                undecided: dict[str, tuple[str, ...]] = {}
-                for j, models in _exchanged(one, fewer, gone, share).items():
-                    posteriors = [given_terms(one.standard.gram, one.prior, one.shown, model) for _, model in models]
-                    swapped = [[*out[:k], replace(one, shown=shown), *out[k + 1 :]] for shown in posteriors]
-                    as_good = tuple(
-                        names[i]
-                        for (i, _), other in zip(models, swapped, strict=True)
-                        if hardly_worse(_errors(setting, other, pieces), errors)
-                    )
-                    if as_good:
-                        undecided[names[j]] = as_good
-                out[k] = replace(trial[k], left_out=left, undecided=undecided)
-                break
+        runs = _Runs(setting, out, k, pieces)
+        fewer = next((model for model in _smaller_models(one, share) if runs.hardly_worse(model)), None)
+        if fewer is not None:
+            out[k] = _with_less(one, fewer, share, runs)
     return out
 
 
-def _exchanged(
-    inferred: Inferred, model: Bools, gone: NDArray[np.intp], share: float
-) -> dict[int, list[tuple[int, Bools]]]:
-    """Models that put a negligible term in the place of one that is kept for the free runs alone, by the latter."""
+class _Runs:
+    """Free runs of all equations, one of them given other terms, against those of the whole equations."""
+
+    def __init__(self, setting: Setting, inferred: Sequence[Inferred], k: int, pieces: Sequence[Rows]) -> None:
+        self.setting, self.inferred, self.k, self.pieces = setting, inferred, k, pieces
+        self.long = sum(rows.n for rows in pieces) >= LONG
+
+    def given(self, model: Bools) -> Inferred:
+        """The equation with the terms of a model."""
+        one = self.inferred[self.k]
+        return replace(one, shown=given_terms(one.standard.gram, one.prior, one.shown, model))
+
+    @cached_property
+    def whole(self) -> dict[float, float]:
+        """Errors of the whole equations, by the length of the runs in periods."""
+        return _errors(self.setting, self.inferred, self.pieces)
+
+    def hardly_worse(self, model: Bools) -> bool:
+        """Whether errors are within the tolerances; not where there are none."""
+        others = list(self.inferred)
+        others[self.k] = self.given(model)
+        fewer, whole = _errors(self.setting, others, self.pieces), self.whole
+        if self.long:
+            return all(fewer[p] <= max(tolerance, WORSE * whole[p]) for p, tolerance in TOLERANCES.items())
+        return all(fewer[p] <= whole[p] + RISE for p in TOLERANCES)
+
+
+def _with_less(inferred: Inferred, model: Bools, share: float, runs: _Runs) -> Inferred:
+    """The equation given a smaller model; what was left out, and what of it could stand for a term that is kept."""
+    found, shares = inferred.shown, partial_shares(inferred.fitted, inferred.shown.support)
+    gone = np.flatnonzero(found.support & ~model)
+    left = tuple(LeftOut(found.names[i], float(found.pip[i]), float(shares[i]), "negligible") for i in gone)
+    # a term that explains so little was kept for the free runs alone, and another may do as well
+    undecided = {}
+    for j in np.flatnonzero(_small(inferred, model, MATTERS * share)):
+        others = [i for i in gone if _as_good(inferred, model, int(j), int(i), share, runs)]
+        if others:
+            undecided[found.names[j]] = tuple(found.names[i] for i in others)
+    return replace(runs.given(model), left_out=left, undecided=undecided)
+
+
+def _as_good(inferred: Inferred, model: Bools, leaves: int, enters: int, share: float, runs: _Runs) -> bool:
+    """Whether fit and free runs are hardly worse with one term in the place of another."""
+    other = model.copy()
+    other[leaves], other[enters] = False, True
+    if _unexplained(inferred, other) - _unexplained(inferred, model) >= share:
+        return False
+    return runs.hardly_worse(other)
+
+
+def _small(inferred: Inferred, model: Bools, share: float) -> Bools:
+    """Terms of a model that explain less than a share of the variance, forced ones not among them."""
     shares = partial_shares(inferred.fitted, model)
     forced = np.isposinf(inferred.prior.log_odds(len(shares)))
-    whole = _unexplained(inferred, model)
-    out = {}
-    for j in np.flatnonzero(model & ~forced & (np.nan_to_num(shares, nan=np.inf) < share * MATTERS)):
-        models = []
-        for i in gone:
-            other = model.copy()
-            other[j], other[i] = False, True
-            if _unexplained(inferred, other) - whole < share:
-                models.append((int(i), other))
-        if models:
-            out[int(j)] = models
-    return out
+    small: Bools = model & ~forced & (np.nan_to_num(shares, nan=np.inf) < share)
+    return small
 
 
 def _smaller_models(inferred: Inferred, share: float) -> list[Bools]:
@@ -159,13 +176,3 @@ def _errors(setting: Setting, inferred: Sequence[Inferred], pieces: Sequence[Row
     period = typical_period(dynamics, pieces)
     parameters = dynamics.means(posteriors)
     return {periods: window_error(dynamics, parameters, pieces, periods * period) for periods in TOLERANCES}
-
-
-def _hardly_worse(fewer: dict[float, float], whole: dict[float, float]) -> bool:
-    """Whether errors are within the tolerances; not where there are none."""
-    return all(fewer[p] <= max(tolerance, WORSE * whole[p]) for p, tolerance in TOLERANCES.items())
-
-
-def _all_but_the_same(fewer: dict[float, float], whole: dict[float, float]) -> bool:
-    """Whether errors rise by next to nothing; not where there are none."""
-    return all(fewer[p] <= whole[p] + RISE for p in TOLERANCES)
