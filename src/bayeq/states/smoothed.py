@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from bayeq.errors import InputError
 from bayeq.records import Record
@@ -33,10 +34,15 @@ GRAVITY = 9.80665
 # Units are compared in chains of up to so many derivatives.
 MOST_DERIVATIVES = 3
 
-# The signal of a channel comes out of its noise where its density, averaged over so many bins on either side, exceeds
-# that of the noise by this factor.
-LOW_SMOOTHING = 2
+# A signal comes out of its noise where its density, averaged over so many bins on either side (at most this share of
+# them), exceeds that of the noise by this factor, and by what chance exceeds with this probability.
+LOW_SMOOTHING = 8
+SHARE_OF_BINS = 1 / 16
 EMERGED = 3.0
+CHANCE = 1e-3
+
+# Share of the bins that a Hann window leaves independent.
+INDEPENDENT = 0.6
 
 # Fewer rows than this in all do not tell noise from motion.
 LEAST_ROWS = 10
@@ -271,20 +277,27 @@ def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicM
     fs, noise = _rate(series), model.noise_sd[lowest]
     if fs is None or noise is None:
         return None
-    levels, frequencies = [], []
-    for s in series:
-        samples = _bridged(s.channels[lowest])
-        window = np.hanning(s.n)
-        power = np.abs(np.fft.rfft(window * (samples - samples.mean()))) ** 2 / float(window @ window)
-        half = min(LOW_SMOOTHING, (len(power) - 1) // 4)
-        levels.append(np.convolve(np.pad(power, half, mode="edge"), np.full(2 * half + 1, 1 / (2 * half + 1)), "valid"))
-        frequencies.append(np.fft.rfftfreq(s.n, 1.0 / fs))
-    longest = int(np.argmax([len(level) for level in levels]))
-    above = np.flatnonzero(levels[longest][1:] > EMERGED * noise**2)
+    longest = max(series, key=lambda s: s.n)
+    level, freedom = _density(_bridged(longest.channels[lowest]))
+    # the noise at the low end, if there is more of it than the smoother found
+    peak = int(np.argmax(level))
+    noise = max(noise, float(np.sqrt(level[: peak + 1].min())))
+    by_chance = float(chdtri(freedom, CHANCE / len(level))) / freedom
+    above = np.flatnonzero(level[1:] > max(EMERGED, by_chance) * noise**2)
     if not len(above):
         return None
-    low = float(frequencies[longest][1 + above[0]])
+    low = float(np.fft.rfftfreq(longest.n, 1.0 / fs)[1 + above[0]])
     return float(noise / (2.0 * np.pi * low) ** lowest)
+
+
+def _density(samples: Floats) -> tuple[Floats, float]:
+    """Density of a channel, averaged over neighbouring bins (white noise has its variance), and degrees of freedom."""
+    window = np.hanning(len(samples))
+    power = np.abs(np.fft.rfft(window * (samples - samples.mean()))) ** 2 / float(window @ window)
+    half = min(LOW_SMOOTHING, int(SHARE_OF_BINS * len(power)))
+    average = np.full(2 * half + 1, 1.0 / (2 * half + 1))
+    density = np.convolve(np.pad(power, half, mode="reflect"), average, "valid")
+    return np.asarray(density), max(2.0, INDEPENDENT * 2.0 * (2 * half + 1))
 
 
 def _in_units(series: ChainSeries, gains: Floats) -> ChainSeries:
