@@ -10,7 +10,7 @@ from bayeq.errors import InputError
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.integrate import interpolant
 from bayeq.forecast.rows import Rows
-from bayeq.forecast.windows import typical_period, window_error
+from bayeq.forecast.windows import apart, typical_period, window_runs
 from bayeq.study.discrepancy import draw_record
 
 DUFFING = {"x", "v", "x**3", "u"}
@@ -69,7 +69,7 @@ def test_errors_of_windows_are_those_of_simulate():
     posteriors = [e.posterior for e in eq]
     dynamics = Dynamics.of(eq.chains, eq.inputs, posteriors, [e.terms for e in eq])
     assert typical_period(dynamics, [rows]) == pytest.approx(2 * np.pi * rec["x"].std() / rec["v"].std())
-    ours = window_error(dynamics, dynamics.means(posteriors), [rows], 0.1)
+    ours = apart(window_runs(dynamics, dynamics.means(posteriors), [rows], 0.1))
     scale = {name: rec[name].std() for name in "xv"}
     errors = []
     for first in np.linspace(0, 400 - 101, 12).astype(int):

@@ -190,6 +190,7 @@ def discover(
     estimated = tuple(
         smoothing[k] if smoothing and chain.measured[-1] is None else None for k, chain in enumerate(parsed)
     )
+    used = round(design.train[0].n), round(design.held_out[0].n) if design.held_out else 0
     design = seen_design(design, parsed, estimated, train, held_out)
     units, conflicts = channel_units([piece.units for piece in pieces], parsed, all_inputs)
     for message in conflicts:
@@ -228,8 +229,8 @@ def discover(
         data=DataSummary(
             files=tuple(piece.name for piece in pieces),
             n=sum(piece.n for piece in pieces),
-            n_train=round(design.train[0].n),
-            n_held_out=round(design.held_out[0].n) if design.held_out else 0,
+            n_train=used[0],
+            n_held_out=used[1],
             estimated=states[0].estimated,
         ),
         dropped=design.dropped,

@@ -197,14 +197,23 @@ def _residual(setting: Setting, which: int, posterior: Posterior, piece: Mapping
     if len(kept):
         terms = [setting.design.terms[j] for j in kept]
         out = out - evaluate_seen(terms, piece, setting.chains, setting.estimated[which]) @ posterior.coef[kept]
-    return out
+    return out[_judged(setting, which, len(out))]
+
+
+def _judged(setting: Setting, which: int, n: int) -> slice:
+    """The rows of a piece that an equation is judged by."""
+    smoothing = setting.estimated[which]
+    return slice(0, n) if smoothing is None else smoothing.inner(n)
 
 
 def inspected(setting: Setting, which: int, posterior: Posterior, channels: Sequence[str] = ()) -> Residuals:
     """Training residuals, against some channels; those that are rounding of the Gram count as white."""
     found = inspect_residuals(
         [_residual(setting, which, posterior, piece) for piece in setting.train],
-        {name: [piece[name] for piece in setting.train] for name in channels},
+        {
+            name: [piece[name][_judged(setting, which, len(piece[name]))] for piece in setting.train]
+            for name in channels
+        },
     )
     share = fit_of(setting.design.train[which], posterior)
     return found if math.sqrt(share) > ROUNDING else Residuals(found.n, 0.0, float(found.n))

@@ -5,7 +5,7 @@ not hold. A fixed share of variance alone does not tell them from what matters, 
 explains next to nothing and yet decides how its motion decays. So terms are negligible if both hold: together they
 explain less of the target's variance than a small share, and without them, the others estimated anew, free runs are
 hardly worse, over ten periods and over a hundred. In shorter records less is certain, and what is certain matters
-sooner: there free runs must be all but the same.
+sooner: there free runs must be all but the same ones.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from bayeq.choice import LeftOut, given_terms
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.rows import Rows, rows_of
-from bayeq.forecast.windows import typical_period, window_error
+from bayeq.forecast.windows import apart, typical_period, window_runs
 from bayeq.infer import Inferred, Setting
 from bayeq.inference.path import best_of_each_size, partial_shares
 from bayeq.inference.problem import Problem
@@ -31,6 +31,7 @@ from bayeq.states import Chain, States
 __all__ = ["NEGLIGIBLE", "training_rows", "without_negligible"]
 
 Floats = NDArray[np.float64]
+_Windows = list[tuple[Floats, Floats]]
 Bools = NDArray[np.bool_]
 
 # Share of the target's variance that negligible terms together explain at most.
@@ -40,12 +41,13 @@ NEGLIGIBLE = 4e-5
 MATTERS = 3.0
 
 # Free runs over so many periods are hardly worse if their error is at most this share of the states' spread, or at most
-# WORSE times that of the whole equation. Of fewer training rows than LONG, if it is larger than that by this share of
-# the spread at most.
+# WORSE times that of the whole equation. Of fewer training rows than LONG, if they keep to those of the whole equation
+# within this share of the spread; terms may explain more then, so many times as much.
 TOLERANCES = {10.0: 0.1, 100.0: 0.25}
 WORSE = 1.5
 LONG = 10_000
-RISE = 0.003
+SAME = 0.005
+SHORT = 1.5
 
 
 def training_rows(
@@ -80,6 +82,8 @@ def without_negligible(
     out = list(inferred)
     if not pieces:
         return out
+    if sum(rows.n for rows in pieces) < LONG:
+        share *= SHORT
     for k, one in enumerate(out):
         if not (_small(one, one.shown.support, share)).any():
             continue
@@ -103,18 +107,21 @@ class _Runs:
         return replace(one, shown=given_terms(one.standard.gram, one.prior, one.shown, model))
 
     @cached_property
-    def whole(self) -> dict[float, float]:
-        """Errors of the whole equations, by the length of the runs in periods."""
-        return _errors(self.setting, self.inferred, self.pieces)
+    def whole(self) -> dict[float, _Windows]:
+        """Runs of the whole equations and what they are to follow, by their length in periods."""
+        return _window_runs(self.setting, self.inferred, self.pieces)
 
     def hardly_worse(self, model: Bools) -> bool:
-        """Whether errors are within the tolerances; not where there are none."""
+        """Whether runs are within the tolerances; not where there are none."""
         others = list(self.inferred)
         others[self.k] = self.given(model)
-        fewer, whole = _errors(self.setting, others, self.pieces), self.whole
+        fewer = _window_runs(self.setting, others, self.pieces)
+        return all(self._as_good(fewer[p], self.whole[p], tolerance) for p, tolerance in TOLERANCES.items())
+
+    def _as_good(self, fewer: _Windows, whole: _Windows, tolerance: float) -> bool:
         if self.long:
-            return all(fewer[p] <= max(tolerance, WORSE * whole[p]) for p, tolerance in TOLERANCES.items())
-        return all(fewer[p] <= whole[p] + RISE for p in TOLERANCES)
+            return apart(fewer) <= max(tolerance, WORSE * apart(whole))
+        return apart((one, other) for (one, _), (other, _) in zip(fewer, whole, strict=True)) <= SAME
 
 
 def _with_less(inferred: Inferred, model: Bools, share: float, runs: _Runs) -> Inferred:
@@ -169,10 +176,10 @@ def _unexplained(inferred: Inferred, active: Bools) -> float:
     return 1.0 - float(projected @ (gram.Dty[kept] * scale)) / gram.yty
 
 
-def _errors(setting: Setting, inferred: Sequence[Inferred], pieces: Sequence[Rows]) -> dict[float, float]:
-    """Errors of free runs over so many periods."""
+def _window_runs(setting: Setting, inferred: Sequence[Inferred], pieces: Sequence[Rows]) -> dict[float, _Windows]:
+    """Free runs over so many periods."""
     posteriors = [one.constraints.expand(one.standard.restore(one.shown), one.gram) for one in inferred]
     dynamics = Dynamics.of(setting.chains, setting.inputs, posteriors, [setting.design.terms] * len(inferred))
     period = typical_period(dynamics, pieces)
     parameters = dynamics.means(posteriors)
-    return {periods: window_error(dynamics, parameters, pieces, periods * period) for periods in TOLERANCES}
+    return {periods: window_runs(dynamics, parameters, pieces, periods * period) for periods in TOLERANCES}

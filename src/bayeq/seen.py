@@ -2,7 +2,8 @@
 
 A target that was estimated holds what the smoother follows of the motion; an input, and the products of states, hold
 more. In the band regression both sides see the same filter, bin by bin (`bayeq.spectral`). Here the same is done to
-rows, so that fits, residuals and shares of variance are those of an equation both sides of which went through it.
+rows, so that fits, residuals and shares of variance are those of an equation both sides of which went through it. The
+rows at either end, where a smoother knows least, are left out of the judgement.
 """
 
 from __future__ import annotations
@@ -89,8 +90,10 @@ def _gram(
 ) -> Gram:
     def blocks() -> Iterator[tuple[Floats, Floats]]:
         for piece in pieces:
-            for start in range(0, len(piece[target]), BLOCK_ROWS):
-                block = {name: values[start : start + BLOCK_ROWS] for name, values in piece.items()}
+            rows = smoothing.inner(len(piece[target]))
+            for start in range(rows.start, rows.stop, BLOCK_ROWS):
+                chosen = slice(start, min(start + BLOCK_ROWS, rows.stop))
+                block = {name: values[chosen] for name, values in piece.items()}
                 yield evaluate_seen(design.terms, block, chains, smoothing), block[target][:, None]
 
     return grams_from_blocks(blocks(), tuple(term.text for term in design.terms))[0]

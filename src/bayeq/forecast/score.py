@@ -59,15 +59,20 @@ def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows]) -
             free[name] = normalised_error(np.concatenate([run[:, i] for run in runs]), samples)
     one_step = {}
     for target, terms, block in zip(dynamics.targets, dynamics.terms, dynamics.blocks(), strict=True):
-        found = np.concatenate([_predicted(target, terms, parameters[block], rows) for rows in pieces])
-        one_step[target] = normalised_error(found, np.concatenate([rows.columns[target] for rows in pieces]))
+        pairs = [_predicted(target, terms, parameters[block], rows) for rows in pieces]
+        found, given = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        one_step[target] = normalised_error(found, given)
     return Scores(sum(rows.n for rows in pieces), one_step, free, blew_up_at)
 
 
-def _predicted(target: str, terms: Sequence[Expression], parameters: Floats, rows: Rows) -> Floats:
-    """The right-hand side; where the target was estimated, as the smoother would show it."""
-    values = predicted_target(terms, parameters, rows.columns)
-    return rows.estimated[target].follow(values[:, None])[:, 0] if target in rows.estimated else values
+def _predicted(target: str, terms: Sequence[Expression], parameters: Floats, rows: Rows) -> tuple[Floats, Floats]:
+    """The right-hand side and the target; where that was estimated, as the smoother would show it, without the ends."""
+    values, given = predicted_target(terms, parameters, rows.columns), rows.columns[target]
+    if target not in rows.estimated:
+        return values, given
+    smoothing = rows.estimated[target]
+    inner = smoothing.inner(rows.n)
+    return smoothing.follow(values[:, None])[inner, 0], given[inner]
 
 
 def held_out_scores(

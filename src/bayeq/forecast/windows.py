@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import mean_run, state_range
 from bayeq.forecast.rows import Rows
 
-__all__ = ["typical_period", "window_error"]
+__all__ = ["apart", "typical_period", "window_runs"]
 
 Floats = NDArray[np.float64]
 
@@ -31,12 +31,13 @@ def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
     return min(periods)
 
 
-def window_error(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], duration: float) -> float:
-    """Normalised error of free runs over windows of some seconds, the median of the windows.
+def window_runs(
+    dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], duration: float
+) -> list[tuple[Floats, Floats]]:
+    """Free runs over windows of some seconds, and the states that they are to follow, in units of their spread.
 
-    Each starts at the states of its first row. The error is the root mean square over the states, each over its
-    standard deviation in all rows; infinite where a run blows up. Windows are at most half a record, and overlap where
-    it is short.
+    Each starts at the states of its first row. Windows are at most half a record, and overlap where it is short; there
+    is none where no record is long enough.
 
     Parameters
     ----------
@@ -46,16 +47,12 @@ def window_error(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows],
         Records, even or uneven steps of time.
     duration : float
         [s].
-
-    Returns
-    -------
-    float
-        NaN where no record is long enough for a window.
     """
     whole = np.concatenate([rows.stack(dynamics.states) for rows in pieces])
-    scale = whole.std(axis=0)
+    spread = whole.std(axis=0)
+    scale = np.where(spread > 0, spread, 1.0)
     low, high = state_range(whole)
-    errors = []
+    out = []
     for rows in pieces:
         length = min(round(duration / float(np.median(np.diff(rows.time)))) + 1, rows.n // 2)
         if length < LEAST_ROWS:
@@ -65,7 +62,12 @@ def window_error(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows],
         for first in np.linspace(0, rows.n - length, count).astype(int):
             window = rows.part(slice(first, first + length))
             run = mean_run(dynamics, parameters, states[first], window.driven, window.time, low, high)[1]
-            difference = (run - states[first : first + length]) / np.where(scale > 0, scale, 1.0)
-            square = float(np.mean(difference**2))
-            errors.append(math.sqrt(square) if math.isfinite(square) else math.inf)
-    return float(np.median(errors)) if errors else math.nan
+            out.append((run / scale, states[first : first + length] / scale))
+    return out
+
+
+def apart(pairs: Iterable[tuple[Floats, Floats]]) -> float:
+    """Root mean square difference of pairs, the median of them; infinite for one that blew up, NaN for none."""
+    squares = [float(np.mean((one - other) ** 2)) for one, other in pairs]
+    roots = [math.sqrt(square) if math.isfinite(square) else math.inf for square in squares]
+    return float(np.median(roots)) if roots else math.nan

@@ -118,6 +118,15 @@ class ChainSmoothing:
         filtered = np.fft.irfft(gain[:, None] * np.fft.rfft(padded, axis=0), size, axis=0)
         return np.asarray(filtered[reach : reach + n])
 
+    def inner(self, n: int) -> slice:
+        """Of n rows those that are further from either end than the smoother's memory: there it knows least.
+
+        At most a tenth of the rows is left out at either end.
+        """
+        memory = 0 if self.fs is None else int(np.ceil(self.fs / max(self.band[1], self.fs / max(n, 1))))
+        reach = min(memory, n // 10)
+        return slice(reach, n - reach)
+
     @property
     def band(self) -> tuple[float, float]:
         """Frequencies [Hz] between which the smoother follows the motion: gain above 0.9."""

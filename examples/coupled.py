@@ -1,0 +1,32 @@
+"""Two coupled masses of Schmidt and Lipson: a law whose parts check each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bayeq as bq
+from examples.page import Example, draw
+
+NAME = "coupled"
+FILE = "schmidt_lipson/real_double_linear_h_1.txt"
+
+
+def run(example: Example, data: Path) -> None:
+    """Discover both equations and read masses and springs from them."""
+    with example.block("found"):
+        rec = bq.read(data / "schmidt_lipson/real_double_linear_h_1.txt")
+        eq = bq.discover(rec, chains=["x1:v1:", "x2:v2:"], dictionary="polynomial:1")
+        print(eq)
+    with example.block("springs"):
+        one, two = eq[0].coef, eq[1].coef
+        print(f"mass 1 / mass 2 from the coupling: {two['x1'] / one['x2']:.3f}")
+        outer = -(one["x1"] + one["x2"]), -(two["x2"] + two["x1"])
+        ratio = outer[0] / outer[1] * two["x1"] / one["x2"]
+        print(f"outer springs: {outer[0]:.2f} per mass 1, {outer[1]:.2f} per mass 2, ratio of stiffness {ratio:.2f}")
+    with example.block("runs"):
+        wider = bq.discover(rec, chains=["x1:v1:", "x2:v2:"], dictionary="polynomial:2")
+        for name, found in (("polynomial:1", eq), ("polynomial:2", wider)):
+            nrmse = found.simulate(rec, draws=0).nrmse
+            print(f"{name}: {found[0].text};  {found[1].text}")
+            print(f"    free run of the whole record: x1 {100 * nrmse['x1']:.1f} %, x2 {100 * nrmse['x2']:.1f} %")
+    example.figure = draw([eq.simulate(rec).strip(title=f"{eq[0].text};  {eq[1].text}")], "time [s]")
