@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 import bayeq as bq
 from bayeq.errors import DataWarning
 from bayeq.gram import Gram
+from bayeq.records import split_at_gaps
 from bayeq.spectral import Band, band_gram, noise_floor, residual_spectrum, taper, to_band
 from bayeq.states import derive_all, parse_chains
 from bayeq.states.grid import on_grid
@@ -146,7 +147,7 @@ def test_rows_held_out_do_not_touch_the_others():
         assert not np.array_equal(a.columns[name][1500:], b.columns[name][1500:])
 
 
-def test_too_few_numbers_for_so_many_terms():
+def test_too_few_numbers_in_the_band():
     rec = bq.simulate("duffing", n=300, seed=2, noise=0.05)
     (states,) = derive_all([rec], CHAIN, ["u"])
     D = np.random.default_rng(0).normal(size=(300, 36))
@@ -160,6 +161,15 @@ def test_too_few_numbers_for_so_many_terms():
         )
         is None
     )
+    more = weighted_gram(
+        [Piece(D, states.columns["a"], np.zeros((300, 2)), np.zeros((300, 0)))],
+        names,
+        states.smoothing[0],
+        (0.0, 60.0),
+    )
+    # fewer numbers than terms are no obstacle to a sparse model
+    assert more is not None
+    assert 16 < more.gram.dof < 36
 
 
 def test_smoothing_restores_what_noise_takes_in_the_paper_s_protocol():
@@ -231,9 +241,58 @@ def test_rounded_times_become_even_again(fs, decimals):
 
 def test_times_uneven_by_more_than_their_rounding_stay():
     rng = np.random.default_rng(3)
-    jittered = np.round(np.arange(500) / 30.0 + 1e-3 * rng.uniform(-1, 1, 500), 6)
+    jittered = np.round(np.arange(500) / 30.0 + 4e-3 * rng.uniform(-1, 1, 500), 6)
     rec = bq.Record.from_arrays(time=jittered, x=np.sin(jittered))
     assert on_grid(rec, ["x"], []) is rec
+    with pytest.warns(DataWarning, match="steps of time are uneven"):
+        bq.discover(bq.Record.from_arrays(time=jittered, x=np.sin(9 * jittered)), chains="x::", dictionary=["x"])
+
+
+@pytest.mark.parametrize("written", ["%.6g", "float32", "jitter"])
+def test_times_that_are_nearly_even_are_taken_as_even(written):
+    exact = 1000.0 + np.arange(900) / 30.0
+    if written == "jitter":
+        time = exact + 1e-3 * np.random.default_rng(0).uniform(-1, 1, 900)
+    else:
+        time = (
+            exact.astype(np.float32).astype(float)
+            if written == "float32"
+            else np.array([float(f"{t:.6g}") for t in exact])
+        )
+    rec = bq.Record.from_arrays(time=time, x=np.sin(exact))
+    even = on_grid(rec, ["x"], [])
+    assert even.is_uniform()
+    np.testing.assert_allclose(even.time, exact, atol=2e-3)
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+@pytest.mark.parametrize("decimals", [None, 3])
+def test_a_gap_that_cannot_be_bridged_divides_the_record(decimals):
+    # free decay of period 1.57 s with 2.7 s missing
+    rng = np.random.default_rng(2)
+    t = np.arange(1000) / 30.0
+    x = np.cos(4 * t) * np.exp(-0.06 * t) + 0.005 * rng.standard_normal(1000)
+    kept = np.r_[0:400, 480:1000]
+    time = t if decimals is None else np.round(t, decimals)
+    eq = bq.discover(bq.Record.from_arrays(time=time[kept], x=x[kept]), chains="x::")
+    assert eq[0].included == ("x", "dx")
+    # x'' = -(16 + 0.06^2) x - 0.12 x'
+    assert eq[0].coef["x"] == pytest.approx(-16.0036, rel=1e-3)
+    assert eq[0].coef["dx"] == pytest.approx(-0.12, rel=0.03)
+    assert "record: gaps longer than half a period, the first after row 400: taken as 2 pieces" in eq.warnings
+
+
+def test_pieces_between_gaps():
+    t = np.arange(600) / 30.0
+    rec = bq.Record.from_arrays(time=t, x=np.cos(4 * t), name="r")
+    kept = np.r_[0:200, 205:300, 360:380, 440:600]
+    pieces, messages = split_at_gaps([rec.take(kept)], ["x"])
+    # five rows are bridged; twenty alone are too few
+    assert [piece.n for piece in pieces] == [295, 160]
+    assert messages[0].endswith("taken as 2 pieces; 20 rows in pieces of less than 40 are not used")
+    assert split_at_gaps([rec], ["x"]) == ([rec], [])
+    without = bq.Record.from_arrays(x=rec["x"])
+    assert split_at_gaps([without], ["x"]) == ([without], [])
 
 
 def test_products_of_states_are_filtered_as_the_target_is():

@@ -21,7 +21,7 @@ from bayeq.inference import ENGINES, Prior
 from bayeq.inspection import equation_of
 from bayeq.negligible import NEGLIGIBLE, training_rows, without_negligible
 from bayeq.notes import Notes
-from bayeq.records import Record, check_messages
+from bayeq.records import Record, check_messages, split_at_gaps
 from bayeq.seen import seen_design
 from bayeq.states import Chain, Smooth, derive_all, measured_apart, parse_chains
 
@@ -157,17 +157,26 @@ def discover(
 
     step = progress or _silent
     notes = Notes()
+    if smooth == "auto":
+        pieces, divided = split_at_gaps(pieces, [str(chain.measured[chain.lowest]) for chain in parsed])
+        for message in divided:
+            notes.warn(message, DataWarning)
     step("states", 0, len(pieces))
     share = holdout if sum(piece.n for piece in pieces) >= LEAST_ROWS_TO_HOLD_OUT else 0.0
-    given = parsed
     if smooth == "auto" and all(piece.time is not None for piece in pieces):
         parsed, computed = measured_apart(pieces, parsed, share)
         for message in computed:
             notes.warn(message, DataWarning)
     states = derive_all(pieces, parsed, all_inputs, smooth, share)
     step("states", len(pieces), len(pieces))
-    for message in check_messages(pieces, [chain.measured for chain in given], all_inputs):
+    for message in check_messages(pieces, [chain.measured for chain in parsed], all_inputs):
         notes.warn(message, DataWarning)
+    if states[0].smoothing and any(one.fs is None for one in states[0].smoothing):
+        notes.warn(
+            "steps of time are uneven, or differ between records: the regression goes row by row instead of in the band"
+            " that the smoother follows, and small terms are harder to tell; resample evenly",
+            DataWarning,
+        )
     variables = Variables(tuple(name for chain in parsed for name in chain.states), all_inputs)
     terms = build_dictionary(dictionary, variables)
     train, held_out = _split(
@@ -227,7 +236,7 @@ def discover(
         dictionary=dictionary if isinstance(dictionary, str) else ", ".join(str(t) for t in dictionary),
         smooth=smooth,
         data=DataSummary(
-            files=tuple(piece.name for piece in pieces),
+            files=tuple(dict.fromkeys(piece.name for piece in pieces)),
             n=sum(piece.n for piece in pieces),
             n_train=used[0],
             n_held_out=used[1],

@@ -240,7 +240,7 @@ def added_floor(power: Floats, shape: Floats, count: Floats) -> float:
     """
     levels = float(np.average(power, weights=count)) * np.append(0.0, 2.0 ** np.arange(-FLOORS, 3.0, 0.5))
     # where the known part is nothing, a floor there must be
-    least = np.finfo(np.float64).tiny
+    least = float(np.sqrt(np.finfo(np.float64).tiny))
 
     def misfits(candidates: Floats) -> Floats:
         density = np.maximum(shape[:, None] + candidates, least)

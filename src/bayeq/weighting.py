@@ -31,8 +31,8 @@ PILOTS = 3
 # Beneath the noise of the chain's channels there is white noise of at least this share of the residual.
 LEAST_FLOOR = 1e-6
 
-# Real numbers in the band that a candidate term needs.
-LEAST_PER_TERM = 1.0
+# Real numbers in the band without which there is no regression there. There may be more terms than numbers.
+LEAST_NUMBERS = 16.0
 
 
 class Piece(NamedTuple):
@@ -159,13 +159,13 @@ def weighted_gram(
     Returns
     -------
     InBand or None
-        None where the band holds too few numbers for so many terms.
+        None where the band holds too few numbers.
     """
     fs = smoothing.fs
     assert fs is not None
     bands = [to_band(piece.D, piece.y, fs, span, gains_of(piece.y, smoothing), inputs) for piece in pieces]
     gram = band_gram(bands, names)
-    if gram.dof < LEAST_PER_TERM * len(names):
+    if gram.dof < LEAST_NUMBERS:
         return None
     shapes, left = _noise_shapes(pieces, bands, smoothing)
     # weights that see next to a resonance from the first: there the damping of a light structure is, and nowhere else

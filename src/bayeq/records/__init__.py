@@ -5,6 +5,7 @@
 """
 
 from bayeq.records.checks import Finding, check_messages, check_record
+from bayeq.records.gaps import split_at_gaps
 from bayeq.records.io import FORMATS, Format, read, write
 from bayeq.records.names import RESERVED, clean_name, clean_names
 from bayeq.records.record import Record
@@ -26,5 +27,6 @@ __all__ = [
     "correct_delay",
     "read",
     "remove_offset",
+    "split_at_gaps",
     "write",
 ]

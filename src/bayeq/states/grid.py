@@ -14,40 +14,50 @@ __all__ = ["on_grid"]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# No more than this share of the samples may be missing, and steps may be off the grid by this share of one.
+# No more than this share of the samples may be missing.
 MOST_MISSING = 0.4
-OFF_GRID = 0.02
+
+# Times may be off an even grid by this share of a step: rounding (to decimals or digits), or a jitter that moves a
+# sample of 75 per period by less than half a per cent.
+OFF_GRID = 0.05
 
 # Times that are multiples of such a power of ten may have been rounded to it, which moves them by half of it at most;
 # the grid fitted to them may be off by a little more.
 DECIMALS = range(1, 10)
 ROUNDED_BY = 0.6
 
+# Times that are even to this share of a step are left as they are.
+EVEN = 1e-6
+
+# Steps that count as one when the grid's own is sought, as shares of the median.
+SINGLE = (0.5, 1.5)
+
 
 def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]) -> Record:
     """The record with a row for every sample of its grid: the same record, if none is missing or there is no grid.
 
     Channels of chains are NaN in rows that are filled in, for the smoother to bridge; inputs are interpolated by a
-    cubic spline, since nothing else is known of them. Times that were written with few decimals (0.033, 0.067, 0.100
-    at 30 Hz) become the even ones that they were before.
+    cubic spline, since nothing else is known of them. Times that are off their grid by little (0.033, 0.067, 0.100 at
+    30 Hz, written with three decimals) become even.
     """
     if record.time is None or record.n < 3:
         return record
     time = np.asarray(record.time)
-    index, step = _places(time)
+    index = _places(time)
     n = int(index[-1]) + 1
     if not (np.diff(index) > 0).all() or record.n < (1.0 - MOST_MISSING) * n:
         return record
-    rounded = _as_rounded(time, index)
-    grid: Floats
-    if rounded is not None:
-        grid = rounded[0] + rounded[1] * np.arange(n, dtype=np.float64)
-    elif (np.abs((time - time[0]) / step - index) < OFF_GRID).all():
-        grid = time[0] + step * np.arange(n, dtype=np.float64)
-    else:
+    start, step = _fitted(time, index)
+    off = float(np.abs(time - start - step * index).max())
+    if off > OFF_GRID * step and not _is_rounding(time, off, step):
         return record
+    if off <= EVEN * step:
+        if n == record.n:
+            return record
+        start, step = float(time[0]), float(time[-1] - time[0]) / (n - 1)
+    grid = start + step * np.arange(n, dtype=np.float64)
     if n == record.n:
-        return record if rounded is None else Record(record.channels, grid, record.units, record.name, record.truth)
+        return Record(record.channels, grid, record.units, record.name, record.truth)
     # takes a second to import, and few records have gaps
     from scipy.interpolate import CubicSpline
 
@@ -63,26 +73,29 @@ def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]
     return Record(channels=channels, time=grid, units=units, name=record.name)
 
 
-def _places(time: Floats) -> tuple[Ints, float]:
-    """Number of each sample on a grid that begins with the first, and its step."""
+def _places(time: Floats) -> Ints:
+    """Number of each sample on a grid that begins with the first."""
     steps = np.diff(time)
-    step = float(np.median(steps))
-    # the median step, made precise by all of them
-    step = float(np.sum(steps) / np.sum(np.round(steps / step)))
-    return np.round((time - time[0]) / step).astype(np.int64), step
+    median = float(np.median(steps))
+    single = steps[(steps > SINGLE[0] * median) & (steps < SINGLE[1] * median)]
+    index = np.append(0, np.cumsum(np.round(steps / single.mean()).astype(np.int64)))
+    # once more with the grid of all samples, which a long gap asks for
+    start, step = _fitted(time, index)
+    again = np.round((time - start) / step).astype(np.int64)
+    return again - again[0]
 
 
-def _as_rounded(time: Floats, index: Ints) -> tuple[float, float] | None:
-    """Begin and step of the even grid that times are the decimal rounding of; None if they are even as they are, or
-    uneven by more."""
+def _fitted(time: Floats, index: Ints) -> tuple[float, float]:
+    """Begin and step of the grid, by least squares."""
     centre = index - index.mean()
     step = float(centre @ time / (centre @ centre))
-    start = float(time.mean() - step * index.mean())
-    off = float(np.abs(time - start - step * index).max())
-    if off <= 1e-6 * step:
-        return None
+    return float(time.mean() - step * index.mean()), step
+
+
+def _is_rounding(time: Floats, off: float, step: float) -> bool:
+    """Whether times are multiples of a power of ten, and off a grid by no more than rounding to it."""
     for decimals in DECIMALS:
         unit = 10.0**-decimals
-        if np.abs(time - np.round(time, decimals)).max() <= 1e-6 * unit:
-            return (start, step) if off <= ROUNDED_BY * unit and unit < step else None
-    return None
+        if np.abs(time - np.round(time, decimals)).max() <= EVEN * unit:
+            return off <= ROUNDED_BY * unit and unit < step
+    return False
