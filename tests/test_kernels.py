@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import bayeq
-from bayeq.kernels import kernel_digest
+from bayeq.kernels import announce_compiling, kernel, kernel_digest
 
 CALLEE = "from bayeq.kernels import kernel\n\n@kernel\ndef inner(x):\n    return x + {shift}\n"
 MIDDLE = "from bayeq.kernels import kernel\nfrom callee import inner\n\n@kernel\ndef middle(x):\n    return inner(x)\n"
@@ -62,7 +62,7 @@ class Outer(NamedTuple):
     c: float
 """
 USER = """
-from bayeq.kernels import kernel
+from bayeq.kernels import announce_compiling, kernel
 from layouts import Inner, Outer
 
 @kernel
@@ -99,3 +99,20 @@ def test_every_callee_was_known_when_its_caller_was_decorated(name, function):
     # the digest now, with all globals in place, is the one that the cache was keyed with
     stamp = function._cache._impl.locator.get_source_stamp()
     assert function._cache._cache_file._source_stamp == stamp == kernel_digest(function)
+
+
+def test_compiling_is_announced_once(tmp_path, monkeypatch):
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
+    told = []
+    announce_compiling(lambda: told.append("now"))
+
+    @kernel
+    def twice(x):
+        return 2 * x
+
+    @kernel
+    def thrice(x):
+        return 3 * x
+
+    assert (twice(2), thrice(2)) == (4, 6)
+    assert told == ["now"]

@@ -182,8 +182,15 @@ def discover(
     inputs = [name for name in map(_channel, inputs or ()) if name]
     columns = [c.strip() for c in names.split(",")] if names is not None else None
     used = [
-        c for text in (*(chain or ()), disp, vel, acc, force, *(inputs or ())) for c in (text or "").split(":") if c
+        c
+        for text in (*(chain or ()), disp, vel, acc, force, *(inputs or ()))
+        for c in (text or "").split(":")
+        if c and not c.startswith("~")
     ]
+    if sys.stderr.isatty():
+        from bayeq.kernels import announce_compiling
+
+        announce_compiling(lambda: print("compiling, once after installation: up to a minute ...", file=sys.stderr))
     records: list[Record] = []
     progress = Progress()
     try:

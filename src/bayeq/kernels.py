@@ -20,7 +20,7 @@ import numba
 import numpy as np
 from numba.core import caching
 
-__all__ = ["kernel", "kernel_digest"]
+__all__ = ["announce_compiling", "kernel", "kernel_digest"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -114,8 +114,23 @@ class _KernelCacheImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Chosen, _InTree, _UserWide)
 
 
+# Called once, before the first kernel that is not in the cache is compiled.
+_announcement: list[Callable[[], None]] = []
+
+
+def announce_compiling(tell: Callable[[], None]) -> None:
+    """Have somebody told, once, that kernels are about to be compiled: it takes a while."""
+    _announcement[:] = [tell]
+
+
 class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
     _impl_class = _KernelCacheImpl
+
+    def load_overload(self, sig: object, target_context: object) -> object:
+        found = super().load_overload(sig, target_context)
+        if found is None and _announcement:
+            _announcement.pop()()
+        return found
 
 
 def kernel(function: F) -> F:

@@ -93,7 +93,10 @@ def parse_chain(text: str) -> Chain:
     ChainError
         Not of this form.
     """
-    form = "write it as x:v:a (second order), x:: (only x measured), ::a (only a), x (first order) or x:xdot"
+    form = (
+        "write it as x:v:a (second order), x:: (only x measured; x:~v:~a to name what is estimated), ::a (only a), x"
+        " (first order) or x:xdot"
+    )
     if not isinstance(text, str):
         raise ChainError(f"a chain is a text, got {type(text).__name__}; {form}")
     parts = [part.strip() for part in text.split(":")]
