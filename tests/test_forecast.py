@@ -440,3 +440,10 @@ def test_the_speed_promised():
     begin = time.perf_counter()
     EQ.simulate(record, initial={"x": 0.0, "v": 0.0}, draws=0)
     assert time.perf_counter() - begin < 1.0
+
+
+def test_states_go_by_their_names():
+    with pytest.raises(InputError, match=r"initial: states go by their names, initial="):
+        EQ.simulate(RECORD, initial=[0.0, 0.0])
+    with pytest.raises(InputError, match=r"predict needs a Record .*, not str"):
+        EQ.predict("run.csv")

@@ -119,7 +119,14 @@ class Equations(EquationsRuns):
         Returns
         -------
         (n,) array, or (n, k) for k equations; with `return_std` a pair of them
+
+        Raises
+        ------
+        InputError
+            Not a Record, or one without the channels.
         """
+        if not isinstance(record, Record):
+            raise InputError(f"predict needs a Record (bayeq.read reads a file), not {type(record).__name__}")
         columns = derive_all([record], self.chains, self.inputs, self.smooth)[0].columns
         parts = [equation.predict(columns, return_std) for equation in self.equations]
         if len(parts) == 1:

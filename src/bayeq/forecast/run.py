@@ -197,6 +197,9 @@ def _beginning(
     initial: Mapping[str, float] | None,
 ) -> tuple[Floats, Floats, Floats]:
     """Initial state, and the range in which runs go on."""
+    if initial is not None and not hasattr(initial, "items"):
+        names = ", ".join(f"{name!r}: ..." for name in dynamics.states)
+        raise InputError(f"initial: states go by their names, initial={{{names}}}")
     given = dict(initial or {})
     for name, value in given.items():
         if name not in dynamics.states:
