@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 
 from bayeq.equation import Equation, Fit, Regression, RunnerUp
@@ -53,7 +53,7 @@ def equation_of(setting: Setting, inferred: Inferred, notes: Notes) -> Equation:
     if posterior.average is None:
         _warn_of_ambiguity(chain.target, runners_up, notes)
     else:
-        _warn_of_groups(chain.target, posterior, notes)
+        _warn_of_groups(chain.target, posterior, {left.name for left in inferred.left_out}, notes)
     states = [name for one in setting.chains for name in one.states]
     residuals = replace(inspected(setting, k, posterior, (*setting.inputs, *states)), excess=excess)
     equation = Equation(
@@ -147,16 +147,20 @@ def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], notes: Notes
         notes.warn(f"{target}: columns that the data hardly tell apart: {listed}", AmbiguityWarning)
 
 
-def _warn_of_groups(target: str, posterior: Posterior, notes: Notes) -> None:
+def _warn_of_groups(target: str, posterior: Posterior, left_out: Set[str], notes: Notes) -> None:
     assert posterior.average is not None
     for members, some in posterior.average.credible_groups():
         if some <= 0.5:
             continue  # more likely than not that none of them is in
         listed = ", ".join(f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members)
         included = [posterior.names[j] for j in members if posterior.support[j]]
-        advice = "" if len(included) == 1 else "; keep one of them in the dictionary, or decide by other knowledge"
+        beside = [posterior.names[j] for j in members if posterior.names[j] in left_out]
+        none = f"none, for {', '.join(beside)} stands beside the equation" if beside else "none"
+        shown = ", ".join(included) or none
+        decided = len(included) == 1 or (not included and beside)
+        advice = "" if decided else "; keep one of them in the dictionary, or decide by other knowledge"
         notes.warn(
             f"{target}: columns that the data hardly tell apart: {listed}; at least one of them is in with"
-            f" probability {some:.2f}; included here: {', '.join(included) or 'none'}{advice}",
+            f" probability {some:.2f}; included here: {shown}{advice}",
             AmbiguityWarning,
         )
