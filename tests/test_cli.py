@@ -185,6 +185,8 @@ def test_an_interrupt_is_one_line_and_leaves_no_half_file(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-m", "bayeq", "simulate", "duffing", "--n", "3000000", "-o", str(target)],
         stderr=subprocess.PIPE, text=True,
+        # tests that run in the background inherit that interrupts are ignored
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and not list(tmp_path.glob(".big.*")):
