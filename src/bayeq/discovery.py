@@ -158,15 +158,9 @@ def discover(
     step = progress or _silent
     notes = Notes()
     if smooth == "auto":
-        pieces, divided = split_at_gaps(pieces, [str(chain.measured[chain.lowest]) for chain in parsed])
-        for message in divided:
-            notes.warn(message, DataWarning)
+        pieces, parsed = _sorted_out(pieces, parsed, holdout, notes)
     step("states", 0, len(pieces))
-    share = holdout if sum(piece.n for piece in pieces) >= LEAST_ROWS_TO_HOLD_OUT else 0.0
-    if smooth == "auto" and all(piece.time is not None for piece in pieces):
-        parsed, computed = measured_apart(pieces, parsed, share)
-        for message in computed:
-            notes.warn(message, DataWarning)
+    share = _share(holdout, sum(piece.n for piece in pieces))
     states = derive_all(pieces, parsed, all_inputs, smooth, share)
     step("states", len(pieces), len(pieces))
     for message in check_messages(pieces, [chain.measured for chain in parsed], all_inputs):
@@ -283,6 +277,24 @@ def _chains(
     return parse_chains([":".join(name or "" for name in (displacement, velocity, acceleration))])
 
 
+def _share(holdout: float, rows: int) -> float:
+    """Share of the rows to hold out: none of few."""
+    return holdout if rows >= LEAST_ROWS_TO_HOLD_OUT else 0.0
+
+
+def _sorted_out(
+    records: list[Record], chains: tuple[Chain, ...], holdout: float, notes: Notes
+) -> tuple[list[Record], tuple[Chain, ...]]:
+    """Records divided at gaps that are not bridged, and chains without channels that were computed from others."""
+    pieces, messages = split_at_gaps(records, [str(chain.measured[chain.lowest]) for chain in chains])
+    if all(piece.time is not None for piece in pieces):
+        chains, computed = measured_apart(pieces, chains, _share(holdout, sum(piece.n for piece in pieces)))
+        messages += computed
+    for message in messages:
+        notes.warn(message, DataWarning)
+    return pieces, chains
+
+
 def _split(
     columns: Sequence[Mapping[str, Floats]], holdout: float, notes: Notes, where: str
 ) -> tuple[list[Mapping[str, Floats]], list[Mapping[str, Floats]]]:
@@ -293,7 +305,7 @@ def _split(
     if total < LEAST_TRAINING_ROWS:
         rows = f"{total} row{'s' * (total != 1)}"
         raise RecordError(f"{where}: {rows}: too few for a regression (at least {LEAST_TRAINING_ROWS}); measure more")
-    share = holdout if total >= LEAST_ROWS_TO_HOLD_OUT else 0.0
+    share = _share(holdout, total)
     for piece in columns:
         n = len(next(iter(piece.values())))
         cut = n - int(share * n)

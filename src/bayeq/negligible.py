@@ -116,9 +116,9 @@ class _Runs:
         others = list(self.inferred)
         others[self.k] = self.given(model)
         fewer = _window_runs(self.setting, others, self.pieces)
-        return all(self._as_good(fewer[p], self.whole[p], tolerance) for p, tolerance in TOLERANCES.items())
+        return all(self._within(fewer[p], self.whole[p], tolerance) for p, tolerance in TOLERANCES.items())
 
-    def _as_good(self, fewer: _Windows, whole: _Windows, tolerance: float) -> bool:
+    def _within(self, fewer: _Windows, whole: _Windows, tolerance: float) -> bool:
         if self.long:
             return apart(fewer) <= max(tolerance, WORSE * apart(whole))
         return apart((one, other) for (one, _), (other, _) in zip(fewer, whole, strict=True)) <= SAME

@@ -9,8 +9,6 @@ Savitzky-Golay filters; where the acceleration alone is measured, integrals by t
 
 from __future__ import annotations
 
-import csv
-import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -23,6 +21,7 @@ from bayeq.errors import BayeqError, BayeqWarning
 from bayeq.records import Record
 from bayeq.states import derive_states, parse_chains
 from bayeq.study.config import STUDY_SYSTEMS
+from bayeq.study.lines import print_table
 from bayeq.systems import get_system, simulate
 from bayeq.systems.force import band_limited_noise
 
@@ -156,13 +155,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args(arguments)
     with Parallel(n_jobs=given.jobs, inner_max_num_threads=1, return_as="generator") as pool:
-        writer = None
-        for line in pool(delayed(measure_cell)(*cell) for cell in _cells(given.records)):
-            if writer is None:
-                writer = csv.DictWriter(sys.stdout, list(line), lineterminator="\n")
-                writer.writeheader()
-            writer.writerow(line)
-            sys.stdout.flush()
+        print_table(pool(delayed(measure_cell)(*cell) for cell in _cells(given.records)))
 
 
 if __name__ == "__main__":

@@ -6,8 +6,6 @@ python -m bayeq.study.coverage --records 200 > docs/tables/coverage_smoothed.csv
 
 from __future__ import annotations
 
-import csv
-import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from typing import get_args
@@ -18,6 +16,7 @@ from bayeq.discovery import discover
 from bayeq.errors import BayeqWarning
 from bayeq.states import Smooth
 from bayeq.study.config import STUDY_SYSTEMS
+from bayeq.study.lines import print_table
 from bayeq.systems import simulate
 
 __all__ = ["coverage"]
@@ -75,10 +74,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--clean-states", action="store_true", help="noise on the acceleration only")
     parser.add_argument("--smooth", choices=get_args(Smooth), default="auto")
     given = parser.parse_args(arguments)
-    rows = list(coverage(given.records, {"a": 0.05} if given.clean_states else 0.05, given.smooth))
-    writer = csv.DictWriter(sys.stdout, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
+    print_table(coverage(given.records, {"a": 0.05} if given.clean_states else 0.05, given.smooth))
 
 
 if __name__ == "__main__":

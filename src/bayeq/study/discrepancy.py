@@ -8,8 +8,6 @@ variance, a stiffness that drifts by 0.1 % from beginning to end, or a sensor th
 
 from __future__ import annotations
 
-import csv
-import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,6 +17,7 @@ import numpy as np
 from bayeq.discovery import discover
 from bayeq.errors import BayeqWarning
 from bayeq.records import Record
+from bayeq.study.lines import print_table
 from bayeq.systems import System, get_system, simulate
 
 __all__ = ["DISCREPANCIES", "NOISE", "draw_record", "measure_cell"]
@@ -132,15 +131,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--records", type=int, default=20, help="records per cell")
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args(arguments)
-    writer = None
-    for noise in NOISE:
-        for discrepancy in DISCREPANCIES:
-            line = measure_cell(discrepancy, noise, given.records, given.jobs)
-            if writer is None:
-                writer = csv.DictWriter(sys.stdout, list(line), lineterminator="\n")
-                writer.writeheader()
-            writer.writerow(line)
-            sys.stdout.flush()
+    cells = ((discrepancy, noise) for noise in NOISE for discrepancy in DISCREPANCIES)
+    print_table(measure_cell(*cell, given.records, given.jobs) for cell in cells)
 
 
 if __name__ == "__main__":

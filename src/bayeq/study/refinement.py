@@ -9,12 +9,10 @@ record the equation by regression, and the same refined on the same rows, run fr
 
 from __future__ import annotations
 
-import csv
 import math
-import sys
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +23,7 @@ from bayeq.equations import Equations
 from bayeq.errors import BayeqError, BayeqWarning
 from bayeq.records import Record
 from bayeq.states import Smooth, parse_chain
+from bayeq.study.lines import print_table
 from bayeq.systems import get_system, simulate
 
 __all__ = ["CASES", "Case", "draw_record", "measure_case", "measure_record"]
@@ -176,22 +175,19 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args(arguments)
     per_system = given.records // 2
-    writer: csv.DictWriter[str] | None = None
     with Parallel(n_jobs=given.jobs, inner_max_num_threads=1) as pool:
-        for case in CASES[: given.cases]:
-            pooled: list[dict[str, float]] = []
-            table = []
-            for system in SYSTEMS:
-                found = pool(delayed(measure_record)(system, case, seed) for seed in range(per_system))
-                lines = [line for line in found if line is not None]
-                pooled += lines
-                table.append(measure_case(system, case, lines, per_system))
-            table.append(measure_case("both", case, pooled, per_system * len(SYSTEMS)))
-            if writer is None:
-                writer = csv.DictWriter(sys.stdout, list(table[0]), lineterminator="\n")
-                writer.writeheader()
-            writer.writerows(table)
-            sys.stdout.flush()
+
+        def table() -> Iterator[dict[str, object]]:
+            for case in CASES[: given.cases]:
+                pooled: list[dict[str, float]] = []
+                for system in SYSTEMS:
+                    found = pool(delayed(measure_record)(system, case, seed) for seed in range(per_system))
+                    lines = [line for line in found if line is not None]
+                    pooled += lines
+                    yield measure_case(system, case, lines, per_system)
+                yield measure_case("both", case, pooled, per_system * len(SYSTEMS))
+
+        print_table(table())
 
 
 if __name__ == "__main__":

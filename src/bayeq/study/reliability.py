@@ -9,9 +9,7 @@ regressors, and with clean states, where only the acceleration is noisy and the 
 
 from __future__ import annotations
 
-import csv
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +23,7 @@ from bayeq.gram import Gram
 from bayeq.inference import Prior, spike_slab_bma, spike_slab_vb
 from bayeq.report.style import BLACK, BLUE, FULL_WIDTH, ORANGE, add_axes, new_figure, save, style
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
+from bayeq.study.lines import print_table
 from bayeq.study.progress import StudyProgress
 from bayeq.study.tally import BINS, bin_of
 from bayeq.systems import get_system, simulate
@@ -231,10 +230,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--figures", type=Path, help="folder for reliability.png and .svg")
     given = parser.parse_args(arguments)
     curves = reliability(given.realisations, given.seed, given.jobs)
-    lines = table(curves)
-    writer = csv.DictWriter(sys.stdout, list(lines[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(lines)
+    print_table(table(curves))
     if given.figures is not None:
         with style():
             save(draw_reliability(curves), given.figures / "reliability")
