@@ -13,8 +13,8 @@ demo: $(VENV)/.runtime
 test: lint types tests
 
 lint: $(VENV)/.dev
-	$(BIN)/ruff check src tests perf examples
-	$(BIN)/ruff format --check src tests perf examples
+	$(BIN)/ruff check src tests perf examples studies
+	$(BIN)/ruff format --check src tests perf examples studies
 
 types: $(VENV)/.dev
 	$(BIN)/mypy
@@ -38,14 +38,14 @@ study: $(VENV)/.dev
 	$(BIN)/bayeq study table2 --realisations 1000 --smooth auto --store study_smoothed.db --algorithms vb,bma,vb-greedy
 	$(BIN)/bayeq study show study_smoothed.db --format markdown > docs/tables/table2_smoothed.md
 	$(BIN)/bayeq study show study_smoothed.db --format csv > docs/tables/table2_smoothed.csv
-	$(BIN)/python -m bayeq.study.channels --records 5 > docs/tables/channels.csv
-	$(BIN)/python -m bayeq.study.discrepancy > docs/tables/discrepancy.csv
-	$(BIN)/python -m bayeq.study.coverage --smooth none > docs/tables/coverage.csv
-	$(BIN)/python -m bayeq.study.coverage --records 200 > docs/tables/coverage_smoothed.csv
-	$(BIN)/python -m bayeq.study.coverage --clean-states > docs/tables/coverage_clean.csv
-	$(BIN)/python -m bayeq.study.calibration --folder docs/tables
-	$(BIN)/python -m bayeq.study.refinement > docs/tables/refinement.csv
-	$(BIN)/python -m bayeq.study.reliability --figures docs/figures > docs/tables/reliability.csv
+	$(BIN)/python -m studies.channels --records 5 > docs/tables/channels.csv
+	$(BIN)/python -m studies.discrepancy > docs/tables/discrepancy.csv
+	$(BIN)/python -m studies.coverage --smooth none > docs/tables/coverage.csv
+	$(BIN)/python -m studies.coverage --records 200 > docs/tables/coverage_smoothed.csv
+	$(BIN)/python -m studies.coverage --clean-states > docs/tables/coverage_clean.csv
+	$(BIN)/python -m studies.calibration --folder docs/tables
+	$(BIN)/python -m studies.refinement > docs/tables/refinement.csv
+	$(BIN)/python -m studies.reliability --figures docs/figures > docs/tables/reliability.csv
 	$(BIN)/bayeq study figures docs/figures
 
 # The measured records behind docs/examples.md, from $BAYEQ_DATA or ../shared/data.

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import bayeq as bq
-from bayeq.negligible import NEGLIGIBLE
+from bayeq.selection.negligible import NEGLIGIBLE
 from examples.page import Example, draw
 
 NAME = "air_track"

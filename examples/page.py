@@ -17,8 +17,8 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from bayeq.errors import ConvergenceWarning
-from bayeq.report.forecast import Strip, draw_forecasts
-from bayeq.report.style import UNSIGNED, style
+from bayeq.figures.forecast import Strip, draw_forecasts
+from bayeq.figures.style import UNSIGNED, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

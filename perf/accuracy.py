@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayeq as bq
-from bayeq.inference.problem import Problem
-from bayeq.inference.search import log_evidence
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.search import log_evidence
 from perf.problems import Data, Fitted
 
 __all__ = ["Accuracy", "assess", "evidence_over", "together"]

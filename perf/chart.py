@@ -8,7 +8,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from bayeq.report.style import BLACK, BLUE, FULL_WIDTH, ORANGE, PALE, add_axes, new_figure, save, style
+from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, PALE, add_axes, new_figure, save, style
 from perf.peers import CONTESTANTS
 from perf.problems import CASES, SYSTEMS
 from perf.rows import Row, read_rows

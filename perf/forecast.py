@@ -32,8 +32,8 @@ from threadpoolctl import threadpool_limits
 
 import bayeq as bq
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.integrate import free_runs, interpolant
-from bayeq.forecast.tangent import shoot
+from bayeq.ode.rk4 import free_runs, interpolant
+from bayeq.ode.tangents import shoot
 from perf.timing import medians
 
 RESULTS = Path(__file__).parent / "results" / "forecast.csv"

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 import bayeq as bq
 from bayeq.inference import spike_slab_bma, spike_slab_vb
-from bayeq.inference.problem import Problem
-from bayeq.inference.search import log_evidence
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.search import log_evidence
 from perf.peers import CONTESTANTS
 from perf.problems import LARGEST_CORRELATION, SYSTEMS, Data, oscillator
 

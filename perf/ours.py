@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayeq as bq
+from bayeq.gram.lazy import grams_of
 from bayeq.inference import spike_slab_auto, sweep_stlsq
-from bayeq.lazy_gram import grams_of
 from perf.problems import Fitted
 
 __all__ = ["BURN_IN", "SAMPLES", "auto", "bma", "gibbs", "rvm", "stlsq", "swept_stlsq", "vb"]
@@ -31,7 +31,7 @@ def bma(D: Floats, y: Floats, p0: float) -> Fitted:
 
 def auto(D: Floats, y: Floats, p0: float) -> Fitted:
     standard = grams_of(D, y[:, None])[0].standardise()
-    posterior = standard.restore(spike_slab_auto(standard.gram, bq.Prior(prior_inclusion=p0)))
+    posterior = spike_slab_auto(standard.gram, bq.Prior(prior_inclusion=p0)).rescaled(standard)
     return Fitted(posterior.coef, posterior.support)
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from scipy import stats
 
 from bayeq.gram import Gram
+from bayeq.inference.collapsed.problem import Bools, Floats, Problem
 from bayeq.inference.gibbs import sample_chain
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Floats, Problem
-from bayeq.inference.signed_gibbs import doubled, sample_signed_chain
+from bayeq.inference.signs.gibbs import doubled, sample_signed_chain
 from bayeq.kernels import kernel
 
 N, P = 12, 3

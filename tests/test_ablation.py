@@ -4,13 +4,13 @@ import csv
 
 import numpy as np
 import pytest
+from studies.ablation import VARIANTS, _realise, literal_vb, run_ablation
 
 import bayeq as bq
-from bayeq.cli import main
+from bayeq.cli.app import main
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.inference.rvm import rvm
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.study.ablation import VARIANTS, _realise, literal_vb, run_ablation
 from bayeq.study.config import StudyConfig
 from bayeq.study.realise import draw
 from tests import reference

@@ -8,11 +8,11 @@ from bayeq import SpikeSlabBMA
 from bayeq.gram import Gram
 from bayeq.inference.auto import spike_slab_auto
 from bayeq.inference.bma import sample_average, spike_slab_bma
+from bayeq.inference.collapsed.listing import enumerate_models, search_models
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.search import log_constant
 from bayeq.inference.gibbs import spike_slab_gibbs
-from bayeq.inference.models import enumerate_models, search_models
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Problem
-from bayeq.inference.search import log_constant
 from bayeq.inference.vb import spike_slab_vb
 from tests import reference
 
@@ -116,7 +116,7 @@ def test_forced_and_forbidden_terms():
 
 
 def test_room_used_up_is_said(monkeypatch):
-    monkeypatch.setattr("bayeq.inference.models.MOST_MODELS", 1000)
+    monkeypatch.setattr("bayeq.inference.collapsed.listing.MOST_MODELS", 1000)
     D, y, _ = reference.random_problem(np.random.default_rng(0), n=25, P=40, rho=0.9, noise=3.0)
     fit = spike_slab_bma(Gram.from_data(D, y))
     assert not fit.converged

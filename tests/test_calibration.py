@@ -7,15 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
-
-from bayeq.posterior import Draws
-from bayeq.report.style import style
-from bayeq.study import calibration, reliability
-from bayeq.study.calibration import calibrate_one, main, tables
-from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
-from bayeq.study.realise import draw
-from bayeq.study.reliability import Curve, draw_reliability, study_problem, table
-from bayeq.study.tally import (
+from studies.calibration import calibrate_one, main, tables
+from studies.reliability import Curve, draw_reliability, study_problem, table
+from studies.tally import (
     BINS,
     DRAWS,
     QUANTITIES,
@@ -28,6 +22,12 @@ from bayeq.study.tally import (
     rank,
     uniform_p,
 )
+
+from bayeq.figures.style import style
+from bayeq.inference.posterior import Draws
+from bayeq.study import calibration, reliability
+from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
+from bayeq.study.realise import draw
 
 
 @pytest.fixture(scope="module")

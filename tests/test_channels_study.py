@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-
-from bayeq.study.channels import ROWS, draw_record, measure_cell
+from studies.channels import ROWS, draw_record, measure_cell
 
 
 def test_records_have_the_rate_and_the_band_they_should():

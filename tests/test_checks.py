@@ -9,11 +9,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import bayeq as bq
-from bayeq.cli import main
+from bayeq.cli.app import main
 from bayeq.errors import DataWarning, InputError, RecordError, UnknownNameError
 from bayeq.records import check_messages
-from bayeq.records.checks import _student
 from bayeq.records.consistency import Frames, _weak_derivative, relate, uniform_frames
+from bayeq.records.findings import _student
 from tests.data import measured
 
 OSCILLATORS = ("linear", "duffing", "quadratic", "coulomb")

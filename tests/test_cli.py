@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import bayeq as bq
-from bayeq.cli import main
+from bayeq.cli.app import main
 
 
 def bayeq(*arguments, **options):

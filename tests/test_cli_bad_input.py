@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from bayeq.cli import main
+from bayeq.cli.app import main
 
 HEADER = ("t", "x", "v", "a", "u", "note")
 CHANNELS = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import bayeq as bq
-from bayeq.cli import main
+from bayeq.cli.app import main
 
 OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x, v, x**3, u"]
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 
-from bayeq.cli import main
+from bayeq.cli.app import main
 
 
 def test_study_through_the_command(tmp_path, capsys):

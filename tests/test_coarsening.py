@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayeq as bq
-from bayeq.coarsening import coarsening
+from bayeq.equation.power_sensitivity import coarsening
 from bayeq.errors import InputError
 from bayeq.gram import Gram
 from bayeq.inference import Prior

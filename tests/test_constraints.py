@@ -13,23 +13,23 @@ from hypothesis import strategies as st
 from scipy import integrate, stats
 
 import bayeq as bq
-from bayeq.cli import main
-from bayeq.constraints import parse_constraints
+from bayeq.cli.app import main
 from bayeq.dictionary import Variables, build_dictionary
-from bayeq.equalities import Equalities
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.gram import Gram
 from bayeq.inference import ENGINES, Prior
 from bayeq.inference.auto import spike_slab_auto
 from bayeq.inference.bma import spike_slab_bma
-from bayeq.inference.conditional import given_model
+from bayeq.inference.collapsed.conditional import given_model
+from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gibbs import spike_slab_gibbs
-from bayeq.inference.orthant import log_orthant, orthant_moments
-from bayeq.inference.problem import Problem
-from bayeq.inference.signed_models import signed_neighbours
-from bayeq.inference.signs import signed_scores
+from bayeq.inference.signs.listing import signed_neighbours
+from bayeq.inference.signs.orthant import log_orthant, orthant_moments
+from bayeq.inference.signs.truncation import signed_scores
 from bayeq.inference.vb import spike_slab_vb
+from bayeq.regression.constraints import parse_constraints
+from bayeq.regression.equalities import Equalities
 from tests import reference
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}

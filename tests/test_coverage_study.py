@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import csv
 
-from bayeq.study.coverage import main
+from studies.coverage import main
 
 
 def test_coverage_of_a_few_records(capsys):

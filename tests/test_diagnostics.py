@@ -11,8 +11,8 @@ from scipy.signal import lfilter
 from scipy.stats import kurtosis, skew
 
 import bayeq as bq
-from bayeq.diagnostics import Driver, inspect_residuals
 from bayeq.errors import CorrelatedResidualsWarning
+from bayeq.regression.residuals import Driver, inspect_residuals
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "smooth": "none"}
 

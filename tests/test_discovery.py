@@ -10,7 +10,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import bayeq as bq
-from bayeq.diagnostics import inspect_residuals
 from bayeq.errors import (
     ChainError,
     DataWarning,
@@ -19,6 +18,7 @@ from bayeq.errors import (
     TermWarning,
     UnknownNameError,
 )
+from bayeq.regression.residuals import inspect_residuals
 from tests.data import measured, pendulum_record
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}

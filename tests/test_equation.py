@@ -12,7 +12,7 @@ import sympy
 from scipy.integrate import solve_ivp
 
 import bayeq as bq
-from bayeq.equation import RunnerUp, round_to
+from bayeq.equation.equation import RunnerUp, round_to
 from bayeq.errors import CorrelatedResidualsWarning, FileFormatError, InputError
 
 RECORD = bq.simulate("duffing", seed=3, noise={"a": 0.02})

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from bayeq.errors import InputError, MissingExtraError, UnknownNameError
-from bayeq.report.figures import Inclusion, JointPosterior, draw_inclusion, draw_joint
-from bayeq.report.style import FULL_WIDTH, SINGLE_COLUMN, mathtext, save, style
+from bayeq.figures.paper import Inclusion, JointPosterior, draw_inclusion, draw_joint
+from bayeq.figures.style import FULL_WIDTH, SINGLE_COLUMN, mathtext, save, style
 from bayeq.study.config import StudyConfig
 from bayeq.study.figures import compare, confidence_ellipse, inclusion, joint_posterior, write_figures
 

@@ -16,7 +16,7 @@ import bayeq as bq
 from bayeq.errors import BayeqWarning, InputError, MissingExtraError, RecordError, UnknownNameError
 from bayeq.expressions import Tape, parse
 from bayeq.forecast.dynamics import Dynamics, finest_step, normal_draws
-from bayeq.forecast.integrate import free_runs, interpolant
+from bayeq.ode.rk4 import free_runs, interpolant
 
 # 13 samples per natural period, where whole sampling intervals would be coarse steps.
 FS, FINE = 65.0, 15

@@ -7,10 +7,10 @@ import pytest
 
 from bayeq.errors import InputError
 from bayeq.gram import Gram
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.search import greedy_start
 from bayeq.inference.gibbs import multivariate_rhat, sample_chain, sample_posterior, spike_slab_gibbs
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Problem
-from bayeq.inference.search import greedy_start
 from tests import geweke, reference
 
 BOTH = pytest.mark.parametrize("exchange", [False, True], ids=["paper", "exchange"])

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayeq.errors import InputError
-from bayeq.gram import BLOCK_ROWS, SMALL, Gram, dense, grams_from_blocks, grams_from_data
-from bayeq.posterior import Posterior
+from bayeq.gram.gram import BLOCK_ROWS, SMALL, Gram, dense, grams_from_blocks, grams_from_data
+from bayeq.inference.posterior import Posterior
 from tests.reference import centred
 
 
@@ -121,7 +121,7 @@ def test_standardise_and_restore():
         method="ols", names=gram.names, pip=np.ones(5), support=np.ones(5, dtype=bool), coef=theta,
         covariance=np.linalg.inv(standard.gram.DtD), center=np.zeros(5), target_mean=0.0, noise_variance=1.0, n=len(y),
     )  # fmt: skip
-    back = standard.restore(raw)
+    back = raw.rescaled(standard)
     design = np.column_stack([np.ones(len(y)), D])
     scale = np.linalg.norm(design, axis=0)
     expected = np.linalg.lstsq(design / scale, y, rcond=None)[0] / scale
@@ -210,7 +210,7 @@ def test_fractional_weights_equal_the_direct_formula():
         method="ols", names=gram.names, pip=np.ones(5), support=np.ones(5, dtype=bool), coef=np.ones(5),
         covariance=np.eye(5), center=np.zeros(5), target_mean=0.0, noise_variance=1.0, n=round(gram.dof) + 1,
     )  # fmt: skip
-    assert gram.standardise().restore(raw).n == gram.n
+    assert raw.rescaled(gram.standardise()).n == gram.n
 
 
 def test_a_constant_column_has_no_variance_whatever_the_weights():

@@ -13,16 +13,16 @@ from hypothesis import strategies as st
 
 import bayeq as bq
 from bayeq.errors import InputError
-from bayeq.states.kinematic import (
+from bayeq.states.kinematic.fit import _Likelihood, _pieces, _stretches
+from bayeq.states.kinematic.model import sizes_of
+from bayeq.states.kinematic.rows import prepare
+from bayeq.states.kinematic.smoother import (
     ChainSeries,
     KinematicModel,
     fit_kinematic,
     kinematic_log_likelihood,
     smooth_kinematic,
 )
-from bayeq.states.kinematic_fit import _Likelihood, _pieces, _stretches
-from bayeq.states.kinematic_model import sizes_of
-from bayeq.states.kinematic_rows import prepare
 
 
 def transition(h, m):

@@ -12,11 +12,11 @@ from bayeq import SpikeSlabVB
 from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.gram import Gram
 from bayeq.inference import lrvb
-from bayeq.inference.conditional import given_model
+from bayeq.inference.collapsed.conditional import given_model
+from bayeq.inference.collapsed.problem import Columns, Problem
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.lrvb import linear_response
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Columns, Problem
 from bayeq.inference.vb import spike_slab_vb
 from tests import reference
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from studies.discrepancy import draw_record
 
 import bayeq as bq
 from bayeq.errors import InputError
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.integrate import interpolant
 from bayeq.forecast.rows import Rows
 from bayeq.forecast.windows import apart, typical_period, window_runs
-from bayeq.study.discrepancy import draw_record
+from bayeq.ode.rk4 import interpolant
 
 DUFFING = {"x", "v", "x**3", "u"}
 OSCILLATOR = {"chains": "x:v:a", "inputs": ["u"]}

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 import bayeq as bq
-from bayeq.cli import main
+from bayeq.cli.app import main
 from bayeq.errors import DataWarning, InputError
 from bayeq.gram import Gram
 from bayeq.inference import path
-from bayeq.inference.conditional import exact_posterior
-from bayeq.inference.path import best_of_each_size, model_log_posterior, partial_shares
+from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.path import best_of_each_size, model_log_posterior, partial_shares
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.search import log_evidence, neighbours
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Problem
-from bayeq.inference.search import log_evidence, neighbours
 from tests import reference
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "smooth": "none"}
@@ -112,7 +112,7 @@ def test_forced_and_forbidden_terms_and_an_unknown_inclusion():
 
 
 def test_known_signs():
-    from bayeq.inference.signs import signed_scores
+    from bayeq.inference.signs.truncation import signed_scores
 
     D, y = awkward(8, P=7)
     signs = np.array([0, 1, -1, 1, 0, -1, 0])

@@ -17,8 +17,8 @@ from perf.table import BEGIN, END, duration, markdown_tables, optimum_table, put
 from perf.worker import run_apart
 
 import bayeq as bq
-from bayeq.inference.problem import Problem
-from bayeq.inference.search import log_evidence
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.search import log_evidence
 
 # SBR and millipede bring runtimes of hundreds of megabytes: `perf.compare` runs them, the tests do not.
 LIGHT = [name for name, contestant in CONTESTANTS.items() if not contestant.apart]

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import bayeq as bq
+from bayeq.equation.physical import physical_parameters
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
-from bayeq.forecast.physical import physical_parameters
-from bayeq.posterior import Posterior
+from bayeq.inference.posterior import Posterior
 from bayeq.states import parse_chain
 
 TERMS = ("x", "v", "x**3", "u")

@@ -7,9 +7,9 @@ import pytest
 
 import bayeq as bq
 from bayeq.errors import ChainError, RecordError
-from bayeq.spectral import added_floor, residual_spectrum, to_band
+from bayeq.gram.band import added_floor, residual_spectrum, to_band
 from bayeq.states import parse_chain
-from bayeq.states.smoothed import smooth_chain
+from bayeq.states.kinematic.chain_smoother import smooth_chain
 
 
 def test_a_floor_is_found_under_a_known_shape():

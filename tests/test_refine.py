@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
+from studies.refinement import CASES, draw_record, measure_case, measure_record
 
 import bayeq as bq
 from bayeq.errors import BayeqWarning, ConvergenceWarning, InputError, RecordError
 from bayeq.expressions import FUNCTIONS, Tape, parse
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.innovations import filter_run, predict_run
-from bayeq.forecast.integrate import interpolant
-from bayeq.forecast.measured import Measured, Piece
-from bayeq.forecast.noise import Noise
-from bayeq.forecast.output_error import Unrefined, _as_well_known, output_error
-from bayeq.forecast.shooting import Segments, minimise
-from bayeq.forecast.tangent import run_tangents, shoot
-from bayeq.study.refinement import CASES, draw_record, measure_case, measure_record
+from bayeq.ode.rk4 import interpolant
+from bayeq.ode.tangents import run_tangents, shoot
+from bayeq.refine.innovations import filter_run, predict_run
+from bayeq.refine.measured import Measured, Piece
+from bayeq.refine.noise import Noise
+from bayeq.refine.output_error import Unrefined, _as_well_known, output_error
+from bayeq.refine.shooting import Segments, minimise
 from tests.data import measured
 from tests.test_forecast import FS, RECORD, coarse
 
@@ -519,8 +519,8 @@ def test_a_start_that_follows_nothing_is_returned():
 
 def test_a_limit_of_turns_is_told(monkeypatch):
     record = coarse("duffing", 300, 0, NOISE)
-    monkeypatch.setattr("bayeq.forecast.output_error.ROUNDS_OF_NOISE", 1)
-    monkeypatch.setattr("bayeq.forecast.output_error.SAME_ESTIMATE", 0.0)
+    monkeypatch.setattr("bayeq.refine.output_error.ROUNDS_OF_NOISE", 1)
+    monkeypatch.setattr("bayeq.refine.output_error.SAME_ESTIMATE", 0.0)
     with pytest.warns(ConvergenceWarning, match="did not converge"):
         eq = duffing(record).refine(record)
     assert not eq.refined.converged

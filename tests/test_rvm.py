@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayeq.gram import Gram
-from bayeq.inference.problem import gram_columns
+from bayeq.inference.collapsed.problem import gram_columns
 from bayeq.inference.rvm import rvm, rvm_ascent
 from tests import reference
 

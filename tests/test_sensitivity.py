@@ -14,14 +14,14 @@ from scipy.special import expit, logit
 
 import bayeq as bq
 from bayeq import Prior, PriorSensitivity, SpikeSlabBMA
-from bayeq.cli import main
+from bayeq.cli.app import main
+from bayeq.equation.prior_sensitivity import prior_sensitivity
 from bayeq.errors import ConvergenceWarning, InputError, MissingExtraError
+from bayeq.figures.sensitivity import spread
+from bayeq.figures.style import style
 from bayeq.gram import Gram
+from bayeq.gram.lazy import grams_of
 from bayeq.inference.sensitivity import common_inclusion, inclusion_axis, slab_axis, with_inclusion
-from bayeq.lazy_gram import grams_of
-from bayeq.report.sensitivity import spread
-from bayeq.report.style import style
-from bayeq.sensitivity import prior_sensitivity
 from tests import reference
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "smooth": "none"}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bayeq.gram import Gram
+from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
-from bayeq.inference.slab import learn_slab_variance, residual_scale
 from tests import reference
 
 

@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from studies.channels import draw_record
 
 import bayeq as bq
 from bayeq.errors import DataWarning
 from bayeq.gram import Gram
+from bayeq.gram.band import Band, band_gram, noise_floor, residual_spectrum, taper, to_band
 from bayeq.records import split_at_gaps
-from bayeq.spectral import Band, band_gram, noise_floor, residual_spectrum, taper, to_band
+from bayeq.regression.weights import Piece, weighted_gram
 from bayeq.states import derive_all, parse_chains
-from bayeq.states.grid import on_grid
-from bayeq.states.smoothed import smooth_chain
-from bayeq.study.channels import draw_record
+from bayeq.states.kinematic.chain_smoother import smooth_chain
+from bayeq.states.uniform_grid import on_grid
 from bayeq.study.config import StudyConfig
 from bayeq.study.realise import draw
-from bayeq.weighting import Piece, weighted_gram
 
 CHAIN = parse_chains(["x:v:a"])
 
@@ -29,7 +29,7 @@ def white(seed, n=2000, P=3):
 
 def test_a_whole_band_without_a_taper_is_the_gram_of_the_rows(monkeypatch):
     # Parseval's theorem: sums of products over rows are sums over bins
-    monkeypatch.setattr("bayeq.spectral.taper", lambda n, memory: np.ones(n))
+    monkeypatch.setattr("bayeq.gram.band.taper", lambda n, memory: np.ones(n))
     D, rng = white(0, n=501)
     y = D @ [1.0, -2.0, 0.0] + rng.normal(size=501)
     ours = band_gram([to_band(D, y, 100.0, (0.0, 1e9))], ("a", "b", "c"))

@@ -9,9 +9,9 @@ import bayeq as bq
 from bayeq.expressions import parse
 from bayeq.gram import Gram
 from bayeq.inference import ENGINES, Prior
-from bayeq.inference.path import model_log_posterior
-from bayeq.inference.problem import Problem
-from bayeq.stand_in import plausible
+from bayeq.inference.collapsed.path import model_log_posterior
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.selection.plausible import plausible
 
 PRIOR = Prior()
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from bayeq import Record
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
 from bayeq.states import derive_states, parse_chain, parse_chains
-from bayeq.states.smoothing import smooth_derivative
+from bayeq.states.savitzky_golay import smooth_derivative
 
 
 @pytest.mark.parametrize(

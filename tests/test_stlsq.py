@@ -87,7 +87,7 @@ def test_a_sweep_keeps_the_least_held_out_error(columns):
     full = stlsq(gram, threshold=0.0, ridge=0.0).coef
     for threshold in np.geomspace(np.abs(full).min(), np.abs(full).max(), 60):
         one = stlsq(gram, threshold=threshold, ridge=0.0)
-        one = work.restore(one) if work else one
+        one = one.rescaled(work) if work else one
         error = np.sum((y[2000:] - one.predict(D[2000:])) ** 2)
         assert best <= error * (1 + 1e-6)
     direct = np.sum((y[2000:] - fit.predict(D[2000:])) ** 2)

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from typer.exceptions import TyperException
 
-from bayeq.cli import main
-from bayeq.cli_study import study_app
+from bayeq.cli.app import main
+from bayeq.cli.study import study_app
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 from bayeq.study import realise as realise_module
 from bayeq.study.algorithms import ALGORITHMS

@@ -12,12 +12,11 @@ from scipy.stats import beta
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.errors import InputError
 from bayeq.gram import Gram
-from bayeq.inference.models import enumerate_models, search_models
-from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Columns, Ints, Problem
-from bayeq.inference.search import best_models, log_evidence, neighbours
-from bayeq.inference.slab import learn_slab_variance, residual_scale
-from bayeq.inference.tableau import (
+from bayeq.inference.collapsed.listing import enumerate_models, search_models
+from bayeq.inference.collapsed.problem import Bools, Columns, Ints, Problem
+from bayeq.inference.collapsed.search import best_models, log_evidence, neighbours
+from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
+from bayeq.inference.collapsed.tableau import (
     Tableau,
     active_block,
     best_swap,
@@ -33,6 +32,7 @@ from bayeq.inference.tableau import (
     swap_gains,
     swept,
 )
+from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 from tests import reference
 

@@ -8,10 +8,10 @@ from scipy.special import logsumexp
 
 from bayeq.errors import InputError
 from bayeq.gram import Gram
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.search import greedy_model
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Problem
 from bayeq.inference.rvm import rvm
-from bayeq.inference.search import greedy_model
 from bayeq.inference.vb import spike_slab_vb
 from tests import reference
 

@@ -13,47 +13,47 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from bayeq.discovery import discover
-    from bayeq.equation import Equation
-    from bayeq.equations import Equations
-    from bayeq.estimators import RVM, STLSQ, SpikeSlabBMA, SpikeSlabGibbs, SpikeSlabVB
-    from bayeq.forecast.physical import PhysicalParameters
+    from bayeq.equation.equation import Equation
+    from bayeq.equation.equations import Equations
+    from bayeq.equation.physical import PhysicalParameters
+    from bayeq.equation.prior_sensitivity import PriorSensitivity
+    from bayeq.equation.size_path import ParsimonyPath
+    from bayeq.equation.storage import load
+    from bayeq.estimators.regressors import RVM, STLSQ, SpikeSlabBMA, SpikeSlabGibbs, SpikeSlabVB
     from bayeq.forecast.results import Refinement, Scores
     from bayeq.forecast.run import Forecast
     from bayeq.gram import Gram
+    from bayeq.inference.posterior import Posterior
     from bayeq.inference.prior import Prior
-    from bayeq.parsimony import ParsimonyPath
-    from bayeq.posterior import Posterior
     from bayeq.records import Finding, Record, Truth, check_record, correct_delay, read, remove_offset, write
-    from bayeq.sensitivity import PriorSensitivity
-    from bayeq.storage import load
     from bayeq.systems import SYSTEMS, System, simulate
 
 _HOME = {
-    "RVM": "estimators",
-    "STLSQ": "estimators",
+    "RVM": "estimators.regressors",
+    "STLSQ": "estimators.regressors",
     "SYSTEMS": "systems",
-    "Equation": "equation",
-    "Equations": "equations",
+    "Equation": "equation.equation",
+    "Equations": "equation.equations",
     "Finding": "records",
     "Forecast": "forecast.run",
     "Gram": "gram",
-    "ParsimonyPath": "parsimony",
-    "PhysicalParameters": "forecast.physical",
-    "Posterior": "posterior",
+    "ParsimonyPath": "equation.size_path",
+    "PhysicalParameters": "equation.physical",
+    "Posterior": "inference.posterior",
     "Prior": "inference.prior",
-    "PriorSensitivity": "sensitivity",
+    "PriorSensitivity": "equation.prior_sensitivity",
     "Record": "records",
     "Refinement": "forecast.results",
     "Scores": "forecast.results",
-    "SpikeSlabBMA": "estimators",
-    "SpikeSlabGibbs": "estimators",
-    "SpikeSlabVB": "estimators",
+    "SpikeSlabBMA": "estimators.regressors",
+    "SpikeSlabGibbs": "estimators.regressors",
+    "SpikeSlabVB": "estimators.regressors",
     "System": "systems",
     "Truth": "records",
     "check_record": "records",
     "correct_delay": "records",
     "discover": "discovery",
-    "load": "storage",
+    "load": "equation.storage",
     "read": "records",
     "remove_offset": "records",
     "simulate": "systems",

@@ -2,6 +2,6 @@
 
 import sys
 
-from bayeq.cli import main
+from bayeq.cli.app import main
 
 sys.exit(main())

@@ -9,20 +9,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.choice import Choice
-from bayeq.coef_units import channel_units
-from bayeq.constraints import parse_constraints
 from bayeq.dictionary import Design, Variables, build_design, build_dictionary
-from bayeq.equations import DataSummary, Equations
-from bayeq.errors import ChainError, DataWarning, InputError, RecordError, TermWarning, UnknownNameError
+from bayeq.equation.build import equation_of
+from bayeq.equation.equations import DataSummary, Equations
+from bayeq.equation.units import channel_units
+from bayeq.errors import ChainError, DataWarning, InputError, RecordError, TermWarning, UnknownNameError, WarningLog
 from bayeq.forecast.score import held_out_scores
-from bayeq.infer import Setting, infer_equation
 from bayeq.inference import ENGINES, Prior
-from bayeq.inspection import equation_of
-from bayeq.negligible import NEGLIGIBLE, training_rows, without_negligible
-from bayeq.notes import Notes
 from bayeq.records import Record, check_messages, split_at_gaps
-from bayeq.seen import seen_design
+from bayeq.regression.constraints import parse_constraints
+from bayeq.regression.filtered_terms import seen_design
+from bayeq.regression.fit import Setting, infer_equation
+from bayeq.selection.limits import Choice
+from bayeq.selection.negligible import NEGLIGIBLE, training_rows, without_negligible
 from bayeq.states import Chain, Smooth, derive_all, measured_apart, parse_chains
 
 __all__ = ["discover"]
@@ -95,7 +94,7 @@ def discover(
     negligible : float
         Terms that are certain and yet make no practical difference are shown beside the equation: those that together
         explain a smaller share of the target's variance than this, and without which free runs over the training rows
-        are hardly worse (`bayeq.negligible`). 0 keeps them in the equation, as do `max_terms`, `min_share` and
+        are hardly worse (`bayeq.selection.negligible`). 0 keeps them in the equation, as do `max_terms`, `min_share`,
         `constraints`.
     coarsen : float
         Power, above 0 and at most 1, that the likelihood is raised to: each row counts as this share of one (Miller
@@ -156,17 +155,17 @@ def discover(
         raise InputError(f"coarsen is a power of the likelihood, 0 < coarsen <= 1, got {coarsen!r}")
 
     step = progress or _silent
-    notes = Notes()
+    log = WarningLog()
     if smooth == "auto":
-        pieces, parsed = _sorted_out(pieces, parsed, holdout, notes)
+        pieces, parsed = _sorted_out(pieces, parsed, holdout, log)
     step("states", 0, len(pieces))
     share = _share(holdout, sum(piece.n for piece in pieces))
     states = derive_all(pieces, parsed, all_inputs, smooth, share)
     step("states", len(pieces), len(pieces))
     for message in check_messages(pieces, [chain.measured for chain in parsed], all_inputs):
-        notes.warn(message, DataWarning)
+        log.warn(message, DataWarning)
     if states[0].smoothing and any(one.fs is None for one in states[0].smoothing):
-        notes.warn(
+        log.warn(
             "steps of time are uneven, or differ between records: the regression goes row by row instead of in the band"
             " that the smoother follows, and small terms are harder to tell; resample evenly",
             DataWarning,
@@ -176,13 +175,13 @@ def discover(
     train, held_out = _split(
         [{**s.columns, **{_measured(name): values for name, values in s.measured.items()}} for s in states],
         holdout,
-        notes,
+        log,
         ", ".join(p.name or "record" for p in pieces[:3]),
     )
     # what the equation is judged by: the measured target, where there is one
     targets = [_measured(c.target) if c.target in states[0].measured else c.target for c in parsed]
     design = build_design(terms, targets, train, held_out, lambda done, total: step("dictionary", done, total))
-    _check_size(design, notes)
+    _check_size(design, log)
     known = [constraints] if isinstance(constraints, str) else list(constraints)
     reasons = {d.name: d.reason for d in design.dropped}
     constrained = parse_constraints(known, design.terms, [chain.target for chain in parsed], reasons)
@@ -197,7 +196,7 @@ def discover(
     design = seen_design(design, parsed, estimated, train, held_out)
     units, conflicts = channel_units([piece.units for piece in pieces], parsed, all_inputs)
     for message in conflicts:
-        notes.warn(message, DataWarning)
+        log.warn(message, DataWarning)
     setting = Setting(
         chains=parsed,
         inputs=all_inputs,
@@ -219,9 +218,9 @@ def discover(
         inferred = without_negligible(
             setting, inferred, training_rows(pieces, states, parsed, all_inputs, share), negligible
         )
-    equations = [equation_of(setting, one, notes) for one in inferred]
+    equations = [equation_of(setting, one, log) for one in inferred]
     step("inference", len(parsed), len(parsed))
-    for message, category in notes.collected:
+    for message, category in log.collected:
         warnings.warn(message, category, stacklevel=2)
     return Equations(
         equations=tuple(replace(equation, units=units) for equation in equations),
@@ -237,7 +236,7 @@ def discover(
             estimated=states[0].estimated,
         ),
         dropped=design.dropped,
-        warnings=tuple(message for message, _ in notes.collected),
+        warnings=tuple(message for message, _ in log.collected),
         constraints=tuple(known),
         scores=held_out_scores(
             parsed, all_inputs, [e.posterior for e in equations], [e.terms for e in equations], pieces, states, share
@@ -283,7 +282,7 @@ def _share(holdout: float, rows: int) -> float:
 
 
 def _sorted_out(
-    records: list[Record], chains: tuple[Chain, ...], holdout: float, notes: Notes
+    records: list[Record], chains: tuple[Chain, ...], holdout: float, log: WarningLog
 ) -> tuple[list[Record], tuple[Chain, ...]]:
     """Records divided at gaps that are not bridged, and chains without channels that were computed from others."""
     pieces, messages = split_at_gaps(records, [str(chain.measured[chain.lowest]) for chain in chains])
@@ -291,12 +290,12 @@ def _sorted_out(
         chains, computed = measured_apart(pieces, chains, _share(holdout, sum(piece.n for piece in pieces)))
         messages += computed
     for message in messages:
-        notes.warn(message, DataWarning)
+        log.warn(message, DataWarning)
     return pieces, chains
 
 
 def _split(
-    columns: Sequence[Mapping[str, Floats]], holdout: float, notes: Notes, where: str
+    columns: Sequence[Mapping[str, Floats]], holdout: float, log: WarningLog, where: str
 ) -> tuple[list[Mapping[str, Floats]], list[Mapping[str, Floats]]]:
     """Training rows and the last rows of each record, held out."""
     train: list[Mapping[str, Floats]] = []
@@ -316,16 +315,16 @@ def _split(
     if left < LEAST_TRAINING_ROWS:
         raise RecordError(f"holdout {holdout:g} leaves {left} training rows, too few for a regression; lower it")
     if holdout > 0 and share == 0:
-        notes.warn(f"only {total} rows: all are used, none held out to judge the equation by", DataWarning)
+        log.warn(f"only {total} rows: all are used, none held out to judge the equation by", DataWarning)
     return train, held_out
 
 
-def _check_size(design: Design, notes: Notes) -> None:
+def _check_size(design: Design, log: WarningLog) -> None:
     n, terms = design.train[0].n, len(design.terms)
     if n < LEAST_TRAINING_ROWS:
         raise RecordError(f"{n} training rows are too few for a regression (at least {LEAST_TRAINING_ROWS})")
     if n <= terms:
-        notes.warn(
+        log.warn(
             f"{n} training rows for {terms} candidate terms: fewer rows than terms; the prior decides much, and few"
             " terms can be found",
             DataWarning,
@@ -333,4 +332,4 @@ def _check_size(design: Design, notes: Notes) -> None:
     if design.dropped:
         listed = "; ".join(f"{d.name} ({d.reason})" for d in design.dropped[:8])
         more = f" and {len(design.dropped) - 8} more" if len(design.dropped) > 8 else ""
-        notes.warn(f"terms left out: {listed}{more}", TermWarning)
+        log.warn(f"terms left out: {listed}{more}", TermWarning)

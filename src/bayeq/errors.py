@@ -41,6 +41,7 @@ __all__ = [
     "RecordError",
     "TermWarning",
     "UnknownNameError",
+    "WarningLog",
 ]
 
 
@@ -140,3 +141,14 @@ class CorrelatedResidualsWarning(BayeqWarning):
 
 class ConvergenceWarning(BayeqWarning):
     """An iteration stopped at its limit before it converged."""
+
+
+class WarningLog:
+    """Warnings collected on the way: issued at the end, and kept in the answer."""
+
+    def __init__(self) -> None:
+        self.collected: list[tuple[str, type[BayeqWarning]]] = []
+
+    def warn(self, message: str, category: type[BayeqWarning]) -> None:
+        """Record a warning."""
+        self.collected.append((message, category))

@@ -7,7 +7,7 @@ import pytest
 
 from bayeq.gram import Gram
 from bayeq.inference import ENGINES, Prior
-from bayeq.posterior import Posterior
+from bayeq.inference.posterior import Posterior
 from tests import reference
 
 pytestmark = pytest.mark.parametrize("name", ENGINES)

@@ -14,8 +14,8 @@ from hypothesis.extra import numpy as hnp
 
 from bayeq.errors import FileFormatError, UnknownNameError
 from bayeq.records import FORMATS, Record, clean_name, read, write
-from bayeq.records._check import SECONDS
 from bayeq.records.names import is_time_name
+from bayeq.records.validate import SECONDS
 
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

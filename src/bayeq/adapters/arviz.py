@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError, MissingExtraError
-from bayeq.posterior import Draws, Posterior
+from bayeq.inference.posterior import Draws, Posterior
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bayeq.dictionary.build import evaluate_terms
 from bayeq.errors import InputError
 from bayeq.expressions import Expression
-from bayeq.gram import Gram, grams_from_blocks
+from bayeq.gram.gram import Gram, grams_from_blocks
 
 __all__ = ["Design", "DroppedTerm", "build_design"]
 

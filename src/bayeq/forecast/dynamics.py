@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape
-from bayeq.forecast.integrate import local_errors
-from bayeq.posterior import Posterior
+from bayeq.inference.posterior import Posterior
+from bayeq.ode.rk4 import local_errors
 from bayeq.states import Chain
 
 __all__ = ["Dynamics", "finest_step", "normal_draws"]

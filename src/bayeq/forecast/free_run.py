@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.forecast.dynamics import Dynamics, finest_step
-from bayeq.forecast.integrate import free_runs
+from bayeq.ode.rk4 import free_runs
 
 __all__ = ["ANYWHERE", "GENEROUS", "mean_run", "run_bands", "state_range"]
 
@@ -58,7 +58,7 @@ def mean_run(
     first : (d,) array
         Initial state.
     inputs : (n, m, 4) array
-        From `bayeq.forecast.integrate.interpolant`.
+        From `bayeq.ode.rk4.interpolant`.
     time : (n,) array
         [s].
     low, high : (d,) arrays

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError, RecordError
 from bayeq.expressions import Expression
-from bayeq.forecast.integrate import Interpolation, interpolant
+from bayeq.ode.rk4 import Interpolation, interpolant
 from bayeq.records import Record
 from bayeq.states import Chain, ChainSmoothing, States
-from bayeq.states.grid import on_grid
+from bayeq.states.uniform_grid import on_grid
 
 __all__ = [
     "Rows",
@@ -47,7 +47,7 @@ class Rows:
     samples : mapping of str to (n,) array
         What was measured of states and targets; NaN where a sample is missing.
     driven : (n, m, 4) array
-        Inputs between the rows, from `bayeq.forecast.integrate.interpolant` over the whole record.
+        Inputs between the rows, from `bayeq.ode.rk4.interpolant` over the whole record.
     estimated : mapping of str to ChainSmoothing
         How targets that were not measured were estimated.
     """

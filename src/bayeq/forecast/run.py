@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import InputError, UnknownNameError
+from bayeq.figures.forecast import Panel, Strip, draw_forecasts
+from bayeq.figures.style import require_matplotlib, style
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import ANYWHERE, GENEROUS, mean_run, run_bands, state_range
-from bayeq.forecast.integrate import Interpolation, interpolant
 from bayeq.forecast.rows import (
     Rows,
     check_interpolation,
@@ -25,10 +26,9 @@ from bayeq.forecast.rows import (
     window_of,
 )
 from bayeq.forecast.start import fitted_start
-from bayeq.posterior import Posterior
+from bayeq.inference.posterior import Posterior
+from bayeq.ode.rk4 import Interpolation, interpolant
 from bayeq.records import Record
-from bayeq.report.forecast import Panel, Strip, draw_forecasts
-from bayeq.report.style import require_matplotlib, style
 from bayeq.states import Smooth, derive_all
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class Forecast:
             return draw_forecasts([self.strip()])
 
     def strip(self, title: str = "") -> Strip:
-        """What `bayeq.report.forecast` draws."""
+        """What `bayeq.figures.forecast` draws."""
         panels = [
             Panel(
                 name if name not in self.units else f"{name} [{self.units[name]}]",

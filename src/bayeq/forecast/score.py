@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import mean_run, state_range
-from bayeq.forecast.integrate import Interpolation
 from bayeq.forecast.results import Scores
 from bayeq.forecast.rows import (
     Rows,
@@ -22,7 +21,8 @@ from bayeq.forecast.rows import (
     window_of,
 )
 from bayeq.forecast.start import fitted_start
-from bayeq.posterior import Posterior
+from bayeq.inference.posterior import Posterior
+from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
 from bayeq.states import Chain, Smooth, States, derive_all
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.rows import Rows
-from bayeq.forecast.tangent import shoot
 from bayeq.forecast.windows import typical_period
+from bayeq.ode.tangents import shoot
 
 __all__ = ["fitted_start"]
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bayeq.figures.forecast import draw_forecasts
+from bayeq.figures.write import require_suffix, write_output
 from bayeq.forecast.run import Forecast
-from bayeq.report.forecast import draw_forecasts
-from bayeq.report.outputs import require_suffix, write_output
 
 if TYPE_CHECKING:
     import pandas as pd

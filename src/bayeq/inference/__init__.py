@@ -12,11 +12,11 @@ from functools import partial
 from bayeq.inference.auto import spike_slab_auto
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm
 from bayeq.inference.stlsq import stlsq, sweep_stlsq
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.posterior import Posterior
 
 __all__ = [
     "ENGINES",

@@ -8,12 +8,12 @@ import numpy as np
 
 from bayeq.gram import GramLike
 from bayeq.inference.bma import spike_slab_bma
+from bayeq.inference.collapsed.path import model_log_posterior
+from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gibbs import spike_slab_gibbs
-from bayeq.inference.path import model_log_posterior
+from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Problem
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.posterior import Posterior
 
 __all__ = ["spike_slab_auto"]
 

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.gram import GramLike
-from bayeq.inference.conditional import exact_posterior
-from bayeq.inference.models import ModelSet, enumerate_models, search_models
+from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.listing import ModelSet, enumerate_models, search_models
+from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
+from bayeq.inference.collapsed.search import best_models
+from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, swept
+from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Floats, Ints, Problem
-from bayeq.inference.search import best_models
-from bayeq.inference.tableau import active_block, drifted, flip, renew, swept
 from bayeq.kernels import kernel
-from bayeq.posterior import ModelAverage, Posterior
 
 __all__ = ["average_models", "mean_noise_variance", "sample_average", "spike_slab_bma"]
 
@@ -77,7 +77,7 @@ def average_models(problem: Problem, *, tolerance: float = 5e-3, enumerate_up_to
     """The models to average over: all of them, or those that hold all but `tolerance` of the mass."""
     if len(problem.signs):
         # brings scipy.special, which takes a while to import
-        from bayeq.inference.signed_models import list_signed
+        from bayeq.inference.signs.listing import list_signed
 
         return list_signed(problem, tolerance, enumerate_up_to)
     if int(np.isfinite(problem.log_odds).sum()) <= enumerate_up_to:
@@ -94,7 +94,7 @@ def _moments(
     models, weights = models[order], weights[order]
     if not len(problem.signs):
         return _mixture_moments(problem, models, weights, place, count)
-    from bayeq.inference.signs import add_truncated, certain_signs
+    from bayeq.inference.signs.truncation import add_truncated, certain_signs
 
     certain = certain_signs(problem, models)
     rest = _mixture_moments(problem, models[certain], weights[certain], place, count)
@@ -207,7 +207,7 @@ def sample_average(
         active = average.models[k]
         draw = partial(_draw_given_model, problem, active, rng=rng)
         if len(problem.signs):
-            from bayeq.inference.signed_gibbs import right_signs
+            from bayeq.inference.signs.gibbs import right_signs
 
             theta[rows], noise[rows] = right_signs(problem, active, len(rows), draw, rng)
         else:

@@ -14,11 +14,10 @@ import numpy as np
 
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
-from bayeq.inference.conditional import exact_posterior
-from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Floats, Problem
-from bayeq.inference.search import greedy_start
-from bayeq.inference.tableau import (
+from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.problem import Bools, Floats, Problem
+from bayeq.inference.collapsed.search import greedy_start
+from bayeq.inference.collapsed.tableau import (
     LOOK,
     Tableau,
     data_gain,
@@ -31,8 +30,9 @@ from bayeq.inference.tableau import (
     swap_gains,
     swept,
 )
+from bayeq.inference.posterior import Draws, Posterior
+from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
-from bayeq.posterior import Draws, Posterior
 
 __all__ = [
     "draw_theta",
@@ -243,13 +243,13 @@ def sample_posterior(
         rest = variance, burn_in, exchange, rng, z[k], theta[k], noise[k]
         if len(problem.signs):
             # brings scipy.special, which takes a while to import
-            from bayeq.inference.signed_gibbs import doubled, sample_signed_chain
+            from bayeq.inference.signs.gibbs import doubled, sample_signed_chain
 
             sample_signed_chain(doubled(problem), start.copy(), np.zeros(terms), *rest, pip[k])
         else:
             sample_chain(problem, start.copy(), *rest, levels[k], pip[k])
     if len(problem.signs):
-        from bayeq.inference.signed_gibbs import signed_levels
+        from bayeq.inference.signs.gibbs import signed_levels
 
         levels = signed_levels(problem, z)
     return Draws(z=z, theta=theta, noise_variance=noise, log_posterior=levels, pip=pip / kept)

@@ -41,7 +41,7 @@ import warnings
 import numpy as np
 
 from bayeq.errors import ConvergenceWarning
-from bayeq.inference.problem import Floats, Ints, Problem, fetch
+from bayeq.inference.collapsed.problem import Floats, Ints, Problem, fetch
 
 __all__ = ["linear_response"]
 

@@ -4,7 +4,7 @@ theta_i ~ N(0, 1/alpha_i) with every alpha_i and the noise variance set to maxim
 step adds, re-estimates or deletes the one term that raises the marginal likelihood most. Written with
 lambda_i = alpha_i sigma^2 instead of alpha_i: the optimum is the same, the noise variance then has the closed
 form s/N at every step, and all of S_m, Q_m, Sigma and mu are entries of the same swept tableau that
-`bayeq.inference.tableau` uses (here swept with ridge lambda_i on active terms only):
+`bayeq.inference.collapsed.tableau` uses (here swept with ridge lambda_i on active terms only):
 
     S_m = beta M_mm,   Q_m = beta M_my,   Sigma = -sigma^2 M_rr,   mu = M_ry,   s = M_yy,   beta = N/s.
 """
@@ -16,11 +16,11 @@ import math
 import numpy as np
 
 from bayeq.gram import GramLike
+from bayeq.inference.collapsed.problem import Bools, Columns, Floats, Problem, gram_columns
+from bayeq.inference.collapsed.tableau import LOOK, Tableau, active_block, build, enter, leave, strayed
+from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Columns, Floats, Problem, gram_columns
-from bayeq.inference.tableau import LOOK, Tableau, active_block, build, enter, leave, strayed
 from bayeq.kernels import kernel
-from bayeq.posterior import Posterior
 
 __all__ = ["rvm", "rvm_ascent", "rvm_gamma"]
 

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
 from bayeq.inference.bma import average_models
+from bayeq.inference.collapsed.problem import Bools, Floats, Problem
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Floats, Problem
 
 __all__ = ["common_inclusion", "inclusion_axis", "pip_grid", "slab_axis", "with_inclusion"]
 

@@ -12,11 +12,11 @@ from typing import Literal
 import numpy as np
 
 from bayeq.errors import InputError
-from bayeq.gram import Gram, GramLike, dense
+from bayeq.gram.gram import Gram, GramLike, dense
+from bayeq.inference.collapsed.problem import Bools, Floats
+from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Floats
 from bayeq.kernels import kernel
-from bayeq.posterior import Posterior
 
 __all__ = ["least_squares", "stlsq", "sweep_stlsq"]
 
@@ -191,7 +191,7 @@ def sweep_stlsq(
         inner = sweep_stlsq(
             standard.gram, held_out=other, columns="raw", ridge=ridge, thresholds=thresholds, max_iter=max_iter
         )
-        return standard.restore(inner)
+        return inner.rescaled(standard)
     K, c = _moments(gram, centred=True)
     if thresholds is None:
         full = np.empty(len(c))

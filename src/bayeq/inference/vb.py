@@ -18,16 +18,16 @@ import numpy as np
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
 from bayeq.inference.bma import average_models, mean_noise_variance
-from bayeq.inference.conditional import exact_posterior
+from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.path import model_log_posterior
+from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem, fetch
+from bayeq.inference.collapsed.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
+from bayeq.inference.collapsed.tableau import GAIN_TOLERANCE
 from bayeq.inference.lrvb import linear_response
-from bayeq.inference.path import model_log_posterior
+from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
-from bayeq.inference.problem import Bools, Floats, Ints, Problem, fetch
 from bayeq.inference.rvm import rvm_gamma
-from bayeq.inference.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
-from bayeq.inference.tableau import GAIN_TOLERANCE
 from bayeq.kernels import kernel
-from bayeq.posterior import Posterior
 
 __all__ = ["spike_slab_vb"]
 

@@ -4,7 +4,7 @@
 `Truth` what is known about a simulated one. Nothing here imports pandas or pyarrow before it is needed.
 """
 
-from bayeq.records.checks import Finding, check_messages, check_record
+from bayeq.records.findings import Finding, check_messages, check_record
 from bayeq.records.gaps import split_at_gaps
 from bayeq.records.io import FORMATS, Format, read, write
 from bayeq.records.names import RESERVED, clean_name, clean_names

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import RecordError
-from bayeq.records._check import SECONDS, check_time, time_from, trial_starts
 from bayeq.records.columns import Columns, listed
 from bayeq.records.record import Record
 from bayeq.records.truth import FloatArray
+from bayeq.records.validate import SECONDS, check_time, time_from, trial_starts
 
 __all__ = ["assemble"]
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.errors import FileFormatError, RecordError, UnknownNameError
-from bayeq.records._check import as_column, as_time
 from bayeq.records.names import clean_name, clean_names, is_time_name
 from bayeq.records.truth import FloatArray
+from bayeq.records.validate import as_column, as_time
 
 if TYPE_CHECKING:
     import pandas as pd

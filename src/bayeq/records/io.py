@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Protocol, overload
 
 from bayeq.errors import FileFormatError
-from bayeq.files import replacing
 from bayeq.records import npz, parquet, text
 from bayeq.records.assemble import assemble
+from bayeq.records.atomic import replacing
 from bayeq.records.columns import Columns, Select, select
 from bayeq.records.record import Record
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from bayeq.errors import RecordError, UnknownNameError
-from bayeq.records._check import (
+from bayeq.records.truth import FloatArray, Truth, frozen_array
+from bayeq.records.validate import (
     as_column,
     as_time,
     check_name,
@@ -21,7 +22,6 @@ from bayeq.records._check import (
     time_from,
     trial_starts,
 )
-from bayeq.records.truth import FloatArray, Truth, frozen_array
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
 from bayeq.records import Record
 from bayeq.states.chain import Chain
-from bayeq.states.grid import on_grid
-from bayeq.states.smoothed import ChainSmoothing, smooth_chain
-from bayeq.states.smoothing import smooth_derivative
+from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain
+from bayeq.states.savitzky_golay import smooth_derivative
+from bayeq.states.uniform_grid import on_grid
 
 __all__ = ["FEW_ROWS", "Smooth", "States", "derive_all", "derive_states", "usable"]
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from bayeq.gram import Gram, Standardised
 from bayeq.inference import Prior, rvm, spike_slab_bma, spike_slab_gibbs, spike_slab_vb, sweep_stlsq
-from bayeq.inference.slab import learn_slab_variance, residual_scale
-from bayeq.posterior import Posterior
+from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
+from bayeq.inference.posterior import Posterior
 from bayeq.study.config import StudyConfig
 
 __all__ = ["ALGORITHMS", "Algorithm", "Estimate", "estimate"]
@@ -87,7 +87,7 @@ def _rvm(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]
     """Relevance vector machine; selected is what is left in the machine."""
     del held_out, config, seed
     standard = train.standardise()
-    return estimate(standard.restore(rvm(standard.gram)))
+    return estimate(rvm(standard.gram).rescaled(standard))
 
 
 def _gibbs(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
@@ -104,35 +104,35 @@ def _gibbs(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ..
         seed=seed,
         keep_draws=False,
     )
-    return estimate(standard.restore(posterior))
+    return estimate(posterior.rescaled(standard))
 
 
 def _bma(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """Model averaging with exact weights; selected is the median probability model."""
     del held_out, seed
     standard, prior = _posed(train, config)
-    return estimate(standard.restore(spike_slab_bma(standard.gram, prior)))
+    return estimate(spike_slab_bma(standard.gram, prior).rescaled(standard))
 
 
 def _vb(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-VB, from several starts."""
     del held_out, seed
     standard, prior = _posed(train, config)
-    return estimate(standard.restore(spike_slab_vb(standard.gram, prior)))
+    return estimate(spike_slab_vb(standard.gram, prior).rescaled(standard))
 
 
 def _vb_greedy(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-VB started from a greedy search that adds and drops terms but never swaps them."""
     del held_out, seed
     standard, prior = _posed(train, config)
-    return estimate(standard.restore(spike_slab_vb(standard.gram, prior, init="greedy")))
+    return estimate(spike_slab_vb(standard.gram, prior, init="greedy").rescaled(standard))
 
 
 def _vb_rvm(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-VB started from the RVM alone, as the paper's section 3.2 says."""
     del held_out, seed
     standard, prior = _posed(train, config)
-    return estimate(standard.restore(spike_slab_vb(standard.gram, prior, init="rvm")))
+    return estimate(spike_slab_vb(standard.gram, prior, init="rvm").rescaled(standard))
 
 
 ALGORITHMS: dict[str, Algorithm] = {

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.expressions import parse, to_sympy
+from bayeq.figures.paper import Inclusion, JointPosterior, draw_inclusion, draw_joint
+from bayeq.figures.style import mathtext, require_matplotlib, save, style
 from bayeq.inference import Prior, spike_slab_gibbs, spike_slab_vb
-from bayeq.posterior import Posterior
-from bayeq.report.figures import Inclusion, JointPosterior, draw_inclusion, draw_joint
-from bayeq.report.style import mathtext, require_matplotlib, save, style
+from bayeq.inference.posterior import Posterior
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig, choose
 from bayeq.study.realise import ALGORITHM_STREAM, draw
 from bayeq.systems import System, get_system
@@ -84,7 +84,7 @@ def compare(name: str, config: StudyConfig) -> Comparison:
         seed=(config.seed, STUDY_SYSTEMS.index(name), 0, ALGORITHM_STREAM),
     )
     vb = spike_slab_vb(standard.gram, prior)
-    return Comparison(get_system(name), data.truth, standard.restore(mcmc), standard.restore(vb))
+    return Comparison(get_system(name), data.truth, mcmc.rescaled(standard), vb.rescaled(standard))
 
 
 def confidence_ellipse(mean: ArrayLike, covariance: ArrayLike, level: float = 0.95) -> Floats:

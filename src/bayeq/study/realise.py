@@ -15,13 +15,13 @@ from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.records import Truth
+from bayeq.regression.weights import regress_in_band
 from bayeq.states import Smooth, derive_all, parse_chains
 from bayeq.study.algorithms import ALGORITHMS
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
 from bayeq.study.metrics import measure
 from bayeq.study.result import Result
 from bayeq.systems import System, get_system, simulate
-from bayeq.weighting import regress_in_band
 
 __all__ = ["Realisation", "Task", "draw", "realise"]
 

@@ -1,0 +1,185 @@
+"""What `bayeq discover` makes of the equations it has found: files, refinement, physical parameters, and the print."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bayeq.errors import InputError
+
+if TYPE_CHECKING:
+    from bayeq.equation.equations import Equations
+    from bayeq.equation.physical import PhysicalParameters
+    from bayeq.records import Record
+
+__all__ = ["ForecastFile", "Outputs", "PathFile", "Physical", "Refine", "SensitivityFile"]
+
+SensitivityFile = Annotated[
+    Path | None,
+    typer.Option(help="Write the PIPs under other v_s and p_0: a table (.csv) or a figure (.png, .svg, .pdf)."),
+]
+PathFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="Write the best equation of each size, with evidence and errors: a table (.csv) or a figure (.png, .svg,"
+        " .pdf)."
+    ),
+]
+ForecastFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="Write the free run over the held-out rows, with its 95 % band: a table (.csv) or a figure (.png, .svg,"
+        " .pdf)."
+    ),
+]
+Refine = Annotated[
+    bool, typer.Option("--refine", help="Coefficients by output error: those whose free run is closest to the record.")
+]
+Physical = Annotated[
+    bool, typer.Option("--physical", help="Also mass, damping, stiffness ... of a second-order equation.")
+]
+
+# What a file is for, by option.
+PURPOSES = {
+    "save": "to save the equations to",
+    "sensitivity": "for their sensitivity",
+    "path": "for the path of best equations",
+    "forecast": "for the free run",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """What was asked for; see the options."""
+
+    save: Path | None
+    sensitivity: Path | None
+    path: Path | None
+    forecast: Path | None
+    refine: bool
+    physical: bool
+
+    def check(self, files: Sequence[Path], method: str, by_displacement: bool, chains: Sequence[str]) -> None:
+        """Refuse, before the work, what could not be done after it.
+
+        Parameters
+        ----------
+        files : sequence of Path
+            Records that are read.
+        method : str
+            The engine.
+        by_displacement : bool
+            Whether the chain is spelled by --disp, which is one of second order.
+        chains : sequence of str
+            Others, as they were typed.
+
+        Raises
+        ------
+        InputError, MissingExtraError
+            A file that cannot be written, is one of the records or is named twice; a method or an order that does not
+            go with what is asked for.
+        """
+        seen: dict[Path, str] = {}
+        for name, purpose in PURPOSES.items():
+            output: Path | None = getattr(self, name)
+            if output is None:
+                continue
+            _require_place(output, files)
+            if output in seen:
+                raise InputError(f"{output}: named twice, {seen[output]} and {purpose}")
+            seen[output] = purpose
+        if self.sensitivity is not None:
+            from bayeq.equation import prior_sensitivity as sensitivity
+
+            sensitivity.require_writable(self.sensitivity)
+            sensitivity.require_spike_slab(method)
+        if self.path is not None:
+            from bayeq.equation import size_path as parsimony
+
+            parsimony.require_writable(self.path)
+        if self.forecast is not None:
+            from bayeq.forecast import write
+
+            write.require_writable(self.forecast)
+        if self.physical and chains and not by_displacement:
+            from bayeq.states import parse_chains
+
+            if all(chain.order != 2 for chain in parse_chains(list(chains))):
+                raise InputError(
+                    "--physical: parameters are those of a second-order equation, such as that of --chain x:v:a or"
+                    f" x::, but there is only {', '.join(chains)}"
+                )
+
+    def check_records(self, records: Sequence[Record]) -> None:
+        """Refuse records without time where it is needed."""
+        from bayeq.forecast.rows import require_time
+
+        for wanted, option in ((self.refine, "--refine"), (self.forecast is not None, "--forecast")):
+            for record in records if wanted else ():
+                require_time(record, option)
+
+    def write(self, found: Equations, records: Sequence[Record], holdout: float, as_json: bool) -> None:
+        """Write the files and print the equations."""
+        from bayeq.equation.text import render
+
+        # these are about the regression
+        if self.sensitivity is not None:
+            from bayeq.equation.prior_sensitivity import write_sensitivity
+
+            write_sensitivity(self.sensitivity, {equation.target: equation.sensitivity() for equation in found})
+        if self.path is not None:
+            from bayeq.equation.size_path import write_paths
+
+            write_paths(self.path, {equation.target: equation.path() for equation in found})
+        answer = found.refine(records, holdout=holdout) if self.refine else found
+        if self.save is not None:
+            answer.save(self.save)
+        if self.forecast is not None:
+            from bayeq.forecast.write import write_forecasts
+
+            share = holdout if answer.data.n_held_out else 0.0
+            starts = [record.n - int(share * record.n) for record in records]
+            write_forecasts(
+                self.forecast,
+                [
+                    (record.name, answer.simulate(record, start=start if start < record.n - 1 else 0))
+                    for record, start in zip(records, starts, strict=True)
+                ],
+            )
+        if as_json:
+            out = answer.to_dict()
+            if self.physical:
+                out["physical"] = {target: _plain(parameters) for target, parameters in _physical(answer).items()}
+            typer.echo(json.dumps(out, allow_nan=False))
+            return
+        typer.echo(render(answer, with_warnings=False))
+        for target, parameters in _physical(answer).items() if self.physical else ():
+            typer.echo(f"\nphysical parameters, from the equation of {target}\n\n{parameters}")
+
+
+def _require_place(path: Path, files: Sequence[Path]) -> None:
+    """Refuse a file to write that cannot be there, or that is read."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a directory; name a file in it")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: cannot be written: there is no directory {path.parent}")
+    if path.exists() and any(file.exists() and path.samefile(file) for file in files):
+        raise InputError(f"{path}: is a record that is read; name another file to write to")
+
+
+def _physical(answer: Equations) -> dict[str, PhysicalParameters]:
+    """Of every equation of second order."""
+    second = [equation.target for equation in answer if equation.chain.order == 2]
+    return {target: answer.physical(target=target) for target in second}
+
+
+def _plain(parameters: PhysicalParameters) -> list[dict[str, Any]]:
+    return [
+        {"symbol": q.symbol, "meaning": q.meaning, "mean": q.mean, "sd": q.sd, "ci95": [q.low, q.high], "unit": q.unit}
+        for q in parameters
+    ]

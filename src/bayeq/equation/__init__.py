@@ -1,0 +1,1 @@
+"""The answer: `Equations`, each an `Equation`, as text, numbers and files."""

@@ -1,0 +1,384 @@
+"""`Equation`: one discovered equation of motion, as numbers, text, SymPy and LaTeX."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import exp, floor, isfinite, log10
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayeq.equation.power_sensitivity import Coarsening, coarsening
+from bayeq.equation.prior_sensitivity import PriorSensitivity, prior_sensitivity, require_spike_slab
+from bayeq.equation.size_path import ParsimonyPath, parsimony_path
+from bayeq.equation.units import quotient_unit
+from bayeq.errors import InputError
+from bayeq.expressions import Evaluator, Expression, to_sympy
+from bayeq.gram import Gram, Standardised
+from bayeq.inference import Prior
+from bayeq.inference.posterior import Posterior
+from bayeq.regression.residuals import Fit, Residuals
+from bayeq.selection.limits import LeftOut
+from bayeq.states import Chain
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Z95", "Equation", "Fit", "Regression", "RunnerUp"]
+
+Floats = NDArray[np.float64]
+
+# Half-width of a 95 % interval of a normal distribution, in standard deviations.
+Z95 = 1.959963984540054
+
+
+@dataclass(frozen=True, slots=True)
+class RunnerUp:
+    """A model one move away from the chosen one.
+
+    Attributes
+    ----------
+    leaves, enters : str or None
+        Term taken out of and put into the chosen model.
+    log_odds : float
+        Log posterior odds against the chosen model, ln p(runner-up | y) / p(chosen | y).
+    """
+
+    leaves: str | None
+    enters: str | None
+    log_odds: float
+
+    @property
+    def odds(self) -> str:
+        """The odds as a person says them: ``1:7`` against, ``2:1`` for."""
+        ratio = exp(min(abs(self.log_odds), 700.0))
+        number = f"{ratio:.1f}" if ratio < 9.95 else f"{ratio:.0f}" if ratio < 1e6 else f"{ratio:.0e}"
+        return f"1:{number}" if self.log_odds <= 0 else f"{number}:1"
+
+    def __str__(self) -> str:
+        if self.leaves and self.enters:
+            return f"{self.enters} instead of {self.leaves}"
+        return f"without {self.leaves}" if self.leaves else f"with {self.enters} added"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regression:
+    """The sparse regression whose posterior an equation is.
+
+    Attributes
+    ----------
+    standard : Standardised
+        The Gram that the engine was given, standardised, and the way back to original units.
+    prior : Prior
+        On standardised columns, with the v_s that was used.
+    rows, held_out : Gram or None
+        Statistics of the training rows and of those held out, in original units: what fits are judged on.
+    support : bool array or None
+        Terms of the equation among those of the regression, from which equalities between coefficients may have taken
+        some out.
+    """
+
+    standard: Standardised
+    prior: Prior
+    rows: Gram | None = None
+    held_out: Gram | None = None
+    support: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True)
+class Equation:
+    """One equation: target = intercept + sum of coefficient x term.
+
+    Attributes
+    ----------
+    chain : Chain
+        The coordinate whose highest derivative is the target.
+    terms : tuple of Expression
+        All P candidates.
+    posterior : Posterior
+        In original units.
+    train, held_out : Fit
+        Fit on the rows used and on rows not used (None if none were held out).
+    residuals : Residuals
+        Whiteness of the training residuals.
+    runners_up : tuple of RunnerUp
+        The likeliest models one move away, where the engine compares models.
+    regression : Regression or None
+        What was solved; None for an equation read from a file, which does not hold it.
+    share : (P,) array or None
+        Share of the target's variance that each term explains: what R2 loses on the training rows when the term is left
+        out and the others are refitted by least squares. NaN for a term that is not included.
+    left_out : tuple of LeftOut
+        Terms that the method includes, left out as asked for.
+    units : mapping of str to str
+        Units of channels and their derivatives, as far as they are known.
+    """
+
+    chain: Chain
+    terms: tuple[Expression, ...]
+    posterior: Posterior
+    train: Fit
+    held_out: Fit | None
+    residuals: Residuals
+    runners_up: tuple[RunnerUp, ...] = ()
+    regression: Regression | None = field(default=None, repr=False, compare=False)
+    share: Floats | None = None
+    left_out: tuple[LeftOut, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def target(self) -> str:
+        """Name of the left-hand side."""
+        return self.chain.target
+
+    @property
+    def included(self) -> tuple[str, ...]:
+        """Names of the included terms."""
+        return tuple(t.text for t, kept in zip(self.terms, self.posterior.support, strict=True) if kept)
+
+    @property
+    def coef(self) -> dict[str, float]:
+        """Coefficient of each included term, in original units."""
+        return dict(zip(self.included, self.posterior.coef[self.posterior.support].tolist(), strict=True))
+
+    @cached_property
+    def coef_units(self) -> tuple[str | None, ...]:
+        """Unit of each candidate's coefficient; None where a unit is not known. Those of the intercept are y's."""
+        return tuple(quotient_unit(self.target, term, self.units) for term in self.terms)
+
+    @property
+    def noise_sd(self) -> float:
+        """Standard deviation of what the terms leave of the target."""
+        return float(np.sqrt(self.posterior.noise_variance))
+
+    @property
+    def ci95(self) -> Floats:
+        """95 % intervals of the coefficients given the included set, (P, 2); 0 for a term not included."""
+        half = Z95 * self.posterior.sd
+        return np.column_stack([self.posterior.coef - half, self.posterior.coef + half])
+
+    @property
+    def intercept_ci95(self) -> tuple[float, float]:
+        """95 % interval of the intercept."""
+        half = Z95 * self.posterior.intercept_sd
+        return self.posterior.intercept - half, self.posterior.intercept + half
+
+    @property
+    def intercept_matters(self) -> bool:
+        """Whether the interval of the intercept excludes zero; only then it is written out."""
+        low, high = self.intercept_ci95
+        return low > 0 or high < 0
+
+    def table(self) -> pd.DataFrame:
+        """All candidates: term, coef, sd, ci_low, ci_high, pip, included, share (of variance), unit (None: unknown)."""
+        import pandas as pd
+
+        ci = self.ci95
+        share = np.full(len(self.terms), np.nan) if self.share is None else self.share
+        return pd.DataFrame(
+            {
+                "term": [term.text for term in self.terms],
+                "coef": self.posterior.coef,
+                "sd": self.posterior.sd,
+                "ci_low": ci[:, 0],
+                "ci_high": ci[:, 1],
+                "pip": self.posterior.pip,
+                "included": self.posterior.support,
+                "share": share,
+                "unit": self.coef_units,
+            }
+        )
+
+    @cached_property
+    def text(self) -> str:
+        """The equation as a line of text, coefficients to a tenth of their standard deviation."""
+        p = self.posterior
+        parts = [
+            (round_to(value, sd), term.text)
+            for term, value, sd, kept in zip(self.terms, p.coef, p.sd, p.support, strict=True)
+            if kept
+        ]
+        if self.intercept_matters:
+            parts.append((round_to(p.intercept, p.intercept_sd), ""))
+        pieces: list[str] = []
+        for number, term in parts:
+            sign, size = ("-", number[1:]) if number.startswith("-") else ("+", number)
+            body = f"{size}*{_factor(term)}" if term else size
+            pieces.append(f"{sign} {body}" if pieces else (f"-{body}" if sign == "-" else body))
+        return f"{self.target} = {' '.join(pieces) or '0'}"
+
+    def to_sympy(self) -> Any:
+        """The equation as `sympy.Eq`, with full-precision coefficients.
+
+        The intercept is in it where its 95 % interval excludes zero; `evaluate` and `predict` always add it.
+        """
+        import sympy
+
+        return sympy.Eq(sympy.Symbol(self.target), self._right_hand_side(digits=None), evaluate=False)
+
+    def to_latex(self) -> str:
+        r"""The equation in LaTeX, derivatives of the coordinate as dots: ``\ddot{x} = - 2.0 \dot{x} ...``."""
+        import sympy
+
+        base = sympy.latex(sympy.Symbol(self.chain.names[0]))
+        dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
+        names = {sympy.Symbol(name): dots[k] for k, name in enumerate(self.chain.names)}
+        right = sympy.latex(self._right_hand_side(digits=2), symbol_names=names)
+        return f"{dots[self.chain.order]} = {right}"
+
+    def _right_hand_side(self, digits: int | None) -> Any:
+        import sympy
+
+        p = self.posterior
+
+        def number(value: float, sd: float) -> Any:
+            return sympy.Float(value if digits is None else float(round_to(value, sd)), 15 if digits is None else None)
+
+        total = sympy.Integer(0)
+        for term, value, sd, kept in zip(self.terms, p.coef, p.sd, p.support, strict=True):
+            if kept:
+                total += number(float(value), float(sd)) * to_sympy(term)
+        if self.intercept_matters:
+            total += number(p.intercept, p.intercept_sd)
+        return total
+
+    def evaluate(self, columns: Mapping[str, ArrayLike]) -> Floats:
+        """Predictive mean of the target (29) from columns (or numbers) of states and inputs."""
+        return self._mean(Evaluator(columns))
+
+    def _mean(self, evaluate: Evaluator) -> Floats:
+        p = self.posterior
+        total: Any = p.intercept
+        for j in np.flatnonzero(p.support):
+            total = total + p.coef[j] * evaluate(self.terms[j])
+        return np.asarray(total, dtype=np.float64)
+
+    def predict(self, columns: Mapping[str, Floats], return_std: bool = False) -> Any:
+        """Predictive mean (29), and with `return_std` the standard deviation (30), at n rows of columns."""
+        evaluate = Evaluator(columns)
+        n = len(next(iter(columns.values())))
+        mean = np.broadcast_to(self._mean(evaluate), (n,)).copy()
+        if not return_std:
+            return mean
+        D = np.zeros((n, len(self.terms)))
+        for j in np.flatnonzero(self.posterior.support):
+            D[:, j] = evaluate(self.terms[j])
+        return mean, self.posterior.predictive_sd(D)
+
+    def path(self, most: int | None = None) -> ParsimonyPath:
+        """The likeliest model of each size, with its evidence and fit, to see where more terms stop to pay.
+
+        Parameters
+        ----------
+        most : int, optional
+            Largest number of terms; by default 12, or three more than the equation has.
+
+        Returns
+        -------
+        ParsimonyPath
+            Print it for a summary; ``table()`` and ``plot()`` tell more.
+
+        Raises
+        ------
+        InputError
+            An equation that was loaded from a file; `most` no whole number, or below the number of forced terms.
+        """
+        solved = self.regression
+        if solved is None:
+            raise InputError("a file of equations does not hold what their posterior came from: run discover again")
+        rows = solved.standard.source if solved.rows is None else solved.rows
+        chosen = self.posterior.support if solved.support is None else solved.support
+        found = parsimony_path(self.target, solved.standard, solved.prior, chosen, rows, solved.held_out, most)
+        # where equalities are known the regression has a smaller target than the equation
+        return found.with_fit(self.train.r2, None if self.held_out is None else self.held_out.r2)
+
+    def sensitivity(
+        self,
+        slab_variances: ArrayLike | None = None,
+        prior_inclusions: ArrayLike | None = None,
+        *,
+        every_pair: bool = False,
+    ) -> PriorSensitivity:
+        """PIPs by model averaging under other v_s and p_0, to see which terms hang on the prior.
+
+        Parameters
+        ----------
+        slab_variances, prior_inclusions : sequence of float, optional
+            Values of v_s and of p_0 besides those used; by default v_s up to a hundred times smaller and larger, and
+            p_0 from 0.01 to 0.5.
+        every_pair : bool
+            Vary both at once. By default one varies while the other stays.
+
+        Returns
+        -------
+        PriorSensitivity
+            Print it for a summary; ``table()``, ``changes()`` and ``plot()`` tell more.
+
+        Raises
+        ------
+        InputError
+            An equation that was loaded from a file, or by a method without spike-and-slab prior; values out of range.
+
+        Warns
+        -----
+        ConvergenceWarning
+            Too many models share the posterior mass to list them.
+        """
+        if self.regression is None:
+            raise InputError("a file of equations does not hold what their posterior came from: run discover again")
+        require_spike_slab(self.posterior.method)
+        return prior_sensitivity(
+            self.regression.standard.gram,
+            self.regression.prior,
+            slab_variances,
+            prior_inclusions,
+            every_pair=every_pair,
+        )
+
+    def coarsening(self, powers: ArrayLike | None = None) -> Coarsening:
+        """PIPs by model averaging as each row counts for less, to see which terms hang on the number of rows.
+
+        Where the model is only nearly true, terms that stand in for what it lacks vanish long before the others. To get
+        the equation at a power, give it to `discover` as ``coarsen``.
+
+        Parameters
+        ----------
+        powers : sequence of float, optional
+            Powers of the likelihood, above 0 and at most 1; by default halved from 1 to 1/4096.
+
+        Returns
+        -------
+        Coarsening
+            Print it for a summary; ``table()`` and ``plot()`` tell more.
+
+        Raises
+        ------
+        InputError
+            As for `sensitivity`.
+        """
+        if self.regression is None:
+            raise InputError("a file of equations does not hold what their posterior came from: run discover again")
+        require_spike_slab(self.posterior.method)
+        return coarsening(self.regression.standard.gram, self.regression.prior, powers)
+
+
+def _factor(term: str) -> str:
+    """A term as the factor of a product: in parentheses if it is a sum or a quotient."""
+    depth = 0
+    for k, character in enumerate(term):
+        depth += (character == "(") - (character == ")")
+        exponent = k > 0 and term[k - 1] in "eE" and k > 1 and term[k - 2].isdigit()
+        if depth == 0 and character in "+-/" and not exponent:
+            return f"({term})"
+    return term
+
+
+def round_to(value: float, sd: float) -> str:
+    """A number with digits down to a tenth of its standard deviation, between 3 and 12 significant ones."""
+    if value == 0 or not isfinite(value):
+        return f"{value:g}"
+    digits = 12 if sd <= 0 else floor(log10(abs(value))) - floor(log10(sd)) + 2
+    return f"{value:.{min(max(digits, 3), 12)}g}"

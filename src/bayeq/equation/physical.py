@@ -1,0 +1,278 @@
+"""Physical parameters of an oscillator from its equation: m x'' + c x' + k x + ... = u.
+
+The coefficients of the equation of x'' are those of the forces over the mass: -k/m of x, -c/m of x', 1/m of the force,
+-k3/m of x**3, -c2/m of x'|x'|, -Fc/m of sign(x'). Nonlinear functions of them have their intervals by draws.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.equation.physical_units import OscillatorUnits
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.expressions import Expression, parse
+from bayeq.forecast.dynamics import normal_draws
+from bayeq.inference.posterior import Posterior
+from bayeq.states import Chain
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["PhysicalParameters", "Quantity", "physical_parameters"]
+
+Floats = NDArray[np.float64]
+
+# Highest power of the displacement that is a stiffness by a name of its own.
+HIGHEST_POWER = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A number with its uncertainty.
+
+    Attributes
+    ----------
+    symbol, meaning : str
+        ``k3``, "cubic stiffness".
+    mean, sd : float
+        Of the draws.
+    low, high : float
+        95 % interval: their 2.5 % and 97.5 % quantiles.
+    unit : str or None
+        None where the units of the channels are not known; empty for a pure number.
+    """
+
+    symbol: str
+    meaning: str
+    mean: float
+    sd: float
+    low: float
+    high: float
+    unit: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicalParameters:
+    """Parameters of an oscillator; iterate over them, or take one by its symbol.
+
+    Attributes
+    ----------
+    quantities : tuple of Quantity
+        Natural frequency ``omega_n`` [rad/s] and ``f_n`` [Hz], damping ratio ``zeta``, then mass, damping and
+        stiffnesses; per unit of mass (``k/m``) where the mass is not known.
+    unexplained : tuple of str
+        Included terms that have no place among them.
+    """
+
+    quantities: tuple[Quantity, ...]
+    unexplained: tuple[str, ...] = ()
+
+    def __iter__(self) -> Iterator[Quantity]:
+        return iter(self.quantities)
+
+    def __len__(self) -> int:
+        return len(self.quantities)
+
+    def __getitem__(self, symbol: str) -> Quantity:
+        for quantity in self.quantities:
+            if quantity.symbol == symbol:
+                return quantity
+        raise UnknownNameError("parameter", symbol, [q.symbol for q in self.quantities])
+
+    def table(self) -> pd.DataFrame:
+        """Columns symbol, meaning, mean, sd, ci_low, ci_high, unit."""
+        import pandas as pd
+
+        return pd.DataFrame(
+            [(q.symbol, q.meaning, q.mean, q.sd, q.low, q.high, q.unit) for q in self.quantities],
+            columns=["symbol", "meaning", "mean", "sd", "ci_low", "ci_high", "unit"],
+        )
+
+    def __str__(self) -> str:
+        """A line per parameter."""
+        rows = [("parameter", "mean", "sd", "95 % interval", "unit", "")]
+        for q in self.quantities:
+            digits = _digits(q)
+            interval = f"{q.low:.{digits}g} .. {q.high:.{digits}g}"
+            rows.append((q.symbol, f"{q.mean:.{digits}g}", f"{q.sd:.2g}", interval, q.unit or "", q.meaning))
+        widths = [max(len(row[k]) for row in rows) for k in range(5)]
+        lines = [
+            "  ".join(
+                c.ljust(w) if k in (0, 4) else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=False))
+            )
+            + f"  {row[5]}"
+            for row in rows
+        ]
+        if self.unexplained:
+            lines.append(f"also in the equation: {', '.join(self.unexplained)}")
+        return "\n".join(line.rstrip() for line in lines)
+
+
+def _digits(q: Quantity) -> int:
+    """Significant digits down to a tenth of the standard deviation."""
+    if q.mean == 0 or q.sd <= 0:
+        return 6
+    return min(max(math.floor(math.log10(abs(q.mean))) - math.floor(math.log10(q.sd)) + 2, 3), 12)
+
+
+@dataclass(frozen=True, slots=True)
+class _Force:
+    """A term of the equation and the parameter that it holds: coefficient = -parameter/m."""
+
+    symbol: str
+    meaning: str
+    term: str
+    # powers of displacement and velocity, for the unit
+    powers: tuple[int, int]
+
+
+def _forces(x: str, v: str) -> list[_Force]:
+    stiffness = {2: "quadratic", 3: "cubic", 5: "quintic"}
+    return [
+        _Force("c", "viscous damping", v, (0, 1)),
+        _Force("k", "stiffness", x, (1, 0)),
+        *(
+            _Force(f"k{n}", f"{stiffness.get(n, f'order {n}')} stiffness", f"{x}**{n}", (n, 0))
+            for n in range(2, HIGHEST_POWER + 1)
+        ),
+        _Force("c2", "quadratic damping", f"{v}*abs({v})", (0, 2)),
+        _Force("c3", "cubic damping", f"{v}**3", (0, 3)),
+        _Force("Fc", "Coulomb friction", f"sign({v})", (0, 0)),
+    ]
+
+
+def physical_parameters(
+    chain: Chain,
+    inputs: Sequence[str],
+    terms: Sequence[Expression],
+    posterior: Posterior,
+    units: Mapping[str, str],
+    *,
+    mass: float | None = None,
+    force: str | None = None,
+    draws: int = 10_000,
+    seed: int = 0,
+) -> PhysicalParameters:
+    """Parameters of an oscillator from the posterior of its equation, given the included terms.
+
+    Parameters
+    ----------
+    chain : Chain
+        Of second order.
+    inputs : sequence of str
+        Names of the inputs.
+    terms, posterior
+        Of the equation.
+    units : mapping of str to str
+        Of states, target and inputs, as far as known. Where lengths and forces are known ones, parameters are in SI
+        units (a displacement in mm is fine); otherwise in those of the channels.
+    mass, force, draws, seed
+        See `bayeq.Equations.physical`.
+
+    Raises
+    ------
+    InputError
+        Not of second order, no term in the displacement alone that restores, a mass that is not positive, or units that
+        are not those of a motion and its derivatives.
+    """
+    coefficients, forces = _read(chain, terms, posterior, draws, seed)
+    driven = _force(inputs, coefficients, force)
+    system = OscillatorUnits(units, chain, driven, mass is not None)
+    theta = {f.symbol: coefficients[f.term] * system.scale(f.powers) for f in forces}
+    quantities = _modal(theta)
+    weight = _mass(mass, None if driven is None else coefficients[driven] * system.scale_force(), draws)
+    if weight is not None:
+        quantities.append(_quantity("m", "mass", weight, system.mass()))
+    per = "" if weight is not None else "/m"
+    for f in forces:
+        values = -theta[f.symbol] * (1.0 if weight is None else weight)
+        meaning = f.meaning if weight is not None else f"{f.meaning} per unit of mass"
+        quantities.append(_quantity(f.symbol + per, meaning, values, system.unit(f.powers, weight is not None)))
+    explained = {f.term for f in forces} | ({driven} if driven is not None else set())
+    return PhysicalParameters(tuple(quantities), tuple(name for name in coefficients if name not in explained))
+
+
+def _read(
+    chain: Chain, terms: Sequence[Expression], posterior: Posterior, draws: int, seed: int
+) -> tuple[dict[str, Floats], list[_Force]]:
+    """Draws of the coefficient of each included term, and the forces among the terms."""
+    if chain.order != 2:
+        raise InputError(
+            f"physical parameters are those of a second-order equation, but that of {chain.target} is of order"
+            f" {chain.order}"
+        )
+    try:
+        count = operator.index(draws)
+    except TypeError:
+        count = 0
+    if count < 100:
+        raise InputError(f"draws must be a whole number, at least 100, got {draws!r}")
+    x, v = chain.states
+    coef = posterior.coef[posterior.support]
+    drawn = normal_draws(coef, posterior.covariance, count, np.random.default_rng(seed))
+    kept = [term for term, inside in zip(terms, posterior.support, strict=True) if inside]
+    # |v|*v is v*|v|
+    same = {parse(f"abs({v})*{v}"): f"{v}*abs({v})"}
+    coefficients = {same.get(term, term.text): drawn[:, j] for j, term in enumerate(kept)}
+    forces = [f for f in _forces(x, v) if f.term in coefficients]
+    if not any(f.powers[0] > 0 for f in forces):
+        raise InputError(
+            f"the equation of {chain.target} has no restoring term (a power of {x}): it has no stiffness and no natural"
+            " frequency"
+        )
+    return coefficients, forces
+
+
+def _force(inputs: Sequence[str], coefficients: Mapping[str, Floats], force: str | None) -> str | None:
+    """The input that is the force: the only one that enters linearly, or the one named."""
+    if force is not None:
+        if force not in inputs:
+            raise UnknownNameError("input", force, inputs)
+        if force not in coefficients:
+            raise InputError(f"{force} is not in the equation: its coefficient says nothing of the mass")
+        return force
+    linear = [name for name in inputs if name in coefficients]
+    return linear[0] if len(linear) == 1 else None
+
+
+def _mass(mass: float | None, per_force: Floats | None, draws: int) -> Floats | None:
+    """Draws of the mass; None where nothing tells it."""
+    if mass is not None:
+        if not (math.isfinite(mass) and mass > 0):
+            raise InputError(f"mass must be positive and finite, got {mass!r}")
+        return np.full(draws, float(mass))
+    if per_force is None:
+        return None
+    if not (per_force.mean() > 0 and np.quantile(per_force, 0.025) > 0):
+        raise InputError(
+            "the force's coefficient, 1/m, is not positive with any certainty: check the sign of the force, or give the"
+            " mass"
+        )
+    return np.asarray(1.0 / per_force)
+
+
+def _modal(theta: Mapping[str, Floats]) -> list[Quantity]:
+    """Natural frequency and damping ratio of the linear part, where there is one that oscillates."""
+    if "k" not in theta or not np.quantile(-theta["k"], 0.025) > 0:
+        return []
+    square = np.where(theta["k"] < 0, -theta["k"], np.nan)
+    omega = np.sqrt(square)
+    out = [
+        _quantity("omega_n", "natural frequency", omega, "rad/s"),
+        _quantity("f_n", "natural frequency", omega / (2.0 * math.pi), "Hz"),
+    ]
+    if "c" in theta:
+        out.append(_quantity("zeta", "damping ratio", -theta["c"] / (2.0 * omega), ""))
+    return out
+
+
+def _quantity(symbol: str, meaning: str, values: Floats, unit: str | None) -> Quantity:
+    low, high = np.nanquantile(values, [0.025, 0.975])
+    return Quantity(symbol, meaning, float(np.nanmean(values)), float(np.nanstd(values)), float(low), float(high), unit)

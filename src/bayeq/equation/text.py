@@ -1,0 +1,182 @@
+"""The answer as a person reads it."""
+
+from __future__ import annotations
+
+import io
+import sys
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from bayeq.equation.equation import Equation, round_to
+from bayeq.equation.equations import Equations
+from bayeq.equation.size_path import percent
+from bayeq.forecast.results import Scores, percentages
+from bayeq.inference import ENGINES
+from bayeq.regression.residuals import Residuals
+from bayeq.states import FEW_ROWS
+
+__all__ = ["render"]
+
+# Candidates that are not included are listed from this PIP on.
+NOTEWORTHY_PIP = 0.01
+PLAIN_WIDTH = 110
+
+# An intercept of zero that is known so well was not estimated.
+NOTHING = 1e-100
+
+# A term of a higher PIP is called certain.
+CERTAIN = 0.99
+
+# What is told of residuals, if it had a smaller probability by chance.
+DOUBTFUL = 1e-3
+
+
+def render(eq: Equations, with_warnings: bool = True) -> str:
+    """Text of the equations: styled if standard output is a terminal, plain Markdown otherwise."""
+    terminal = sys.stdout.isatty()
+    buffer = io.StringIO()
+    console = Console(
+        file=buffer, force_terminal=terminal, no_color=not terminal, width=None if terminal else PLAIN_WIDTH,
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+    for equation in eq.equations:
+        _render_equation(console, equation, eq.method, eq.scores, terminal)
+    names = [name for name in eq.data.files if name]
+    source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
+    console.print(f"{eq.data.n} rows{source}, {eq.data.n_train} used; method: {ENGINES[eq.method].title}")
+    if eq.data.estimated:
+        how = "smoothing" if eq.smooth == "auto" and eq.data.n >= FEW_ROWS else "central differences"
+        console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
+    if eq.refined:
+        console.print(escape(str(eq.refined)))
+    if eq.constraints:
+        console.print(f"constraints: {escape('; '.join(eq.constraints))}")
+    for message in eq.warnings if with_warnings else ():
+        console.print(f"[yellow]warning:[/yellow] {escape(message)}")
+    lines = [line.rstrip() for line in buffer.getvalue().rstrip().splitlines()]
+    # tables bring empty lines of their own
+    return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
+
+
+def _render_equation(console: Console, equation: Equation, method: str, scores: Scores | None, terminal: bool) -> None:
+    console.print(f"[bold]{escape(equation.text)}[/bold]\n")
+    table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
+    table.add_column("term")
+    for name in ("coefficient", "sd", "95 % interval", ENGINES[method].score):
+        table.add_column(name, justify="right")
+    extra = _extra_columns(equation)
+    for name in extra:
+        table.add_column(name, justify="left" if name == "unit" else "right")
+    for k, row in enumerate(_rows(equation)):
+        table.add_row(*row, *(values[k] for values in extra.values()))
+    console.print(table)
+    rest = len(equation.terms) - len(_shown(equation))
+    if rest:
+        others = [p for p, s in zip(equation.posterior.pip, equation.posterior.support, strict=True) if not s]
+        low = [p for p in others if p < NOTEWORTHY_PIP]
+        console.print(
+            f"\n{rest} more candidates not included, {ENGINES[method].score} at most {max(low, default=0.0):.2g}"
+        )
+    console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
+    for line in (*_fits(equation), *_free_run(equation, scores)):
+        console.print(escape(line))
+    for line in _residuals(equation.residuals):
+        console.print(escape(line))
+    for left in equation.left_out:
+        sure = "certain" if left.pip > CERTAIN else "likely"
+        why = f"{sure}, but negligible" if left.reason == "negligible" else f"left out as asked ({left.reason})"
+        console.print(
+            f"{why}: {escape(left.name)}, {ENGINES[method].score} {left.pip:.3f}, explains {percent(left.share)}"
+        )
+    # of an equation that terms were left out of, the likelier ones are no runners-up
+    runners_up = [r for r in equation.runners_up if not equation.left_out or r.log_odds <= 0]
+    if runners_up:
+        console.print("runners-up, with their posterior odds against this equation:")
+        for r in runners_up:
+            console.print(f"{r.odds:>10}  {escape(str(r))}")
+    console.print("")
+
+
+def _fits(equation: Equation) -> list[str]:
+    out = []
+    for label, fit in (("training", equation.train), ("held-out", equation.held_out)):
+        if fit is not None:
+            error = 100 * fit.nrmse
+            percent = f"{error:.0f}" if error >= 10 else f"{error:.2g}"
+            out.append(f"{label} rows ({fit.n}): R2 {fit.r2:.4f}, normalised RMS error {percent} %")
+    return out
+
+
+def _free_run(equation: Equation, scores: Scores | None) -> list[str]:
+    """Errors of the states of an equation that is left to itself over the rows held out."""
+    if scores is None:
+        return []
+    if scores.blew_up_at is not None:
+        return [f"free run over the held-out rows: blew up at {scores.blew_up_at:.6g} s"]
+    errors = {name: scores.free_run[name] for name in equation.chain.states if name in scores.free_run}
+    if not errors:  # no state is measured
+        return []
+    return [f"free run over the held-out rows: normalised RMS error {percentages(errors)}"]
+
+
+def _residuals(found: Residuals) -> list[str]:
+    shape = "not those of a normal distribution" if found.normality < DOUBTFUL else "as of a normal distribution"
+    lines = [
+        f"residuals: lag-1 autocorrelation {found.lag1:.2f}, effective sample size {found.n_eff:.0f} of {found.n}",
+        f"residuals: skewness {found.skewness:.2f} and excess kurtosis {found.kurtosis:.2f}, {shape}"
+        f" ({_chance(found.normality)})",
+    ]
+    if found.excess is not None:
+        lines.append(f"residuals: {found.excess_text} times the power that the noise of the channels explains")
+    if found.driver is not None and found.driver.p_value < DOUBTFUL:
+        lines.append(f"residuals: follow {found.driver} ({_chance(found.driver.p_value)})")
+    elif found.driver is not None:
+        lines.append("residuals: follow no input or state at any lag")
+    return lines
+
+
+def _chance(p: float) -> str:
+    return f"p = {p:.2g}" if p >= 1e-4 else "p < 0.0001"
+
+
+def _shown(equation: Equation) -> list[int]:
+    """Candidates that the table lists."""
+    p = equation.posterior
+    return [j for j in range(len(equation.terms)) if p.support[j] or p.pip[j] >= NOTEWORTHY_PIP]
+
+
+def _extra_columns(equation: Equation) -> dict[str, list[str]]:
+    """Shares of variance and units, where they are known, for the rows of the table: terms, then the intercept."""
+    kept, share = equation.posterior.support, equation.share
+    shown = _shown(equation)
+    out = {}
+    if share is not None and kept.any():
+        out["share"] = [percent(share[j]) if kept[j] else "" for j in shown] + [""]
+    if any(equation.coef_units[j] for j in np.flatnonzero(kept)):
+        units = [equation.coef_units[j] or "" if kept[j] else "" for j in shown]
+        out["unit"] = [escape(unit) for unit in (*units, equation.units.get(equation.target, ""))]
+    return out
+
+
+def _rows(equation: Equation) -> list[tuple[Any, ...]]:
+    p, ci, sd = equation.posterior, equation.ci95, equation.posterior.sd
+    rows = []
+    for j in _shown(equation):
+        term = equation.terms[j]
+        if p.support[j]:
+            interval = f"{round_to(ci[j, 0], sd[j])} .. {round_to(ci[j, 1], sd[j])}"
+            rows.append((escape(term.text), round_to(p.coef[j], sd[j]), f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
+        else:
+            rows.append((escape(term.text), "not included", "", "", f"{p.pip[j]:.3f}"))
+    if p.intercept == 0.0 and p.intercept_sd < NOTHING:
+        return [*rows, ("intercept", "none", "", "", "")]
+    low, high = equation.intercept_ci95
+    spread = p.intercept_sd
+    interval = f"{round_to(low, spread)} .. {round_to(high, spread)}"
+    rows.append(("intercept", round_to(p.intercept, spread), f"{spread:.2g}", interval, ""))
+    return rows

@@ -1,0 +1,1 @@
+"""Engines with scikit-learn's interface."""

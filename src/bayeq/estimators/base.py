@@ -1,0 +1,204 @@
+"""What the scikit-learn estimators share: data in, an engine, fitted attributes out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.utils.metadata_routing import UNUSED
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from bayeq.errors import InputError
+from bayeq.gram import Gram, GramLike
+from bayeq.gram.lazy import LazyGram, grams_of
+from bayeq.inference.posterior import Posterior
+from bayeq.inference.prior import Prior
+
+__all__ = ["Floats", "Read", "SparseRegressor", "SpikeSlabRegressor"]
+
+Floats = NDArray[np.float64]
+
+# Reads a field of the posterior, or of those of all targets: stacked, or as a list with `listed=True`.
+Read = Callable[..., Any]
+
+
+class _SeveralTargetsError(InputError, AttributeError):
+    """An attribute that a fit to several targets does not have: also an AttributeError, as `hasattr` expects."""
+
+
+def _reader(posteriors: Sequence[Posterior], several: bool) -> Read:
+    def read_one(field: str, listed: bool = False) -> Any:
+        del listed
+        return getattr(posteriors[0], field)
+
+    def read_all(field: str, listed: bool = False) -> Any:
+        values = [getattr(posterior, field) for posterior in posteriors]
+        return values if listed else np.array(values)
+
+    return read_all if several else read_one
+
+
+class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """A sparse linear regression: a subclass names its parameters and its engine."""
+
+    posteriors_: tuple[Posterior, ...]
+
+    # scikit-learn looks for data under the name X and would take D for metadata to be routed
+    __metadata_request__fit: ClassVar[dict[str, str]] = {"D": UNUSED}
+    __metadata_request__predict: ClassVar[dict[str, str]] = {"D": UNUSED}
+
+    def _engine(self, gram: GramLike) -> Posterior:
+        raise NotImplementedError
+
+    def _solve(self, gram: Gram | LazyGram) -> Posterior:
+        standard = gram.standardise()
+        return self._engine(standard.gram).rescaled(standard)
+
+    def _validated(self, D: Any, y: Any, sample_weight: Any) -> tuple[Floats, Floats]:
+        """The data as scikit-learn validates them; arrays of the right type and shape need less of it."""
+        if (
+            type(D) is type(y) is np.ndarray
+            and D.dtype == y.dtype == np.float64
+            and D.ndim == 2
+            and y.ndim == 1
+            and D.shape[1] > 0
+            and len(D) == len(y) > 1
+            and sample_weight is None
+        ):
+            self.n_features_in_ = D.shape[1]
+            if hasattr(self, "feature_names_in_"):
+                del self.feature_names_in_
+            return D, y
+        return self._validated_thoroughly(D, y)
+
+    def _validated_thoroughly(self, D: Any, y: Any) -> tuple[Floats, Floats]:
+        D, y = validate_data(self, D, y, dtype=np.float64, multi_output=True, y_numeric=True, ensure_min_samples=2)
+        # scikit-learn lets sparse targets pass
+        return D, np.asarray(y.toarray() if hasattr(y, "toarray") else y, dtype=np.float64)
+
+    def fit(self, D: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
+        """Fit to a dictionary matrix and one target, or several that share it.
+
+        Parameters
+        ----------
+        D : (n, P) array or DataFrame
+            Dictionary matrix.
+        y : (n,) or (n, T) array
+            Target, or targets: each is a regression of its own on the same D'D. With y of shape (n, T), T = 1
+            included, `coef_`, `intercept_` and other numbers have a leading axis of length T, and what differs in size
+            or kind from target to target (`covariance_` ...) is a list of length T.
+        sample_weight : (n,) array, optional
+            How often each row counts: k is the row k times over, 0 leaves it out. Noise variances that are known up to
+            a factor are stated by weights proportional to 1/variance that sum to the number of rows; `noise_variance_`
+            and the predictive standard deviation are then those of a row of weight 1.
+
+        Raises
+        ------
+        ValueError
+            Shapes that do not match, non-finite values, weights that are negative, not finite or sum to less than 2
+            rows, or parameters out of range.
+        """
+        D, y = self._validated(D, y, sample_weight)
+        several = y.ndim == 2
+        try:
+            grams = grams_of(D, y if several else y[:, None], getattr(self, "feature_names_in_", None), sample_weight)
+        except InputError:
+            # values that are not finite, in scikit-learn's own words
+            self._validated_thoroughly(D, y)
+            raise
+        if grams[0].n < 2:
+            raise InputError(
+                f"sample_weight sums to {grams[0].n:g}: weights count rows, and a fit needs at least 2; scale them to "
+                "sum to the number of rows"
+            )
+        posteriors = tuple([self._solve(gram) for gram in grams])
+        self.posteriors_ = posteriors
+        self._keep(grams, _reader(posteriors, several))
+        return self
+
+    def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:
+        """Set the fitted attributes; a subclass adds its own."""
+        del grams
+        self.coef_ = read("coef")
+        self.intercept_ = read("intercept")
+        self.pip_ = read("pip")
+        self.support_ = read("support")
+        self.covariance_ = read("covariance", listed=True)
+        self.noise_variance_ = read("noise_variance")
+        self.n_iter_ = max([posterior.n_iter for posterior in self.posteriors_])
+
+    @property
+    def posterior_(self) -> Posterior:
+        """The posterior of a fit to one target.
+
+        Raises
+        ------
+        InputError
+            Several targets: `posteriors_` holds one of each.
+        """
+        check_is_fitted(self, "coef_")
+        if len(self.posteriors_) > 1:
+            raise _SeveralTargetsError(
+                f"posterior_ is that of a fit to one target, and this one has {len(self.posteriors_)}: take one of "
+                "posteriors_"
+            )
+        return self.posteriors_[0]
+
+    def predict(self, D: ArrayLike, return_std: bool = False) -> Any:
+        """Predictive mean (29), and with `return_std` the predictive standard deviation (30), at rows of D.
+
+        Returns
+        -------
+        (n,) or (n, T) array, or a pair of them
+            As y was.
+        """
+        check_is_fitted(self, "coef_")
+        D = validate_data(self, D, dtype=np.float64, reset=False)
+        mean = self._columns([posterior.predict(D) for posterior in self.posteriors_])
+        if not return_std:
+            return mean
+        return mean, self._columns([posterior.predictive_sd(D) for posterior in self.posteriors_])
+
+    def _columns(self, values: list[Floats]) -> Floats:
+        """Values of each target in the shape that y had."""
+        return values[0] if self.coef_.ndim == 1 else np.column_stack(values)
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.target_tags.multi_output = True
+        tags.regressor_tags.poor_score = True  # a sparse prior rightly refuses dense test problems
+        return tags
+
+
+class SpikeSlabRegressor(SparseRegressor):
+    """An estimator with the spike-and-slab prior among its parameters."""
+
+    slab_variance: float
+    prior_inclusion: ArrayLike
+    noise_shape: float
+    noise_rate: float
+    inclusion_beta: tuple[float, float] | None
+    signs: ArrayLike | None
+
+    def _prior(self) -> Prior:
+        return Prior(
+            self.slab_variance,
+            self.prior_inclusion,
+            self.noise_shape,
+            self.noise_rate,
+            self.inclusion_beta,
+            self.signs,
+        )
+
+    def _target(self, target: int | None) -> int:
+        """The index of the one target, or of the one that was asked for."""
+        check_is_fitted(self, "coef_")
+        count = len(self.posteriors_)
+        if target is None and count > 1:
+            raise InputError(f"this fit has {count} targets: say which, target=0 to {count - 1}")
+        if target is not None and not 0 <= target < count:
+            raise InputError(f"no target {target}: this fit has {count}, counted from 0")
+        return target or 0

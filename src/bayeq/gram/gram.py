@@ -1,0 +1,498 @@
+"""Sufficient statistics of a linear regression: the only thing that inference sees.
+
+A `Gram` holds the row count, the column means and the centred co-moments D'D, D'y and y'y. It is additive:
+blocks of rows, records, files and folds are merged by the parallel-variance formula (Chan, Golub and LeVeque
+1983), so nothing downstream depends on the number of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayeq.errors import InputError
+from bayeq.kernels import kernel
+
+__all__ = [
+    "Gram",
+    "GramLike",
+    "Standardised",
+    "checked_weights",
+    "default_names",
+    "dense",
+    "grams_from_blocks",
+    "grams_from_data",
+]
+
+Floats = NDArray[np.float64]
+
+# Rows that are centred and multiplied at a time: large enough for BLAS, small enough for the cache.
+BLOCK_ROWS = 8192
+
+# Up to this many columns the product Z'Z is our own kernel, above it is BLAS. The kernel centres so many
+# rows at a time, few enough for the cache; a multiple of 4.
+SMALL = 96
+CACHED_ROWS = 64
+
+
+class GramLike(Protocol):
+    """What an engine may ask of a Gram matrix; `Gram` answers from memory, others may compute columns lazily."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the target: the N of the likelihood."""
+        ...
+
+    @property
+    def diagonal(self) -> Floats: ...
+
+    @property
+    def Dty(self) -> Floats: ...
+
+    @property
+    def yty(self) -> float: ...
+
+    def column(self, j: int) -> Floats: ...
+
+
+def dense(gram: GramLike) -> Floats:
+    """D'D of any `GramLike` as a (P, P) array."""
+    if isinstance(gram, Gram):
+        return gram.DtD
+    return np.stack([gram.column(j) for j in range(len(gram.names))])
+
+
+@dataclass(frozen=True, slots=True)
+class Gram:
+    """Centred sufficient statistics of y = b0 + D theta + noise.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The P columns of the dictionary.
+    n : float
+        Number of rows: an int, or the sum of their weights.
+    mean : (P,) array
+        Column means of D.
+    target_mean : float
+        Mean of y.
+    DtD : (P, P) array
+        Centred D'D.
+    Dty : (P,) array
+        Centred D'y.
+    yty : float
+        Centred y'y.
+    dof : float
+        Degrees of freedom: the N that engines put into their likelihood. After centring n - 1 remain, because
+        the intercept has been integrated out under a flat prior; the paper uses n (`with_dof`).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> D = rng.normal(size=(100, 2))
+    >>> y = 3 + D @ [2.0, 0.0] + 0.1 * rng.normal(size=100)
+    >>> whole = Gram.from_data(D, y, names=("x", "v"))
+    >>> parts = Gram.from_data(D[:30], y[:30], names=("x", "v")) + Gram.from_data(D[30:], y[30:], ("x", "v"))
+    >>> bool(np.allclose(whole.DtD, parts.DtD)), parts.n
+    (True, 100)
+    """
+
+    names: tuple[str, ...]
+    n: float
+    mean: Floats
+    target_mean: float
+    DtD: Floats
+    Dty: Floats
+    yty: float
+    dof: float
+
+    @classmethod
+    def from_data(
+        cls, D: ArrayLike, y: ArrayLike, names: Sequence[str] | None = None, weights: ArrayLike | None = None
+    ) -> Gram:
+        """Build from a dictionary matrix (n, P) and a target (n,).
+
+        Parameters
+        ----------
+        D, y : (n, P) array, (n,) array
+            The rows.
+        names : sequence of str, optional
+            The P columns; by default x0, x1 ...
+        weights : (n,) array, optional
+            How often each row counts: k is the row k times over, 0 leaves it out. The count n of the Gram is their
+            sum, so where they state noise ratios (proportional to 1/variance), scale them to sum to the number of
+            rows.
+
+        Raises
+        ------
+        InputError
+            Shapes that do not match, no rows, non-finite values, or weights that are negative, not finite or all zero.
+        """
+        y = np.asarray(y, dtype=np.float64)
+        if y.ndim != 1:
+            raise InputError(f"need D of shape (n, P) and y of shape (n,), got {np.shape(D)} and {y.shape}")
+        return grams_from_data(D, y[:, None], names, weights)[0]
+
+    def __add__(self, other: Gram) -> Gram:
+        """Statistics of both sets of rows together."""
+        if not isinstance(other, Gram):
+            return NotImplemented
+        if self.names != other.names:
+            raise InputError("cannot add Grams of different dictionaries")
+        joined = _merge(self._moments(), other._moments())
+        merged = _from_moments(joined, self.names, 1)[0]
+        # The intercept is lost once, however many parts were added.
+        return merged.with_dof(merged.n - max(self.n - self.dof, other.n - other.dof))
+
+    @property
+    def diagonal(self) -> Floats:
+        """Centred sums of squares of the columns, (P,)."""
+        return np.diagonal(self.DtD)
+
+    @property
+    def standard_deviation(self) -> Floats:
+        """Column standard deviations (divisor n), (P,)."""
+        return np.sqrt(self.diagonal / self.n)
+
+    def column(self, j: int) -> Floats:
+        """Column j of D'D, (P,)."""
+        return self.DtD[:, j]
+
+    def with_dof(self, dof: float) -> Gram:
+        """The same statistics with another N in the likelihood (n for the paper's convention)."""
+        return replace(self, dof=float(dof))
+
+    def select(self, columns: Sequence[int] | NDArray[np.intp]) -> Gram:
+        """The Gram of some of the columns."""
+        idx = np.asarray(columns, dtype=np.intp)
+        return replace(
+            self,
+            names=tuple(self.names[j] for j in idx),
+            mean=self.mean[idx],
+            DtD=np.ascontiguousarray(self.DtD[np.ix_(idx, idx)]),
+            Dty=self.Dty[idx],
+        )
+
+    def squared_error(self, coef: ArrayLike, intercept: float | None = None) -> float:
+        """Sum of squared errors ||y - b0 - D theta||^2 over the rows of this Gram.
+
+        On the Gram of the training rows this is the training error, on that of other rows the held-out error.
+
+        Parameters
+        ----------
+        coef : (P,) array
+            theta.
+        intercept : float, optional
+            b0; by default the best one for these rows.
+        """
+        theta = np.asarray(coef, dtype=np.float64)
+        used = np.flatnonzero(theta)
+        t = theta[used]
+        centred = self.yty - 2.0 * t @ self.Dty[used] + t @ self.DtD[np.ix_(used, used)] @ t
+        offset = 0.0
+        if intercept is not None:
+            offset = self.n * (self.target_mean - float(self.mean[used] @ t) - intercept) ** 2
+        return max(float(centred), 0.0) + offset
+
+    def raised(self, power: float) -> Gram:
+        """The statistics of a likelihood raised to a power of at most 1: as if of so many fewer rows.
+
+        Parameters
+        ----------
+        power : float
+            Every row counts as this share of one.
+        """
+        if power == 1.0:
+            return self
+        return replace(
+            self,
+            n=self.n * power,
+            DtD=self.DtD * power,
+            Dty=self.Dty * power,
+            yty=self.yty * power,
+            dof=self.n * power - 1.0,
+        )
+
+    def standardise(self, target_scale: float = 1.0) -> Standardised:
+        """Eq. (32) as algebra: columns of zero mean and unit standard deviation, y divided by `target_scale`.
+
+        A column without variance is left unscaled.
+        """
+        sd = self.standard_deviation
+        scale = np.where(sd > 0, sd, 1.0)
+        gram = Gram(
+            names=self.names,
+            n=self.n,
+            mean=np.zeros(len(self.names)),
+            target_mean=0.0,
+            DtD=self.DtD / scale[:, None] / scale,
+            Dty=self.Dty / scale / target_scale,
+            yty=self.yty / target_scale**2,
+            dof=self.dof,
+        )
+        return Standardised(gram=gram, source=self, scale=scale, target_scale=float(target_scale))
+
+    def _moments(self) -> _Moments:
+        p = len(self.names)
+        cross = np.empty((p + 1, p + 1))
+        cross[:p, :p] = self.DtD
+        cross[:p, p] = cross[p, :p] = self.Dty
+        cross[p, p] = self.yty
+        return _Moments(self.n, np.append(self.mean, self.target_mean), cross)
+
+
+@dataclass(frozen=True, slots=True)
+class Standardised:
+    """A standardised Gram (or `LazyGram`) and the way back to the original units."""
+
+    gram: Any
+    source: Any
+    scale: Floats
+    target_scale: float
+
+    def apply(self, other: Gram) -> Gram:
+        """The Gram of other rows in the same units: about the same centre, by the same scales."""
+        return replace(
+            other,
+            mean=(other.mean - self.source.mean) / self.scale,
+            target_mean=(other.target_mean - self.source.target_mean) / self.target_scale,
+            DtD=other.DtD / self.scale[:, None] / self.scale,
+            Dty=other.Dty / self.scale / self.target_scale,
+            yty=other.yty / self.target_scale**2,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Moments:
+    """Count, means and centred co-moments of the columns [D Y]."""
+
+    n: float
+    mean: Floats
+    cross: Floats
+
+
+@kernel
+def _column_means(D: Floats, y: Floats) -> Floats:
+    n, p = D.shape
+    mean = np.zeros(p + y.shape[1])
+    for i in range(n):
+        for j in range(p):
+            mean[j] += D[i, j]
+        for j in range(y.shape[1]):
+            mean[p + j] += y[i, j]
+    return mean / n
+
+
+@kernel
+def _centre(D: Floats, y: Floats, mean: Floats, z: Floats, rest: Floats) -> None:
+    """z = [D y] - mean; the sums of z, which rounding of the mean has left, are added to `rest`."""
+    n, p = D.shape
+    for i in range(n):
+        for j in range(p):
+            value = D[i, j] - mean[j]
+            z[i, j] = value
+            rest[j] += value
+        for j in range(y.shape[1]):
+            value = y[i, j] - mean[p + j]
+            z[i, p + j] = value
+            rest[p + j] += value
+
+
+@kernel
+def _add_cross(z: Floats, cross: Floats) -> None:
+    """Add the lower triangle of z'z to that of `cross`, four rows and two columns at a time."""
+    n, p = z.shape
+    whole, even = n - n % 4, p - p % 2
+    for i in range(0, whole, 4):
+        r0, r1, r2, r3 = z[i], z[i + 1], z[i + 2], z[i + 3]
+        for a in range(0, even, 2):
+            row, next_row = cross[a], cross[a + 1]
+            a0, a1, a2, a3 = r0[a], r1[a], r2[a], r3[a]
+            b0, b1, b2, b3 = r0[a + 1], r1[a + 1], r2[a + 1], r3[a + 1]
+            for b in range(a + 2):
+                x0, x1, x2, x3 = r0[b], r1[b], r2[b], r3[b]
+                row[b] += (a0 * x0 + a1 * x1) + (a2 * x2 + a3 * x3)
+                next_row[b] += (b0 * x0 + b1 * x1) + (b2 * x2 + b3 * x3)
+        for a in range(even, p):
+            row = cross[a]
+            for b in range(p):
+                row[b] += (r0[a] * r0[b] + r1[a] * r1[b]) + (r2[a] * r2[b] + r3[a] * r3[b])
+    for i in range(whole, n):
+        for a in range(p):
+            for b in range(a + 1):
+                cross[a, b] += z[i, a] * z[i, b]
+
+
+@kernel
+def _narrow_cross(D: Floats, y: Floats, mean: Floats) -> tuple[Floats, Floats]:
+    """z'z and the sums of z = [D y] - mean, which is formed a few rows at a time and so never leaves the cache.
+
+    For narrow matrices faster than BLAS, and unlike it the same to the last bit for any number of threads (and
+    not slowed down when other processes hold the cores that a threaded BLAS waits for).
+    """
+    n, columns = len(D), len(mean)
+    rest, cross = np.zeros(columns), np.zeros((columns, columns))
+    z = np.empty((CACHED_ROWS, columns))
+    for start in range(0, n, CACHED_ROWS):
+        stop = min(start + CACHED_ROWS, n)
+        part = z[: stop - start]
+        _centre(D[start:stop], y[start:stop], mean, part, rest)
+        _add_cross(part, cross)
+    for a in range(columns):
+        for b in range(a):
+            cross[b, a] = cross[a, b]
+    return cross, rest
+
+
+def _wide_cross(D: Floats, y: Floats, mean: Floats) -> tuple[Floats, Floats]:
+    """`_narrow_cross` of many columns, by BLAS."""
+    z, rest = np.empty((len(D), len(mean))), np.zeros(len(mean))
+    _centre(D, y, mean, z, rest)
+    return z.T @ z, rest
+
+
+def _block_moments(D: Floats, Y: Floats) -> _Moments:
+    """Two-pass centred co-moments of a block, corrected for the rounding of its mean."""
+    n = len(D)
+    D = np.ascontiguousarray(D)
+    Y = np.ascontiguousarray(Y)
+    mean = _column_means(D, Y)
+    with np.errstate(over="ignore", invalid="ignore"):
+        cross, rest = (_narrow_cross if len(mean) <= SMALL else _wide_cross)(D, Y, mean)
+        cross -= rest[:, None] * (rest / n)
+    return _Moments(n, mean + rest / n, cross)
+
+
+def _weighted_moments(D: Floats, Y: Floats, weights: Floats) -> _Moments:
+    """`_block_moments` of rows that count `weights` (all above 0) times."""
+    n = float(weights.sum())
+    with np.errstate(over="ignore", invalid="ignore"):
+        z = np.concatenate([D, Y], axis=1)
+        # from the first row on, so that a constant column has exactly no variance
+        first = z[0].copy()
+        z -= first
+        mean = weights @ z / n
+        z -= mean
+        rest = weights @ z
+        z *= np.sqrt(weights)[:, None]
+        cross = z.T @ z
+        cross -= np.outer(rest, rest / n)
+    return _Moments(n, first + (mean + rest / n), cross)
+
+
+def _merge(a: _Moments, b: _Moments) -> _Moments:
+    n = a.n + b.n
+    delta = b.mean - a.mean
+    cross = a.cross + b.cross + np.outer(delta, delta * (a.n * b.n / n))
+    return _Moments(n, a.mean + delta * (b.n / n), cross)
+
+
+def _from_moments(moments: _Moments, names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
+    p = len(names)
+    DtD = np.ascontiguousarray(moments.cross[:p, :p])
+    # weights that count rows give a whole number
+    n = int(moments.n) if moments.n == int(moments.n) else moments.n
+    return tuple(
+        Gram(
+            names=names,
+            n=n,
+            mean=moments.mean[:p],
+            target_mean=float(moments.mean[p + k]),
+            DtD=DtD,
+            Dty=moments.cross[:p, p + k].copy(),
+            yty=float(moments.cross[p + k, p + k]),
+            dof=float(n - 1),
+        )
+        for k in range(targets)
+    )
+
+
+def _joined(parts: Iterable[_Moments], names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
+    """The Grams of the moments of all parts together."""
+    total: _Moments | None = None
+    for part in parts:
+        total = part if total is None else _merge(total, part)
+    if total is None:
+        raise InputError("no rows: a Gram needs at least one")
+    bad = np.flatnonzero(~np.isfinite(np.diagonal(total.cross)))
+    if bad.size:
+        labels = [*names, *(["the target"] * targets)]
+        raise InputError(f"non-finite values (or squares that overflow) in {', '.join(labels[j] for j in bad[:8])}")
+    return _from_moments(total, names, targets)
+
+
+def grams_from_blocks(
+    blocks: Iterable[tuple[Floats, Floats]], names: Sequence[str], targets: int = 1
+) -> tuple[Gram, ...]:
+    """One `Gram` per target from blocks of rows, in one pass; all of them share D'D.
+
+    Parameters
+    ----------
+    blocks : iterable of (D, Y)
+        Dictionary rows (m, P) and target rows (m, T) of each block.
+    names : sequence of str
+        The P columns.
+    targets : int
+        T.
+
+    Raises
+    ------
+    InputError
+        No rows at all, or values that are not finite (or overflow when squared).
+    """
+    return _joined((_block_moments(D, Y) for D, Y in blocks if len(D)), tuple(names), targets)
+
+
+def grams_from_data(
+    D: ArrayLike, Y: ArrayLike, names: Sequence[str] | None = None, weights: ArrayLike | None = None
+) -> tuple[Gram, ...]:
+    """One `Gram` per column of Y (n, T), all of which share D'D; otherwise as `Gram.from_data`.
+
+    Raises
+    ------
+    InputError
+        As `Gram.from_data`.
+    """
+    D = np.asarray(D, dtype=np.float64)
+    Y = np.asarray(Y, dtype=np.float64)
+    if D.ndim != 2 or Y.ndim != 2 or len(D) != len(Y):
+        raise InputError(f"need D of shape (n, P) and a target of as many rows, got {D.shape} and {Y.shape}")
+    columns = tuple(names) if names is not None else default_names(D.shape[1])
+    if weights is None:
+        starts = range(0, len(D), BLOCK_ROWS)
+        blocks = (_block_moments(D[i : i + BLOCK_ROWS], Y[i : i + BLOCK_ROWS]) for i in starts)
+        return _joined(blocks, columns, Y.shape[1])
+    w = checked_weights(weights, len(D))
+    kept = w > 0.0
+    if not kept.all():
+        D, Y, w = D[kept], Y[kept], w[kept]
+    rows = (slice(i, i + BLOCK_ROWS) for i in range(0, len(D), BLOCK_ROWS))
+    return _joined((_weighted_moments(D[r], Y[r], w[r]) for r in rows), columns, Y.shape[1])
+
+
+@lru_cache(maxsize=16)
+def default_names(columns: int) -> tuple[str, ...]:
+    """x0, x1 ... for columns without names."""
+    return tuple(f"x{j}" for j in range(columns))
+
+
+def checked_weights(weights: ArrayLike, rows: int) -> Floats:
+    """Weights of `rows` rows as an array, or an `InputError` that says what is wrong with them."""
+    w = np.asarray(weights, dtype=np.float64)
+    if w.shape != (rows,):
+        raise InputError(f"need one weight per row, shape ({rows},), got shape {w.shape}")
+    bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0.0)))
+    if bad.size:
+        raise InputError(f"weights must be finite and not negative: weights[{bad[0]}] is {w[bad[0]]:g}")
+    if rows and not w.any():
+        raise InputError("weights are all zero: no row is left; give at least one a positive weight")
+    return w

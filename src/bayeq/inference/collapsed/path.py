@@ -1,0 +1,261 @@
+"""The parsimony path: the best model of each size, and what each of its terms explains.
+
+Where the model is only nearly true, more rows make ever more terms certain. The path shows what each further term
+brings, so that a person can see where the gain stops.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Iterable
+
+import numpy as np
+
+from bayeq.errors import InputError
+from bayeq.gram import Gram
+from bayeq.inference.collapsed.listing import model_scores
+from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
+from bayeq.inference.collapsed.search import best_models, log_constant
+from bayeq.inference.collapsed.tableau import MOST_ACTIVE, flip_gains, score, swap_gains, swept
+from bayeq.kernels import kernel
+
+__all__ = [
+    "DEFAULT_MOST",
+    "best_of_each_size",
+    "model_log_posterior",
+    "partial_shares",
+    "path_sizes",
+]
+
+# Sizes up to which a path goes by default.
+DEFAULT_MOST = 12
+
+# Up to so many free terms all models are looked at (2^14 flips take some milliseconds).
+ENUMERATE = 14
+
+# Models of each size whose neighbours are looked at.
+WIDTH = 20
+
+# Gains below this are rounding.
+TOLERANCE = 1e-9
+
+# Added to the diagonal of a correlation matrix, for columns may depend on each other.
+DEPENDENT = 1e-12
+
+# Where signs are known, neighbours that fall behind the best one by more nats are not told apart.
+WINDOW = 40.0
+
+
+def path_sizes(problem: Problem, most: int | None = None) -> range:
+    """Sizes that a path goes through: from the number of forced terms to `most`.
+
+    Raises
+    ------
+    InputError
+        `most` is no whole number, negative, or less than the number of forced terms.
+    """
+    forced = int(np.sum(problem.log_odds == math.inf))
+    allowed = min(int(np.sum(problem.log_odds > -math.inf)), MOST_ACTIVE)
+    if most is None:
+        most = max(DEFAULT_MOST, forced)
+    try:
+        most = operator.index(most)
+    except TypeError:
+        raise InputError(f"the largest number of terms must be a whole number, got {most!r}") from None
+    if most < 0:
+        raise InputError(f"the largest number of terms must not be negative, got {most}")
+    if most < forced:
+        raise InputError(f"at most {most} terms are asked for, but {forced} are forced in by a prior inclusion of 1")
+    return range(forced, min(most, allowed) + 1)
+
+
+def best_of_each_size(
+    problem: Problem, most: int | None = None, starts: Iterable[Bools] = ()
+) -> list[tuple[Bools, float]]:
+    """The model with the highest log posterior (34) among those of each size.
+
+    Up to 14 free terms all models are looked at. With more, the best few models of each size are improved by each
+    other: their neighbours by a term more, a term less or a swap, until none of these is better (a forward and backward
+    selection with exchanges, Pudil, Novovicova and Kittler 1994, on the exact posterior).
+
+    Parameters
+    ----------
+    problem : Problem
+        What to search.
+    most : int, optional
+        Largest size; by default 12, or as many terms as there are.
+    starts : iterable of (P,) bool arrays
+        Models that the search is to know of.
+
+    Returns
+    -------
+    list of ((P,) bool array, float)
+        Models from the smallest, that of the forced terms alone, to the largest, each with ln p(y, z).
+
+    Raises
+    ------
+    InputError
+        `most` is less than the number of forced terms.
+    """
+    sizes = path_sizes(problem, most)
+    if int(np.isfinite(problem.log_odds).sum()) <= ENUMERATE and not len(problem.signs):
+        found = _by_enumeration(problem, sizes)
+    else:
+        found = _by_search(problem, sizes, starts)
+    return [(model, model_log_posterior(problem, model)) for model in found]
+
+
+def model_log_posterior(problem: Problem, active: Bools) -> float:
+    """ln p(y, z) of one model, eq. (34) and its prior, with the signs where they are known."""
+    return float(_scores(problem, active[None, :])[0]) + log_constant(problem)
+
+
+def _scores(problem: Problem, models: Bools) -> Floats:
+    """Log posteriors of K models up to `search.log_constant`, with the signs where they are known."""
+    if not len(problem.signs):
+        return np.array([score(problem, model, problem.slab_variance) for model in models])
+    from bayeq.inference.signs.truncation import signed_scores
+
+    return signed_scores(problem, models, WINDOW)[1]
+
+
+def _by_enumeration(problem: Problem, sizes: range) -> list[Bools]:
+    free = np.flatnonzero(np.isfinite(problem.log_odds))
+    base = problem.log_odds == math.inf
+    levels = model_scores(problem, free, base)
+    codes = np.arange(len(levels))
+    count = np.bitwise_count(codes)
+    out = []
+    for size in range(len(sizes)):
+        of_size = np.flatnonzero(count == size)
+        model = base.copy()
+        model[free] = (of_size[np.argmax(levels[of_size])] >> np.arange(len(free))) & 1
+        out.append(model)
+    return out
+
+
+@kernel
+def _neighbours(p: Problem, active: Bools) -> tuple[Floats, Floats]:
+    """Gains of flips (P,), and of swaps of each active term for each other one (r, P)."""
+    T = swept(p, active)
+    flips = np.empty(len(active))
+    flip_gains(p, T, flips)
+    index = np.flatnonzero(active)
+    swaps = np.empty((len(index), len(active)))
+    for a in range(len(index)):
+        swap_gains(p, T, index[a], swaps[a])
+    return flips, swaps
+
+
+class _Pool:
+    """The best few models of one size, and which of them have been expanded."""
+
+    def __init__(self) -> None:
+        self.scores: dict[bytes, float] = {}
+        self.expanded: set[bytes] = set()
+        self.lowest = -math.inf
+
+    def add(self, model: Bools, value: float) -> None:
+        key = model.tobytes()
+        if key in self.scores or not value > self.lowest + TOLERANCE:
+            return
+        self.scores[key] = value
+        if len(self.scores) > WIDTH:
+            del self.scores[min(self.scores, key=self.scores.__getitem__)]
+        if len(self.scores) == WIDTH:
+            self.lowest = min(self.scores.values())
+
+    def waiting(self) -> list[bytes]:
+        """Models not expanded yet, best first."""
+        fresh = [key for key in self.scores if key not in self.expanded]
+        return sorted(fresh, key=lambda key: -self.scores[key])
+
+    def best(self) -> Bools:
+        return np.frombuffer(max(self.scores, key=self.scores.__getitem__), dtype=np.bool_).copy()
+
+
+def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools]) -> list[Bools]:
+    pools = {size: _Pool() for size in range(sizes.start, sizes.stop + 1)}
+    forced, forbidden = problem.log_odds == math.inf, problem.log_odds == -math.inf
+    optima = [model for _, model in best_models(problem)]
+    for start in [forced, *optima, *((model | forced) & ~forbidden for model in starts)]:
+        # too large a model is taken down to size, by the term that is missed least
+        active = start.copy()
+        size = int(active.sum())
+        while size >= sizes.start:
+            if size in pools:
+                pools[size].add(active, float(_scores(problem, active[None, :])[0]))
+            if size == sizes.start:
+                break
+            flips, _ = _neighbours(problem, active)
+            active[np.argmax(np.where(active, flips, -math.inf))] = False
+            size -= 1
+    while True:
+        # the smallest first: they are the cheapest, and what they yield improves the others
+        waiting = next(((size, key) for size, pool in pools.items() for key in pool.waiting()), None)
+        if waiting is None:
+            return [pools[size].best() for size in sizes]
+        _expand(problem, pools, *waiting)
+
+
+def _expand(problem: Problem, pools: dict[int, _Pool], size: int, key: bytes) -> None:
+    """Offer the neighbours of a model to the pools of their sizes."""
+    pools[size].expanded.add(key)
+    active = np.frombuffer(key, dtype=np.bool_)
+    here = pools[size].scores[key]
+    flips, swaps = _neighbours(problem, active)
+    index = np.flatnonzero(active)
+    for other, gains in (
+        (size + 1, np.where(active, -math.inf, flips)[None, :]),
+        (size - 1, np.where(active, flips, -math.inf)[None, :]),
+        (size, swaps),
+    ):
+        if other not in pools:
+            continue
+        leaves, enters = _largest(gains, None if len(problem.signs) else WIDTH)
+        models = np.repeat(active[None, :], len(enters), axis=0)
+        row = np.arange(len(enters))
+        models[row, enters] ^= True
+        if other == size:
+            models[row, index[leaves]] = False
+        values = _scores(problem, models) if len(problem.signs) and len(models) else here + gains[leaves, enters]
+        for model, value in zip(models, values, strict=True):
+            pools[other].add(model, float(value))
+
+
+def _largest(gains: Floats, most: int | None) -> tuple[Ints, Ints]:
+    """Rows and columns of the largest finite gains, of at most `most` of them."""
+    flat = gains.ravel()
+    chosen = np.flatnonzero(np.isfinite(flat))
+    if most is not None and len(chosen) > most:
+        chosen = chosen[np.argpartition(-flat[chosen], most)[:most]]
+    rows, columns = np.unravel_index(chosen, gains.shape)
+    return np.asarray(rows), np.asarray(columns)
+
+
+def partial_shares(gram: Gram, active: Bools) -> Floats:
+    """What R2 loses when a term is left out and the others are refitted by least squares, (P,); NaN for a term not in.
+
+    With C the correlation matrix of the terms, c their correlations with y and b = C^-1 c, leaving out term i loses
+    b_i^2/(C^-1)_ii. Terms that depend on each other lose nothing.
+
+    Examples
+    --------
+    >>> D = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    >>> partial_shares(Gram.from_data(D, D @ [2.0, 1.0]), np.array([True, True])).round(6).tolist()
+    [0.8, 0.2]
+    """
+    out = np.full(len(active), np.nan)
+    index = np.flatnonzero(active)
+    if not len(index):
+        return out
+    sd = np.sqrt(gram.diagonal[index])
+    if not (gram.yty > 0.0 and (sd > 0.0).all()):
+        out[index] = 0.0
+        return out
+    C = gram.DtD[np.ix_(index, index)] / np.outer(sd, sd)
+    inverse = np.linalg.inv(C + DEPENDENT * np.eye(len(index)))
+    b = inverse @ (gram.Dty[index] / sd / math.sqrt(gram.yty))
+    out[index] = b**2 / np.diagonal(inverse)
+    return out

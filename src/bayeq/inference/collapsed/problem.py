@@ -1,0 +1,187 @@
+"""`Problem`: a Gram and a prior as the flat numbers that compiled kernels take."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.gram.gram import GramLike, dense
+from bayeq.inference.prior import Prior
+from bayeq.kernels import kernel
+
+__all__ = ["Bools", "Columns", "Floats", "Ints", "Problem", "all_rows", "fetch", "gram_columns", "gram_row"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+NOTHING = np.empty((0, 0))
+
+# Rows of D'D computed one by one, which is bound by memory, take about as long as this many times as many in blocks of
+# so many.
+WHOLE_AFTER = 20
+BLOCK = 256
+
+
+# Share of y'y below which a residual sum of squares is rounding of the Gram: without noise, terms would otherwise be
+# added that fit it. It stands for a noise of 1e-6 of the signal.
+ROUNDING = 1e-12
+
+
+class Columns(NamedTuple):
+    """D'D as kernels take it: all of it, or its rows as they are asked for.
+
+    Attributes
+    ----------
+    diagonal : (P,) array
+        Sums of squares of the columns.
+    rows : (P, P) array
+        Rows of D'D; those not computed yet are memory never touched.
+    slot : (P,) int array
+        Where the row of each term is, -1 if it is not there yet.
+    used : (1,) int array
+        Number of rows that are there.
+    data : (n, P) array
+        The centred D, from which missing rows follow; empty if none is missing.
+    """
+
+    diagonal: Floats
+    rows: Floats
+    slot: Ints
+    used: Ints
+    data: Floats
+
+
+@kernel
+def fetch(columns: Columns, j: int) -> None:
+    """Compute row j of D'D, which is not there yet; and all the others once single rows have cost as much as these."""
+    k = columns.used[0]
+    columns.rows[k] = np.dot(columns.data[:, j].copy(), columns.data)
+    columns.slot[j] = k
+    columns.used[0] = k + 1
+    terms = len(columns.slot)
+    if columns.used[0] < max(terms // WHOLE_AFTER, BLOCK):
+        return
+    missing = np.flatnonzero(columns.slot < 0)
+    for start in range(0, len(missing), BLOCK):
+        block = missing[start : start + BLOCK]
+        chosen = np.empty((len(block), len(columns.data)))
+        for a in range(len(block)):
+            chosen[a] = columns.data[:, block[a]]
+        k = columns.used[0]
+        columns.rows[k : k + len(block)] = np.dot(chosen, columns.data)
+        for a in range(len(block)):
+            columns.slot[block[a]] = k + a
+        columns.used[0] = k + len(block)
+
+
+def gram_row(columns: Columns, j: int) -> Floats:
+    """Row j of D'D."""
+    if columns.slot[j] < 0:
+        fetch(columns, j)
+    row: Floats = columns.rows[columns.slot[j]]
+    return row
+
+
+def all_rows(columns: Columns) -> Floats:
+    """D'D as one array, (P, P)."""
+    for j in np.flatnonzero(columns.slot < 0):
+        fetch(columns, int(j))
+    return columns.rows[columns.slot]
+
+
+def gram_columns(gram: GramLike) -> Columns:
+    """D'D of any Gram: a `LazyGram` gives its rows as they are needed."""
+    terms = len(gram.names)
+    data = getattr(gram, "data", None)
+    if data is None:
+        DtD = np.ascontiguousarray(dense(gram))
+        return Columns(DtD.diagonal().copy(), DtD, np.arange(terms), np.array([terms]), NOTHING)
+    return Columns(
+        np.ascontiguousarray(gram.diagonal),
+        np.empty((terms, terms)),
+        np.full(terms, -1),
+        np.zeros(1, dtype=np.int64),
+        data,
+    )
+
+
+class Problem(NamedTuple):
+    """A sparse regression with its prior; made by `of`, taken whole by kernels.
+
+    Attributes
+    ----------
+    columns, Dty, yty, dof
+        Statistics of the (standardised) Gram.
+    log_odds : (P,) array
+        logit(p_0); +inf forces a term in, -inf keeps it out.
+    size_prior : (P+1,) array
+        What the number of terms in the model adds to its log prior: 0, or by a beta-binomial prior.
+    inclusion_beta : (2,) array
+        a and b of p_0 ~ Beta(a, b); empty where p_0 is given.
+    signs : (P,) int array
+        Known signs of coefficients, 0 for unknown; empty where none is known.
+    slab_variance, noise_shape, noise_rate : float
+        v_s, a_sigma, b_sigma.
+    half_log_slab : float
+        1/2 ln v_s, the price of a term.
+    h : float
+        a_sigma + N/2.
+    floor : float
+        Least value of s = 2 b_sigma + RSS that the rounding of y'y lets us tell from zero.
+    """
+
+    columns: Columns
+    Dty: Floats
+    yty: float
+    dof: float
+    log_odds: Floats
+    size_prior: Floats
+    inclusion_beta: Floats
+    signs: Ints
+    slab_variance: float
+    noise_shape: float
+    noise_rate: float
+    half_log_slab: float
+    h: float
+    floor: float
+
+    @classmethod
+    def of(cls, gram: GramLike, prior: Prior) -> Problem:
+        """The problem that a Gram and a prior pose.
+
+        Raises
+        ------
+        InputError
+            Prior parameters out of range.
+        """
+        terms = len(gram.names)
+        prior.validate(terms)
+        return cls(
+            columns=gram_columns(gram),
+            Dty=np.ascontiguousarray(gram.Dty),
+            yty=float(gram.yty),
+            dof=float(gram.dof),
+            log_odds=prior.log_odds(terms),
+            size_prior=prior.size_prior(terms),
+            inclusion_beta=np.array(prior.inclusion_beta or (), dtype=np.float64),
+            signs=prior.sign_array(terms),
+            slab_variance=float(prior.slab_variance),
+            noise_shape=float(prior.noise_shape),
+            noise_rate=float(prior.noise_rate),
+            half_log_slab=0.5 * math.log(prior.slab_variance),
+            h=float(prior.noise_shape) + 0.5 * float(gram.dof),
+            floor=max(2.0 * float(prior.noise_rate), ROUNDING * float(gram.yty)),
+        )
+
+    @property
+    def DtD(self) -> Floats:
+        """D'D as one array."""
+        return all_rows(self.columns)
+
+    def with_slab_variance(self, slab_variance: float) -> Problem:
+        """The same problem with another v_s."""
+        return self._replace(slab_variance=slab_variance, half_log_slab=0.5 * math.log(slab_variance))

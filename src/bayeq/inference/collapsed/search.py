@@ -1,0 +1,216 @@
+"""Search over models by their exact log posterior (34), on the collapsed tableau."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
+from bayeq.inference.collapsed.tableau import climb, flip, flip_gains, score, swap_gains, swept
+from bayeq.inference.rvm import rvm_gamma
+from bayeq.kernels import kernel
+
+__all__ = ["Move", "best_models", "candidate_models", "greedy_model", "greedy_start", "log_evidence", "neighbours"]
+
+# Up to this many terms a climb also starts from the full model (its cost grows as P^3), and from the support of the
+# RVM, which may be large.
+FULL_START_TERMS = 128
+RVM_START_TERMS = 500
+
+
+@kernel
+def _climb_all(p: Problem, models: Bools, swaps: bool) -> Floats:
+    """Climb from each row of `models`, in place; returns their final scores."""
+    scores = np.empty(len(models))
+    for k in range(len(models)):
+        active = models[k]
+        for j in range(len(active)):
+            if math.isinf(p.log_odds[j]):
+                active[j] = p.log_odds[j] > 0.0
+        climb(p, swept(p, active), active, swaps)
+        scores[k] = score(p, active, p.slab_variance)
+    return scores
+
+
+@kernel
+def _moves(p: Problem, active: Bools, window: float) -> tuple[Ints, Ints, Floats]:
+    """Flips and swaps from `active` within `window` of its score: terms out, terms in (-1 for none), gains."""
+    terms = len(active)
+    T = swept(p, active)
+    r = int(active.sum())
+    out = np.empty(terms + r * (terms - r), dtype=np.int64)
+    into = np.empty_like(out)
+    gains = np.empty(len(out))
+    count = 0
+    gain = np.empty(terms)
+    flip_gains(p, T, gain)
+    for j in range(terms):
+        if gain[j] > -window:
+            out[count], into[count] = (j, -1) if active[j] else (-1, j)
+            gains[count] = gain[j]
+            count += 1
+    for i in range(terms):
+        if active[i]:
+            swap_gains(p, T, i, gain)
+            for j in range(terms):
+                if gain[j] > -window:
+                    out[count], into[count], gains[count] = i, j, gain[j]
+                    count += 1
+    return out[:count], into[:count], gains[:count]
+
+
+@kernel
+def _climb_and_look(p: Problem, models: Bools, window: float) -> tuple[Floats, tuple[Ints, Ints, Floats]]:
+    """`_climb_all` with swaps, and then `_moves` from the best model."""
+    scores = _climb_all(p, models, True)
+    return scores, _moves(p, models[np.argmax(scores)], window)
+
+
+def log_constant(problem: Problem) -> float:
+    """What `tableau.score` leaves out of ln p(y, z): eq. (34) and the Bernoulli prior."""
+    p = problem
+    free = p.log_odds[np.isfinite(p.log_odds)]
+    return float(
+        math.lgamma(p.h)
+        - math.lgamma(p.noise_shape)
+        + p.noise_shape * math.log(p.noise_rate)
+        - 0.5 * p.dof * math.log(2.0 * math.pi)
+        - np.sum(np.logaddexp(0.0, free))
+    )
+
+
+def log_evidence(problem: Problem, active: Bools) -> float:
+    """ln p(y, z) of one model: eq. (34) plus the log prior of z."""
+    return score(problem, active, problem.slab_variance) + log_constant(problem)
+
+
+def best_models(problem: Problem, starts: list[Bools] | None = None) -> list[tuple[float, Bools]]:
+    """Distinct local optima of ln p(y, z) under flips and swaps, best first.
+
+    Parameters
+    ----------
+    problem : Problem
+        What to search.
+    starts : list of (P,) bool arrays, optional
+        Where to climb from; by default `default_starts`.
+
+    Returns
+    -------
+    list of (score, (P,) bool array)
+        The score is ln p(y, z) up to `log_constant`.
+    """
+    if starts is None:
+        starts = default_starts(problem)
+    models = np.array(starts, dtype=np.bool_)
+    return _ranked(_climb_all(problem, models, True), models)
+
+
+def _ranked(scores: Floats, models: Bools) -> list[tuple[float, Bools]]:
+    """Distinct models with their scores, best first."""
+    found: dict[bytes, tuple[float, Bools]] = {}
+    for k in np.argsort(-scores, kind="stable"):
+        found.setdefault(models[k].tobytes(), (float(scores[k]), models[k]))
+    return list(found.values())
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """One step away from a model: the terms that leave and enter (None where there is none)."""
+
+    gain: float
+    leaves: int | None
+    enters: int | None
+
+    def apply(self, active: Bools) -> Bools:
+        """The model on the other side of the move."""
+        out = active.copy()
+        if self.leaves is not None:
+            out[self.leaves] = False
+        if self.enters is not None:
+            out[self.enters] = True
+        return out
+
+
+def neighbours(problem: Problem, active: Bools, window: float = math.inf) -> list[Move]:
+    """Flips and swaps from a model whose log posterior lies within `window` nats of it, best first."""
+    return _listed(*_moves(problem, active, window))
+
+
+def _listed(out: Ints, into: Ints, gains: Floats) -> list[Move]:
+    """What `_moves` found, best first."""
+    order = np.argsort(-gains, kind="stable")
+    return [
+        Move(float(gains[k]), int(out[k]) if out[k] >= 0 else None, int(into[k]) if into[k] >= 0 else None)
+        for k in order
+    ]
+
+
+@kernel
+def greedy_start(p: Problem, size: int) -> Bools:
+    """Forward selection: terms activated one by one, each time the one that lowers the squared error most."""
+    terms = len(p.Dty)
+    active = np.zeros(terms, dtype=np.bool_)
+    T = swept(p, active)
+    for j in range(terms):
+        if p.log_odds[j] == math.inf:
+            flip(p, T, j)
+            active[j] = True
+    for _ in range(size):
+        best, best_j = 0.0, -1
+        for j in range(terms):
+            if not active[j] and not math.isinf(p.log_odds[j]):
+                drop = T.partial[j] * T.partial[j] / T.diagonal[j]
+                if drop > best:
+                    best, best_j = drop, j
+        if best_j < 0:
+            break
+        flip(p, T, best_j)
+        active[best_j] = True
+    return active
+
+
+def greedy_model(problem: Problem) -> Bools:
+    """The local optimum that adding and dropping single terms reaches from the empty model: no swaps."""
+    models = np.zeros((1, len(problem.Dty)), dtype=np.bool_)
+    _climb_all(problem, models, False)
+    return models[0]
+
+
+def default_starts(problem: Problem, gamma: Floats | None = None) -> list[Bools]:
+    """Where a search climbs from: the empty model and, unless the dictionary is large, the RVM's support and all terms.
+
+    `gamma` is the RVM's, if it has been run already.
+    """
+    p = problem
+    terms = len(p.Dty)
+    starts = [np.zeros(terms, dtype=np.bool_)]
+    if gamma is None and terms <= RVM_START_TERMS:
+        gamma = rvm_gamma(p)
+    if gamma is not None:
+        starts.append(gamma > 0.0)
+    if terms <= FULL_START_TERMS:
+        starts.append(np.ones(terms, dtype=np.bool_))
+    return starts
+
+
+def candidate_models(
+    problem: Problem, starts: list[Bools] | None = None, window: float = 2.0, limit: int = 6
+) -> list[Bools]:
+    """The best models found and those one move away, within `window` nats of the best and at most `limit`.
+
+    Mean-field indicators let VB gain a fraction of a nat on a model with undecided terms, so that its optimum
+    may belong to a model slightly below the best one.
+    """
+    climbed = np.array(default_starts(problem) if starts is None else starts, dtype=np.bool_)
+    scores, moves = _climb_and_look(problem, climbed, window)
+    found = _ranked(scores, climbed)
+    top, best = found[0]
+    pool = [(value - top, model) for value, model in found[1:] if value > top - window]
+    pool += [(move.gain, move.apply(best)) for move in _listed(*moves)]
+    pool.sort(key=lambda entry: -entry[0])
+    models = {best.tobytes(): best}
+    for _, model in pool:
+        models.setdefault(model.tobytes(), model)
+    return list(models.values())[:limit]

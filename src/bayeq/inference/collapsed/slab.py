@@ -1,0 +1,117 @@
+"""The slab variance and the scale of the target, learned from the data."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bayeq.gram import Gram, GramLike
+from bayeq.inference.collapsed.problem import Bools, Problem, gram_columns
+from bayeq.inference.collapsed.search import best_models, greedy_start
+from bayeq.inference.collapsed.tableau import residual_sum, score, swept
+from bayeq.inference.prior import Prior
+from bayeq.kernels import kernel
+
+__all__ = ["learn_slab_variance", "residual_scale"]
+
+# Bounds of ln v_s above the floor, and how finely a maximum is looked for and polished.
+LOG_RANGE = math.log(1e15)
+GRID = 41
+GOLDEN_STEPS = 30
+
+# Turns of maximising the model, then v_s.
+MAX_TURNS = 10
+
+# Most terms of a forward selection, and a slab that does not shrink their coefficients.
+MOST_SELECTED = 30
+UNSHRUNK = 1e12
+
+# Below this share of the target's standard deviation a residual is rounding of the Gram matrix.
+LEAST_RESIDUAL = 1e-6
+
+
+@kernel
+def _best_slab(p: Problem, active: Bools, lowest: float) -> tuple[float, float]:
+    """ln v_s >= lowest that maximises the log posterior of one model, and that maximum."""
+    best, best_k = -math.inf, 0
+    step = LOG_RANGE / (GRID - 1)
+    for k in range(GRID):
+        value = score(p, active, math.exp(lowest + k * step))
+        if value > best:
+            best, best_k = value, k
+    a = lowest + max(best_k - 1, 0) * step
+    b = lowest + min(best_k + 1, GRID - 1) * step
+    ratio = 0.5 * (math.sqrt(5.0) - 1.0)
+    for _ in range(GOLDEN_STEPS):
+        left, right = b - ratio * (b - a), a + ratio * (b - a)
+        if score(p, active, math.exp(left)) >= score(p, active, math.exp(right)):
+            b = right
+        else:
+            a = left
+    middle = 0.5 * (a + b)
+    value = score(p, active, math.exp(middle))
+    if value > best:
+        return middle, value
+    return lowest + best_k * step, best
+
+
+def learn_slab_variance(gram: GramLike, prior: Prior, floor: float = 10.0) -> float:
+    """v_s that maximises the evidence of the best model, not below `floor`.
+
+    With the noise small against the signal, v_s = 10 lets coefficients of standardised columns, which are of
+    the size of the signal-to-noise ratio, be shrunk and split among correlated terms. Model and v_s are
+    maximised in turn, from the floor and from the signal-to-noise ratio y'y/RSS of all terms together.
+
+    Parameters
+    ----------
+    gram : GramLike
+        Sufficient statistics, standardised.
+    prior : Prior
+        Everything but its slab variance is used.
+    floor : float
+        Least value; the paper's 10.
+    """
+    problem = Problem.of(gram, prior)
+    lowest = math.log(floor)
+    ratio = gram.yty / max(_residual_sum(gram), LEAST_RESIDUAL**2 * gram.yty, 1e-300)
+    best_value, best_log = -math.inf, lowest
+    for start in {lowest, max(lowest, math.log(max(ratio, 1e-300)))}:
+        log_v = start
+        for _ in range(MAX_TURNS):
+            active = best_models(problem.with_slab_variance(math.exp(log_v)))[0][1]
+            new, value = _best_slab(problem, active, lowest)
+            if value > best_value:
+                best_value, best_log = value, new
+            if abs(new - log_v) < 1e-3:
+                break
+            log_v = new
+    return math.exp(best_log)
+
+
+def _residual_sum(gram: GramLike) -> float:
+    return residual_sum(gram_columns(gram), np.ascontiguousarray(gram.Dty), gram.yty, gram.dof)
+
+
+def residual_scale(gram: Gram) -> float:
+    """Standard deviation of what all terms together leave of y: the unit in which the noise prior applies.
+
+    b_sigma is not scale free. In units of y, IG(1e-4, 1e-4) weighs on the noise once it falls to about 0.1 % of
+    the signal; in units of the least-squares residual it never does. With hardly more rows than terms there is
+    no such residual, and that of a quarter as many terms as there are rows, chosen by forward selection, takes its
+    place.
+    """
+    sd = math.sqrt(gram.yty / gram.n)
+    spare = gram.n - 1 - len(gram.names)
+    if sd == 0.0:
+        return 1.0
+    standard = gram.standardise(sd).gram
+    if spare < max(10, 0.1 * gram.n):
+        chosen = min(int(gram.n) // 4, MOST_SELECTED)
+        problem = Problem.of(standard, Prior(slab_variance=UNSHRUNK))
+        active = greedy_start(problem, chosen)
+        rss = float(swept(problem, active).diagonal[-1]) - 2.0 * problem.noise_rate
+        spare = gram.n - 1 - int(active.sum())
+    else:
+        rss = _residual_sum(standard)
+    return sd * max(math.sqrt(max(rss, 0.0) / spare), LEAST_RESIDUAL)

@@ -1,0 +1,466 @@
+"""The collapsed tableau: model moves at the price of one rank-one update.
+
+With theta and sigma^2 integrated out (eq. (34)) a model z has the log posterior
+
+    sum_{z_i=1} logit(p_0) - r/2 ln v_s - 1/2 ln|A| - h ln(s/2) + const,
+    A = D_r'D_r + I/v_s,   s = 2 b_sigma + y'y - y'D_r A^-1 D_r'y,   h = a_sigma + N/2.
+
+The tableau M is the symmetric matrix [[D'D + I/v_s, D'y], [y'D, y'y + 2 b_sigma]] swept (Beaton 1964) on the
+active terms. Its entries are then all that a move needs:
+
+    active i, j     M_ij = -(A^-1)_ij          M_iy = posterior mean of theta_i
+    inactive j      M_jj = Schur complement    M_jy = partial covariance with y
+    y               M_yy = s
+
+so the log-odds of any flip or swap are O(1). No move asks for M_jk of two inactive terms: the tableau is thin, it keeps
+the rows of the r active terms, the diagonal and the column of y, and a flip costs O(r P) however large the dictionary.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from bayeq.inference.collapsed.problem import Bools, Columns, Floats, Ints, Problem, all_rows, fetch
+from bayeq.kernels import kernel
+
+__all__ = [
+    "LOOK",
+    "Tableau",
+    "active_block",
+    "best_swap",
+    "build",
+    "climb",
+    "data_gain",
+    "drifted",
+    "enter",
+    "flip",
+    "flip_gain",
+    "flip_gains",
+    "leave",
+    "least_squares_rss",
+    "renew",
+    "residual_sum",
+    "score",
+    "size_gains",
+    "strayed",
+    "swap_gains",
+    "swept",
+]
+
+# A climb stops when no move gains this much log posterior: above the rounding of h ln(s).
+GAIN_TOLERANCE = 1e-8
+
+# A tableau has drifted if what it keeps is this far from what its rows and the Gram give: s and Schur complements in
+# their own units, M_jy in those of a t-value. Looked for after so many steps of engines that go from model to model.
+DRIFT = 1e-6
+LOOK = 16
+
+# A column whose variance left by earlier ones is a smaller share of its own depends on them.
+DEPENDENT = 1e-13
+
+# Up to this many terms the residual sum of squares is had by our own kernel, above by LAPACK.
+SMALL = 128
+
+# Most terms that a model may hold.
+MOST_ACTIVE = 2048
+
+
+class Tableau(NamedTuple):
+    """M swept on r active terms; changed in place by `enter`, `leave` and `flip`.
+
+    Attributes
+    ----------
+    rows : (R, P+1) array
+        The first r rows are M_i. of the active terms i; the last column is that of y.
+    row, term : (P,), (R,) int arrays
+        Row of each term (-1 for an inactive one) and term of each row.
+    size : (1,) int array
+        r.
+    diagonal : (P+1,) array
+        M_jj of all terms, and s at the end.
+    partial : (P,) array
+        M_jy of all terms.
+    """
+
+    rows: Floats
+    row: Ints
+    term: Ints
+    size: Ints
+    diagonal: Floats
+    partial: Floats
+
+
+@kernel
+def build(columns: Columns, Dty: Floats, yty: float, ridge: float) -> Tableau:
+    """Unswept tableau, of the empty model; `ridge` is 1/v_s, `yty` holds 2 b_sigma already."""
+    p = len(Dty)
+    most = min(p, MOST_ACTIVE)
+    diagonal = np.empty(p + 1)
+    for j in range(p):
+        diagonal[j] = columns.diagonal[j] + ridge
+    diagonal[p] = yty
+    return Tableau(
+        np.empty((most, p + 1)),
+        np.full(p, -1),
+        np.full(most, -1),
+        np.zeros(1, dtype=np.int64),
+        diagonal,
+        Dty.copy(),
+    )
+
+
+@kernel
+def _sweep(T: Tableau, pivot_row: Floats, j: int, pivot: float, skip: int) -> None:
+    """Rank-one update of everything kept but row `skip`, by the row of term j before its own scaling.
+
+    Both factors of the update are that row: taken from row and column they would let the rounding asymmetry of M grow
+    from flip to flip.
+    """
+    p = len(T.partial)
+    size = abs(pivot)
+    for a in range(T.size[0]):
+        if a == skip:
+            continue
+        i = T.term[a]
+        factor = pivot_row[i] / pivot
+        other = T.rows[a]
+        if factor != 0.0:
+            for k in range(p + 1):
+                other[k] -= factor * pivot_row[k]
+        other[j] = pivot_row[i] / size
+    last = pivot_row[p] / pivot
+    for k in range(p):
+        T.diagonal[k] -= pivot_row[k] * pivot_row[k] / pivot
+        T.partial[k] -= pivot_row[k] * last
+    T.diagonal[p] -= pivot_row[p] * last
+    T.diagonal[j] = -1.0 / pivot
+    T.partial[j] = pivot_row[p] / size
+
+
+@kernel
+def enter(columns: Columns, Dty: Floats, T: Tableau, j: int, ridge: float) -> float:
+    """Sweep inactive term j in, its diagonal raised by `ridge` in all; returns ln|pivot|, by which ln|A| changes."""
+    p = len(Dty)
+    r = T.size[0]
+    new = T.rows[r]
+    if columns.slot[j] < 0:
+        fetch(columns, j)
+    own = columns.rows[columns.slot[j]]
+    for k in range(p):
+        new[k] = own[k]
+    new[p] = Dty[j]
+    for a in range(r):
+        factor = own[T.term[a]]
+        if factor != 0.0:
+            other = T.rows[a]
+            for k in range(p + 1):
+                new[k] -= factor * other[k]
+    for a in range(r):
+        new[T.term[a]] = T.rows[a, j]
+    pivot = new[j] + ridge
+    new[j] = pivot
+    _sweep(T, new, j, pivot, -1)
+    size = abs(pivot)
+    for k in range(p + 1):
+        new[k] /= size
+    new[j] = -1.0 / pivot
+    T.row[j] = r
+    T.term[r] = j
+    T.size[0] = r + 1
+    return math.log(size)
+
+
+@kernel
+def leave(T: Tableau, j: int) -> float:
+    """Sweep active term j out; returns ln|pivot|, by which ln|A| changes. M_jj then holds the ridge it entered with."""
+    a = T.row[j]
+    last = T.size[0] - 1
+    old = T.rows[a]
+    pivot = old[j]
+    _sweep(T, old, j, pivot, a)
+    T.row[j] = -1
+    if a != last:
+        moved = T.rows[last]
+        for k in range(len(moved)):
+            old[k] = moved[k]
+        T.term[a] = T.term[last]
+        T.row[T.term[a]] = a
+    T.size[0] = last
+    return math.log(abs(pivot))
+
+
+@kernel
+def flip(p: Problem, T: Tableau, j: int) -> float:
+    """Sweep term j in or out, in place; returns ln|pivot|, by which ln|A| changes."""
+    if T.row[j] >= 0:
+        return leave(T, j)
+    return enter(p.columns, p.Dty, T, j, 1.0 / p.slab_variance)
+
+
+@kernel
+def swept(p: Problem, active: Bools) -> Tableau:
+    """The tableau of a model, from scratch."""
+    T = build(p.columns, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
+    for j in range(len(active)):
+        if active[j]:
+            flip(p, T, j)
+    return T
+
+
+@kernel
+def renew(p: Problem, T: Tableau, active: Bools) -> None:
+    """Sweep the tableau of a model anew, in place."""
+    for j in range(len(active)):
+        T.row[j] = -1
+        T.diagonal[j] = p.columns.diagonal[j] + 1.0 / p.slab_variance
+        T.partial[j] = p.Dty[j]
+    T.diagonal[-1] = p.yty + 2.0 * p.noise_rate
+    T.size[0] = 0
+    for j in range(len(active)):
+        if active[j]:
+            flip(p, T, j)
+
+
+@kernel
+def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: float, T: Tableau) -> bool:
+    """Whether rounding has spoilt a tableau that was led from model to model, so that it is to be swept anew.
+
+    Each time that a column enters which the model nearly spans, what earlier flips left of rounding is magnified by its
+    variance inflation. So M_yy, M_jy and M_jj are compared to what they are by definition given the active rows,
+    b - sum_a M_ja b_a with the b of the Gram. About the price of one flip.
+
+    `ridges` (P,) holds the ridge of each term, `floor` the least s that counts.
+    """
+    terms, r = len(Dty), T.size[0]
+    s = max(T.diagonal[terms], floor)
+    left = yty
+    pull, own = Dty.copy(), columns.diagonal + ridges
+    for a in range(r):
+        i = T.term[a]
+        gram, row, mean = columns.rows[columns.slot[i]], T.rows[a], T.partial[i]
+        left -= mean * Dty[i]
+        for j in range(terms):
+            pull[j] -= mean * gram[j]
+            own[j] -= row[j] * gram[j]
+    if not abs(max(left, floor) - s) <= DRIFT * s:
+        return True
+    for j in range(terms):
+        if T.row[j] >= 0:
+            # the normal equations, in units of a t-value of a column alone
+            error, pivot = pull[j] - ridges[j] * T.partial[j], -1.0 / T.diagonal[j]
+        else:
+            error, pivot = pull[j] - T.partial[j], T.diagonal[j]
+            if not abs(own[j] - pivot) <= DRIFT * pivot:
+                return True
+        if not abs(error) <= DRIFT * math.sqrt(pivot * s):
+            return True
+    return False
+
+
+@kernel
+def drifted(p: Problem, T: Tableau) -> bool:
+    """Whether the tableau of a model has `strayed`."""
+    ridges = np.full(len(p.Dty), 1.0 / p.slab_variance)
+    return strayed(p.columns, p.Dty, p.yty + 2.0 * p.noise_rate, ridges, p.floor, T)
+
+
+@kernel
+def active_block(T: Tableau, index: Ints) -> Floats:
+    """A^-1 of the active terms `index`, (r, r)."""
+    r = len(index)
+    out = np.empty((r, r))
+    for a in range(r):
+        for b in range(r):
+            out[a, b] = -T.rows[T.row[index[a]], index[b]]
+    return out
+
+
+@kernel
+def data_gain(pivot: float, partial: float, s: float, floor: float, h: float) -> float:
+    """What a flip with this pivot changes in -1/2 ln|A| - h ln(s/2)."""
+    s = max(s, floor)
+    return -0.5 * math.log(abs(pivot)) - h * math.log(max(s - partial * partial / pivot, floor) / s)
+
+
+@kernel
+def size_gains(p: Problem, T: Tableau) -> tuple[float, float]:
+    """Change of the log prior, apart from the term's own log-odds, when any term enters and when any leaves."""
+    r = T.size[0]
+    full = r == len(T.rows)
+    enters = -math.inf if full else p.size_prior[r + 1] - p.size_prior[r] - p.half_log_slab
+    leaves = p.size_prior[r - 1] - p.size_prior[r] + p.half_log_slab if r > 0 else -math.inf
+    return enters, leaves
+
+
+@kernel
+def flip_gain(p: Problem, T: Tableau, j: int) -> float:
+    """Change of the log posterior when term j is flipped."""
+    enters, leaves = size_gains(p, T)
+    data = data_gain(T.diagonal[j], T.partial[j], T.diagonal[-1], p.floor, p.h)
+    return data - p.log_odds[j] + leaves if T.row[j] >= 0 else data + p.log_odds[j] + enters
+
+
+@kernel
+def flip_gains(p: Problem, T: Tableau, out: Floats) -> None:
+    """Change of the log posterior when each term is flipped, into `out`; -inf for a forced or forbidden one."""
+    enters, leaves = size_gains(p, T)
+    diagonal, partial, row, log_odds = T.diagonal, T.partial, T.row, p.log_odds
+    floor, h, s = p.floor, p.h, T.diagonal[-1]
+    for j in range(len(out)):
+        if math.isinf(log_odds[j]):
+            out[j] = -math.inf
+        else:
+            data = data_gain(diagonal[j], partial[j], s, floor, h)
+            out[j] = data - log_odds[j] + leaves if row[j] >= 0 else data + log_odds[j] + enters
+
+
+@kernel
+def swap_gains(p: Problem, T: Tableau, i: int, out: Floats) -> None:
+    """Change of the log posterior when active term i leaves and each inactive one enters, into `out`.
+
+    -inf where one of them may not.
+    """
+    diagonal, partial, row, log_odds = T.diagonal, T.partial, T.row, p.log_odds
+    own = T.rows[row[i]]
+    floor, h, s, price = p.floor, p.h, max(diagonal[-1], p.floor), log_odds[i]
+    without = max(s - partial[i] * partial[i] / diagonal[i], floor)
+    first = -0.5 * math.log(abs(diagonal[i])) - h * math.log(without / s) - price
+    mean = partial[i] / diagonal[i]
+    for j in range(len(out)):
+        if row[j] >= 0 or math.isinf(log_odds[j]) or math.isinf(price):
+            out[j] = -math.inf
+        else:
+            pivot = diagonal[j] - own[j] * own[j] / diagonal[i]
+            out[j] = first + data_gain(pivot, partial[j] - own[j] * mean, without, floor, h) + log_odds[j]
+
+
+@kernel
+def best_swap(p: Problem, T: Tableau, least: float) -> tuple[float, int, int]:
+    """The swap that gains most, if more than `least`: gain, the term that leaves and the one that enters (-1: none)."""
+    best, best_i, best_j = least, -1, -1
+    gains = np.empty(len(T.partial))
+    for a in range(T.size[0]):
+        i = T.term[a]
+        swap_gains(p, T, i, gains)
+        for j in range(len(gains)):
+            if gains[j] > best:
+                best, best_i, best_j = gains[j], i, j
+    return best, best_i, best_j
+
+
+@kernel
+def climb(p: Problem, T: Tableau, active: Bools, swaps: bool = True) -> float:
+    """Steepest ascent from the model in `active` by flips, and with `swaps` by swaps where no flip improves.
+
+    T and `active` are changed in place; returns the log posterior gained. Forced and forbidden terms are left
+    as they are.
+    """
+    terms = len(active)
+    gained = 0.0
+    gains = np.empty(terms)
+    for step in range(20 * terms + 20):
+        if step % LOOK == LOOK - 1 and drifted(p, T):
+            renew(p, T, active)
+        flip_gains(p, T, gains)
+        best_i, best_j = -1, int(np.argmax(gains))
+        best = gains[best_j]
+        if not best > GAIN_TOLERANCE:
+            best_j = -1
+            if swaps:
+                best, best_i, best_j = best_swap(p, T, GAIN_TOLERANCE)
+        if best_j < 0:
+            break
+        if best_i >= 0:
+            leave(T, best_i)
+            active[best_i] = False
+        flip(p, T, best_j)
+        active[best_j] = not active[best_j]
+        gained += best
+    return gained
+
+
+@kernel
+def score(p: Problem, active: Bools, slab_variance: float) -> float:
+    """Log posterior of one model up to the constant of `search.log_constant`, from scratch, at any v_s.
+
+    Cholesky of A, so that it carries none of a tableau's drift.
+    """
+    index = np.flatnonzero(active)
+    r = len(index)
+    L = np.empty((r, r))
+    half = np.empty(r)
+    rows, slot = p.columns.rows, p.columns.slot
+    total = p.size_prior[r]
+    s = p.yty + 2.0 * p.noise_rate
+    for a in range(r):
+        if slot[index[a]] < 0:
+            fetch(p.columns, index[a])
+        own = rows[slot[index[a]]]
+        if p.log_odds[index[a]] < math.inf:
+            total += p.log_odds[index[a]]
+        for b in range(a + 1):
+            value = own[index[b]]
+            if a == b:
+                value += 1.0 / slab_variance
+            for k in range(b):
+                value -= L[a, k] * L[b, k]
+            if a == b:
+                L[a, a] = math.sqrt(max(value, 1e-300))
+            else:
+                L[a, b] = value / L[b, b]
+        value = p.Dty[index[a]]
+        for k in range(a):
+            value -= L[a, k] * half[k]
+        half[a] = value / L[a, a]
+        s -= half[a] * half[a]
+        total -= 0.5 * math.log(slab_variance) + math.log(L[a, a])
+    return total - p.h * math.log(0.5 * max(s, p.floor))
+
+
+@kernel
+def least_squares_rss(DtD: Floats, Dty: Floats, yty: float) -> float:
+    """Residual sum of squares of all terms together; columns that depend on earlier ones add nothing."""
+    p = len(Dty)
+    L = np.empty((p, p))
+    half = np.empty(p)
+    s = yty
+    for i in range(p):
+        for j in range(i + 1):
+            value = DtD[i, j]
+            for k in range(j):
+                value -= L[i, k] * L[j, k]
+            if j < i:
+                L[i, j] = value / L[j, j]
+            elif value > DEPENDENT * DtD[i, i]:
+                L[i, i] = math.sqrt(value)
+            else:
+                L[i, i] = math.inf
+        value = Dty[i]
+        for k in range(i):
+            value -= L[i, k] * half[k]
+        half[i] = value / L[i, i]
+        s -= half[i] * half[i]
+    return s
+
+
+def residual_sum(columns: Columns, Dty: Floats, yty: float, dof: float) -> float:
+    """Residual sum of squares of all terms together; 0 where there are as many terms as degrees of freedom."""
+    terms = len(Dty)
+    if terms >= dof:
+        return 0.0
+    if terms <= SMALL:
+        return float(least_squares_rss(columns.rows, Dty, yty))
+    DtD = all_rows(columns)
+    try:
+        half = solve_triangular(np.linalg.cholesky(DtD), Dty, lower=True, check_finite=False)
+        explained = float(half @ half)
+    except np.linalg.LinAlgError:
+        # columns that depend on others
+        values, vectors = np.linalg.eigh(DtD)
+        kept = values > DEPENDENT * values[-1]
+        explained = float(np.sum((vectors[:, kept].T @ Dty) ** 2 / values[kept]))
+    return max(yty - explained, 0.0)

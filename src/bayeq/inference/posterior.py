@@ -1,0 +1,237 @@
+"""What every engine returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayeq.gram import Standardised
+
+__all__ = ["Draws", "ModelAverage", "Posterior"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Draws:
+    """Samples of the posterior by Markov chains, burn-in left out.
+
+    Attributes
+    ----------
+    z : (chains, samples, P) bool array
+        Indicators.
+    theta : (chains, samples, P) array
+        Coefficients, 0 where z is 0.
+    noise_variance : (chains, samples) array
+        sigma^2.
+    log_posterior : (chains, samples) array
+        ln p(y, z) of each sample's model, up to a constant.
+    pip : (chains, P) array
+        Rao-Blackwellised inclusion probabilities of each chain: means of p(z_i = 1 | z_-i, y).
+    """
+
+    z: NDArray[np.bool_]
+    theta: Floats
+    noise_variance: Floats
+    log_posterior: Floats
+    pip: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class ModelAverage:
+    """The posterior over models.
+
+    Attributes
+    ----------
+    models : (K, P) bool array
+        Likeliest first.
+    probability : (K,) array
+        Posterior probabilities within the set; they sum to 1.
+    left_out : float
+        Estimate, erring upwards, of the posterior mass of all other models.
+    terms : (Q,) int array
+        Terms that are in at least one of the models (the likeliest thousand, if there are more).
+    covariance : (Q, Q) array
+        Posterior covariance of the coefficients of these terms over all models: within and between.
+    """
+
+    models: NDArray[np.bool_]
+    probability: Floats
+    left_out: float
+    terms: NDArray[np.intp]
+    covariance: Floats
+
+    def joint_inclusion(self) -> Floats:
+        """Probability that terms i and j are both in, (P, P); the diagonal holds the PIPs."""
+        weighted = self.models * self.probability[:, None]
+        return np.asarray(weighted.T @ self.models.astype(np.float64))
+
+    def credible_groups(self, least: float = 0.05) -> list[tuple[tuple[int, ...], float]]:
+        """Terms that stand in for each other: undecided, and rarely in together.
+
+        Two terms are linked if each has a PIP between `least` and 1 - `least` and they are in together less than half
+        as often as if they were independent; groups are what links connect.
+
+        Returns
+        -------
+        list of (terms, probability)
+            The members of each group and the probability that at least one of them is in.
+        """
+        pip = self.probability @ self.models
+        undecided = np.flatnonzero((pip > least) & (pip < 1.0 - least))
+        chosen = self.models[:, undecided]
+        joint = (chosen * self.probability[:, None]).T @ chosen.astype(np.float64)
+        apart = joint < 0.5 * np.outer(pip[undecided], pip[undecided])
+        np.fill_diagonal(apart, False)
+        groups: list[set[int]] = []
+        for a, row in zip(undecided, apart, strict=True):
+            linked = {int(b) for b in undecided[row]}
+            if linked:
+                touched = [g for g in groups if g & (linked | {int(a)})]
+                merged = {int(a)}.union(linked, *touched)
+                groups = [g for g in groups if g not in touched] + [merged]
+        out = []
+        for group in groups:
+            members = sorted(group, key=lambda j: -pip[j])
+            some = float(self.probability @ self.models[:, members].any(axis=1))
+            out.append((tuple(members), some))
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Posterior of a sparse linear regression, conditional on the selected terms.
+
+    Attributes
+    ----------
+    method : str
+        The engine: "vb", "rvm" ...
+    names : tuple of str
+        The P candidate terms.
+    pip : (P,) array
+        Posterior inclusion probability of each term as the engine states it (for the RVM: its gamma).
+    support : (P,) bool array
+        The selected terms, r of them.
+    coef : (P,) array
+        Posterior mean of the coefficients given the selected set, 0 for a term that is not selected.
+    covariance : (r, r) array
+        Posterior covariance of the selected coefficients.
+    center, target_mean : (P,) array, float
+        Means of the columns and of the target, from which the intercept follows.
+    noise_variance : float
+        Posterior estimate of sigma^2.
+    n : float
+        Rows that the posterior was computed from: an int, or the sum of their weights.
+    elbo : float or None
+        Evidence lower bound, where there is one.
+    elbo_trace : (n_iter,) array
+        ELBO after each sweep.
+    n_iter : int
+        Sweeps or steps taken.
+    converged : bool
+        False if the engine stopped at its iteration limit.
+    slab_variance : float or None
+        v_s under which the posterior was computed.
+    averaged_coef, averaged_sd : (P,) arrays or None
+        Posterior mean and standard deviation of each coefficient over all models, zeros included, where models
+        are averaged.
+    rhat : float or None
+        Multivariate potential scale reduction factor of the chains, where there are any.
+    draws : Draws or None
+        The samples, where they were kept.
+    average : ModelAverage or None
+        The models that were averaged over.
+    optimum : (P,) bool array or None
+        Terms at the optimum of variational Bayes, where the support is another engine's.
+    """
+
+    method: str
+    names: tuple[str, ...]
+    pip: Floats
+    support: NDArray[np.bool_]
+    coef: Floats
+    covariance: Floats
+    center: Floats
+    target_mean: float
+    noise_variance: float
+    n: float
+    elbo: float | None = None
+    elbo_trace: Floats = field(default_factory=lambda: np.empty(0))
+    n_iter: int = 0
+    converged: bool = True
+    slab_variance: float | None = None
+    averaged_coef: Floats | None = None
+    averaged_sd: Floats | None = None
+    rhat: float | None = None
+    draws: Draws | None = None
+    average: ModelAverage | None = None
+    optimum: NDArray[np.bool_] | None = None
+
+    @property
+    def sd(self) -> Floats:
+        """Posterior standard deviation of each coefficient given the selected set, (P,); 0 if not selected."""
+        out = np.zeros(len(self.names))
+        out[self.support] = np.sqrt(np.diagonal(self.covariance))
+        return out
+
+    @property
+    def intercept(self) -> float:
+        """b0 = mean(y) - mean(D) theta, under a flat prior."""
+        return self.target_mean - float(self.center @ self.coef)
+
+    @property
+    def intercept_sd(self) -> float:
+        """Standard deviation of the intercept: sigma^2/n plus what the coefficients' errors carry over."""
+        c = self.center[self.support]
+        return float(np.sqrt(self.noise_variance / self.n + c @ self.covariance @ c))
+
+    def rescaled(self, standard: Standardised) -> Posterior:
+        """The posterior of a standardised regression in original units: theta_i = s_y theta_i^s / s_i.
+
+        Parameters
+        ----------
+        standard : Standardised
+            The Gram that this posterior comes from, and its scales.
+        """
+        factor = standard.target_scale / standard.scale
+        kept = factor[self.support]
+        variance = standard.target_scale**2
+        jacobian = standard.source.dof * float(np.log(standard.target_scale))
+        draws, average = self.draws, self.average
+        return replace(
+            self,
+            # engines see the degrees of freedom only, and round
+            n=standard.source.n,
+            coef=self.coef * factor,
+            covariance=self.covariance * kept[:, None] * kept,
+            center=standard.source.mean,
+            target_mean=standard.source.target_mean,
+            noise_variance=self.noise_variance * variance,
+            elbo=None if self.elbo is None else self.elbo - jacobian,
+            elbo_trace=self.elbo_trace - jacobian,
+            averaged_coef=None if self.averaged_coef is None else self.averaged_coef * factor,
+            averaged_sd=None if self.averaged_sd is None else self.averaged_sd * factor,
+            draws=None
+            if draws is None
+            else replace(draws, theta=draws.theta * factor, noise_variance=draws.noise_variance * variance),
+            average=None
+            if average is None
+            else replace(
+                average, covariance=average.covariance * np.outer(factor[average.terms], factor[average.terms])
+            ),
+        )
+
+    def predict(self, D: ArrayLike) -> Floats:
+        """Predictive mean, eq. (29), at the rows of D (n*, P)."""
+        D = np.asarray(D, dtype=np.float64)
+        kept = self.support
+        return self.intercept + D[:, kept] @ self.coef[kept]
+
+    def predictive_sd(self, D: ArrayLike) -> Floats:
+        """Predictive standard deviation, eq. (30) with the intercept's uncertainty, at the rows of D (n*, P)."""
+        kept = self.support
+        Z = np.asarray(D, dtype=np.float64)[:, kept] - self.center[kept]
+        spread = np.einsum("ij,jk,ik->i", Z, self.covariance, Z)
+        return np.sqrt(spread + self.noise_variance * (1.0 + 1.0 / self.n))

@@ -1,0 +1,1 @@
+"""Known signs of coefficients."""

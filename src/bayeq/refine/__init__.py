@@ -1,0 +1,1 @@
+"""Output error: coefficients whose free runs are closest to the measured channels."""

@@ -1,0 +1,94 @@
+"""What is measured, as free runs are fitted to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.expressions.tape import IndexArray
+from bayeq.forecast.dynamics import Dynamics
+
+__all__ = ["Measured", "Piece"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Rows of a record that parameters are estimated from.
+
+    Attributes
+    ----------
+    time : (n,) array
+        [s].
+    inputs : (n, k, 4) array
+        From `bayeq.ode.rk4.interpolant`.
+    states : (n, d) array
+        Measured or estimated states, from which the initial states of segments are taken at first.
+    channels : (n, m) array
+        What is measured of states and targets; NaN where a sample is missing.
+    """
+
+    time: Floats
+    inputs: Floats
+    states: Floats
+    channels: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What free runs are fitted to.
+
+    Attributes
+    ----------
+    dynamics : Dynamics
+    pieces : sequence of Piece
+        One per record.
+    channels : (m,) uint32 array
+        What the pieces' channels are: state i is i, the derivative of state i is d + i.
+    step : float
+        Longest step of integration [s].
+    low, high : (d,) arrays
+        Range of the states; a run that leaves it has infinite cost.
+    """
+
+    dynamics: Dynamics
+    pieces: Sequence[Piece]
+    channels: IndexArray
+    step: float
+    low: Floats
+    high: Floats
+
+    @cached_property
+    def longest(self) -> int:
+        """Rows of the longest piece."""
+        return max(len(piece.time) for piece in self.pieces)
+
+    @cached_property
+    def rows(self) -> int:
+        """Rows of all pieces."""
+        return sum(len(piece.time) for piece in self.pieces)
+
+    @cached_property
+    def interval(self) -> float:
+        """Between two samples, as a rule [s]."""
+        return float(np.median(np.concatenate([np.diff(piece.time) for piece in self.pieces])))
+
+    @cached_property
+    def last(self) -> IndexArray:
+        """The highest state of each chain."""
+        return np.array(list(self.dynamics.slopes.values()), dtype=np.uint32)
+
+    @cached_property
+    def samples(self) -> NDArray[np.intp]:
+        """Measured samples of each channel, (m,)."""
+        return np.asarray(np.sum([np.isfinite(piece.channels).sum(axis=0) for piece in self.pieces], axis=0))
+
+    @cached_property
+    def spread(self) -> Floats:
+        """Standard deviation of each channel over all pieces, (m,)."""
+        return np.asarray(np.nanstd(np.concatenate([piece.channels for piece in self.pieces]), axis=0))

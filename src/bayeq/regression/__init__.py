@@ -1,0 +1,1 @@
+"""The regression of one equation: from smoothed motion to a posterior."""

@@ -1,0 +1,274 @@
+"""Known relations between the coefficients of an equation, as a user writes them: ``u == 1``, ``v <= 0``.
+
+The name of a candidate term stands for its coefficient, in original units. Equalities are linear and take terms out of
+the regression before inference (`bayeq.regression.equalities`), signs are part of the prior
+(`bayeq.inference.signs.truncation`).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import ExpressionError, InputError, UnknownNameError
+from bayeq.expressions import Binary, Evaluator, Expression, Negate, Node, parse
+from bayeq.gram import Gram
+from bayeq.inference.posterior import Posterior
+from bayeq.inference.prior import Prior
+from bayeq.regression.equalities import Equalities, Linear
+
+__all__ = ["Constraints", "Equalities", "parse_constraints"]
+
+_RELATIONS = "==|<=|>=|!=|<|>|="
+
+_SIGNS_ONLY = "an inequality gives the sign of one coefficient, as in 'v <= 0'; no sums, no bounds other than 0"
+
+
+@dataclass(frozen=True, eq=False)
+class Constraints:
+    """What is known of the coefficients of one equation.
+
+    Attributes
+    ----------
+    equalities : Equalities
+        Linear equations between coefficients.
+    signs : (P,) int array
+        Known signs, 0 for unknown.
+    """
+
+    equalities: Equalities
+    signs: NDArray[np.int64]
+
+    def reduce(self, gram: Gram) -> Gram:
+        """The regression that the equalities leave."""
+        return self.equalities.reduce(gram)
+
+    def expand(self, posterior: Posterior, gram: Gram) -> Posterior:
+        """The posterior of all coefficients from that of the reduced regression; `gram` is the one before."""
+        return self.equalities.expand(posterior, gram)
+
+    def prior(self, prior: Prior) -> Prior:
+        """A prior of all terms, with the signs, as one of the terms that the equalities leave.
+
+        Raises
+        ------
+        InputError
+            Signs that contradict each other or the equalities, or that concern a sum of several coefficients.
+        """
+        names, kept = self.equalities.names, self.equalities.kept
+        prior.validate(len(names))
+        signs = self.signs.copy()
+        for j, sign in enumerate(prior.sign_array(len(names))):
+            _note_sign(signs, j, int(sign), names, "the prior")
+        for e, row, value in zip(
+            self.equalities.eliminated, self.equalities.slopes, self.equalities.offsets, strict=True
+        ):
+            if signs[e] == 0:
+                continue
+            others = np.flatnonzero(row)
+            if len(others) == 0:
+                if signs[e] * value < 0:
+                    raise InputError(
+                        f"constraints: one says that {names[e]} is {value:g}, another that it has the other sign"
+                    )
+            elif len(others) == 1 and value == 0.0:
+                j = others[0]
+                _note_sign(signs, int(kept[j]), int(signs[e] * np.sign(row[j])), names, "the constraints")
+            else:
+                raise InputError(
+                    f"constraints: the sign of {names[e]} would be that of a sum of coefficients, for an equation gives"
+                    f" {names[e]} by others; write another term first in that equation"
+                )
+        inclusion = np.asarray(prior.prior_inclusion, dtype=np.float64)
+        left = signs[kept]
+        return replace(
+            prior,
+            prior_inclusion=inclusion[kept] if inclusion.ndim else prior.prior_inclusion,
+            signs=left if left.any() else None,
+        )
+
+
+def _note_sign(signs: NDArray[np.int64], j: int, sign: int, names: Sequence[str], where: str) -> None:
+    if signs[j] * sign < 0:
+        name = names[j]
+        raise InputError(
+            f"{where}: {name} cannot have both signs; write '{name} == 0', or leave it out of the dictionary"
+        )
+    signs[j] = sign or signs[j]
+
+
+def parse_constraints(
+    texts: str | Sequence[str],
+    terms: Sequence[Expression],
+    targets: Sequence[str],
+    dropped: Mapping[str, str] | None = None,
+) -> tuple[Constraints, ...]:
+    """Read constraints; nothing in them is evaluated as code.
+
+    Parameters
+    ----------
+    texts : str or sequence of str
+        ``"u == 1"``, ``"x*abs(x) == 0.5*x**3"``, ``"x + 2*v == 3"``: linear equations between coefficients;
+        ``"v <= 0"``, ``"x**3 > 0"``: the sign of one (``<`` and ``<=`` mean the same). ``"a: v <= 0"`` concerns the
+        equation of target a only, others concern every equation.
+    terms : sequence of Expression
+        The P candidates.
+    targets : sequence of str
+        Names of the equations' targets.
+    dropped : mapping of str to str, optional
+        Candidates that were left out, each with the reason.
+
+    Returns
+    -------
+    tuple of Constraints
+        One per target.
+
+    Raises
+    ------
+    InputError
+        Malformed text, a term that is not a candidate, equations or signs that contradict each other.
+
+    Examples
+    --------
+    >>> terms = [parse(t) for t in ("x", "v", "u")]
+    >>> (found,) = parse_constraints(["u == 1", "2*x == v", "v <= 0"], terms, ["a"])
+    >>> found.equalities.kept.tolist(), found.signs.tolist()
+    ([1], [0, -1, 0])
+    """
+    texts = [texts] if isinstance(texts, str) else list(texts)
+    reader = _Reader(terms, dropped or {}) if texts else _Reader((), {})
+    names = tuple(term.text for term in terms)
+    equations: dict[str, list[tuple[Linear, str]]] = {target: [] for target in targets}
+    signs = {target: np.zeros(len(terms), dtype=np.int64) for target in targets}
+    for text in texts:
+        if not isinstance(text, str):
+            raise InputError(f"a constraint is text such as 'u == 1', not {text!r}")
+        where = f"constraint {text if len(text) <= 60 else text[:57] + '...'!r}"
+        target, body = _addressed(text, targets, where)
+        left, relation, right = _sides(body, where)
+        difference = reader.read(left, where).plus(reader.read(right, where), -1.0)
+        for t in [target] if target else targets:
+            if relation == "==":
+                equations[t].append((difference, where))
+            else:
+                _note_sign(signs[t], *_sign(difference, relation, where), names, where)
+    found = tuple(Constraints(Equalities.solving(names, equations[t]), signs[t]) for t in targets)
+    for constraints in found:
+        constraints.prior(Prior())  # contradictions are told at once
+    return found
+
+
+def _addressed(text: str, targets: Sequence[str], where: str) -> tuple[str | None, str]:
+    """The target in front of the colon, if there is one, and the rest."""
+    target, colon, body = text.partition(":")
+    if not colon:
+        return None, text
+    if target.strip() not in targets:
+        raise UnknownNameError("equation", target.strip(), targets, where=where)
+    return target.strip(), body
+
+
+def _sides(text: str, where: str) -> tuple[str, str, str]:
+    left, *rest = re.split(f"({_RELATIONS})", text)
+    if len(rest) != 2 or rest[0] in ("=", "!=") or not left.strip() or not rest[1].strip():
+        raise InputError(f"{where}: write one ==, <= or >= between two sides, as in 'u == 1' or 'v <= 0'")
+    return left.strip(), rest[0], rest[1].strip()
+
+
+def _sign(difference: Linear, relation: str, where: str) -> tuple[int, int]:
+    """The one term of a difference, and the sign that it has."""
+    if difference.constant != 0.0 or len(difference.slopes) != 1:
+        raise InputError(f"{where}: {_SIGNS_ONLY}")
+    ((j, slope),) = difference.slopes.items()
+    return j, int(math.copysign(1.0, slope)) * (1 if relation.startswith(">") else -1)
+
+
+class _Reader:
+    """From text to linear combinations of the coefficients of candidate terms."""
+
+    def __init__(self, terms: Sequence[Expression], dropped: Mapping[str, str]) -> None:
+        self.names = [term.text for term in terms]
+        self.dropped = list(dropped.items())
+        # candidates as written, and as products whatever their order; those that were left out count down from -1
+        self.trees: dict[Node, int] = {}
+        self.products: dict[frozenset[tuple[Node, float]], int] = {}
+        for j, term in enumerate(terms):
+            self._enter(term, j)
+        for k, (name, _) in enumerate(self.dropped):
+            self._enter(parse(name), -1 - k)
+
+    def _enter(self, term: Expression, j: int) -> None:
+        self.trees.setdefault(term.tree, j)
+        number, factors = _product(term.tree)
+        if number == 1.0:
+            self.products.setdefault(frozenset(factors.items()), j)
+
+    def read(self, text: str, where: str) -> Linear:
+        try:
+            tree = parse(text).tree
+        except ExpressionError as error:
+            raise ExpressionError(f"{where}: {error}") from error
+        out = self._linear(tree, where)
+        if not all(map(math.isfinite, (out.constant, *out.slopes.values()))):
+            raise InputError(f"{where}: a number is not finite")
+        return out
+
+    def _linear(self, node: Node, where: str) -> Linear:
+        if not Expression(node).names:
+            return Linear({}, _number(node))
+        j = self.trees.get(node)
+        if j is not None:
+            return self._term(j, 1.0, where)
+        if isinstance(node, Negate):
+            return self._linear(node.operand, where).times(-1.0)
+        if isinstance(node, Binary) and node.op in "+-":
+            right = self._linear(node.right, where)
+            return self._linear(node.left, where).plus(right, 1.0 if node.op == "+" else -1.0)
+        number, factors = _product(node)
+        j = self.products.get(frozenset(factors.items()))
+        if j is not None:
+            return self._term(j, number, where)
+        if list(factors.values()) == [1.0]:
+            (only,) = factors
+            if isinstance(only, Negate) or (isinstance(only, Binary) and only.op in "+-"):
+                return self._linear(only, where).times(number)
+        raise UnknownNameError("candidate term", Expression(node).text, self.names, where=where)
+
+    def _term(self, j: int, number: float, where: str) -> Linear:
+        if j < 0:
+            name, reason = self.dropped[-1 - j]
+            raise InputError(f"{where}: term {name} was left out of the dictionary: {reason}")
+        return Linear({j: number} if number != 0.0 else {}, 0.0)
+
+
+def _number(node: Node) -> float:
+    return float(Evaluator({})(Expression(node)))
+
+
+def _product(node: Node) -> tuple[float, dict[Node, float]]:
+    """A term as a number times powers of factors: ``v*x/2`` is 0.5 and {v: 1, x: 1}."""
+    if not Expression(node).names:
+        return _number(node), {}
+    if isinstance(node, Negate):
+        number, factors = _product(node.operand)
+        return -number, factors
+    if isinstance(node, Binary) and node.op in "*/":
+        number, factors = _product(node.left)
+        other, more = _product(node.right)
+        power = 1.0 if node.op == "*" else -1.0
+        for base, exponent in more.items():
+            factors[base] = factors.get(base, 0.0) + power * exponent
+        with np.errstate(all="ignore"):
+            number = float(np.multiply(number, np.power(other, power)))
+        return number, {base: exponent for base, exponent in factors.items() if exponent != 0.0}
+    if isinstance(node, Binary) and node.op == "**" and not Expression(node.right).names:
+        power = _number(node.right)
+        number, factors = _product(node.left)
+        if number == 1.0 and len(factors) == 1 and power.is_integer() and power != 0.0:
+            return 1.0, {base: exponent * power for base, exponent in factors.items()}
+    return 1.0, {node: 1.0}

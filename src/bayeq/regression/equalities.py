@@ -1,0 +1,266 @@
+"""Linear equations between the coefficients of a regression, as algebra on its Gram matrix.
+
+Each equation eliminates one coefficient. With e the eliminated and k the kept ones, theta_e = q + C theta_k, the
+regression of y - D_e q on D_k + D_e C has all its statistics in those of y on D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import InputError
+from bayeq.gram import Gram
+from bayeq.inference.posterior import Draws, ModelAverage, Posterior
+
+__all__ = ["Equalities", "Linear"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# A difference smaller than this share of what it is the difference of is rounding.
+ROUNDING = 1e-12
+
+
+def _sum(a: float, b: float) -> float:
+    return 0.0 if abs(a + b) <= ROUNDING * (abs(a) + abs(b)) else a + b
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """A linear combination of coefficients and a constant.
+
+    Attributes
+    ----------
+    slopes : dict
+        Factor of each coefficient by its place in the dictionary, in the order of the text; none is 0.
+    constant : float
+    """
+
+    slopes: dict[int, float]
+    constant: float
+
+    def plus(self, other: Linear, factor: float = 1.0) -> Linear:
+        """The sum of this and a multiple of another; what cancels but for rounding is gone."""
+        slopes = dict(self.slopes)
+        for j, slope in other.slopes.items():
+            slopes[j] = _sum(slopes.get(j, 0.0), factor * slope)
+        return Linear({j: s for j, s in slopes.items() if s != 0.0}, _sum(self.constant, factor * other.constant))
+
+    def times(self, factor: float) -> Linear:
+        """A multiple."""
+        return Linear({}, 0.0).plus(self, factor)
+
+    def without(self, j: int, value: Linear) -> Linear:
+        """The combination with coefficient j replaced by what it equals."""
+        if j not in self.slopes:
+            return self
+        rest = {i: slope for i, slope in self.slopes.items() if i != j}
+        return Linear(rest, self.constant).plus(value, self.slopes[j])
+
+
+@dataclass(frozen=True, eq=False)
+class Equalities:
+    """Solved linear equations theta_e = q + C theta_k.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The P terms.
+    kept, eliminated : (F,), (E,) int arrays
+        Terms that inference is left with, and those that follow from them.
+    slopes, offsets : (E, F), (E,) arrays
+        C and q.
+
+    Examples
+    --------
+    >>> half = Linear({0: 1.0, 1: -0.5}, 0.0)  # theta_0 - 0.5 theta_1 = 0
+    >>> Equalities.solving(("x", "v", "u"), [(half, "x == 0.5*v")]).slopes
+    array([[0.5, 0. ]])
+    """
+
+    names: tuple[str, ...]
+    kept: NDArray[np.intp]
+    eliminated: NDArray[np.intp]
+    slopes: Floats
+    offsets: Floats
+
+    def basis(self, support: Bools) -> Floats:
+        """How the r coefficients of some terms move with the free ones among them, (r, f).
+
+        Parameters
+        ----------
+        support : (P,) bool array
+            The terms.
+        """
+        whole = np.zeros((len(self.names), len(self.kept)))
+        whole[self.kept, np.arange(len(self.kept))] = 1.0
+        whole[self.eliminated] = self.slopes
+        return whole[np.ix_(support, support[self.kept])]
+
+    @classmethod
+    def solving(cls, names: Sequence[str], equations: Sequence[tuple[Linear, str]]) -> Equalities:
+        """Solve equations (a combination that is zero, and where it was stated), each for its first term if it can be.
+
+        Raises
+        ------
+        InputError
+            Equations that contradict each other, or that leave no term to find.
+        """
+        solved: dict[int, Linear] = {}
+        for equation, where in equations:
+            rest = equation
+            for j, value in solved.items():
+                rest = rest.without(j, value)
+            first = next((j for j in (*equation.slopes, *rest.slopes) if j in rest.slopes), None)
+            if first is None:
+                if rest.constant != 0.0:
+                    raise InputError(f"{where}: contradicts itself or the constraints before it")
+                continue
+            slope = rest.slopes[first]
+            value = Linear({j: s for j, s in rest.slopes.items() if j != first}, rest.constant).times(-1.0 / slope)
+            solved = {j: other.without(first, value) for j, other in solved.items()} | {first: value}
+        if len(solved) == len(names):
+            raise InputError("the constraints fix every coefficient: nothing is left to find")
+        eliminated = np.array(sorted(solved), dtype=np.intp)
+        kept = np.setdiff1d(np.arange(len(names)), eliminated)
+        slopes = np.zeros((len(eliminated), len(names)))
+        for row, j in zip(slopes, eliminated, strict=True):
+            row[list(solved[int(j)].slopes)] = list(solved[int(j)].slopes.values())
+        offsets = np.array([solved[int(j)].constant for j in eliminated], dtype=np.float64)
+        if not (np.isfinite(slopes).all() and np.isfinite(offsets).all()):
+            raise InputError("constraints: numbers too far apart to solve the equations")
+        return cls(tuple(names), kept, eliminated, slopes[:, kept], offsets)
+
+    def reduce(self, gram: Gram) -> Gram:
+        """Statistics of y - D_e q on D_k + D_e C; those of `gram` itself if there are no equations.
+
+        Columns that cancel but for rounding are columns of zeros.
+        """
+        if not len(self.eliminated):
+            return gram
+        k, e, C, q = self.kept, self.eliminated, self.slopes, self.offsets
+        cross, own = gram.DtD[np.ix_(e, k)], gram.DtD[np.ix_(e, e)]
+        mixed = C.T @ cross
+        DtD = gram.DtD[np.ix_(k, k)] + (mixed + mixed.T) + C.T @ (own @ C)
+        Dty = gram.Dty - q @ gram.DtD[e]
+        Dty = Dty[k] + C.T @ Dty[e]
+        yty, moved = gram.yty, float(q @ own @ q)
+        rest = yty - 2.0 * float(q @ gram.Dty[e]) + moved
+        gone = np.diagonal(DtD) <= ROUNDING * (gram.diagonal[k] + gram.diagonal[e] @ C**2)
+        gone &= (C != 0.0).any(axis=0)
+        DtD[gone], DtD[:, gone], Dty[gone] = 0.0, 0.0, 0.0
+        if rest <= ROUNDING * (yty + moved):
+            rest, Dty = 0.0, np.zeros_like(Dty)
+        return replace(
+            gram,
+            names=tuple(self.names[j] for j in k),
+            mean=gram.mean[k] + C.T @ gram.mean[e],
+            target_mean=gram.target_mean - float(q @ gram.mean[e]),
+            DtD=DtD,
+            Dty=Dty,
+            yty=rest,
+        )
+
+    def expand(self, posterior: Posterior, gram: Gram) -> Posterior:
+        """The posterior of all P coefficients.
+
+        An eliminated term is in where a constant or one of the terms that it follows from is: so are its PIP (from the
+        models averaged over or the draws; without them the largest PIP of those terms) and its place in the support.
+
+        Parameters
+        ----------
+        posterior : Posterior
+            Of the reduced regression, in original units.
+        gram : Gram
+            Before `reduce`.
+        """
+        if not len(self.eliminated):
+            return posterior
+        support = self._any(posterior.support)
+        jacobian = self._jacobian(support, posterior.support)
+        draws = None if posterior.draws is None else self._draws(posterior.draws)
+        average = None if posterior.average is None else self._average(posterior.average)
+        return replace(
+            posterior,
+            names=self.names,
+            pip=self._pip(posterior, average, draws),
+            support=support,
+            coef=self._values(posterior.coef),
+            covariance=jacobian @ posterior.covariance @ jacobian.T,
+            center=gram.mean,
+            target_mean=gram.target_mean,
+            averaged_coef=None if posterior.averaged_coef is None else self._values(posterior.averaged_coef),
+            averaged_sd=None if posterior.averaged_sd is None else self._averaged_sd(posterior, draws),
+            draws=draws,
+            average=average,
+            optimum=None if posterior.optimum is None else self._any(posterior.optimum),
+        )
+
+    def _full(self, kept: NDArray[Any], eliminated: NDArray[Any]) -> NDArray[Any]:
+        """Kept and eliminated ones (along the last axis) in their places."""
+        out = np.empty((*kept.shape[:-1], len(self.names)), dtype=kept.dtype)
+        out[..., self.kept], out[..., self.eliminated] = kept, eliminated
+        return out
+
+    def _values(self, theta: Floats) -> Floats:
+        return self._full(theta, theta @ self.slopes.T + self.offsets)
+
+    def _any(self, inside: Bools) -> Bools:
+        """Which of all terms are in, by which of the kept ones are."""
+        linked = (self.slopes != 0.0).T.astype(np.float64)
+        return self._full(inside, (inside @ linked > 0.5) | (self.offsets != 0.0))
+
+    def _jacobian(self, rows: Bools, columns: Bools) -> Floats:
+        """Derivatives of some of the coefficients with respect to some of the kept ones."""
+        whole = np.zeros((len(self.names), len(self.kept)))
+        whole[self.kept, np.arange(len(self.kept))] = 1.0
+        whole[self.eliminated] = self.slopes
+        return whole[np.ix_(rows, columns)]
+
+    def _pip(self, posterior: Posterior, average: ModelAverage | None, draws: Draws | None) -> Floats:
+        if average is not None:
+            pip = np.minimum(average.probability @ average.models[:, self.eliminated], 1.0)
+        elif draws is not None:
+            pip = draws.pip[:, self.eliminated].mean(axis=0)
+        else:
+            pip = np.where(self.slopes != 0.0, posterior.pip, 0.0).max(axis=1)
+        return self._full(posterior.pip, np.where(self.offsets != 0.0, 1.0, pip))
+
+    def _averaged_sd(self, posterior: Posterior, draws: Draws | None) -> Floats:
+        assert posterior.averaged_sd is not None
+        sd, average = posterior.averaged_sd, posterior.average
+        if draws is not None:
+            found = draws.theta[..., self.eliminated].std(axis=(0, 1))
+        elif average is not None and len(average.terms) == np.count_nonzero(average.models.any(axis=0)):
+            C = self.slopes[:, average.terms]
+            found = np.sqrt(np.maximum(np.einsum("ei,ij,ej->e", C, average.covariance, C), 0.0))
+        else:
+            # without covariances the most that it can be, which is exact where it follows from one term
+            found = np.abs(self.slopes) @ sd
+        return self._full(sd, found)
+
+    def _draws(self, draws: Draws) -> Draws:
+        z = self._any(draws.z)
+        return replace(
+            draws,
+            z=z,
+            theta=self._values(draws.theta),
+            pip=self._full(draws.pip, z[..., self.eliminated].mean(axis=1)),
+        )
+
+    def _average(self, average: ModelAverage) -> ModelAverage:
+        listed = np.zeros(len(self.kept), dtype=np.bool_)
+        listed[average.terms] = True
+        among = self._any(listed)
+        jacobian = self._jacobian(among, listed)
+        return replace(
+            average,
+            models=self._any(average.models),
+            terms=np.flatnonzero(among),
+            covariance=jacobian @ average.covariance @ jacobian.T,
+        )

@@ -1,0 +1,1 @@
+"""Which terms an equation shows; posterior inclusion probabilities are left as they are."""

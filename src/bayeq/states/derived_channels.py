@@ -1,0 +1,148 @@
+"""Channels that were computed from a lower derivative of their chain, not measured.
+
+A velocity may be a sensor's, or somebody differentiated and smoothed the displacement. The second kind tells nothing
+that the displacement does not, and its errors are the displacement's, filtered: to fuse both as if their errors were
+independent counts the same noise twice, and the filter's gain, below 1, is taken for the motion. The two are told apart
+by a filter of the lower channel fitted to the higher one. Of a sensor's velocity it leaves the sensor's noise and,
+besides, the displacement's own noise, which the filter lets through and the velocity does not have. Of a computed
+velocity it leaves next to nothing, less than that noise of the displacement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import comb
+
+from bayeq.records import Record
+from bayeq.states.chain import Chain
+from bayeq.states.derive import usable
+from bayeq.states.kinematic.chain_smoother import smooth_chain
+from bayeq.states.uniform_grid import on_grid
+
+__all__ = ["measured_apart"]
+
+Floats = NDArray[np.float64]
+
+# Samples on either side that a filter takes in, and rows per sample without which none is fitted; more rows than so
+# many are not needed.
+REACH = 16
+LEAST_ROWS = 10
+MOST_ROWS = 20_000
+
+# What is left is computed if it is less than this share of the noise that the filter lets through. Measured channels
+# leave more than all of it.
+COMPUTED = 0.5
+
+# Noise smaller than this share of a channel is not told from rounding.
+LEAST_NOISE = 1e-4
+
+# Directions of neighbouring samples smaller than this share of the largest are rounding.
+ROUNDING = 1e-13
+
+# Differences of this order are mostly noise.
+DIFFERENCES = 8
+
+
+def measured_apart(
+    records: Sequence[Record], chains: Sequence[Chain], holdout: float = 0.0
+) -> tuple[tuple[Chain, ...], list[str]]:
+    """The chains without channels that were computed from a lower one.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of one system.
+    chains : sequence of Chain
+        Coordinates and their derivatives.
+    holdout : float
+        Share of the rows, the last of each record, that noise levels are not learned from.
+
+    Returns
+    -------
+    tuple of Chain, list of str
+        Such channels keep their names and are to be estimated; and a message for each chain that has some.
+    """
+    out, messages = [], []
+    for chain in chains:
+        computed = _computed(records, chain, holdout) if sum(m is not None for m in chain.measured) > 1 else []
+        if computed:
+            source = chain.measured[chain.lowest]
+            messages.append(
+                f"{', '.join(chain.names[k] for k in computed)}: computed from {source}, not measured: a filter of"
+                f" {source} gives the samples to less than the noise of {source}. They tell nothing more and are"
+                f" estimated from {source}; smooth='none' takes them as they are"
+            )
+            measured = tuple(None if k in computed else name for k, name in enumerate(chain.measured))
+            called = tuple(name if k in computed else chain.own_name(k) for k, name in enumerate(chain.measured))
+            chain = Chain(measured, tuple(None if m else c for m, c in zip(measured, called, strict=True)))
+        out.append(chain)
+    return tuple(out), messages
+
+
+def _computed(records: Sequence[Record], chain: Chain, holdout: float) -> list[int]:
+    """Orders of the derivatives that were computed from the lowest measured one."""
+    names = [name for name in chain.measured if name is not None]
+    if not all(name in record.channels and usable(record[name]) for record in records for name in names):
+        # told of where channels are checked
+        return []
+    even = [on_grid(record, names, ()) for record in records]
+    if not all(record.is_uniform() for record in even):
+        return []
+    cuts = [record.n - int(holdout * record.n) for record in even]
+    source = names[0]
+    noise = _rough_noise([record[source][:cut] for record, cut in zip(even, cuts, strict=True)])
+    suspected = []
+    for k, name in enumerate(chain.measured):
+        if name is None or name == source:
+            continue
+        fitted = _filter(even, cuts, source, name)
+        if fitted is not None and fitted[0] < COMPUTED * fitted[1] * noise:
+            suspected.append((k, *fitted))
+    if not suspected:
+        return []
+    # the noise of the lowest channel as it is known alone
+    alone = smooth_chain(even, Chain(_only(chain, chain.lowest)), cuts)
+    if alone is None or alone[1].noise_ratio < LEAST_NOISE:
+        return []
+    noise = float(alone[1].model.noise_sd[chain.lowest] or 0.0)
+    return [k for k, left, gain in suspected if left < COMPUTED * gain * noise]
+
+
+def _only(chain: Chain, order: int) -> tuple[str | None, ...]:
+    return tuple(name if k == order else None for k, name in enumerate(chain.measured))
+
+
+def _rough_noise(pieces: Sequence[Floats]) -> float:
+    """Standard deviation of white noise, if differences of a high order held nothing else: an upper bound."""
+    differences = np.concatenate([np.diff(piece, DIFFERENCES) for piece in pieces])
+    known = differences[np.isfinite(differences)]
+    return float(np.sqrt(np.mean(known**2) / comb(2 * DIFFERENCES, DIFFERENCES))) if len(known) else 0.0
+
+
+def _filter(records: Sequence[Record], cuts: Sequence[int], source: str, name: str) -> tuple[float, float] | None:
+    """Least-squares filter from one channel to another: standard deviation of what it leaves, and its gain for white
+    noise; None of too few rows."""
+    blocks, targets = [], []
+    rows = 0
+    for record, cut in zip(records, cuts, strict=True):
+        x, y = np.asarray(record[source][:cut]), np.asarray(record[name][:cut])
+        if len(x) <= 2 * REACH or rows > MOST_ROWS:
+            continue
+        X = np.lib.stride_tricks.sliding_window_view(x[:MOST_ROWS], 2 * REACH + 1)
+        Y = y[REACH : REACH + len(X)]
+        known = np.isfinite(X).all(axis=1) & np.isfinite(Y)
+        blocks.append(X[known])
+        targets.append(Y[known])
+        rows += int(known.sum())
+    taps = 2 * REACH + 1
+    if rows < LEAST_ROWS * taps:
+        return None
+    X, Y = np.concatenate(blocks), np.concatenate(targets)
+    centre, middle = X.mean(axis=0), Y.mean()
+    # neighbouring samples are nearly the same: directions that are rounding are left out
+    weights = np.linalg.lstsq((X - centre).T @ (X - centre), (X - centre).T @ (Y - middle), rcond=ROUNDING)[0]
+    left = Y - middle - (X - centre) @ weights
+    return float(np.sqrt(left @ left / (rows - taps - 1))), float(np.linalg.norm(weights))

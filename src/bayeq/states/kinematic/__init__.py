@@ -1,0 +1,1 @@
+"""The kinematic smoother: every measured channel of a chain fused, all derivatives from one motion."""

@@ -1,0 +1,315 @@
+"""States by the kinematic smoother: every measured channel of a chain fused, all derivatives from one motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from bayeq.errors import InputError
+from bayeq.records import Record
+from bayeq.states.chain import Chain
+from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, fit_kinematic, smooth_kinematic
+
+__all__ = ["ChainSmoothing", "smooth_chain"]
+
+Floats = NDArray[np.float64]
+
+# The smoother is trusted to follow the motion where its gain exceeds this.
+LEAST_GAIN = 0.9
+
+# A smoother's filter reaches over so many times as many samples as the inverse of its band's width.
+REACH = 4.0
+
+# Steps of time that differ by a smaller share count as one.
+UNIFORM = 1e-3
+
+# A factor between units this near to a usual one is that one.
+SNAP = 0.1
+GRAVITY = 9.80665
+
+# Units are compared in chains of up to so many derivatives.
+MOST_DERIVATIVES = 3
+
+# A signal comes out of its noise where its density, averaged over so many bins on either side (at most this share of
+# them), exceeds that of the noise by this factor, and by what chance exceeds with this probability.
+LOW_SMOOTHING = 8
+SHARE_OF_BINS = 1 / 16
+EMERGED = 3.0
+CHANCE = 1e-3
+
+# Share of the bins that a Hann window leaves independent.
+INDEPENDENT = 0.6
+
+# Fewer rows than this in all do not tell noise from motion.
+LEAST_ROWS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class ChainSmoothing:
+    """How a chain was smoothed.
+
+    Attributes
+    ----------
+    model : KinematicModel
+        Noise levels and roughness, shared by all records.
+    fs : float or None
+        Sampling rate [Hz], if all records are sampled uniformly at one rate.
+    noise_ratio : float
+        Noise of the noisiest measured state (all derivatives but the highest, unless that alone is measured), over the
+        standard deviation of its channel.
+    unit_gains : (K+1,) array
+        Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies.
+    coordinate_sd : float or None
+        Where the coordinate is not measured: the standard deviation with which each of its samples is taken to be zero,
+        so that it is bounded.
+    """
+
+    model: KinematicModel
+    fs: float | None
+    noise_ratio: float
+    unit_gains: Floats
+    coordinate_sd: float | None = None
+
+    def information(self, frequency: Floats) -> Floats:
+        """J(f), the inverse variance of the noise in the coordinate at frequencies [Hz]: sum of omega^(2k)/R_k."""
+        fs = 1.0 if self.fs is None else self.fs
+        omega = np.maximum(2.0 * np.pi * np.asarray(frequency), 1e-6 * fs)
+        out = np.zeros_like(omega)
+        for k, sd in self.measured_noise():
+            out += omega ** (2 * k) / sd**2
+        return out
+
+    def measured_noise(self) -> list[tuple[int, float]]:
+        """Each measured derivative with the standard deviation of its noise."""
+        assumed = self.coordinate_sd is not None
+        return [(k, sd) for k, sd in enumerate(self.model.noise_sd) if sd is not None and not (assumed and k == 0)]
+
+    def gain(self, frequency: Floats) -> Floats:
+        """Gain of the smoother at frequencies [Hz], the same for all derivatives: signal over signal and noise.
+
+        The Wiener gain J/(J + 1/S + 1/b^2) of uniform sampling, where S = Q/(dt omega^(2m)) is the density of the
+        coordinate under the model, J the information of the channels on it and b what bounds it.
+        """
+        fs = 1.0 if self.fs is None else self.fs
+        omega = np.maximum(2.0 * np.pi * np.asarray(frequency), 1e-6 * fs)
+        density = self.model.spectral_density * fs / omega ** (2 * self.model.order)
+        information = self.information(frequency)
+        bound = 0.0 if self.coordinate_sd is None else 1.0 / self.coordinate_sd**2
+        return np.asarray(density * information / (1.0 + density * (information + bound)))
+
+    def follow(self, values: Floats) -> Floats:
+        """Columns (n, k) as the smoother would show them: filtered by its gain, reflected at the ends.
+
+        Sampled uniformly; otherwise they are left as they are.
+        """
+        n = len(values)
+        if self.fs is None or n < 3 or not values.shape[1]:
+            return values
+        reach = min(n - 1, int(np.ceil(REACH * self.fs / max(self.band[1], self.fs / n))))
+        padded = np.pad(values, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+        size = len(padded)
+        gain = self.gain(np.asarray(np.fft.rfftfreq(size, 1.0 / self.fs), dtype=np.float64))
+        # what does not change passes, though it is no motion where the coordinate was integrated
+        gain[0] = 1.0
+        filtered = np.fft.irfft(gain[:, None] * np.fft.rfft(padded, axis=0), size, axis=0)
+        return np.asarray(filtered[reach : reach + n])
+
+    def inner(self, n: int) -> slice:
+        """Of n rows those that are further from either end than the smoother's memory: there it knows least.
+
+        At most a tenth of the rows is left out at either end.
+        """
+        memory = 0 if self.fs is None else int(np.ceil(self.fs / max(self.band[1], self.fs / max(n, 1))))
+        reach = min(memory, n // 10)
+        return slice(reach, n - reach)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies [Hz] between which the smoother follows the motion: gain above 0.9."""
+        assert self.fs is not None
+        grid = np.linspace(0.0, 0.5 * self.fs, 4000)[1:]
+        gain = self.gain(grid)
+        above = np.flatnonzero(gain >= LEAST_GAIN)
+        if not len(above):
+            return 0.0, 0.0
+        first = int(above[0]) if self.coordinate_sd is not None else 0
+        below = np.flatnonzero(gain[first:] < LEAST_GAIN)
+        low = float(grid[first]) if first else 0.0
+        return low, (float(grid[first + below[0]]) if len(below) else 0.5 * self.fs)
+
+
+def _series(record: Record, chain: Chain) -> ChainSeries:
+    assert record.time is not None
+    channels = tuple(None if name is None else np.array(record[name]) for name in chain.measured)
+    return ChainSeries(np.array(record.time), channels)
+
+
+def _rate(series: Sequence[ChainSeries]) -> float | None:
+    """The one sampling rate of uniformly sampled records."""
+    steps = np.concatenate([np.diff(s.times) for s in series])
+    step = float(np.mean(steps))
+    return 1.0 / step if bool((np.abs(steps - step) <= UNIFORM * step).all()) else None
+
+
+def _derivative_lines(samples: Floats, step: float, order: int) -> NDArray[np.complex128]:
+    """Transform of a Hann window times the derivative of a signal, from the signal by the product rule."""
+    n = len(samples)
+    phase = 2.0 * np.pi * (np.arange(n) + 0.5) / n
+    rate = 2.0 * np.pi / (n * step)
+    windows = (0.5 - 0.5 * np.cos(phase), 0.5 * rate * np.sin(phase), 0.5 * rate**2 * np.cos(phase))
+    omega = 2j * np.pi * np.fft.rfftfreq(n, step)
+    a, b, c = (np.fft.rfft(window * samples) for window in windows)
+    whole = (a, omega * a - b, omega**2 * a - 2.0 * omega * b + c)[order]
+    return np.asarray(whole[2:])
+
+
+def _bridged(samples: Floats | None) -> Floats:
+    """The samples, missing ones interpolated."""
+    assert samples is not None
+    known = np.flatnonzero(np.isfinite(samples))
+    return np.asarray(np.interp(np.arange(len(samples)), known, samples[known]))
+
+
+def _unit_gain(series: Sequence[ChainSeries], low: int, high: int) -> float:
+    """Factor between the unit of a derivative and that which a lower one implies: 0.001 for v in m/s with x in mm.
+
+    From the strongest lines of both spectra. A factor near a power of ten or the acceleration of gravity is taken for
+    it; others are left as they are found, signs too.
+    """
+    found: list[float] = []
+    weight: list[float] = []
+    for s in series:
+        x, y = _bridged(s.channels[low]), _bridged(s.channels[high])
+        expected = _derivative_lines(x - x.mean(), s.step, high - low)
+        given = _derivative_lines(y - y.mean(), s.step, 0)
+        strength = np.abs(_derivative_lines(x - x.mean(), s.step, 0)) * np.abs(given)
+        lines = np.argsort(-strength)[: max(5, s.n // 100)]
+        found.extend((np.real(given[lines] * expected[lines].conj()) / np.abs(expected[lines]) ** 2).tolist())
+        weight.extend(strength[lines].tolist())
+    order = np.argsort(found)
+    share = np.cumsum(np.array(weight)[order])
+    gain = float(np.array(found)[order][np.searchsorted(share, 0.5 * share[-1])])
+    if gain == 0.0 or not np.isfinite(gain):
+        return 1.0
+    units = (10.0 ** round(float(np.log10(abs(gain)))), GRAVITY, 1.0 / GRAVITY)
+    nearest = min(units, key=lambda unit: abs(float(np.log(abs(gain) / unit))))
+    return float(np.copysign(nearest, gain)) if abs(abs(gain) / nearest - 1.0) < SNAP else gain
+
+
+def _unit_gains(series: Sequence[ChainSeries]) -> Floats:
+    """Factor of each derivative relative to the unit that the lowest measured one implies."""
+    gains = np.ones(len(series[0].channels))
+    first, *others = series[0].measured
+    if _rate(series) is not None and len(gains) <= MOST_DERIVATIVES:
+        for k in others:
+            gains[k] = _unit_gain(series, first, k)
+        for k in range(len(gains)):
+            if k not in series[0].measured and k > 0:
+                gains[k] = gains[k - 1]
+    return gains
+
+
+def smooth_chain(
+    records: Sequence[Record], chain: Chain, rows: Sequence[int] | None = None
+) -> tuple[list[Floats], ChainSmoothing] | None:
+    """States of a chain in some records.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        With time; NaN is a missing sample.
+    chain : Chain
+        With at least one measured derivative.
+    rows : sequence of int, optional
+        Rows of each record that the noise levels are learned from, the first; the others are smoothed apart, so that
+        nothing is carried from these to those. By default all.
+
+    Returns
+    -------
+    list of (n, K+1) array, ChainSmoothing
+        Smoothed derivatives of order 0 to K of each record, each in the unit of its channel. None where the records are
+        too short to tell noise from motion.
+    """
+    cuts = [record.n for record in records] if rows is None else list(rows)
+    if sum(cuts) < LEAST_ROWS * (chain.order + 1) or min(cuts) < 2:
+        return None
+    whole = [_series(record, chain) for record in records]
+    series = [s.take(slice(0, cut)) for s, cut in zip(whole, cuts, strict=True)]
+    gains = _unit_gains(series)
+    try:
+        model = fit_kinematic([_in_units(s, gains) for s in series])
+    except InputError:
+        # a channel with too few samples, or one that never changes
+        return None
+    bound = None
+    if chain.lowest > 0:
+        bound = _coordinate_sd(series, chain.lowest, model)
+        if bound is None:
+            return None
+        whole, model = [_bounded(s) for s in whole], replace(model, noise_sd=(bound, *model.noise_sd[1:]))
+    means = []
+    for s, cut in zip(whole, cuts, strict=True):
+        parts = [s.take(slice(0, cut)), *([s.take(slice(cut, s.n))] if s.n - cut > 1 else [])]
+        smoothed = [smooth_kinematic(_in_units(part, gains), model).mean[:, : chain.order + 1] for part in parts]
+        if s.n - cut == 1:
+            smoothed.append(smoothed[0][-1:])
+        means.append(np.concatenate(smoothed) * gains)
+    states = [k for k in series[0].measured if k < chain.order] or list(series[0].measured)
+    ratio = 0.0
+    for k in states:
+        samples = np.concatenate([np.asarray(s.channels[k]) for s in series])
+        ratio = max(ratio, float(model.noise_sd[k] or 0.0) * abs(gains[k]) / float(np.nanstd(samples)))
+    return means, ChainSmoothing(model, _rate(series), ratio, gains, bound)
+
+
+def _bounded(series: ChainSeries) -> ChainSeries:
+    """With a channel of zeros for the coordinate."""
+    return ChainSeries(series.times, (np.zeros(series.n), *series.channels[1:]))
+
+
+def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicModel) -> float | None:
+    """How near to zero the samples of an unmeasured coordinate are taken to be.
+
+    Integrating the channel multiplies its noise by 1/omega^lowest, which is without bound. Below the frequency f_low at
+    which its signal comes out of its noise nothing is known of the coordinate but that it does not run away: zeros of
+    the standard deviation sigma/omega_low^lowest weigh there as much as the channel does at f_low.
+
+    Returns
+    -------
+    float or None
+        None for records at uneven steps, and where the signal never comes out of the noise.
+    """
+    fs, noise = _rate(series), model.noise_sd[lowest]
+    if fs is None or noise is None:
+        return None
+    longest = max(series, key=lambda s: s.n)
+    level, freedom = _density(_bridged(longest.channels[lowest]))
+    # the noise at the low end, if there is more of it than the smoother found
+    peak = int(np.argmax(level))
+    noise = max(noise, float(np.sqrt(level[: peak + 1].min())))
+    by_chance = float(chdtri(freedom, CHANCE / len(level))) / freedom
+    above = np.flatnonzero(level[1:] > max(EMERGED, by_chance) * noise**2)
+    if not len(above):
+        return None
+    low = float(np.fft.rfftfreq(longest.n, 1.0 / fs)[1 + above[0]])
+    return float(noise / (2.0 * np.pi * low) ** lowest)
+
+
+def _density(samples: Floats) -> tuple[Floats, float]:
+    """Density of a channel, averaged over neighbouring bins (white noise has its variance), and degrees of freedom."""
+    window = np.hanning(len(samples))
+    power = np.abs(np.fft.rfft(window * (samples - samples.mean()))) ** 2 / float(window @ window)
+    half = min(LOW_SMOOTHING, int(SHARE_OF_BINS * len(power)))
+    average = np.full(2 * half + 1, 1.0 / (2 * half + 1))
+    density = np.convolve(np.pad(power, half, mode="reflect"), average, "valid")
+    return np.asarray(density), max(2.0, INDEPENDENT * 2.0 * (2 * half + 1))
+
+
+def _in_units(series: ChainSeries, gains: Floats) -> ChainSeries:
+    """The samples in units that belong together."""
+    channels = tuple(None if c is None else c / g for c, g in zip(series.channels, gains, strict=True))
+    return ChainSeries(series.times, channels)

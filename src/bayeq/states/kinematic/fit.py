@@ -1,0 +1,342 @@
+"""Noise levels and roughness of a chain by maximum likelihood, its order by the leave-one-out density."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import ConvergenceWarning, InputError
+from bayeq.states.kinematic.kalman import LONG_GAP
+from bayeq.states.kinematic.model import MOST_EXTRA, ChainSeries, KinematicModel, Sizes, check_order, sizes_of
+from bayeq.states.kinematic.rows import Rows, prepare
+
+__all__ = ["fit_kinematic"]
+
+Floats = NDArray[np.float64]
+
+# Fewer samples than this say nothing about the noise of a channel.
+LEAST_ROWS = 10
+
+# The order that the search starts from, over that of the highest derivative.
+FIRST_EXTRA = 3
+
+# Noise variances as shares of the channel's variance: least and most.
+LEAST_NOISE, MOST_NOISE = 1e-12, 10.0
+
+# Bandwidths of the prior [rad per step]: where the search starts, its ratio, and the bounds.
+WIDEST, RATIO = 3.0, 3.0
+BANDWIDTHS = (1e-8, 1e4)
+
+# Bands of a channel's spectrum, the lowest of which gives the level that its noise is started from.
+BANDS, BINS = 16, 8
+# The share of its variance where there are too few samples for a spectrum.
+FALLBACK = 0.01
+
+# More rows than MANY are not used; USED of them in so many STRETCHES are. Rows that gains cannot settle on are slower:
+# the fewer are used where there are more than one in SPARSE of them.
+MANY, USED, STRETCHES = 50_000, 40_000, 8
+SLOWER, SPARSE = 5, 300
+
+# Gradient of the log-likelihood per sample: where the search stops, and where it should have.
+STATIONARY, DOUBTFUL = 1e-5, 1e-3
+
+
+def fit_kinematic(
+    series: Sequence[ChainSeries],
+    *,
+    order: int | None = None,
+    noise_sd: Sequence[float | None] | None = None,
+    spectral_density: float | None = None,
+) -> KinematicModel:
+    """Noise levels and spectral density of maximum likelihood, shared by some records of one chain.
+
+    The search starts at the floors of the channels' spectra and ends in the maximum next to them. The likelihood
+    does not choose the order: low frequencies, where any of the priors is far too wide and the smoother does not
+    care, outweigh the pass band in it. The leave-one-out density of the samples does, which is about smoothing.
+
+    Records are cut at gaps of more than 20 median steps. Where they have more than 50,000 rows together, 8 or more
+    stretches spread over them are used instead, 40,000 rows in all (8,000 of more than 10,000 where steps are
+    irregular or samples missing).
+
+    Parameters
+    ----------
+    series : sequence of ChainSeries
+        The records; their likelihoods multiply.
+    order : int, optional
+        m, from K+1 to K+4 for a chain of K derivatives; chosen by default.
+    noise_sd : sequence of (float or None), optional
+        Known standard deviations of the noise of each derivative, None where to be estimated.
+    spectral_density : float, optional
+        Known Q, which needs `order`.
+
+    Returns
+    -------
+    KinematicModel
+        Its log-likelihood and leave-one-out density are those of the rows used.
+
+    Raises
+    ------
+    InputError
+        No records, records of different chains, fewer than 10 samples of a channel, a channel that is constant,
+        or arguments out of range.
+
+    Examples
+    --------
+    >>> from bayeq.states.kinematic.smoother import smooth_kinematic
+    >>> rng = np.random.default_rng(0)
+    >>> t = np.arange(2000) / 100
+    >>> noisy = ChainSeries(t, (np.sin(t) + 0.1 * rng.normal(size=2000), np.cos(t) + 0.2 * rng.normal(size=2000)))
+    >>> model = fit_kinematic([noisy])
+    >>> [round(sd, 1) for sd in model.noise_sd]
+    [0.1, 0.2]
+    >>> smoothed = smooth_kinematic(noisy, model)
+    >>> bool(np.std(smoothed.mean[:, 0] - np.sin(t)) < 0.02)
+    True
+    """
+    series = list(series)
+    known = _known(series, order, noise_sd, spectral_density)
+    for k in {k for s in series for k in s.measured if np.isnan(known[k])}:
+        _require_noisy(series, k)
+    sizes = sizes_of(series, least=noise_sd)
+    pieces = [piece for s in series for piece in _pieces(s)]
+    used = _stretches([prepare(piece, sizes.initial_sd(len(known))) for piece in pieces])
+    floors = _floors(used, sizes)
+
+    def fitted(m: int) -> KinematicModel:
+        return _Likelihood(used, sizes, m, known, spectral_density).maximise(floors)
+
+    if order is not None:
+        return fitted(order)
+    highest = len(known) - 1
+    return _best_order(fitted, highest + FIRST_EXTRA, range(highest + 1, highest + 1 + MOST_EXTRA))
+
+
+def _known(
+    series: Sequence[ChainSeries],
+    order: int | None,
+    noise_sd: Sequence[float | None] | None,
+    spectral_density: float | None,
+) -> Floats:
+    """The noise levels that are given, NaN where they are not; raises for arguments that do not fit."""
+    if not series:
+        raise InputError("no records to estimate noise levels from")
+    derivatives = len(series[0].channels)
+    if any(len(s.channels) != derivatives for s in series):
+        raise InputError("the records are of chains of different orders")
+    if order is not None:
+        check_order(order, derivatives)
+    if spectral_density is not None:
+        if order is None:
+            raise InputError("a given spectral density needs the order that it belongs to")
+        if not 0 < spectral_density < math.inf:
+            raise InputError(f"the spectral density must be positive and finite, not {spectral_density!r}")
+    given = [None] * derivatives if noise_sd is None else list(noise_sd)
+    if len(given) != derivatives:
+        raise InputError(f"noise_sd needs {derivatives} values, None where unknown, not {len(given)}")
+    measured = {k for s in series for k in s.measured}
+    for k, sd in enumerate(given):
+        if sd is not None and not 0 < sd < math.inf:
+            raise InputError(f"the noise of derivative {k} must be positive and finite, not {sd!r}")
+        if sd is not None and k not in measured:
+            raise InputError(f"noise_sd gives the noise of derivative {k}, which no record measures")
+    return np.array([math.nan if sd is None else sd for sd in given], dtype=np.float64)
+
+
+def _require_noisy(series: Sequence[ChainSeries], k: int) -> None:
+    """Raise unless the noise of derivative k can be estimated."""
+    pieces = [piece[np.isfinite(piece)] for s in series if (piece := s.channels[k]) is not None]
+    rows = sum(map(len, pieces))
+    if rows < LEAST_ROWS:
+        raise InputError(
+            f"derivative {k} has {rows} samples, too few to estimate its noise (at least {LEAST_ROWS});"
+            " give noise_sd, or leave the channel out"
+        )
+    if all(piece.min() == piece.max() for piece in pieces if len(piece)):
+        raise InputError(f"derivative {k} is constant: its noise cannot be estimated; give noise_sd, or leave it out")
+
+
+def _pieces(series: ChainSeries) -> list[ChainSeries]:
+    """The record without rows that have no sample, cut at long gaps.
+
+    What is known on one side of a gap says next to nothing about the other, but loses all its digits on the way.
+    """
+    columns = [channel for channel in series.channels if channel is not None]
+    filled = np.flatnonzero(np.any(np.isfinite(columns), axis=0))
+    if len(filled) < 2:
+        return []
+    steps = np.diff(series.times[filled])
+    ends = np.flatnonzero(steps > LONG_GAP * np.median(steps)) + 1
+    parts = [part for part in np.split(filled, ends) if len(part) > 1]
+    return [series] if len(parts) == 1 and len(parts[0]) == series.n else [series.take(part) for part in parts]
+
+
+def _stretches(rows: Sequence[Rows]) -> Sequence[Rows]:
+    """Where there are too many rows, stretches spread over them."""
+    total = sum(len(r.steps) for r in rows)
+    slower = SLOWER if SPARSE * sum(r.irregular for r in rows) > total else 1
+    if total * slower <= MANY:
+        return rows
+    longest = USED // (slower * STRETCHES)
+    pieces = []
+    for r in rows:
+        cuts = np.linspace(0, len(r.steps), math.ceil(len(r.steps) / longest) + 1).astype(int)
+        pieces += [r.take(slice(a, b)) for a, b in pairwise(cuts)]
+    return pieces[:: math.ceil(total * slower / USED)]
+
+
+def _floors(rows: Sequence[Rows], sizes: Sizes) -> Floats:
+    """Noise variances to start from, (K+1,): the median over the records of the lowest level of each spectrum."""
+    levels: list[list[float]] = [[] for _ in sizes.variance]
+    for r in rows:
+        times = np.cumsum(r.steps)
+        for j, k in enumerate(r.measured):
+            present = r.present[:, j]
+            if np.count_nonzero(present) >= BINS:
+                levels[k].append(_lowest_level(times[present], r.samples[present, j]) * float(r.units(k)) ** 2)
+    shares = [
+        np.median(level) / variance if level and variance > 0 else FALLBACK
+        for level, variance in zip(levels, sizes.variance, strict=True)
+    ]
+    return sizes.variance * np.clip(shares, 10 * LEAST_NOISE, 1.0)
+
+
+def _lowest_level(times: Floats, samples: Floats) -> float:
+    """Least level of the periodogram in any of its bands: the variance of white noise that hides nowhere."""
+    samples = np.interp(np.linspace(times[0], times[-1], len(times)), times, samples)
+    window = np.hanning(len(samples))
+    spectrum = np.abs(np.fft.rfft((samples - samples.mean()) * window)) ** 2 / (window @ window)
+    bands = np.array_split(spectrum[1:], min(BANDS, max(1, len(spectrum) // BINS)))
+    return min(float(band.mean()) for band in bands)
+
+
+def _best_order(fitted: Callable[[int], KinematicModel], first: int, orders: range) -> KinematicModel:
+    """The order of the best leave-one-out density: uphill from the first."""
+    start = best = fitted(first)
+    for direction in (1, -1):
+        order = first + direction
+        while order in orders and _left_out(other := fitted(order)) > _left_out(best):
+            best, order = other, order + direction
+        if best is not start:
+            break
+    return best
+
+
+def _left_out(model: KinematicModel) -> float:
+    return -math.inf if model.left_out is None else model.left_out
+
+
+class _Likelihood:
+    """Log-likelihood of some records in the logarithms of what is to be estimated.
+
+    The parameters are ln(R_k / variance of channel k) of each channel with unknown noise, then ln(Q / unit) if Q is
+    unknown: Q = square of the highest channel's size times (bandwidth per step)^power.
+    """
+
+    def __init__(
+        self, rows: Sequence[Rows], sizes: Sizes, order: int, known: Floats, spectral_density: float | None
+    ) -> None:
+        self.rows, self.sizes, self.order, self.known, self.density = rows, sizes, order, known, spectral_density
+        self.free = np.array([k for k in sizes.measured if np.isnan(known[k])], dtype=np.intp)
+        self.initial = sizes.initial_sd(order)
+        top = int(sizes.measured[-1])
+        self.power = 2 * (order - top) - 1
+        self.unit = float(sizes.size[top] ** 2 / sizes.step**self.power)
+        self.count = sum(r.count for r in rows)
+
+    def unpack(self, parameters: Floats) -> tuple[float, Floats]:
+        """Q and the noise levels."""
+        noise_sd = self.known.copy()
+        noise_sd[self.free] = np.sqrt(self.sizes.variance[self.free] * np.exp(parameters[: len(self.free)]))
+        return (self.unit * math.exp(parameters[-1]) if self.density is None else self.density), noise_sd
+
+    @property
+    def bounds(self) -> list[tuple[float, float]]:
+        noise = (math.log(LEAST_NOISE), math.log(MOST_NOISE))
+        roughness = (self.power * math.log(BANDWIDTHS[0]), self.power * math.log(BANDWIDTHS[1]))
+        return [noise] * len(self.free) + [roughness] * (self.density is None)
+
+    def value(self, parameters: Floats) -> float:
+        """The log-likelihood."""
+        density, noise_sd = self.unpack(parameters)
+        return sum(r.filter(self.order, density, noise_sd, self.initial).log_likelihood for r in self.rows)
+
+    def scored(self, parameters: Floats) -> tuple[float, Floats, float]:
+        """The log-likelihood, its gradient and the leave-one-out density."""
+        density, noise_sd = self.unpack(parameters)
+        value, gradient, left_out = 0.0, np.zeros(len(noise_sd) + 1), 0.0
+        for rows in self.rows:
+            filtered = rows.filter(self.order, density, noise_sd, self.initial)
+            own_gradient, own_left_out = rows.score(filtered, noise_sd)
+            value += filtered.log_likelihood
+            gradient += own_gradient
+            left_out += own_left_out
+        kept = [*self.free, len(noise_sd)] if self.density is None else [*self.free]
+        return value, gradient[kept], left_out
+
+    def start(self, floors: Floats) -> Floats:
+        """Noise at the floors, and the best bandwidth of a coarse grid, from wide to narrow."""
+        noise = np.log(floors[self.free] / self.sizes.variance[self.free])
+        if self.density is not None:
+            return noise
+        bandwidth = WIDEST
+        best = np.append(noise, self.power * math.log(bandwidth))
+        highest = self.value(best)
+        while bandwidth > BANDWIDTHS[0]:
+            bandwidth /= RATIO
+            parameters = np.append(noise, self.power * math.log(bandwidth))
+            value = self.value(parameters)
+            if not value > highest:
+                break
+            best, highest = parameters, value
+        return best
+
+    def maximise(self, floors: Floats) -> KinematicModel:
+        """The model at the maximum next to the floors."""
+        from scipy.optimize import minimize
+        from threadpoolctl import threadpool_limits
+
+        parameters, stopped = self.start(floors), False
+        if len(parameters):
+
+            def loss(at: Floats) -> tuple[float, Floats]:
+                value, gradient, _ = self.scored(at)
+                return -value / self.count, -gradient / self.count
+
+            # the search solves systems of a few unknowns, which threads of BLAS would take a hundred times as long for
+            with threadpool_limits(1, user_api="blas"):
+                found = minimize(
+                    loss,
+                    parameters,
+                    jac=True,
+                    method="L-BFGS-B",
+                    bounds=self.bounds,
+                    options={"maxiter": 200, "ftol": 1e-13, "gtol": STATIONARY},
+                )
+            parameters, stopped = found.x, not found.success
+        value, gradient, left_out = self.scored(parameters)
+        if stopped:
+            self._warn_of(parameters, gradient / self.count)
+        density, noise_sd = self.unpack(parameters)
+        return KinematicModel(
+            order=self.order,
+            spectral_density=density,
+            noise_sd=tuple(None if np.isnan(sd) else float(sd) for sd in noise_sd),
+            initial_sd=tuple(map(float, self.initial)),
+            log_likelihood=value,
+            left_out=left_out,
+        )
+
+    def _warn_of(self, parameters: Floats, gradient: Floats) -> None:
+        low, high = np.array(self.bounds).reshape(-1, 2).T
+        uphill = np.clip(parameters + gradient, low, high) - parameters
+        if np.abs(uphill).max(initial=0.0) > DOUBTFUL:
+            warnings.warn(
+                f"noise levels of order {self.order} may be off: the search stopped short of the likelihood's maximum",
+                ConvergenceWarning,
+                stacklevel=4,
+            )

@@ -1,0 +1,1 @@
+"""Statistical studies behind the tables of the documentation; run them from a checkout, `python -m studies.NAME`."""
