@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from bayeq.discovery import discover
     from bayeq.equation.equation import Equation
     from bayeq.equation.equations import Equations
+    from bayeq.equation.load import load
     from bayeq.equation.physical import PhysicalParameters
     from bayeq.equation.prior_sensitivity import PriorSensitivity
     from bayeq.equation.size_path import ParsimonyPath
-    from bayeq.equation.storage import load
     from bayeq.estimators.regressors import RVM, STLSQ, SpikeSlabBMA, SpikeSlabGibbs, SpikeSlabVB
     from bayeq.forecast.results import Refinement, Scores
     from bayeq.forecast.run import Forecast
@@ -53,7 +53,7 @@ _HOME = {
     "check_record": "records",
     "correct_delay": "records",
     "discover": "discovery",
-    "load": "equation.storage",
+    "load": "equation.load",
     "read": "records",
     "remove_offset": "records",
     "simulate": "systems",

@@ -56,7 +56,7 @@ class Method(StrEnum):
 
 
 class Smoothing(StrEnum):
-    """How derivatives that are not measured are had."""
+    """How derivatives that are not measured are estimated."""
 
     auto = "auto"
     none = "none"
@@ -145,10 +145,7 @@ def discover(
     ] = None,
     holdout: Annotated[float, typer.Option(help="Share of the rows, the last, to judge the equation by.")] = 0.2,
     max_terms: Annotated[
-        int | None, typer.Option(help="At most so many terms: the likeliest equation where more are found.")
-    ] = None,
-    min_share: Annotated[
-        float | None, typer.Option(help="Leave out terms that explain a smaller share of the target's variance.")
+        int | None, typer.Option(help="Show at most this number of terms: the likeliest equation within it.")
     ] = None,
     negligible: Annotated[
         float | None,
@@ -211,7 +208,6 @@ def discover(
             smooth=smooth.value,
             holdout=holdout,
             max_terms=max_terms,
-            min_share=min_share,
             coarsen=coarsen,
             seed=seed,
             progress=progress,

@@ -1,4 +1,4 @@
-"""From a posterior to an equation, with what makes it less than it seems."""
+"""Builds the `Equation` of a selection, with its verdict and the warnings that go with it."""
 
 from __future__ import annotations
 
@@ -6,22 +6,19 @@ import math
 from collections.abc import Sequence, Set
 from dataclasses import replace
 
-from bayeq.equation.equation import Equation, Fit, Regression, RunnerUp
+from bayeq.equation.equation import Equation, RunnerUp
+from bayeq.equation.verdict import judge, noise_share
 from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidualsWarning, DataWarning, WarningLog
-from bayeq.gram import Gram
-from bayeq.inference import ENGINES, Prior
+from bayeq.inference import ENGINES, Posterior
 from bayeq.inference.collapsed.path import partial_shares
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import neighbours
-from bayeq.inference.posterior import Posterior
-from bayeq.regression.fit import Inferred, Setting, fit_of, inspected, posterior_of
+from bayeq.selection.select import Selection
 
-__all__ = ["equation_of"]
+__all__ = ["build_equation", "warn_of"]
 
-# An equation that explains a smaller share of the target's variance is warned of.
-LITTLE = 0.5
-
-# A residual of more than this many times the power that is explained is warned of; of adequate models it is 0.9 to 1.3.
+# The residual of an adequate model has 0.9 to 1.3 times the power that the noise of the channels explains; a multiple
+# above this one is warned of.
 INADEQUATE = 1.75
 
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
@@ -30,105 +27,61 @@ RUNNERS_UP = 5
 AMBIGUOUS = math.log(20.0)
 
 
-def equation_of(setting: Setting, inferred: Inferred, log: WarningLog) -> Equation:
-    """The equation, its fits and diagnostics; what is to be warned of goes to the log."""
-    k, standard, prior, shown = inferred.which, inferred.standard, inferred.prior, inferred.shown
-    chain, rows = setting.chains[k], setting.design.train[k]
-    posterior, excess = posterior_of(setting, inferred)
-    if not posterior.converged:
-        rhat = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
-        log.warn(
-            f"{chain.target}: {setting.method} not converged after {posterior.n_iter} steps{rhat}", ConvergenceWarning
-        )
-    spike_slab = ENGINES[setting.method].spike_slab
-    runners_up = _runners_up(standard.gram, prior, shown) if spike_slab else ()
-    if shown.optimum is not None and bool((shown.optimum != inferred.found.support).any()):
-        other = [n for n, kept in zip(standard.gram.names, shown.optimum, strict=True) if kept]
-        log.warn(
-            f"{chain.target}: the optimum of variational Bayes is another model ({', '.join(other) or 'no terms'});"
-            " the terms shown are those with a model-averaged PIP above 0.5",
-            AmbiguityWarning,
-        )
-    if posterior.average is None:
-        _warn_of_ambiguity(chain.target, runners_up, log)
-    else:
-        _warn_of_groups(chain.target, posterior, {left.name for left in inferred.left_out}, log)
-    states = [name for one in setting.chains for name in one.states]
-    residuals = replace(inspected(setting, k, posterior, (*setting.inputs, *states)), excess=excess)
-    equation = Equation(
-        chain=chain,
-        terms=setting.design.terms,
+def build_equation(selection: Selection, window: float | None) -> Equation:
+    """The equation of a selection, its fits and diagnostics.
+
+    Parameters
+    ----------
+    selection : Selection
+        Terms included and shown.
+    window : float or None
+        Error of free runs over windows, as a share of the states' spread; None where there are none.
+    """
+    fit = selection.fit
+    regression, motion = fit.regression, fit.regression.motion
+    shown, excess = fit.reported(selection.shown)
+    same = selection.shown is fit.posterior
+    posterior = shown if same else fit.reported(fit.posterior)[0]
+    train, held_out = regression.fit(shown), regression.held_out_fit(shown)
+    judged, gram = (train, regression.rows) if held_out is None else (held_out, regression.held_out)
+    assert gram is not None
+    noise = noise_share(regression, gram.yty / gram.n)
+    residuals = regression.residuals(shown, (*motion.roles.inputs, *motion.roles.states))
+    differ = {
+        term.text: _rule(selection, term.text)
+        for term, inside, seen in zip(regression.design.terms, posterior.support, shown.support, strict=True)
+        if inside != seen
+    }
+    return Equation(
+        chain=regression.chain,
+        terms=regression.design.terms,
         posterior=posterior,
-        train=_fit(rows, posterior),
-        held_out=_fit(setting.design.held_out[k], posterior) if setting.design.held_out else None,
-        residuals=residuals,
-        runners_up=runners_up,
-        regression=Regression(
-            standard,
-            prior,
-            inferred.fitted,
-            inferred.constraints.reduce(setting.design.held_out[k]) if setting.design.held_out else None,
-            shown.support,
-        ),
-        share=partial_shares(rows, posterior.support),
-        left_out=inferred.left_out,
+        shown_posterior=shown,
+        train=train,
+        held_out=held_out,
+        residuals=replace(residuals, excess=excess),
+        verdict=judge(regression.chain.target, judged, held_out is not None, noise, window),
+        runners_up=_runners_up(fit.problem, selection.shown) if ENGINES[posterior.method].spike_slab else (),
+        fit=fit,
+        share=partial_shares(regression.rows, shown.support),
+        why=differ,
+        left_out=selection.left_out,
     )
-    _warn_of_misfit(equation, inferred, log)
-    return equation
 
 
-def _fit(gram: Gram, posterior: Posterior) -> Fit:
-    share = fit_of(gram, posterior)
-    return Fit(n=round(gram.n), r2=1.0 - share, nrmse=math.sqrt(share))
+def _rule(selection: Selection, name: str) -> str:
+    """The rule that decided on a term; on one that equalities tie to others, the rule that decided on these."""
+    return selection.why.get(name) or next(iter(selection.why.values()))
 
 
-def _warn_of_misfit(equation: Equation, inferred: Inferred, log: WarningLog) -> None:
-    chain, residuals = equation.chain, equation.residuals
-    if equation.train.r2 < LITTLE:
-        estimated = " (it is estimated, not measured)" if chain.measured[-1] is None else ""
-        log.warn(
-            f"{chain.target}: the terms explain only {100 * equation.train.r2:.0f} % of the target's"
-            f" variance{estimated}: this is hardly the law; check the channels, their derivatives and the dictionary",
-            DataWarning,
-        )
-    counted = ", which is what the rows count for" if inferred.gram.n < equation.train.n else ""
-    if inferred.in_band is None and residuals.correlated:
-        log.warn(
-            f"{chain.target}: the residuals are correlated in time (lag-1 autocorrelation {residuals.lag1:.2f},"
-            f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}{counted}): standard deviations and"
-            " intervals may be too narrow, and terms may be included that only fit the correlation",
-            CorrelatedResidualsWarning,
-        )
-    if residuals.excess is not None and residuals.excess > INADEQUATE:
-        log.warn(
-            f"{chain.target}: the residual has {residuals.excess_text} times the power that the noise of the channels"
-            " explains: the equation is only nearly true, or the channels do not fit each other. Terms may be certain"
-            " that stand in for what is missing, and intervals do not cover that",
-            DataWarning,
-        )
-    for term, others in inferred.undecided.items():
-        log.warn(
-            f"{chain.target}: {term} is needed, but its form is undecided: with {' or '.join(others)} instead the fit"
-            " and free runs are hardly worse",
-            AmbiguityWarning,
-        )
-    if residuals.driven and residuals.driver is not None:
-        log.warn(
-            f"{chain.target}: the residuals follow {residuals.driver}: the equation misses dynamics, or channels are"
-            " delayed against each other",
-            CorrelatedResidualsWarning,
-        )
-
-
-def _runners_up(gram: Gram, prior: Prior, posterior: Posterior) -> tuple[RunnerUp, ...]:
-    problem = Problem.of(gram, prior)
+def _runners_up(problem: Problem, posterior: Posterior) -> tuple[RunnerUp, ...]:
     if len(problem.signs):
         from bayeq.inference.signs.listing import signed_neighbours
 
         moves = signed_neighbours(problem, posterior.support, RUNNER_UP_WINDOW)
     else:
         moves = neighbours(problem, posterior.support, RUNNER_UP_WINDOW)
-    names = gram.names
+    names = posterior.names
     return tuple(
         RunnerUp(
             leaves=None if move.leaves is None else names[move.leaves],
@@ -139,6 +92,90 @@ def _runners_up(gram: Gram, prior: Prior, posterior: Posterior) -> tuple[RunnerU
     )
 
 
+def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
+    """Record what makes an equation less than it seems."""
+    target, posterior = equation.target, equation.posterior
+    if not posterior.converged:
+        rhat = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
+        log.warn(f"{target}: {posterior.method} not converged after {posterior.n_iter} steps{rhat}", ConvergenceWarning)
+    if equation.verdict.kind == "none":
+        estimated = f"; {target} is estimated, not measured" if equation.chain.measured[-1] is None else ""
+        log.warn(
+            f"{target}: {equation.verdict.reason}{estimated}; check the channels, their derivatives and the dictionary",
+            DataWarning,
+        )
+    found = selection.fit.posterior
+    if found.optimum is not None and bool((found.optimum != found.support).any()):
+        other = [n for n, kept in zip(found.names, found.optimum, strict=True) if kept]
+        log.warn(
+            f"{target}: the optimum of variational Bayes is another model ({', '.join(other) or 'no terms'});"
+            " the included terms are those with a model-averaged PIP above 0.5",
+            AmbiguityWarning,
+        )
+    _warn_of_undecided(equation, selection, log)
+    if found.average is None:
+        _warn_of_ambiguity(target, equation.runners_up, log)
+    else:
+        _warn_of_groups(equation, {left.name for left in equation.left_out}, log)
+    _warn_of_residuals(equation, selection, log)
+
+
+def _warn_of_undecided(equation: Equation, selection: Selection, log: WarningLog) -> None:
+    """Other equations that could as well be shown."""
+    target = equation.target
+    for term, others in selection.undecided.items():
+        log.warn(
+            f"{target}: {term} is needed, but its form is undecided: with {' or '.join(others)} instead the fit"
+            " and free runs are hardly worse",
+            AmbiguityWarning,
+        )
+    likelier = [r for r in equation.runners_up if r.log_odds > 0.0]
+    if likelier and not equation.left_out:
+        listed = "; ".join(f"{r} (odds {r.odds})" for r in likelier)
+        log.warn(
+            f"{target}: the terms shown are those with a PIP above 0.5, but not the likeliest model: {listed}",
+            AmbiguityWarning,
+        )
+
+
+def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog) -> None:
+    target, residuals, regression = equation.target, equation.residuals, selection.fit.regression
+    if residuals.correlated and residuals.excess is None:
+        reduced = regression.band is None and regression.gram.n < equation.train.n
+        counted = ", which is what the rows count for" if reduced else ""
+        log.warn(
+            f"{target}: the residuals are correlated in time (lag-1 autocorrelation {residuals.lag1:.2f},"
+            f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}{counted}): standard deviations and"
+            " intervals may be too narrow, and terms may be included that only fit the correlation",
+            CorrelatedResidualsWarning,
+        )
+    if residuals.excess is not None and residuals.excess > INADEQUATE:
+        unknown = _inputs_of_unknown_noise(equation, selection)
+        inputs = f" (the noise of {', '.join(unknown)} is not known: it may be the cause)" if unknown else ""
+        log.warn(
+            f"{target}: the residual has {residuals.excess_text} times the power that the known noise of the channels"
+            f" explains{inputs}: the equation is only nearly true, or the channels do not fit each other. Included"
+            " terms may compensate for what is missing, and intervals do not cover that",
+            DataWarning,
+        )
+    if residuals.driven and residuals.driver is not None:
+        log.warn(
+            f"{target}: the residuals follow {residuals.driver}: the equation misses dynamics, or channels are"
+            " delayed against each other",
+            CorrelatedResidualsWarning,
+        )
+
+
+def _inputs_of_unknown_noise(equation: Equation, selection: Selection) -> list[str]:
+    """Inputs in the terms shown whose noise could not be read from their spectrum."""
+    regression = selection.fit.regression
+    if regression.band is None:
+        return []
+    known = {equation.terms[j].text for j in regression.band.noise}
+    used = {name for term in equation.terms if term.text in equation.shown for name in term.names}
+    return [name for name in regression.motion.roles.inputs if name in used and name not in known]
+
+
 def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], log: WarningLog) -> None:
     swaps = [r for r in runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
     if swaps:
@@ -146,20 +183,20 @@ def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], log: Warning
         log.warn(f"{target}: columns that the data hardly tell apart: {listed}", AmbiguityWarning)
 
 
-def _warn_of_groups(target: str, posterior: Posterior, left_out: Set[str], log: WarningLog) -> None:
+def _warn_of_groups(equation: Equation, left_out: Set[str], log: WarningLog) -> None:
+    posterior = equation.posterior
     assert posterior.average is not None
     for members, some in posterior.average.credible_groups():
         if some <= 0.5:
             continue  # more likely than not that none of them is in
         listed = ", ".join(f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members)
-        included = [posterior.names[j] for j in members if posterior.support[j]]
+        shown = [posterior.names[j] for j in members if equation.shown_posterior.support[j]]
         beside = [posterior.names[j] for j in members if posterior.names[j] in left_out]
-        none = f"none, for {', '.join(beside)} stands beside the equation" if beside else "none"
-        shown = ", ".join(included) or none
-        decided = len(included) == 1 or (not included and beside)
+        none = f"none, for {', '.join(beside)} is left out" if beside else "none"
+        decided = len(shown) == 1 or (not shown and beside)
         advice = "" if decided else "; keep one of them in the dictionary, or decide by other knowledge"
         log.warn(
-            f"{target}: columns that the data hardly tell apart: {listed}; at least one of them is in with"
-            f" probability {some:.2f}; included here: {shown}{advice}",
+            f"{equation.target}: columns that the data hardly tell apart: {listed}; at least one of them is in with"
+            f" probability {some:.2f}; shown here: {', '.join(shown) or none}{advice}",
             AmbiguityWarning,
         )

@@ -15,19 +15,19 @@ from bayeq.equation.power_sensitivity import Coarsening, coarsening
 from bayeq.equation.prior_sensitivity import PriorSensitivity, prior_sensitivity, require_spike_slab
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.units import quotient_unit
+from bayeq.equation.verdict import Verdict
 from bayeq.errors import InputError
 from bayeq.expressions import Evaluator, Expression, to_sympy
-from bayeq.gram import Gram, Standardised
-from bayeq.inference import Prior
 from bayeq.inference.posterior import Posterior
+from bayeq.regression.fit import RegressionFit
 from bayeq.regression.residuals import Fit, Residuals
-from bayeq.selection.limits import LeftOut
+from bayeq.selection.select import LeftOut
 from bayeq.states import Chain
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Z95", "Equation", "Fit", "Regression", "RunnerUp"]
+__all__ = ["Z95", "Equation", "Fit", "RunnerUp"]
 
 Floats = NDArray[np.float64]
 
@@ -64,33 +64,13 @@ class RunnerUp:
         return f"without {self.leaves}" if self.leaves else f"with {self.enters} added"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Regression:
-    """The sparse regression whose posterior an equation is.
-
-    Attributes
-    ----------
-    standard : Standardised
-        The Gram that the engine was given, standardised, and the way back to original units.
-    prior : Prior
-        On standardised columns, with the v_s that was used.
-    rows, held_out : Gram or None
-        Statistics of the training rows and of those held out, in original units: what fits are judged on.
-    support : bool array or None
-        Terms of the equation among those of the regression, from which equalities between coefficients may have taken
-        some out.
-    """
-
-    standard: Standardised
-    prior: Prior
-    rows: Gram | None = None
-    held_out: Gram | None = None
-    support: NDArray[np.bool_] | None = None
-
-
 @dataclass(frozen=True)
 class Equation:
     """One equation: target = intercept + sum of coefficient x term.
+
+    Two models of the same regression stand in it. The *included* terms are those with a posterior inclusion probability
+    above 0.5; the terms *shown* are those of the equation that is printed, evaluated and integrated. They are the same
+    unless a limit, negligible terms or an undecided group make a difference (`bayeq.selection.select`); `why` tells.
 
     Attributes
     ----------
@@ -99,20 +79,28 @@ class Equation:
     terms : tuple of Expression
         All P candidates.
     posterior : Posterior
-        In original units.
+        Probabilities, and coefficients given the included terms, in original units.
+    shown_posterior : Posterior
+        The same given the terms shown.
     train, held_out : Fit
-        Fit on the rows used and on rows not used (None if none were held out).
+        Fit of the terms shown on the rows used and on rows not used (None if none were held out).
     residuals : Residuals
-        Whiteness of the training residuals.
+        Whiteness of the training residuals of the terms shown.
     runners_up : tuple of RunnerUp
-        The likeliest models one move away, where the engine compares models.
-    regression : Regression or None
-        What was solved; None for an equation read from a file, which does not hold it.
+        The likeliest models one move away from the terms shown, where the engine compares models.
+    fit : RegressionFit or None
+        The regression and its posterior on standardised columns; None for an equation read from a file, which does not
+        hold it.
     share : (P,) array or None
         Share of the target's variance that each term explains: what R2 loses on the training rows when the term is left
-        out and the others are refitted by least squares. NaN for a term that is not included.
+        out and the others are refitted by least squares. NaN for a term that is not shown.
+    why : mapping of str to str
+        Terms that are included or shown and not both, each with the rule that decided: ``"max_terms"``,
+        ``"negligible"`` or ``"undecided"``.
     left_out : tuple of LeftOut
-        Terms that the method includes, left out as asked for.
+        Terms that are included and not shown.
+    verdict : Verdict
+        Whether an equation was found.
     units : mapping of str to str
         Units of channels and their derivatives, as far as they are known.
     """
@@ -120,12 +108,15 @@ class Equation:
     chain: Chain
     terms: tuple[Expression, ...]
     posterior: Posterior
+    shown_posterior: Posterior
     train: Fit
     held_out: Fit | None
     residuals: Residuals
+    verdict: Verdict
     runners_up: tuple[RunnerUp, ...] = ()
-    regression: Regression | None = field(default=None, repr=False, compare=False)
+    fit: RegressionFit | None = field(default=None, repr=False, compare=False)
     share: Floats | None = None
+    why: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[LeftOut, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
 
@@ -136,13 +127,27 @@ class Equation:
 
     @property
     def included(self) -> tuple[str, ...]:
-        """Names of the included terms."""
-        return tuple(t.text for t, kept in zip(self.terms, self.posterior.support, strict=True) if kept)
+        """Names of the terms whose posterior inclusion probability exceeds 0.5."""
+        return self._names(self.posterior)
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Names of the terms of the equation that is printed, evaluated and integrated."""
+        return self._names(self.shown_posterior)
 
     @property
     def coef(self) -> dict[str, float]:
-        """Coefficient of each included term, in original units."""
+        """Coefficient of each included term given these, in original units."""
         return dict(zip(self.included, self.posterior.coef[self.posterior.support].tolist(), strict=True))
+
+    @property
+    def shown_coef(self) -> dict[str, float]:
+        """Coefficient of each term shown given these, in original units."""
+        p = self.shown_posterior
+        return dict(zip(self.shown, p.coef[p.support].tolist(), strict=True))
+
+    def _names(self, posterior: Posterior) -> tuple[str, ...]:
+        return tuple(t.text for t, kept in zip(self.terms, posterior.support, strict=True) if kept)
 
     @cached_property
     def coef_units(self) -> tuple[str | None, ...]:
@@ -151,20 +156,25 @@ class Equation:
 
     @property
     def noise_sd(self) -> float:
-        """Standard deviation of what the terms leave of the target."""
-        return float(np.sqrt(self.posterior.noise_variance))
+        """Standard deviation of what the terms shown leave of the target."""
+        return float(np.sqrt(self.shown_posterior.noise_variance))
 
     @property
     def ci95(self) -> Floats:
-        """95 % intervals of the coefficients given the included set, (P, 2); 0 for a term not included."""
-        half = Z95 * self.posterior.sd
-        return np.column_stack([self.posterior.coef - half, self.posterior.coef + half])
+        """95 % intervals of the coefficients given the included terms, (P, 2); 0 for a term not included."""
+        return _intervals(self.posterior)
+
+    @property
+    def shown_ci95(self) -> Floats:
+        """95 % intervals of the coefficients given the terms shown, (P, 2); 0 for a term not shown."""
+        return _intervals(self.shown_posterior)
 
     @property
     def intercept_ci95(self) -> tuple[float, float]:
-        """95 % interval of the intercept."""
-        half = Z95 * self.posterior.intercept_sd
-        return self.posterior.intercept - half, self.posterior.intercept + half
+        """95 % interval of the intercept of the equation shown."""
+        p = self.shown_posterior
+        half = Z95 * p.intercept_sd
+        return p.intercept - half, p.intercept + half
 
     @property
     def intercept_matters(self) -> bool:
@@ -173,29 +183,43 @@ class Equation:
         return low > 0 or high < 0
 
     def table(self) -> pd.DataFrame:
-        """All candidates: term, coef, sd, ci_low, ci_high, pip, included, share (of variance), unit (None: unknown)."""
+        """All candidates, a row each.
+
+        Returns
+        -------
+        DataFrame
+            ``term``; ``coef``, ``sd``, ``ci_low``, ``ci_high`` given the included terms; ``pip``; ``included``,
+            ``shown``; ``share`` of the target's variance; ``unit`` of the coefficient (None: unknown); ``shown_coef``,
+            ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``why`` the two differ ("" if not).
+        """
         import pandas as pd
 
-        ci = self.ci95
-        share = np.full(len(self.terms), np.nan) if self.share is None else self.share
+        p, shown = self.posterior, self.shown_posterior
+        ci, shown_ci = self.ci95, self.shown_ci95
         return pd.DataFrame(
             {
                 "term": [term.text for term in self.terms],
-                "coef": self.posterior.coef,
-                "sd": self.posterior.sd,
+                "coef": p.coef,
+                "sd": p.sd,
                 "ci_low": ci[:, 0],
                 "ci_high": ci[:, 1],
-                "pip": self.posterior.pip,
-                "included": self.posterior.support,
-                "share": share,
+                "pip": p.pip,
+                "included": p.support,
+                "shown": shown.support,
+                "share": np.full(len(self.terms), np.nan) if self.share is None else self.share,
                 "unit": self.coef_units,
+                "shown_coef": shown.coef,
+                "shown_sd": shown.sd,
+                "shown_ci_low": shown_ci[:, 0],
+                "shown_ci_high": shown_ci[:, 1],
+                "why": [self.why.get(term.text, "") for term in self.terms],
             }
         )
 
     @cached_property
     def text(self) -> str:
         """The equation as a line of text, coefficients to a tenth of their standard deviation."""
-        p = self.posterior
+        p = self.shown_posterior
         parts = [
             (round_to(value, sd), term.text)
             for term, value, sd, kept in zip(self.terms, p.coef, p.sd, p.support, strict=True)
@@ -232,7 +256,7 @@ class Equation:
     def _right_hand_side(self, digits: int | None) -> Any:
         import sympy
 
-        p = self.posterior
+        p = self.shown_posterior
 
         def number(value: float, sd: float) -> Any:
             return sympy.Float(value if digits is None else float(round_to(value, sd)), 15 if digits is None else None)
@@ -250,7 +274,7 @@ class Equation:
         return self._mean(Evaluator(columns))
 
     def _mean(self, evaluate: Evaluator) -> Floats:
-        p = self.posterior
+        p = self.shown_posterior
         total: Any = p.intercept
         for j in np.flatnonzero(p.support):
             total = total + p.coef[j] * evaluate(self.terms[j])
@@ -264,9 +288,9 @@ class Equation:
         if not return_std:
             return mean
         D = np.zeros((n, len(self.terms)))
-        for j in np.flatnonzero(self.posterior.support):
+        for j in np.flatnonzero(self.shown_posterior.support):
             D[:, j] = evaluate(self.terms[j])
-        return mean, self.posterior.predictive_sd(D)
+        return mean, self.shown_posterior.predictive_sd(D)
 
     def path(self, most: int | None = None) -> ParsimonyPath:
         """The likeliest model of each size, with its evidence and fit, to see where more terms stop to pay.
@@ -286,12 +310,11 @@ class Equation:
         InputError
             An equation that was loaded from a file; `most` no whole number, or below the number of forced terms.
         """
-        solved = self.regression
-        if solved is None:
-            raise InputError("a file of equations does not hold what their posterior came from: run discover again")
-        rows = solved.standard.source if solved.rows is None else solved.rows
-        chosen = self.posterior.support if solved.support is None else solved.support
-        found = parsimony_path(self.target, solved.standard, solved.prior, chosen, rows, solved.held_out, most)
+        fit = self._solved()
+        chosen = self.shown_posterior.support[fit.constraints.equalities.kept]
+        held_out = fit.regression.held_out
+        tested = None if held_out is None else fit.constraints.reduce(held_out)
+        found = parsimony_path(self.target, fit.standard, fit.prior, chosen, fit.rows, tested, most)
         # where equalities are known the regression has a smaller target than the equation
         return found.with_fit(self.train.r2, None if self.held_out is None else self.held_out.r2)
 
@@ -327,12 +350,11 @@ class Equation:
         ConvergenceWarning
             Too many models share the posterior mass to list them.
         """
-        if self.regression is None:
-            raise InputError("a file of equations does not hold what their posterior came from: run discover again")
+        fit = self._solved()
         require_spike_slab(self.posterior.method)
         return prior_sensitivity(
-            self.regression.standard.gram,
-            self.regression.prior,
+            fit.standard.gram,
+            fit.prior,
             slab_variances,
             prior_inclusions,
             every_pair=every_pair,
@@ -359,10 +381,20 @@ class Equation:
         InputError
             As for `sensitivity`.
         """
-        if self.regression is None:
-            raise InputError("a file of equations does not hold what their posterior came from: run discover again")
+        fit = self._solved()
         require_spike_slab(self.posterior.method)
-        return coarsening(self.regression.standard.gram, self.regression.prior, powers)
+        return coarsening(fit.standard.gram, fit.prior, powers)
+
+    def _solved(self) -> RegressionFit:
+        """The regression, which a file does not hold."""
+        if self.fit is None:
+            raise InputError("a file of equations does not hold what their posterior came from: run discover again")
+        return self.fit
+
+
+def _intervals(posterior: Posterior) -> Floats:
+    half = Z95 * posterior.sd
+    return np.column_stack([posterior.coef - half, posterior.coef + half])
 
 
 def _factor(term: str) -> str:

@@ -3,30 +3,43 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayeq.equation.data import DataSummary
-from bayeq.equation.runs import EquationsRuns
-from bayeq.errors import InputError
+from bayeq.equation.answer import DataSummary
+from bayeq.equation.equation import Equation
+from bayeq.equation.verdict import Verdict, worst
+from bayeq.errors import ConvergenceWarning, InputError, UnknownNameError
+from bayeq.forecast.results import Refinement, Scores
+from bayeq.inference import Posterior
 from bayeq.records import Record
 from bayeq.records.atomic import replacing
-from bayeq.states import derive_all
+from bayeq.regression.design import DroppedTerm
+from bayeq.states import Chain, Roles, Smooth, estimate_motion
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from bayeq.equation.physical import PhysicalParameters
+    from bayeq.forecast.run import Forecast
+    from bayeq.ode.rk4 import Interpolation
 
 __all__ = ["DataSummary", "Equations"]
 
 Floats = NDArray[np.float64]
 
+# Share of the rows that is scored where none were held out.
+LAST = 0.2
+
 
 @dataclass(frozen=True)
-class Equations(EquationsRuns):
+class Equations:
     """Equations of motion with a posterior on every term.
 
     Indexing and iteration give the single `Equation`s, in the order of the chains.
@@ -41,7 +54,7 @@ class Equations(EquationsRuns):
     dictionary : str
         The dictionary's specification.
     smooth : str
-        How derivatives that were not measured were had.
+        How derivatives that were not measured were estimated.
     data : DataSummary
     dropped : tuple of DroppedTerm
         Candidates that were left out, and why.
@@ -55,6 +68,53 @@ class Equations(EquationsRuns):
     refined : Refinement or None
         How the coefficients were refined, if they were.
     """
+
+    equations: tuple[Equation, ...]
+    inputs: tuple[str, ...]
+    method: str
+    dictionary: str
+    smooth: Smooth
+    data: DataSummary
+    dropped: tuple[DroppedTerm, ...] = ()
+    warnings: tuple[str, ...] = ()
+    constraints: tuple[str, ...] = ()
+    scores: Scores | None = None
+    refined: Refinement | None = None
+
+    def __len__(self) -> int:
+        return len(self.equations)
+
+    def __iter__(self) -> Iterator[Equation]:
+        return iter(self.equations)
+
+    def __getitem__(self, key: int | str) -> Equation:
+        """By position, or by the name of the target."""
+        if isinstance(key, str):
+            for equation in self.equations:
+                if equation.target == key:
+                    return equation
+            raise KeyError(key)
+        return self.equations[key]
+
+    @property
+    def chains(self) -> tuple[Chain, ...]:
+        """The kinematic chains."""
+        return tuple(equation.chain for equation in self.equations)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the first-order state vector, the order of `rhs`."""
+        return tuple(name for chain in self.chains for name in chain.states)
+
+    @property
+    def roles(self) -> Roles:
+        """Chains and inputs."""
+        return Roles(self.chains, self.inputs)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the equations were found: the worst verdict of them."""
+        return worst([(equation.target, equation.verdict) for equation in self.equations])
 
     def table(self) -> pd.DataFrame:
         """All candidates of all equations: target, term, coef, sd, ci_low, ci_high, pip, included."""
@@ -127,7 +187,7 @@ class Equations(EquationsRuns):
         """
         if not isinstance(record, Record):
             raise InputError(f"predict needs a Record (bayeq.read reads a file), not {type(record).__name__}")
-        columns = derive_all([record], self.chains, self.inputs, self.smooth)[0].columns
+        columns = estimate_motion([record], self.roles, self.smooth).records[0].columns
         parts = [equation.predict(columns, return_std) for equation in self.equations]
         if len(parts) == 1:
             return parts[0]
@@ -135,15 +195,259 @@ class Equations(EquationsRuns):
             return tuple(np.column_stack(pieces) for pieces in zip(*parts, strict=True))
         return np.column_stack(parts)
 
+    def simulate(
+        self,
+        record: Record,
+        *,
+        initial: Mapping[str, float] | None = None,
+        draws: int = 200,
+        seed: int = 0,
+        start: int = 0,
+        rows: int | None = None,
+        interpolation: Interpolation | None = None,
+    ) -> Forecast:
+        """Free run of all equations together, driven by the inputs of a record.
+
+        Parameters
+        ----------
+        record : Record
+            Times and inputs; states where they are measured.
+        initial : mapping of str to float, optional
+            States at the first row; by default those with which the run follows the first period of the record best,
+            looked for from what was measured, smoothed or estimated there.
+        draws, seed : int
+            Further runs with intercepts and coefficients drawn from their normal posterior given the included terms,
+            for the bands; 0 for none. The initial state is the same for all.
+        start, rows : int
+            First row, and how many; by default all that follow.
+        interpolation : "cubic", "linear" or "hold", optional
+            Inputs between their samples: a cubic spline (by default, unless refined with another), straight lines, the
+            last sample (commands).
+
+        Returns
+        -------
+        Forecast
+            ``mean``, ``low`` and ``high`` of every state, ``nrmse`` of those measured; ``plot()``, ``table()``. A run
+            that leaves a thousand times the range of the record, or is not finite, stops: see ``blew_up_at``.
+
+        Raises
+        ------
+        InputError
+            No time, an input that is missing, an initial state that is neither measured nor given, rows out of range.
+        """
+        from bayeq.forecast.dynamics import Dynamics
+        from bayeq.forecast.run import forecast
+
+        posteriors = [equation.shown_posterior for equation in self.equations]
+        return forecast(
+            Dynamics.of(self.chains, self.inputs, posteriors, [e.terms for e in self.equations]),
+            posteriors,
+            record,
+            self.smooth,
+            initial=initial,
+            draws=draws,
+            seed=seed,
+            start=start,
+            rows=rows,
+            interpolation=_between(self, interpolation),
+            units={name: unit for equation in self.equations for name, unit in equation.units.items()},
+        )
+
+    def score(
+        self,
+        records: Record | Sequence[Record],
+        *,
+        start: int | None = None,
+        rows: int | None = None,
+        interpolation: Interpolation | None = None,
+    ) -> Scores:
+        """Errors of the single step and of the free run, by default on the rows held out.
+
+        Parameters
+        ----------
+        records : Record or sequence of Record
+            With the channels that the equations were found from.
+        start, rows : int, optional
+            First row, and how many; by default the last of each record, as many as were held out (a fifth, if none).
+        interpolation : "cubic", "linear" or "hold", optional
+            See `simulate`.
+
+        Returns
+        -------
+        Scores
+            Normalised by the standard deviation of the channels on these rows.
+
+        Raises
+        ------
+        InputError
+            As `simulate`, and channels that are missing.
+        """
+        from bayeq.forecast.dynamics import Dynamics
+        from bayeq.forecast.score import score_records
+
+        posteriors = [equation.shown_posterior for equation in self.equations]
+        dynamics = Dynamics.of(self.chains, self.inputs, posteriors, [e.terms for e in self.equations])
+        return score_records(
+            dynamics,
+            dynamics.means(posteriors),
+            _as_list(records, "score"),
+            self.smooth,
+            start=start,
+            rows=rows,
+            share=self.data.holdout or LAST,
+            interpolation=_between(self, interpolation),
+        )
+
+    def refine(
+        self,
+        records: Record | Sequence[Record],
+        *,
+        segment: int | None = None,
+        holdout: float = 0.2,
+        intercept: bool | None = None,
+        interpolation: Interpolation | None = None,
+    ) -> Self:
+        """The same terms with coefficients by output error: those whose free run comes closest to what was measured.
+
+        Multiple shooting (Bock 1981): a record is divided into segments, each a free run from an initial state of its
+        own, fitted with the coefficients and intercepts of all equations to every measured channel. Segments get longer
+        from fit to fit, up to the whole record, while their runs follow it. The noise of the channels, and forces that
+        the record does not show (noise in a measured one), are then estimated with the coefficients: a Kalman filter
+        leads the runs along the record where such forces drive it away.
+
+        Output error needs no derivatives. It gains most where these were not measured, or samples are few per period.
+        Where it knows no more than the regression does, the equations are returned as they were.
+
+        Parameters
+        ----------
+        records : Record or sequence of Record
+            With the channels that the equations were found from, and time.
+        segment : int, optional
+            Rows of a segment, instead of the longest with which runs follow the record.
+        holdout : float
+            Share of the rows, the last of each record, that is not used.
+        intercept : bool, optional
+            Estimate the intercepts, or set them to zero; by default each is zero unless its interval excludes that.
+        interpolation : "cubic", "linear" or "hold", optional
+            See `simulate`; by default a cubic spline or straight lines, whichever runs follow better.
+
+        Returns
+        -------
+        Equations
+            Coefficients, covariances, intercepts, noise and fits are new; terms, inclusion probabilities and runners-up
+            those of the regression. ``refined`` says how.
+
+        Raises
+        ------
+        InputError
+            No time, too few rows, channels that are missing, no terms to refine, constraints.
+
+        Warns
+        -----
+        ConvergenceWarning
+            Nothing better was found, and why.
+        """
+        from bayeq.forecast.rows import check_interpolation, whole_number
+        from bayeq.refine.output_error import Unrefined
+        from bayeq.refine.refine import LEAST_ROWS, refine
+
+        pieces = _as_list(records, "refine")
+        check_interpolation(interpolation)
+        if not 0 <= holdout < 1:
+            raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
+        if segment is not None:
+            whole_number("segment, a number of rows,", segment, LEAST_ROWS)
+        if self.constraints:
+            raise InputError(f"refine cannot keep to what is known of coefficients: {'; '.join(self.constraints)}")
+        for equation in self.equations:
+            if not equation.shown:
+                raise InputError(f"{equation.target}: there are no terms to refine")
+        found = refine(
+            self.chains,
+            self.inputs,
+            [equation.shown_posterior for equation in self.equations],
+            [equation.terms for equation in self.equations],
+            pieces,
+            smooth=self.smooth,
+            intercepts=[e.intercept_matters if intercept is None else intercept for e in self.equations],
+            segment=segment,
+            holdout=holdout,
+            interpolation=interpolation,
+        )
+        if isinstance(found, Unrefined):
+            message = f"not refined: {found.reason}; the equations are returned as they were"
+            warnings.warn(message, ConvergenceWarning, stacklevel=2)
+            return self
+        notes = self.warnings
+        if not found.summary.converged:
+            notes = (*notes, "the output-error estimate did not converge: its steps ended at their limit")
+            warnings.warn(notes[-1], ConvergenceWarning, stacklevel=2)
+        return replace(
+            self,
+            equations=tuple(
+                _refined(old, new.posterior, train=new.train, held_out=new.held_out, residuals=new.residuals)
+                for old, new in zip(self.equations, found.equations, strict=True)
+            ),
+            warnings=notes,
+            scores=found.scores,
+            refined=found.summary,
+        )
+
+    def physical(
+        self,
+        mass: float | None = None,
+        *,
+        target: str | None = None,
+        force: str | None = None,
+        draws: int = 10_000,
+        seed: int = 0,
+    ) -> PhysicalParameters:
+        """Mass, damping, stiffness, natural frequency and damping ratio of an oscillator, with intervals.
+
+        Parameters
+        ----------
+        mass : float, optional
+            In the unit that goes with the channels (kg). By default it follows from the force's coefficient; without a
+            force parameters are per unit of mass.
+        target, force : str, optional
+            The equation meant, where several are of second order, and the input that is the force, of several.
+        draws, seed : int
+            Of the coefficients' joint posterior.
+
+        Returns
+        -------
+        PhysicalParameters
+            Print it, or take its ``table()``.
+
+        Raises
+        ------
+        InputError
+            An equation that is not of second order, or without a restoring term.
+        """
+        from bayeq.equation.physical import physical_parameters
+
+        equation = _oscillator(self, target)
+        return physical_parameters(
+            equation.chain,
+            self.inputs,
+            equation.terms,
+            equation.shown_posterior,
+            equation.units,
+            mass=mass,
+            force=force,
+            draws=draws,
+            seed=seed,
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """What ``bayeq discover --json`` prints."""
-        from bayeq.equation.storage import to_dict
+        from bayeq.equation.to_json import to_dict
 
         return to_dict(self)
 
     def save(self, path: str | Path) -> None:
         """Write to a JSON file that `bayeq.load` reads."""
-        from bayeq.equation.storage import to_saved
+        from bayeq.equation.to_json import to_saved
 
         text = json.dumps(to_saved(self), indent=1, allow_nan=False) + "\n"
         with replacing(Path(path)) as part:
@@ -157,3 +461,38 @@ class Equations(EquationsRuns):
 
     def __repr__(self) -> str:
         return f"<Equations: {'; '.join(equation.text for equation in self.equations)}>"
+
+
+def _between(equations: Equations, interpolation: Interpolation | None) -> Interpolation:
+    return interpolation or (equations.refined.interpolation if equations.refined else "cubic")
+
+
+def _as_list(records: Record | Sequence[Record], purpose: str) -> list[Record]:
+    pieces = [records] if isinstance(records, Record) else list(records)
+    if not pieces or not all(isinstance(piece, Record) for piece in pieces):
+        raise InputError(f"{purpose} needs a Record or a list of Records")
+    return pieces
+
+
+def _oscillator(equations: Equations, target: str | None) -> Equation:
+    """The equation meant, or the only one of second order."""
+    if target is not None:
+        if target not in {equation.target for equation in equations}:
+            raise UnknownNameError("equation", target, [equation.target for equation in equations])
+        return equations[target]
+    second = [equation for equation in equations if equation.chain.order == 2]
+    if not second:
+        raise InputError(
+            "physical parameters are those of a second-order equation, x'' = ...; here there are only"
+            f" {', '.join(f'{e.target} (order {e.chain.order})' for e in equations)}"
+        )
+    if len(second) > 1:
+        raise InputError(f"name one of the equations as target: {', '.join(e.target for e in second)}")
+    return second[0]
+
+
+def _refined(equation: Equation, posterior: Posterior, **changes: Any) -> Equation:
+    """An equation with other coefficients of the terms shown; of the included terms, where these are the same."""
+    same = bool((equation.posterior.support == posterior.support).all())
+    included = posterior if same else equation.posterior
+    return replace(equation, posterior=included, shown_posterior=posterior, **changes)

@@ -12,13 +12,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation, round_to
-from bayeq.equation.equations import Equations
 from bayeq.equation.size_path import percent
 from bayeq.forecast.results import Scores, percentages
 from bayeq.inference import ENGINES
 from bayeq.regression.residuals import Residuals
-from bayeq.states import FEW_ROWS
 
 __all__ = ["render"]
 
@@ -36,7 +35,7 @@ CERTAIN = 0.99
 DOUBTFUL = 1e-3
 
 
-def render(eq: Equations, with_warnings: bool = True) -> str:
+def render(eq: Answer, with_warnings: bool = True) -> str:
     """Text of the equations: styled if standard output is a terminal, plain Markdown otherwise."""
     terminal = sys.stdout.isatty()
     buffer = io.StringIO()
@@ -44,13 +43,14 @@ def render(eq: Equations, with_warnings: bool = True) -> str:
         file=buffer, force_terminal=terminal, no_color=not terminal, width=None if terminal else PLAIN_WIDTH,
         highlight=False, soft_wrap=True,
     )  # fmt: skip
+    console.print(f"verdict: {escape(str(eq.verdict))}\n")
     for equation in eq.equations:
         _render_equation(console, equation, eq.method, eq.scores, terminal)
     names = [name for name in eq.data.files if name]
     source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
     console.print(f"{eq.data.n} rows{source}, {eq.data.n_train} used; method: {ENGINES[eq.method].title}")
     if eq.data.estimated:
-        how = "smoothing" if eq.smooth == "auto" and eq.data.n >= FEW_ROWS else "central differences"
+        how = "smoothing" if eq.data.smoothed else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
     if eq.refined:
         console.print(escape(str(eq.refined)))
@@ -75,10 +75,9 @@ def _render_equation(console: Console, equation: Equation, method: str, scores: 
     for k, row in enumerate(_rows(equation)):
         table.add_row(*row, *(values[k] for values in extra.values()))
     console.print(table)
-    rest = len(equation.terms) - len(_shown(equation))
+    rest = len(equation.terms) - len(_listed(equation))
     if rest:
-        others = [p for p, s in zip(equation.posterior.pip, equation.posterior.support, strict=True) if not s]
-        low = [p for p in others if p < NOTEWORTHY_PIP]
+        low = [p for p in equation.posterior.pip if p < NOTEWORTHY_PIP]
         console.print(
             f"\n{rest} more candidates not included, {ENGINES[method].score} at most {max(low, default=0.0):.2g}"
         )
@@ -87,12 +86,8 @@ def _render_equation(console: Console, equation: Equation, method: str, scores: 
         console.print(escape(line))
     for line in _residuals(equation.residuals):
         console.print(escape(line))
-    for left in equation.left_out:
-        sure = "certain" if left.pip > CERTAIN else "likely"
-        why = f"{sure}, but negligible" if left.reason == "negligible" else f"left out as asked ({left.reason})"
-        console.print(
-            f"{why}: {escape(left.name)}, {ENGINES[method].score} {left.pip:.3f}, explains {percent(left.share)}"
-        )
+    for line in _differences(equation, ENGINES[method].score):
+        console.print(escape(line))
     # of an equation that terms were left out of, the likelier ones are no runners-up
     runners_up = [r for r in equation.runners_up if not equation.left_out or r.log_odds <= 0]
     if runners_up:
@@ -100,6 +95,19 @@ def _render_equation(console: Console, equation: Equation, method: str, scores: 
         for r in runners_up:
             console.print(f"{r.odds:>10}  {escape(str(r))}")
     console.print("")
+
+
+def _differences(equation: Equation, score: str) -> list[str]:
+    """Terms that are included or shown and not both, and why."""
+    p, out = equation.posterior, []
+    for left in equation.left_out:
+        sure = "certain" if left.pip > CERTAIN else "likely"
+        why = f"{sure}, but negligible" if left.reason == "negligible" else f"included, but left out ({left.reason})"
+        out.append(f"{why}: {left.name}, {score} {left.pip:.3f}, explains {percent(left.share)}")
+    for j, term in enumerate(equation.terms):
+        if equation.shown_posterior.support[j] and not p.support[j]:
+            out.append(f"shown, though its {score} is {p.pip[j]:.3f}: {term.text} ({equation.why[term.text]})")
+    return out
 
 
 def _fits(equation: Equation) -> list[str]:
@@ -144,16 +152,16 @@ def _chance(p: float) -> str:
     return f"p = {p:.2g}" if p >= 1e-4 else "p < 0.0001"
 
 
-def _shown(equation: Equation) -> list[int]:
+def _listed(equation: Equation) -> list[int]:
     """Candidates that the table lists."""
-    p = equation.posterior
-    return [j for j in range(len(equation.terms)) if p.support[j] or p.pip[j] >= NOTEWORTHY_PIP]
+    p, shown = equation.posterior, equation.shown_posterior.support
+    return [j for j in range(len(equation.terms)) if shown[j] or p.support[j] or p.pip[j] >= NOTEWORTHY_PIP]
 
 
 def _extra_columns(equation: Equation) -> dict[str, list[str]]:
     """Shares of variance and units, where they are known, for the rows of the table: terms, then the intercept."""
-    kept, share = equation.posterior.support, equation.share
-    shown = _shown(equation)
+    kept, share = equation.shown_posterior.support, equation.share
+    shown = _listed(equation)
     out = {}
     if share is not None and kept.any():
         out["share"] = [percent(share[j]) if kept[j] else "" for j in shown] + [""]
@@ -164,15 +172,16 @@ def _extra_columns(equation: Equation) -> dict[str, list[str]]:
 
 
 def _rows(equation: Equation) -> list[tuple[Any, ...]]:
-    p, ci, sd = equation.posterior, equation.ci95, equation.posterior.sd
+    p, ci, sd = equation.shown_posterior, equation.shown_ci95, equation.shown_posterior.sd
     rows = []
-    for j in _shown(equation):
+    for j in _listed(equation):
         term = equation.terms[j]
         if p.support[j]:
             interval = f"{round_to(ci[j, 0], sd[j])} .. {round_to(ci[j, 1], sd[j])}"
             rows.append((escape(term.text), round_to(p.coef[j], sd[j]), f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
         else:
-            rows.append((escape(term.text), "not included", "", "", f"{p.pip[j]:.3f}"))
+            absent = "not shown" if equation.posterior.support[j] else "not included"
+            rows.append((escape(term.text), absent, "", "", f"{p.pip[j]:.3f}"))
     if p.intercept == 0.0 and p.intercept_sd < NOTHING:
         return [*rows, ("intercept", "none", "", "", "")]
     low, high = equation.intercept_ci95

@@ -16,12 +16,12 @@ from bayeq.errors import InputError, RecordError
 from bayeq.expressions import Expression
 from bayeq.ode.rk4 import Interpolation, interpolant
 from bayeq.records import Record
-from bayeq.states import Chain, ChainSmoothing, States
-from bayeq.states.uniform_grid import on_grid
+from bayeq.states import ChainSmoothing, Motion
 
 __all__ = [
     "Rows",
     "check_interpolation",
+    "divided",
     "normalised_error",
     "predicted_target",
     "require_time",
@@ -85,39 +85,32 @@ class Rows:
         return side_by_side(self.columns, names, self.n)
 
 
-def rows_of(
-    record: Record,
-    states: States,
-    chains: Sequence[Chain],
-    inputs: Sequence[str],
-    purpose: str,
-    interpolation: Interpolation = "cubic",
-) -> Rows:
-    """A record's rows with states that `derive_all` found, dropped samples put back.
+def rows_of(motion: Motion, purpose: str, interpolation: Interpolation = "cubic") -> list[Rows]:
+    """All rows of each record of some motion.
 
     Raises
     ------
     RecordError
-        It has no time.
+        A record without time.
     """
-    require_time(record, purpose)
-    names = [name for chain in chains for name in chain.measured if name is not None]
-    filled = on_grid(record, names, inputs)
-    if filled.n != states.n:
-        # states that were taken as measured are on the record's own rows
-        filled = record
-    time = require_time(filled, purpose)
-    return Rows(
-        time,
-        {**states.columns, **states.measured},
-        {name: np.asarray(filled[name]) for name in names},
-        interpolant(time, side_by_side(states.columns, inputs, states.n), interpolation),
-        {
-            chain.target: smoothing
-            for chain, smoothing in zip(chains, states.smoothing, strict=bool(states.smoothing))
-            if chain.measured[-1] is None
-        },
-    )
+    roles = motion.roles
+    estimated = {
+        target: smoothing for k, target in enumerate(roles.targets) if (smoothing := motion.estimated_by(k)) is not None
+    }
+    out = []
+    for rows in motion.records:
+        if rows.time is None:
+            raise RecordError(f"{rows.name or 'record'}: {purpose} needs a time column or fs")
+        driven = interpolant(rows.time, side_by_side(rows.columns, roles.inputs, rows.n), interpolation)
+        out.append(Rows(rows.time, {**rows.columns, **rows.observed}, rows.samples, driven, estimated))
+    return out
+
+
+def divided(motion: Motion, records: Sequence[Rows]) -> tuple[list[Rows], list[Rows]]:
+    """Training rows of each record, and the rows held out of each that has some."""
+    pairs = list(zip(records, motion.cuts, strict=True))
+    train = [rows.part(slice(0, cut)) for rows, cut in pairs]
+    return train, [rows.part(slice(cut, rows.n)) for rows, cut in pairs if cut < rows.n]
 
 
 def side_by_side(columns: Mapping[str, Floats], names: Sequence[str], n: int) -> Floats:

@@ -29,7 +29,7 @@ from bayeq.forecast.start import fitted_start
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Interpolation, interpolant
 from bayeq.records import Record
-from bayeq.states import Smooth, derive_all
+from bayeq.states import Roles, Smooth, estimate_motion
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -235,8 +235,8 @@ def _rows(dynamics: Dynamics, record: Record, smooth: Smooth) -> Rows | None:
     channels = [name for chain in dynamics.chains for name in chain.measured if name is not None]
     if not all(name in record.channels for name in channels):
         return None
-    (states,) = derive_all([record], dynamics.chains, dynamics.inputs, smooth)
-    return rows_of(record, states, dynamics.chains, dynamics.inputs, "a free run")
+    motion = estimate_motion([record], Roles(dynamics.chains, dynamics.inputs), smooth)
+    return rows_of(motion, "a free run")[0]
 
 
 def _measured_states(dynamics: Dynamics, record: Record, row: int, needed: Sequence[str]) -> Mapping[str, Floats]:

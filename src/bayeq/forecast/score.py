@@ -14,6 +14,7 @@ from bayeq.forecast.results import Scores
 from bayeq.forecast.rows import (
     Rows,
     check_interpolation,
+    divided,
     normalised_error,
     predicted_target,
     require_time,
@@ -21,10 +22,9 @@ from bayeq.forecast.rows import (
     window_of,
 )
 from bayeq.forecast.start import fitted_start
-from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
-from bayeq.states import Chain, Smooth, States, derive_all
+from bayeq.states import Motion, Roles, Smooth, estimate_motion
 
 __all__ = ["held_out_scores", "score_records", "score_rows"]
 
@@ -75,34 +75,18 @@ def _predicted(target: str, terms: Sequence[Expression], parameters: Floats, row
     return smoothing.follow(values[:, None])[inner, 0], given[inner]
 
 
-def held_out_scores(
-    chains: Sequence[Chain],
-    inputs: Sequence[str],
-    posteriors: Sequence[Posterior],
-    terms: Sequence[Sequence[Expression]],
-    records: Sequence[Record],
-    states: Sequence[States],
-    share: float,
-) -> Scores | None:
-    """Scores on the last rows of each record, a share of them that was not used.
+def held_out_scores(dynamics: Dynamics, parameters: Floats, motion: Motion) -> Scores | None:
+    """Scores on the rows held out.
 
     Returns
     -------
     Scores or None
         None where no rows were held out, or a record has no time.
     """
-    if any(record.time is None for record in records):
+    if not motion.timed:
         return None
-    pieces = []
-    for record, found in zip(records, states, strict=True):
-        count = int(share * found.n)
-        if count >= LEAST_ROWS:
-            rows = rows_of(record, found, chains, inputs, "a free run")
-            pieces.append(rows.part(slice(rows.n - count, rows.n)))
-    if not pieces:
-        return None
-    dynamics = Dynamics.of(chains, inputs, posteriors, terms)
-    return score_rows(dynamics, dynamics.means(posteriors), pieces)
+    pieces = [rows for rows in divided(motion, rows_of(motion, "a free run"))[1] if rows.n >= LEAST_ROWS]
+    return score_rows(dynamics, parameters, pieces) if pieces else None
 
 
 def score_records(
@@ -118,10 +102,10 @@ def score_records(
 ) -> Scores:
     """Scores on rows of records; see `bayeq.Equations.score`. Without `start` these are the last ones, a share."""
     check_interpolation(interpolation)
+    roles = Roles(dynamics.chains, dynamics.inputs)
+    motion = estimate_motion(records, roles, smooth, share if start is None else 0.0)
     pieces = []
-    states = derive_all(records, dynamics.chains, dynamics.inputs, smooth, share if start is None else 0.0)
-    for record, found in zip(records, states, strict=True):
-        whole = rows_of(record, found, dynamics.chains, dynamics.inputs, "a free run", interpolation)
+    for record, whole in zip(records, rows_of(motion, "a free run", interpolation), strict=True):
         time = require_time(record, "a free run")
         if start is None:
             cut = whole.n - max(int(share * whole.n), LEAST_ROWS)

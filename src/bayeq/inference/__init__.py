@@ -21,6 +21,7 @@ from bayeq.inference.vb import spike_slab_vb
 __all__ = [
     "ENGINES",
     "Engine",
+    "Posterior",
     "Prior",
     "rvm",
     "spike_slab_auto",

@@ -22,14 +22,14 @@ from bayeq.records import Record
 from bayeq.refine.measured import Measured, Piece
 from bayeq.refine.output_error import OutputError, Unrefined, follows_better, output_error
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
-from bayeq.states import Chain, Smooth, derive_all
+from bayeq.states import Chain, Roles, Smooth, estimate_motion
+from bayeq.states.motion import held_out_share
 
 __all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "refine"]
 
 Floats = NDArray[np.float64]
 
-# With fewer rows none are held out (as in `discover`); with fewer than this there is no free run to speak of.
-LEAST_ROWS_TO_HOLD_OUT = 50
+# With fewer rows there is no free run to speak of.
 LEAST_ROWS = 8
 
 # Rows that stand for an intercept without error.
@@ -155,11 +155,10 @@ def _rows(
     interpolation: Interpolation,
 ) -> list[tuple[Rows, int]]:
     """Rows of each record, with the states as `discover` has them, and the first of those that are held out."""
-    share = holdout if sum(piece.n for piece in pieces) >= LEAST_ROWS_TO_HOLD_OUT else 0.0
+    share = held_out_share(holdout, sum(piece.n for piece in pieces))
+    motion = estimate_motion(pieces, Roles(tuple(chains), tuple(inputs)), smooth, share)
     out = []
-    for piece, states in zip(pieces, derive_all(pieces, chains, inputs, smooth, share), strict=True):
-        rows = rows_of(piece, states, chains, inputs, "refine", interpolation)
-        cut = rows.n - int(share * rows.n)
+    for piece, rows, cut in zip(pieces, rows_of(motion, "refine", interpolation), motion.cuts, strict=True):
         if cut < LEAST_ROWS:
             raise RecordError(f"{piece.name or 'record'}: {cut} rows are too few to refine on (at least {LEAST_ROWS})")
         out.append((rows, cut))

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
-from bayeq.expressions import Expression
 from bayeq.gram.band import periodogram, to_band
 from bayeq.inference.posterior import Posterior
 from bayeq.regression.filtered_terms import unsmoothed
-from bayeq.regression.weights import InBand, gains_of
+from bayeq.regression.regression import Regression
+from bayeq.regression.weights import gains_of
 from bayeq.states import Chain, ChainSmoothing
 
 __all__ = ["propagated_covariance"]
@@ -37,36 +37,20 @@ STRETCH = 256
 MEMORIES = 8
 ENERGY = 0.9
 
+# The noise's power in a bin is an average of at least so many drawn periodograms, which errs by 1/4 in one bin.
+LEAST_AVERAGED = 16
 
-def propagated_covariance(
-    in_band: InBand,
-    posterior: Posterior,
-    terms: Sequence[Expression],
-    pieces: Sequence[Mapping[str, Floats]],
-    chains: Sequence[Chain],
-    smoothings: Sequence[ChainSmoothing],
-    which: int,
-    inputs: Sequence[str],
-    basis: Floats,
-) -> tuple[Floats, float]:
+
+def propagated_covariance(regression: Regression, posterior: Posterior, basis: Floats) -> tuple[Floats, float]:
     """Covariance of the included coefficients, and how far the residual exceeds the noise that it is to come from.
 
     Parameters
     ----------
-    in_band : InBand
-        The regression.
+    regression : Regression
+        Of a band.
     posterior : Posterior
-        Its answer, r terms included.
-    terms : sequence of Expression
-        The P candidates.
-    pieces : sequence of mapping of str to (n,) array
-        Smoothed states and inputs of each piece.
-    chains, smoothings : sequences
-        All chains and how they were smoothed.
-    which : int
-        The chain whose target is meant.
-    inputs : sequence of str
-        Measured inputs; those whose noise is not known add none, but the level of the whole is that of the residuals.
+        In original units, r terms in its support. Inputs whose noise is not known add none, but the level of the whole
+        is that of the residuals.
     basis : (r, f) array
         How the coefficients move with those that are free; the identity where all are.
 
@@ -78,6 +62,11 @@ def propagated_covariance(
     float
         Squares of the residual over what the noise drawn gives in the same bin, on average over the bins.
     """
+    in_band = regression.band
+    assert in_band is not None
+    motion, terms, which = regression.motion, regression.design.terms, regression.k
+    chains, smoothings = motion.roles.chains, motion.smoothing
+    pieces = [rows.columns for rows in motion.train]
     kept = np.flatnonzero(posterior.support)
     chosen = [terms[int(j)] for j in kept]
     theta = posterior.coef[kept]
@@ -114,8 +103,7 @@ def propagated_covariance(
         left = periodogram(band, posterior.coef, posterior.intercept)
         drawn += float(band.count @ (power / spectrum))
         found += float(band.count @ (left / spectrum))
-        # the mean of 1/power over `count` draws of an exponential is larger than the inverse of its mean
-        surplus += float(band.count @ (left / power)) * (count - 1) / count
+        surplus += _surplus(left / spectrum, power / spectrum, count, band.count)
         numbers += float(band.count.sum())
     # in a band that does not begin at zero there is no constant
     constant = np.eye(1 + len(kept))[:, : int(H[0, 0] > 0)]
@@ -124,6 +112,20 @@ def propagated_covariance(
     covariance = free @ inverse @ (free.T @ M @ free) @ inverse @ free.T * max(found / drawn, 1.0)
     covariance = covariance[1:, 1:]
     return np.asarray(0.5 * (covariance + covariance.T)), surplus / numbers
+
+
+def _surplus(left: Floats, drawn: Floats, draws: int, numbers: Floats) -> float:
+    """Sum over the bins of the residual's power over that of the noise, both in units of the spectrum.
+
+    The power of the noise is averaged over draws and, where these are few, over neighbouring bins.
+    """
+    width = -(-LEAST_AVERAGED // draws)
+    starts = np.arange(0, max(len(drawn) - width + 1, 1), width)
+    bins = np.diff(np.append(starts, len(drawn)))
+    averaged = np.add.reduceat(drawn, starts) / bins
+    # the inverse of an average of m exponential variables is larger than that of their mean, by m/(m - 1)
+    averaged *= bins * draws / np.maximum(bins * draws - 1.0, 1.0)
+    return float(numbers @ (left / np.repeat(averaged, bins)))
 
 
 def _rate(smoothing: ChainSmoothing) -> float:

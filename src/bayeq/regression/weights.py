@@ -9,17 +9,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.dictionary import evaluate_terms
-from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.gram.band import Band, added_floor, band_gram, noise_floor, periodogram, residual_spectrum, to_band
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
+from bayeq.regression.design import Design
 from bayeq.regression.filtered_terms import unsmoothed
 from bayeq.regression.residuals import Residuals
-from bayeq.states import Chain, ChainSmoothing
+from bayeq.states import ChainSmoothing
 
 __all__ = ["InBand", "Piece", "gains_of", "regress_in_band", "thinned_gram", "weighted_gram"]
 
@@ -180,53 +179,44 @@ def weighted_gram(
     return InBand(gram, span, tuple(bands), tuple(spectrum), noise or {})
 
 
-def regress_in_band(
-    terms: Sequence[Expression],
-    pieces: Sequence[Mapping[str, Floats]],
-    chains: Sequence[Chain],
-    smoothings: Sequence[ChainSmoothing],
-    which: int,
-    inputs: Sequence[str],
-) -> InBand | None:
+def regress_in_band(design: Design, k: int) -> InBand | None:
     """The band regression of one target, noise of the inputs read from their spectra.
 
     Parameters
     ----------
-    terms : sequence of Expression
-        The P candidates.
-    pieces : sequence of mapping of str to (n,) array
-        Smoothed states and targets, and inputs, of each record.
-    chains, smoothings : sequences
-        All chains and how they were smoothed.
-    which : int
+    design : Design
+        Candidates on the training rows.
+    k : int
         The chain whose target is meant.
-    inputs : sequence of str
-        Measured inputs.
 
     Returns
     -------
     InBand or None
         None where nothing was smoothed, records are not sampled uniformly, or the band holds too few numbers.
     """
-    if not smoothings or any(s.fs is None for s in smoothings):
+    motion = design.motion
+    if not motion.smoothing or any(s.fs is None for s in motion.smoothing):
         return None
-    chain = chains[which]
-    rows = [
+    chain, inputs = motion.roles.chains[k], motion.roles.inputs
+    pieces = [
         Piece(
-            evaluate_terms(terms, piece),
-            piece[chain.target],
-            np.column_stack([piece[name] for name in chain.states]),
-            np.column_stack([np.empty((len(piece[chain.target]), 0)), *(piece[name] for name in inputs)]),
+            design.columns(i),
+            rows.columns[chain.target],
+            np.column_stack([rows.columns[name] for name in chain.states]),
+            np.column_stack([np.empty((rows.n, 0)), *(rows.columns[name] for name in inputs)]),
         )
-        for piece in pieces
+        for i, rows in enumerate(motion.train)
     ]
-    names = tuple(term.text for term in terms)
-    floors = {j: noise_floor([piece[name] for piece in pieces]) for j, name in enumerate(names) if name in inputs}
+    floors = {
+        j: noise_floor([rows.columns[name] for rows in motion.train])
+        for j, name in enumerate(design.names)
+        if name in inputs
+    }
     noise = {j: floor for j, floor in floors.items() if floor is not None}
-    filtered = unsmoothed(terms, chains)
-    spans = [smoothing.band for smoothing in smoothings]
+    filtered = unsmoothed(design.terms, motion.roles.chains)
+    spans = [smoothing.band for smoothing in motion.smoothing]
     span = max(low for low, _ in spans), min(high for _, high in spans)
-    return weighted_gram(rows, names, smoothings[which], span, filtered, noise)
+    return weighted_gram(pieces, design.names, motion.smoothing[k], span, filtered, noise)
 
 
 def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gram:

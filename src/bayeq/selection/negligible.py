@@ -1,10 +1,10 @@
-"""Terms that are certain and yet make no practical difference.
+"""Statistically certain but practically negligible terms.
 
-Where a model is only nearly true, more rows make ever more terms certain: they stand in for what the dictionary does
-not hold. A fixed share of variance alone does not tell them from what matters, since the damping of a light structure
-explains next to nothing and yet decides how its motion decays. So terms are negligible if both hold: together they
-explain less of the target's variance than a small share, and without them, the others estimated anew, free runs are
-hardly worse, over ten periods and over a hundred. In shorter records less is certain, and what is certain matters
+Where a model is only nearly true, more rows make ever more terms certain: they compensate for what the dictionary does
+not hold. A fixed share of variance alone does not separate them from what matters, since the damping of a light
+structure explains next to nothing and yet decides how its motion decays. So terms are negligible if both hold: together
+they explain less of the target's variance than a small share, and without them, the others estimated again, free runs
+are hardly worse, over ten periods and over a hundred. In shorter records less is certain, and what is certain matters
 sooner: there free runs must be all but the same ones.
 """
 
@@ -12,37 +12,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.rows import Rows, rows_of
+from bayeq.forecast.rows import Rows, divided, rows_of
 from bayeq.forecast.windows import apart, typical_period, window_runs
+from bayeq.inference import Posterior
 from bayeq.inference.collapsed.path import best_of_each_size, partial_shares
-from bayeq.inference.collapsed.problem import Problem
-from bayeq.records import Record
-from bayeq.regression.fit import Inferred, Setting
-from bayeq.selection.limits import LeftOut, given_terms
-from bayeq.states import Chain, States
+from bayeq.regression.fit import RegressionFit
+from bayeq.states import Motion
 
-__all__ = ["NEGLIGIBLE", "training_rows", "without_negligible"]
+__all__ = ["NEGLIGIBLE", "FreeRuns", "less_negligible", "undecided_forms"]
 
 Floats = NDArray[np.float64]
-_Windows = list[tuple[Floats, Floats]]
 Bools = NDArray[np.bool_]
+Windows = list[tuple[Floats, Floats]]
 
 # Share of the target's variance that negligible terms together explain at most.
 NEGLIGIBLE = 4e-5
 
-# Terms that explain less than so many times as much may have been kept for the free runs alone.
+# Terms that explain less than this multiple of it may have been kept for the free runs alone.
 MATTERS = 3.0
 
-# Free runs over so many periods are hardly worse if their error is at most this share of the states' spread, or at most
-# WORSE times that of the whole equation. Of fewer training rows than LONG, if they keep to those of the whole equation
-# within this share of the spread; terms may explain more then, so many times as much.
+# Free runs over a number of periods are hardly worse if their error is at most this share of the states' spread, or at
+# most WORSE times that of the whole equation. Of fewer training rows than LONG, if they keep to those of the whole
+# equation within SAME of the spread; terms may then explain SHORT times as much.
 TOLERANCES = {10.0: 0.1, 100.0: 0.25}
 WORSE = 1.5
 LONG = 10_000
@@ -50,136 +47,130 @@ SAME = 0.005
 SHORT = 1.5
 
 
-def training_rows(
-    records: Sequence[Record], states: Sequence[States], chains: Sequence[Chain], inputs: Sequence[str], share: float
-) -> list[Rows]:
-    """The rows of each record that are not held out; none where a record has no time."""
-    if any(record.time is None for record in records):
-        return []
-    out = []
-    for record, found in zip(records, states, strict=True):
-        rows = rows_of(record, found, chains, inputs, "a free run")
-        out.append(rows.part(slice(0, rows.n - int(share * rows.n))))
-    return out
-
-
-def without_negligible(
-    setting: Setting, inferred: Sequence[Inferred], pieces: Sequence[Rows], share: float
-) -> list[Inferred]:
-    """The same, negligible terms left out of what is shown, equation by equation.
+class FreeRuns:
+    """Free runs of a system over windows of the training rows.
 
     Parameters
     ----------
-    setting : Setting
-        All equations.
-    inferred : sequence of Inferred
-        One per equation, without constraints.
-    pieces : sequence of Rows
-        Training rows, from `training_rows`; nothing is left out where there are none.
-    share : float
-        Of the variance.
+    motion : Motion
+        With time.
+    fits : sequence of RegressionFit
+        One per equation.
     """
-    out = list(inferred)
-    if not pieces:
-        return out
-    if sum(rows.n for rows in pieces) < LONG:
-        share *= SHORT
-    for k, one in enumerate(out):
-        if not (_small(one, one.shown.support, share)).any():
-            continue
-        runs = _Runs(setting, out, k, pieces)
-        fewer = next((model for model in _smaller_models(one, share) if runs.hardly_worse(model)), None)
-        if fewer is not None:
-            out[k] = _with_less(one, fewer, share, runs)
-    return out
 
-
-class _Runs:
-    """Free runs of all equations, one of them given other terms, against those of the whole equations."""
-
-    def __init__(self, setting: Setting, inferred: Sequence[Inferred], k: int, pieces: Sequence[Rows]) -> None:
-        self.setting, self.inferred, self.k, self.pieces = setting, inferred, k, pieces
-        self.long = sum(rows.n for rows in pieces) >= LONG
-
-    def given(self, model: Bools) -> Inferred:
-        """The equation with the terms of a model."""
-        one = self.inferred[self.k]
-        return replace(one, shown=given_terms(one.standard.gram, one.prior, one.shown, model))
+    def __init__(self, motion: Motion, fits: Sequence[RegressionFit]) -> None:
+        self.motion, self.fits = motion, fits
+        self.rows = sum(rows.n for rows in motion.train)
+        self.long = self.rows >= LONG
 
     @cached_property
-    def whole(self) -> dict[float, _Windows]:
-        """Runs of the whole equations and what they are to follow, by their length in periods."""
-        return _window_runs(self.setting, self.inferred, self.pieces)
+    def pieces(self) -> list[Rows]:
+        """The training rows with their inputs interpolated."""
+        return divided(self.motion, rows_of(self.motion, "a free run"))[0]
 
-    def hardly_worse(self, model: Bools) -> bool:
+    def of(self, shown: Sequence[Posterior]) -> dict[float, Windows]:
+        """Runs and what they are to follow, by their length in periods; one posterior per equation."""
+        posteriors = [fit.expanded(one) for fit, one in zip(self.fits, shown, strict=True)]
+        roles, terms = self.motion.roles, self.fits[0].regression.design.terms
+        dynamics = Dynamics.of(roles.chains, roles.inputs, posteriors, [terms] * len(posteriors))
+        period = typical_period(dynamics, self.pieces)
+        parameters = dynamics.means(posteriors)
+        return {periods: window_runs(dynamics, parameters, self.pieces, periods * period) for periods in TOLERANCES}
+
+    def hardly_worse(self, fewer: dict[float, Windows], whole: dict[float, Windows]) -> bool:
         """Whether runs are within the tolerances; not where there are none."""
-        others = list(self.inferred)
-        others[self.k] = self.given(model)
-        fewer = _window_runs(self.setting, others, self.pieces)
-        return all(self._within(fewer[p], self.whole[p], tolerance) for p, tolerance in TOLERANCES.items())
+        return all(self._within(fewer[p], whole[p], tolerance) for p, tolerance in TOLERANCES.items())
 
-    def _within(self, fewer: _Windows, whole: _Windows, tolerance: float) -> bool:
+    def _within(self, fewer: Windows, whole: Windows, tolerance: float) -> bool:
         if self.long:
             return apart(fewer) <= max(tolerance, WORSE * apart(whole))
         return apart((one, other) for (one, _), (other, _) in zip(fewer, whole, strict=True)) <= SAME
 
 
-def _with_less(inferred: Inferred, model: Bools, share: float, runs: _Runs) -> Inferred:
-    """The equation given a smaller model; what was left out, and what of it could stand for a term that is kept."""
-    found, shares = inferred.shown, partial_shares(inferred.fitted, inferred.shown.support)
-    gone = np.flatnonzero(found.support & ~model)
-    left = tuple(LeftOut(found.names[i], float(found.pip[i]), float(shares[i]), "negligible") for i in gone)
-    # a term that explains so little was kept for the free runs alone, and another may do as well
-    undecided = {}
-    for j in np.flatnonzero(_small(inferred, model, MATTERS * share)):
-        others = [i for i in gone if _as_good(inferred, model, int(j), int(i), share, runs)]
+def less_negligible(
+    fit: RegressionFit, k: int, shown: Sequence[Posterior], share: float, runs: FreeRuns
+) -> Bools | None:
+    """The terms of equation k without the negligible ones among them; None where none is.
+
+    Parameters
+    ----------
+    fit : RegressionFit
+        Of equation k.
+    k : int
+        Its number.
+    shown : sequence of Posterior
+        Of each equation, given the terms shown so far.
+    share : float
+        Of the target's variance that negligible terms together explain at most.
+    runs : FreeRuns
+        Of the system.
+    """
+    share = _scaled(share, runs)
+    if not _small(fit, shown[k].support, share).any():
+        return None
+    whole = runs.of(shown)
+    for model in _smaller_models(fit, shown[k].support, share):
+        if runs.hardly_worse(runs.of(_with(shown, k, fit.given(model))), whole):
+            return model
+    return None
+
+
+def undecided_forms(
+    fit: RegressionFit, k: int, shown: Sequence[Posterior], model: Bools, share: float, runs: FreeRuns
+) -> dict[str, tuple[str, ...]]:
+    """Terms of a smaller model of equation k, each with terms left out that could take its place.
+
+    A term that explains so little was kept for the free runs alone, and another may do as well: fit and free runs are
+    hardly worse with the other one.
+    """
+    share = _scaled(share, runs)
+    names, gone = fit.posterior.names, np.flatnonzero(shown[k].support & ~model)
+    whole = runs.of(shown)
+    out = {}
+    for j in np.flatnonzero(_small(fit, model, MATTERS * share)):
+        others = []
+        for i in gone:
+            swapped = model.copy()
+            swapped[j], swapped[i] = False, True
+            if _unexplained(fit, swapped) - _unexplained(fit, model) < share and runs.hardly_worse(
+                runs.of(_with(shown, k, fit.given(swapped))), whole
+            ):
+                others.append(names[i])
         if others:
-            undecided[found.names[j]] = tuple(found.names[i] for i in others)
-    return replace(runs.given(model), left_out=left, undecided=undecided)
+            out[names[j]] = tuple(others)
+    return out
 
 
-def _as_good(inferred: Inferred, model: Bools, leaves: int, enters: int, share: float, runs: _Runs) -> bool:
-    """Whether fit and free runs are hardly worse with one term in the place of another."""
-    other = model.copy()
-    other[leaves], other[enters] = False, True
-    if _unexplained(inferred, other) - _unexplained(inferred, model) >= share:
-        return False
-    return runs.hardly_worse(other)
+def _scaled(share: float, runs: FreeRuns) -> float:
+    return share if runs.long else share * SHORT
 
 
-def _small(inferred: Inferred, model: Bools, share: float) -> Bools:
+def _with(shown: Sequence[Posterior], k: int, posterior: Posterior) -> list[Posterior]:
+    return [posterior if other == k else one for other, one in enumerate(shown)]
+
+
+def _small(fit: RegressionFit, model: Bools, share: float) -> Bools:
     """Terms of a model that explain less than a share of the variance, forced ones not among them."""
-    shares = partial_shares(inferred.fitted, model)
-    forced = np.isposinf(inferred.prior.log_odds(len(shares)))
+    shares = partial_shares(fit.rows, model)
+    forced = np.isposinf(fit.problem.log_odds)
     small: Bools = model & ~forced & (np.nan_to_num(shares, nan=np.inf) < share)
     return small
 
 
-def _smaller_models(inferred: Inferred, share: float) -> list[Bools]:
+def _smaller_models(fit: RegressionFit, support: Bools, share: float) -> list[Bools]:
     """The best model of each size among the terms shown that explains nearly as much, the smallest first."""
-    problem = Problem.of(inferred.standard.gram, inferred.prior)
-    support = inferred.shown.support
-    inside = problem._replace(log_odds=np.where(support, problem.log_odds, -math.inf))
-    whole = _unexplained(inferred, support)
+    inside = fit.problem._replace(log_odds=np.where(support, fit.problem.log_odds, -math.inf))
+    whole = _unexplained(fit, support)
     found = [model for model, _ in best_of_each_size(inside, int(support.sum()), [support])]
-    return [model for model in found[:-1] if _unexplained(inferred, model) - whole < share]
+    return [model for model in found[:-1] if _unexplained(fit, model) - whole < share]
 
 
-def _unexplained(inferred: Inferred, active: Bools) -> float:
+def _unexplained(fit: RegressionFit, active: Bools) -> float:
     """Share of the target's variance that least squares on some terms leaves."""
-    gram, kept = inferred.fitted, np.flatnonzero(active)
+    gram, kept = fit.rows, np.flatnonzero(active)
     if not len(kept):
         return 1.0
     scale = 1.0 / np.sqrt(np.diagonal(gram.DtD)[kept])
     correlation = gram.DtD[np.ix_(kept, kept)] * np.outer(scale, scale)
     projected = np.linalg.lstsq(correlation, gram.Dty[kept] * scale)[0]
     return 1.0 - float(projected @ (gram.Dty[kept] * scale)) / gram.yty
-
-
-def _window_runs(setting: Setting, inferred: Sequence[Inferred], pieces: Sequence[Rows]) -> dict[float, _Windows]:
-    """Free runs over so many periods."""
-    posteriors = [one.constraints.expand(one.shown.rescaled(one.standard), one.gram) for one in inferred]
-    dynamics = Dynamics.of(setting.chains, setting.inputs, posteriors, [setting.design.terms] * len(inferred))
-    period = typical_period(dynamics, pieces)
-    parameters = dynamics.means(posteriors)
-    return {periods: window_runs(dynamics, parameters, pieces, periods * period) for periods in TOLERANCES}

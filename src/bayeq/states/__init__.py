@@ -1,18 +1,23 @@
 """States: from measured channels to coordinates and their derivatives."""
 
 from bayeq.states.chain import Chain, parse_chain, parse_chains
-from bayeq.states.derive import FEW_ROWS, Smooth, States, derive_all, derive_states
+from bayeq.states.derive import Smooth, States, derive_states
 from bayeq.states.derived_channels import measured_apart
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing
+from bayeq.states.motion import FEW_ROWS, Motion, MotionRows, estimate_motion
+from bayeq.states.roles import Roles
 
 __all__ = [
     "FEW_ROWS",
     "Chain",
     "ChainSmoothing",
+    "Motion",
+    "MotionRows",
+    "Roles",
     "Smooth",
     "States",
-    "derive_all",
     "derive_states",
+    "estimate_motion",
     "measured_apart",
     "parse_chain",
     "parse_chains",

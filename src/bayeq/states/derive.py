@@ -6,7 +6,7 @@ This is the one place where derivatives come from; `smoothing` holds the filters
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -15,24 +15,15 @@ from numpy.typing import NDArray
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
 from bayeq.records import Record
 from bayeq.states.chain import Chain
-from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain
 from bayeq.states.savitzky_golay import smooth_derivative
-from bayeq.states.uniform_grid import on_grid
 
-__all__ = ["FEW_ROWS", "Smooth", "States", "derive_all", "derive_states", "usable"]
+__all__ = ["Smooth", "States", "derive_states", "require_varying", "usable"]
 
 Floats = NDArray[np.float64]
 Smooth = Literal["auto", "none"]
 
 # Fewer rows than this cannot carry a smoother.
 LEAST_ROWS = 5
-
-# In fewer rows nothing tells noise from motion: they are taken as they are.
-FEW_ROWS = 40
-
-# Noise in states that are all measured, as a share of their standard deviation, below which they are used as they are:
-# it does no harm, and what a smoother makes of motion that is not its model's may do more.
-LEAST_NOISE = 0.01
 
 # Samples beyond, and channels that vary by less than its inverse, have no square in floating point.
 LARGEST = 1e150
@@ -48,102 +39,14 @@ class States:
         States, targets and inputs by name.
     estimated : tuple of str
         The names among them that were estimated from another channel.
-    measured : mapping of str to (n,) array
-        Samples of the targets that were measured and smoothed.
-    smoothing : tuple of ChainSmoothing
-        How the kinematic smoother went over each chain; empty if it did not.
     """
 
     columns: Mapping[str, Floats]
     estimated: tuple[str, ...]
-    measured: Mapping[str, Floats] = field(default_factory=dict)
-    smoothing: tuple[ChainSmoothing, ...] = ()
 
     @property
     def n(self) -> int:
         return len(next(iter(self.columns.values())))
-
-
-def derive_all(
-    records: Sequence[Record],
-    chains: Sequence[Chain],
-    inputs: Sequence[str] = (),
-    smooth: Smooth = "auto",
-    holdout: float = 0.0,
-) -> list[States]:
-    """States, targets and inputs of records of one system, which share their noise levels.
-
-    With "auto" the kinematic smoother fuses all measured channels of a chain (`states.smoothed`), and samples that
-    were dropped from a uniform grid are bridged: the states then have a row for each. Records of fewer than 40 rows are
-    differentiated as they are. Records without time, and states and targets that are all measured with hardly any
-    noise, are left to `derive_states`, whose parameters and errors are those of this function. Noise levels are learned
-    without the last rows of each record, a share `holdout`, which are smoothed apart.
-    """
-    timed = all(record.time is not None for record in records)
-    if timed and smooth == "auto" and max(record.n for record in records) < FEW_ROWS:
-        smooth = "none"
-    # what is checked is checked before the work
-    whole = [chain for chain in chains if chain.lowest == 0]
-    plain = [derive_states(record, whole, inputs, "none" if timed else smooth) for record in records]
-    for chain in chains:
-        if chain.lowest > 0:
-            _require_integrable(records, chain, timed and smooth == "auto")
-    if smooth == "none" or not timed:
-        return plain
-    measured = [name for chain in chains for name in chain.measured if name is not None]
-    filled = [on_grid(record, measured, inputs) for record in records]
-    cuts = [record.n - int(holdout * record.n) for record in filled]
-    found = [smooth_chain(filled, chain, cuts) for chain in chains]
-    integrated = any(chain.lowest > 0 for chain in chains)
-    measured_all = all(name is not None for chain in chains for name in chain.measured)
-    clean = measured_all and all(s is not None and s[1].noise_ratio < LEAST_NOISE for s in found)
-    if clean or None in found:
-        if integrated:
-            raise _not_integrable(records[0], next(chain for chain in chains if chain.lowest > 0))
-        return [derive_states(record, chains, inputs, smooth) for record in records]
-    out = []
-    for i, record in enumerate(filled):
-        columns, samples = {name: np.asarray(record[name]) for name in inputs}, {}
-        for chain, smoothed in zip(chains, found, strict=True):
-            assert smoothed is not None
-            for k, name in enumerate(chain.names):
-                columns[name] = np.ascontiguousarray(smoothed[0][i][:, k])
-            top = chain.measured[-1]
-            if top is not None:
-                samples[chain.target] = np.where(np.isnan(record[top]), columns[chain.target], record[top])
-        smoothing = tuple(s[1] for s in found if s is not None)
-        estimated = tuple(
-            name for chain in chains for name, sure in zip(chain.names, chain.measured, strict=True) if sure is None
-        )
-        out.append(States(columns, estimated, samples, smoothing))
-    return out
-
-
-def _require_integrable(records: Sequence[Record], chain: Chain, smoothed: bool) -> None:
-    """Check the channels of a chain whose coordinate is not measured.
-
-    A channel that happens to have the coordinate's name was left out of the chain, and is not used.
-    """
-    for record in records:
-        for name in chain.measured:
-            if name is not None:
-                if name not in record.channels:
-                    raise UnknownNameError("channel", name, record.names, where=record.name)
-                record.require_finite(name)
-                _require_varying(record, name)
-        if not smoothed:
-            raise ChainError(
-                f"{record.name or 'record'}: chain {str(chain)!r} has to be integrated, which needs smooth='auto' and"
-                " a time column or fs"
-            )
-
-
-def _not_integrable(record: Record, chain: Chain) -> RecordError:
-    first = chain.measured[chain.lowest]
-    return RecordError(
-        f"{record.name or 'record'}: {first!r} cannot be integrated: that needs even steps of time, and a signal that"
-        " stands out of its noise"
-    )
 
 
 def derive_states(
@@ -184,7 +87,7 @@ def derive_states(
             raise ChainError(f"channel {name!r} is both an input and part of a chain")
     record.require_finite(wanted)
     for name in wanted:
-        _require_varying(record, name)
+        require_varying(record, name)
     columns = {name: record[name] for name in wanted}
     estimated: list[str] = []
     for chain in chains:
@@ -210,7 +113,7 @@ def usable(values: Floats) -> bool:
     return bool(values.max() - values.min() >= 1 / LARGEST)
 
 
-def _require_varying(record: Record, name: str) -> None:
+def require_varying(record: Record, name: str) -> None:
     values = record[name]
     if record.n > 1 and values.min() == values.max():
         raise RecordError(

@@ -20,6 +20,7 @@ from bayeq.records import Record
 from bayeq.states.chain import Chain
 from bayeq.states.derive import usable
 from bayeq.states.kinematic.chain_smoother import smooth_chain
+from bayeq.states.motion import cut_at
 from bayeq.states.uniform_grid import on_grid
 
 __all__ = ["measured_apart"]
@@ -47,7 +48,7 @@ DIFFERENCES = 8
 
 
 def measured_apart(
-    records: Sequence[Record], chains: Sequence[Chain], holdout: float = 0.0
+    records: Sequence[Record], chains: Sequence[Chain], share: float = 0.0
 ) -> tuple[tuple[Chain, ...], list[str]]:
     """The chains without channels that were computed from a lower one.
 
@@ -57,8 +58,8 @@ def measured_apart(
         Of one system.
     chains : sequence of Chain
         Coordinates and their derivatives.
-    holdout : float
-        Share of the rows, the last of each record, that noise levels are not learned from.
+    share : float
+        Of the rows, the last of each record, that noise levels are not learned from.
 
     Returns
     -------
@@ -67,7 +68,7 @@ def measured_apart(
     """
     out, messages = [], []
     for chain in chains:
-        computed = _computed(records, chain, holdout) if sum(m is not None for m in chain.measured) > 1 else []
+        computed = _computed(records, chain, share) if sum(m is not None for m in chain.measured) > 1 else []
         if computed:
             source = chain.measured[chain.lowest]
             messages.append(
@@ -82,7 +83,7 @@ def measured_apart(
     return tuple(out), messages
 
 
-def _computed(records: Sequence[Record], chain: Chain, holdout: float) -> list[int]:
+def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int]:
     """Orders of the derivatives that were computed from the lowest measured one."""
     names = [name for name in chain.measured if name is not None]
     if not all(name in record.channels and usable(record[name]) for record in records for name in names):
@@ -91,7 +92,7 @@ def _computed(records: Sequence[Record], chain: Chain, holdout: float) -> list[i
     even = [on_grid(record, names, ()) for record in records]
     if not all(record.is_uniform() for record in even):
         return []
-    cuts = [record.n - int(holdout * record.n) for record in even]
+    cuts = [cut_at(record.n, share) for record in even]
     source = names[0]
     noise = _rough_noise([record[source][:cut] for record, cut in zip(even, cuts, strict=True)])
     suspected = []

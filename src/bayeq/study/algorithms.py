@@ -1,7 +1,8 @@
 """The algorithms of a study, a table: a new one is a function and a row.
 
-Each sees the training Gram in original units, the held-out Gram (only SINDy looks at it, to choose its threshold
-as the paper does), the study's numbers and a seed of its own, and answers in original units.
+Each sees one realisation: the training Gram in original units, the held-out Gram (only SINDy looks at it, to choose its
+threshold as the paper does) and the regression that they come from; the study's numbers; and a seed of its own. It
+answers in original units.
 """
 
 from __future__ import annotations
@@ -15,12 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.gram import Gram, Standardised
-from bayeq.inference import Prior, rvm, spike_slab_bma, spike_slab_gibbs, spike_slab_vb, sweep_stlsq
+from bayeq.inference import ENGINES, Prior, rvm, spike_slab_bma, spike_slab_gibbs, spike_slab_vb, sweep_stlsq
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.posterior import Posterior
+from bayeq.regression.constraints import parse_constraints
+from bayeq.regression.fit import fit_regression
+from bayeq.regression.regression import Regression
+from bayeq.selection.select import Rules, select
 from bayeq.study.config import StudyConfig
 
-__all__ = ["ALGORITHMS", "Algorithm", "Estimate", "estimate"]
+__all__ = ["ALGORITHMS", "Algorithm", "Estimate", "Realisation", "estimate"]
+
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +53,27 @@ class Estimate:
     extras: Mapping[str, Any] = field(default_factory=dict)
 
 
-Algorithm = Callable[[Gram, Gram, StudyConfig, tuple[int, ...]], Estimate]
+@dataclass(frozen=True, slots=True)
+class Realisation:
+    """The data of one realisation.
+
+    Attributes
+    ----------
+    regression : Regression
+        Of the first rows.
+    train, test : Gram
+        What counts as data of the first rows, and the last rows, in original units.
+    truth : (P,) array
+        True coefficients of the candidate terms.
+    """
+
+    regression: Regression
+    train: Gram
+    test: Gram
+    truth: Floats
+
+
+Algorithm = Callable[[Realisation, StudyConfig, tuple[int, ...]], Estimate]
 
 
 def estimate(posterior: Posterior) -> Estimate:
@@ -71,29 +99,28 @@ def _posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
     return standard, replace(prior, slab_variance=learn_slab_variance(standard.gram, prior, config.slab_variance))
 
 
-def _sindy(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _sindy(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """Sequential threshold least squares on raw columns, its threshold swept on the held-out error."""
     del config, seed
-    return estimate(sweep_stlsq(train, held_out=held_out, columns="raw"))
+    return estimate(sweep_stlsq(data.train, held_out=data.test, columns="raw"))
 
 
-def _sindy_std(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _sindy_std(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """The same, the threshold compared with coefficients of standardised columns."""
     del config, seed
-    return estimate(sweep_stlsq(train, held_out=held_out, columns="standardised"))
+    return estimate(sweep_stlsq(data.train, held_out=data.test, columns="standardised"))
 
 
-def _rvm(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """Relevance vector machine; selected is what is left in the machine."""
-    del held_out, config, seed
-    standard = train.standardise()
+    del config, seed
+    standard = data.train.standardise()
     return estimate(rvm(standard.gram).rescaled(standard))
 
 
-def _gibbs(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _gibbs(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-MCMC: the collapsed Gibbs sampler, eqs. (33)-(34), as in the paper without exchange steps."""
-    del held_out
-    standard, prior = _posed(train, config)
+    standard, prior = _posed(data.train, config)
     posterior = spike_slab_gibbs(
         standard.gram,
         prior,
@@ -107,31 +134,41 @@ def _gibbs(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ..
     return estimate(posterior.rescaled(standard))
 
 
-def _bma(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    """What `bayeq.discover` shows by default: its prior, its noise model and its selection."""
+    del config
+    regression = data.regression.thinned()
+    (free,) = parse_constraints((), regression.design.terms, [regression.chain.target])
+    fit = fit_regression(regression, free, ENGINES["auto"], seed=seed)
+    (selection,) = select([fit], Rules(), regression.motion)
+    return estimate(fit.expanded(selection.shown))
+
+
+def _bma(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """Model averaging with exact weights; selected is the median probability model."""
-    del held_out, seed
-    standard, prior = _posed(train, config)
+    del seed
+    standard, prior = _posed(data.train, config)
     return estimate(spike_slab_bma(standard.gram, prior).rescaled(standard))
 
 
-def _vb(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _vb(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-VB, from several starts."""
-    del held_out, seed
-    standard, prior = _posed(train, config)
+    del seed
+    standard, prior = _posed(data.train, config)
     return estimate(spike_slab_vb(standard.gram, prior).rescaled(standard))
 
 
-def _vb_greedy(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _vb_greedy(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-VB started from a greedy search that adds and drops terms but never swaps them."""
-    del held_out, seed
-    standard, prior = _posed(train, config)
+    del seed
+    standard, prior = _posed(data.train, config)
     return estimate(spike_slab_vb(standard.gram, prior, init="greedy").rescaled(standard))
 
 
-def _vb_rvm(train: Gram, held_out: Gram, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _vb_rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-VB started from the RVM alone, as the paper's section 3.2 says."""
-    del held_out, seed
-    standard, prior = _posed(train, config)
+    del seed
+    standard, prior = _posed(data.train, config)
     return estimate(spike_slab_vb(standard.gram, prior, init="rvm").rescaled(standard))
 
 
@@ -140,6 +177,7 @@ ALGORITHMS: dict[str, Algorithm] = {
     "sindy-std": _sindy_std,
     "rvm": _rvm,
     "gibbs": _gibbs,
+    "auto": _auto,
     "bma": _bma,
     "vb": _vb,
     "vb-rvm": _vb_rvm,

@@ -11,13 +11,13 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
+from bayeq.dictionary import Variables, build_dictionary
 from bayeq.expressions import Expression
-from bayeq.gram import Gram
 from bayeq.records import Truth
-from bayeq.regression.weights import regress_in_band
-from bayeq.states import Smooth, derive_all, parse_chains
-from bayeq.study.algorithms import ALGORITHMS
+from bayeq.regression.design import build_design
+from bayeq.regression.regression import Regression
+from bayeq.states import Roles, Smooth, estimate_motion, parse_chains
+from bayeq.study.algorithms import ALGORITHMS, Realisation
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
 from bayeq.study.metrics import measure
 from bayeq.study.result import Result
@@ -40,23 +40,6 @@ class Task:
     system: str
     index: int
     algorithms: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Realisation:
-    """The data of one realisation.
-
-    Attributes
-    ----------
-    train, test : Gram
-        Of the first and of the last rows, in original units.
-    truth : (P,) array
-        True coefficients of the candidate terms.
-    """
-
-    train: Gram
-    test: Gram
-    truth: Floats
 
 
 @lru_cache(maxsize=32)
@@ -96,21 +79,15 @@ def draw(config: StudyConfig, system: str, index: int) -> Realisation:
         noise=config.noise,
         perturb=config.perturb,
     )
-    chains = parse_chains(known.chains)
-    target = chains[0].target
-    cut = config.train_rows
-    terms = _terms(config.dictionary, Variables(chains[0].states, known.inputs))
-    names = tuple(term.text for term in terms)
+    roles = Roles(parse_chains(known.chains), known.inputs)
+    terms = _terms(config.dictionary, Variables(roles.states, roles.inputs))
+    # half a row more, so that rounding down leaves the number of test rows
+    share = (config.test_rows + 0.5) / record.n
+    design = build_design(terms, estimate_motion([record], roles, cast(Smooth, config.smooth), share))
+    regression = Regression.of(design, 0)
     assert record.truth is not None
-    truth = _truth(record.truth, target, names)
-    # the smoother sees the training rows alone
-    parts = [record.slice(0, cut), record.slice(cut)]
-    states = [derive_all([part], chains, known.inputs, cast(Smooth, config.smooth))[0] for part in parts]
-    seen, unseen = (part.columns for part in states)
-    test = Gram.from_data(evaluate_terms(terms, unseen), states[1].measured.get(target, unseen[target]), names)
-    in_band = regress_in_band(terms, [seen], chains, states[0].smoothing, 0, known.inputs)
-    train = Gram.from_data(evaluate_terms(terms, seen), seen[target], names) if in_band is None else in_band.gram
-    return Realisation(train=train, test=test, truth=truth)
+    truth = _truth(record.truth, roles.targets[0], design.names)
+    return Realisation(regression, regression.gram, design.held_out[0], truth)
 
 
 def realise(config: StudyConfig, task: Task) -> list[Result]:
@@ -136,7 +113,7 @@ def _run(config: StudyConfig, task: Task, name: str, data: Realisation) -> Resul
     algorithm = ALGORITHMS[name]
     try:
         start = time.perf_counter()
-        answer = algorithm(data.train, data.test, config, seed)
+        answer = algorithm(data, config, seed)
         seconds = time.perf_counter() - start
         metrics = measure(data.train, data.test, data.truth, answer.support, answer.coef)
         if not metrics.finite:

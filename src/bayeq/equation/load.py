@@ -1,189 +1,31 @@
-"""Equations as JSON: what the command line prints, and files that can be read back.
-
-A file holds numbers and term texts only; terms are parsed again when it is read.
-"""
+"""Files of equations read back: numbers and the text of terms, which is parsed again."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import bayeq
-from bayeq.dictionary import DroppedTerm
 from bayeq.equation.equation import Equation, Fit, RunnerUp
 from bayeq.equation.equations import DataSummary, Equations
+from bayeq.equation.to_json import FORMAT
+from bayeq.equation.verdict import Verdict
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.expressions import parse
 from bayeq.forecast.results import Refinement, Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
+from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Residuals
-from bayeq.selection.limits import LeftOut
+from bayeq.selection.select import LeftOut
 from bayeq.states import parse_chain
 
-__all__ = ["FORMAT", "load", "to_dict", "to_saved"]
-
-FORMAT = "bayeq-equations-1"
-
-
-def to_dict(eq: Equations) -> dict[str, Any]:
-    """The answer as plain data, every candidate term of every equation in it."""
-    files = eq.data.files
-    return {
-        "version": bayeq.__version__,
-        "method": eq.method,
-        "data": {
-            "file": files[0] if len(files) == 1 else list(files),
-            "n": eq.data.n,
-            "n_train": eq.data.n_train,
-            "n_held_out": eq.data.n_held_out,
-            "chains": [str(chain) for chain in eq.chains],
-            "inputs": list(eq.inputs),
-            "dictionary": eq.dictionary,
-            "smooth": eq.smooth,
-            "estimated": list(eq.data.estimated),
-            "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
-        },
-        "equations": [_equation(equation) for equation in eq.equations],
-        "diagnostics": {
-            "warnings": list(eq.warnings),
-            "dropped_terms": [asdict(d) for d in eq.dropped],
-            **({"constraints": list(eq.constraints)} if eq.constraints else {}),
-            **({"scores": _scores(eq.scores)} if eq.scores else {}),
-            **({"refined": asdict(eq.refined)} if eq.refined else {}),
-            "equations": {equation.target: _diagnostics(equation) for equation in eq.equations},
-        },
-    }
-
-
-def _scores(scores: Scores) -> dict[str, Any]:
-    """Errors of the rows held out; None for the infinite one of a run that blew up."""
-
-    def finite(errors: Mapping[str, float]) -> dict[str, float | None]:
-        return {name: error if math.isfinite(error) else None for name, error in errors.items()}
-
-    return {**asdict(scores), "one_step": finite(scores.one_step), "free_run": finite(scores.free_run)}
-
-
-def _equation(equation: Equation) -> dict[str, Any]:
-    p = equation.posterior
-    ci = equation.ci95
-    return {
-        "target": equation.target,
-        "intercept": p.intercept,
-        "intercept_sd": p.intercept_sd,
-        "intercept_ci95": list(equation.intercept_ci95),
-        "noise_sd": equation.noise_sd,
-        "elbo": p.elbo,
-        "equation": equation.text,
-        "latex": equation.to_latex(),
-        "terms": [
-            {
-                "name": term.text,
-                "coef": float(p.coef[j]),
-                "sd": float(p.sd[j]),
-                "ci95": [float(ci[j, 0]), float(ci[j, 1])],
-                "pip": float(p.pip[j]),
-                "included": bool(p.support[j]),
-                **_averaged(p, j),
-                "share": _share(equation, j),
-                "unit": equation.coef_units[j],
-            }
-            for j, term in enumerate(equation.terms)
-        ],
-    }
-
-
-def _share(equation: Equation, j: int) -> float | None:
-    """Share of variance that a term explains; None for one that is not included."""
-    return float(equation.share[j]) if equation.share is not None and equation.posterior.support[j] else None
-
-
-def _averaged(p: Posterior, j: int) -> dict[str, float]:
-    """Moments over all models, where models are averaged."""
-    if p.averaged_coef is None or p.averaged_sd is None:
-        return {}
-    return {"averaged_coef": float(p.averaged_coef[j]), "averaged_sd": float(p.averaged_sd[j])}
-
-
-def _average(p: Posterior) -> dict[str, Any] | None:
-    """The models that were averaged over, in short."""
-    if p.average is None:
-        return None
-    top = range(min(10, len(p.average.probability)))
-    return {
-        "models": len(p.average.probability),
-        "left_out": p.average.left_out,
-        "likeliest": [
-            {
-                "probability": float(p.average.probability[k]),
-                "terms": [p.names[j] for j in np.flatnonzero(p.average.models[k])],
-            }
-            for k in top
-        ],
-        "groups": [
-            {"terms": [p.names[j] for j in members], "probability": some}
-            for members, some in p.average.credible_groups()
-        ],
-    }
-
-
-def _diagnostics(equation: Equation) -> dict[str, Any]:
-    return {
-        "converged": equation.posterior.converged,
-        "slab_variance": equation.posterior.slab_variance,
-        "rhat": equation.posterior.rhat,
-        "average": _average(equation.posterior),
-        "fit": {
-            "train": asdict(equation.train),
-            "held_out": None if equation.held_out is None else asdict(equation.held_out),
-        },
-        "residuals": {
-            **asdict(equation.residuals),
-            "correlated": equation.residuals.correlated,
-            "driven": equation.residuals.driven,
-        },
-        "runners_up": [asdict(r) for r in equation.runners_up],
-        "left_out": [asdict(term) for term in equation.left_out],
-    }
-
-
-def to_saved(eq: Equations) -> dict[str, Any]:
-    """`to_dict` and what else it takes to predict with the equations again."""
-    return {
-        "format": FORMAT,
-        **to_dict(eq),
-        "posteriors": [
-            {
-                "covariance": e.posterior.covariance.tolist(),
-                "center": e.posterior.center.tolist(),
-                "target_mean": e.posterior.target_mean,
-                "noise_variance": e.posterior.noise_variance,
-                "n": e.posterior.n,
-                "n_iter": e.posterior.n_iter,
-                "elbo_trace": e.posterior.elbo_trace.tolist(),
-                "optimum": None if e.posterior.optimum is None else np.flatnonzero(e.posterior.optimum).tolist(),
-                "average": None if e.posterior.average is None else _saved_average(e.posterior.average),
-            }
-            for e in eq.equations
-        ],
-    }
-
-
-def _saved_average(average: ModelAverage) -> dict[str, Any]:
-    return {
-        "models": [np.flatnonzero(model).tolist() for model in average.models],
-        "probability": average.probability.tolist(),
-        "left_out": average.left_out,
-        "terms": average.terms.tolist(),
-        "covariance": average.covariance.tolist(),
-    }
+__all__ = ["load"]
 
 
 def _indicator(members: list[int], terms: int) -> NDArray[np.bool_]:
@@ -254,6 +96,8 @@ def _restore(content: Mapping[str, Any]) -> Equations:
             n_train=int(data["n_train"]),
             n_held_out=int(data["n_held_out"]),
             estimated=tuple(data["estimated"]),
+            smoothed=bool(data["smoothed"]),
+            holdout=float(data["holdout"]),
         ),
         dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
         warnings=tuple(str(w) for w in diagnostics["warnings"]),
@@ -331,7 +175,9 @@ def _restore_equation(
         optimum=None if state["optimum"] is None else _indicator(state["optimum"], len(terms)),
         average=None if state["average"] is None else _restored_average(state["average"], len(terms)),
     )
-    if not all(math.isfinite(v) for v in (*posterior.coef, *posterior.center, posterior.noise_variance)):
+    shown = _restored_shown(posterior, saved["terms"], state["shown"])
+    numbers = (*posterior.coef, *posterior.center, posterior.noise_variance, *shown.coef, shown.noise_variance)
+    if not all(math.isfinite(v) for v in numbers):
         raise ValueError("numbers that are not finite")
     held_out = checks["fit"]["held_out"]
     residuals = checks["residuals"]
@@ -339,6 +185,9 @@ def _restore_equation(
         chain=parse_chain(chain),
         terms=terms,
         posterior=posterior,
+        shown_posterior=shown,
+        verdict=_restored_verdict(saved["verdict"]),
+        why={str(term["name"]): str(term["why"]) for term in saved["terms"] if term["why"] is not None},
         train=Fit(**checks["fit"]["train"]),
         held_out=None if held_out is None else Fit(**held_out),
         residuals=_restored_residuals(residuals),
@@ -347,6 +196,28 @@ def _restore_equation(
         left_out=tuple(LeftOut(**term) for term in checks.get("left_out", [])),
         units=units,
     )
+
+
+def _restored_shown(posterior: Posterior, terms: list[Mapping[str, Any]], saved: Mapping[str, Any] | None) -> Posterior:
+    """The posterior given the terms shown, if these are others."""
+    if saved is None:
+        return posterior
+    support = np.array([bool(term["shown"]) for term in terms], dtype=np.bool_)
+    r = int(support.sum())
+    return replace(
+        posterior,
+        support=support,
+        coef=np.array([float(term["shown_coef"]) for term in terms]),
+        covariance=np.array(saved["covariance"], dtype=np.float64).reshape(r, r),
+        noise_variance=float(saved["noise_variance"]),
+    )
+
+
+def _restored_verdict(saved: Mapping[str, Any]) -> Verdict:
+    kind = saved["kind"]
+    if kind not in ("none", "found"):
+        raise ValueError(f"no such verdict: {kind!r}")
+    return Verdict(kind, str(saved["reason"]))
 
 
 def _restored_residuals(saved: Mapping[str, Any]) -> Residuals:

@@ -1,0 +1,88 @@
+"""What the text and the files of equations are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+from bayeq.equation.equation import Equation
+from bayeq.equation.verdict import Verdict
+from bayeq.forecast.results import Refinement, Scores
+from bayeq.records import Record
+from bayeq.regression.design import DroppedTerm
+from bayeq.states import Chain, Motion, Smooth
+
+__all__ = ["Answer", "DataSummary"]
+
+
+@dataclass(frozen=True, slots=True)
+class DataSummary:
+    """What the equations were found from.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Names of the records.
+    n, n_train, n_held_out : int
+        Measured rows in all, used, and held out.
+    estimated : tuple of str
+        Derivatives that were not measured but estimated.
+    smoothed : bool
+        Whether by the kinematic smoother.
+    holdout : float
+        Share of the rows of each record that was held out.
+    """
+
+    files: tuple[str, ...]
+    n: int
+    n_train: int
+    n_held_out: int
+    estimated: tuple[str, ...] = ()
+    smoothed: bool = False
+    holdout: float = 0.0
+
+    @classmethod
+    def of(cls, records: Sequence[Record], motion: Motion) -> Self:
+        """The summary of some records and their motion."""
+        used, held_out = motion.counts
+        return cls(
+            files=tuple(dict.fromkeys(record.name for record in records)),
+            n=used + held_out,
+            n_train=used,
+            n_held_out=held_out,
+            estimated=motion.estimated,
+            smoothed=bool(motion.smoothing),
+            holdout=motion.holdout,
+        )
+
+
+class Answer(Protocol):
+    """The fields of `bayeq.Equations`."""
+
+    @property
+    def equations(self) -> tuple[Equation, ...]: ...
+    @property
+    def inputs(self) -> tuple[str, ...]: ...
+    @property
+    def method(self) -> str: ...
+    @property
+    def dictionary(self) -> str: ...
+    @property
+    def smooth(self) -> Smooth: ...
+    @property
+    def data(self) -> DataSummary: ...
+    @property
+    def dropped(self) -> tuple[DroppedTerm, ...]: ...
+    @property
+    def warnings(self) -> tuple[str, ...]: ...
+    @property
+    def constraints(self) -> tuple[str, ...]: ...
+    @property
+    def scores(self) -> Scores | None: ...
+    @property
+    def refined(self) -> Refinement | None: ...
+    @property
+    def chains(self) -> tuple[Chain, ...]: ...
+    @property
+    def verdict(self) -> Verdict: ...

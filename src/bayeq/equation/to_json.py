@@ -1,0 +1,190 @@
+"""Equations as plain data: what the command line prints, and what files hold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+import bayeq
+from bayeq.equation.answer import Answer
+from bayeq.equation.equation import Z95, Equation
+from bayeq.forecast.results import Scores
+from bayeq.inference.posterior import ModelAverage, Posterior
+
+__all__ = ["FORMAT", "to_dict", "to_saved"]
+
+FORMAT = "bayeq-equations-1"
+
+
+def to_dict(eq: Answer) -> dict[str, Any]:
+    """The answer as plain data, every candidate term of every equation in it."""
+    files = eq.data.files
+    return {
+        "version": bayeq.__version__,
+        "method": eq.method,
+        "verdict": asdict(eq.verdict),
+        "data": {
+            "file": files[0] if len(files) == 1 else list(files),
+            "n": eq.data.n,
+            "n_train": eq.data.n_train,
+            "n_held_out": eq.data.n_held_out,
+            "chains": [str(chain) for chain in eq.chains],
+            "inputs": list(eq.inputs),
+            "dictionary": eq.dictionary,
+            "smooth": eq.smooth,
+            "estimated": list(eq.data.estimated),
+            "smoothed": eq.data.smoothed,
+            "holdout": eq.data.holdout,
+            "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
+        },
+        "equations": [_equation(equation) for equation in eq.equations],
+        "diagnostics": {
+            "warnings": list(eq.warnings),
+            "dropped_terms": [asdict(d) for d in eq.dropped],
+            **({"constraints": list(eq.constraints)} if eq.constraints else {}),
+            **({"scores": _scores(eq.scores)} if eq.scores else {}),
+            **({"refined": asdict(eq.refined)} if eq.refined else {}),
+            "equations": {equation.target: _diagnostics(equation) for equation in eq.equations},
+        },
+    }
+
+
+def _scores(scores: Scores) -> dict[str, Any]:
+    """Errors of the rows held out; None for the infinite one of a run that blew up."""
+
+    def finite(errors: Mapping[str, float]) -> dict[str, float | None]:
+        return {name: error if math.isfinite(error) else None for name, error in errors.items()}
+
+    return {**asdict(scores), "one_step": finite(scores.one_step), "free_run": finite(scores.free_run)}
+
+
+def _equation(equation: Equation) -> dict[str, Any]:
+    p, shown = equation.posterior, equation.shown_posterior
+    return {
+        "target": equation.target,
+        "verdict": asdict(equation.verdict),
+        "intercept": shown.intercept,
+        "intercept_sd": shown.intercept_sd,
+        "intercept_ci95": list(equation.intercept_ci95),
+        "noise_sd": equation.noise_sd,
+        "elbo": p.elbo,
+        "equation": equation.text,
+        "latex": equation.to_latex(),
+        "terms": [_term(equation, j) for j in range(len(equation.terms))],
+    }
+
+
+def _term(equation: Equation, j: int) -> dict[str, Any]:
+    p, shown, name = equation.posterior, equation.shown_posterior, equation.terms[j].text
+    return {
+        "name": name,
+        "coef": float(p.coef[j]),
+        "sd": float(p.sd[j]),
+        "ci95": equation.ci95[j].tolist(),
+        "pip": float(p.pip[j]),
+        "included": bool(p.support[j]),
+        "shown": bool(shown.support[j]),
+        "why": equation.why.get(name),
+        "shown_coef": float(shown.coef[j]),
+        "shown_sd": float(shown.sd[j]),
+        "shown_ci95": equation.shown_ci95[j].tolist(),
+        **_averaged(p, j),
+        # of a term that is shown
+        "share": float(equation.share[j]) if equation.share is not None and shown.support[j] else None,
+        "unit": equation.coef_units[j],
+    }
+
+
+def _averaged(p: Posterior, j: int) -> dict[str, Any]:
+    """Moments over all models, where models are averaged."""
+    if p.averaged_coef is None or p.averaged_sd is None:
+        return {}
+    mean, sd = float(p.averaged_coef[j]), float(p.averaged_sd[j])
+    return {"averaged_coef": mean, "averaged_sd": sd, "averaged_ci95": [mean - Z95 * sd, mean + Z95 * sd]}
+
+
+def _average(p: Posterior) -> dict[str, Any] | None:
+    """The models that were averaged over, in short."""
+    if p.average is None:
+        return None
+    top = range(min(10, len(p.average.probability)))
+    return {
+        "models": len(p.average.probability),
+        "left_out": p.average.left_out,
+        "likeliest": [
+            {
+                "probability": float(p.average.probability[k]),
+                "terms": [p.names[j] for j in np.flatnonzero(p.average.models[k])],
+            }
+            for k in top
+        ],
+        "groups": [
+            {"terms": [p.names[j] for j in members], "probability": some}
+            for members, some in p.average.credible_groups()
+        ],
+    }
+
+
+def _diagnostics(equation: Equation) -> dict[str, Any]:
+    return {
+        "converged": equation.posterior.converged,
+        "slab_variance": equation.posterior.slab_variance,
+        "rhat": equation.posterior.rhat,
+        "average": _average(equation.posterior),
+        "fit": {
+            "train": asdict(equation.train),
+            "held_out": None if equation.held_out is None else asdict(equation.held_out),
+        },
+        "residuals": {
+            **asdict(equation.residuals),
+            "correlated": equation.residuals.correlated,
+            "driven": equation.residuals.driven,
+        },
+        "runners_up": [asdict(r) for r in equation.runners_up],
+        "left_out": [asdict(term) for term in equation.left_out],
+    }
+
+
+def to_saved(eq: Answer) -> dict[str, Any]:
+    """`to_dict` and what else it takes to predict with the equations again."""
+    return {
+        "format": FORMAT,
+        **to_dict(eq),
+        "posteriors": [
+            {
+                "covariance": e.posterior.covariance.tolist(),
+                "shown": _shown(e),
+                "center": e.posterior.center.tolist(),
+                "target_mean": e.posterior.target_mean,
+                "noise_variance": e.posterior.noise_variance,
+                "n": e.posterior.n,
+                "n_iter": e.posterior.n_iter,
+                "elbo_trace": e.posterior.elbo_trace.tolist(),
+                "optimum": None if e.posterior.optimum is None else np.flatnonzero(e.posterior.optimum).tolist(),
+                "average": None if e.posterior.average is None else _saved_average(e.posterior.average),
+            }
+            for e in eq.equations
+        ],
+    }
+
+
+def _saved_average(average: ModelAverage) -> dict[str, Any]:
+    return {
+        "models": [np.flatnonzero(model).tolist() for model in average.models],
+        "probability": average.probability.tolist(),
+        "left_out": average.left_out,
+        "terms": average.terms.tolist(),
+        "covariance": average.covariance.tolist(),
+    }
+
+
+def _shown(equation: Equation) -> dict[str, Any] | None:
+    """What is known of the terms shown beside their coefficients; None where these are the included ones."""
+    shown = equation.shown_posterior
+    if shown is equation.posterior:
+        return None
+    return {"covariance": shown.covariance.tolist(), "noise_variance": shown.noise_variance}

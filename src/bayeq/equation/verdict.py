@@ -1,0 +1,134 @@
+"""`Verdict`: whether an equation was found, judged by what it predicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.rows import divided, rows_of
+from bayeq.forecast.windows import typical_period, window_runs
+from bayeq.regression.regression import Regression
+from bayeq.regression.residuals import Fit
+from bayeq.states import Motion
+
+__all__ = ["Verdict", "judge", "noise_share", "window_errors", "worst"]
+
+Floats = NDArray[np.float64]
+
+# An equation explains at least this share of what stands above the noise of its target.
+LEAST_R2 = 0.5
+
+# A run over a window that errs by the states' own spread is no better than their mean.
+AS_THE_MEAN = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether an equation was found.
+
+    Attributes
+    ----------
+    kind : "none" or "found"
+        ``none``: on the rows held out (on the training rows, if none are) the equation explains less than half of what
+        stands above the noise of the target, or free runs over windows of one period are no better than the mean.
+    reason : str
+        In a sentence.
+    """
+
+    kind: Literal["none", "found"]
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.reason}"
+
+
+def judge(target: str, fit: Fit, held_out: bool, noise: float, window: float | None) -> Verdict:
+    """The verdict on one equation.
+
+    Parameters
+    ----------
+    target : str
+        Its left-hand side.
+    fit : Fit
+        On the rows held out, or on the training rows.
+    held_out : bool
+        Which of them.
+    noise : float
+        Share of the target's variance that is noise, as far as it is known.
+    window : float or None
+        Error of free runs over windows, as a share of the states' spread; None where there are none.
+    """
+    where = f"the {'held-out' if held_out else 'training'} rows"
+    # a variance of n rows errs by sqrt(2/n) of itself
+    if 1.0 - noise < 3.0 * math.sqrt(2.0 / max(fit.n, 1)):
+        return Verdict("none", f"no equation found: {target} does not stand out of its noise on {where}")
+    explained = f"R2 {fit.r2:.3g}" if fit.r2 > 0 else f"R2 {fit.r2:.2g}, worse than the mean"
+    if fit.r2 / (1.0 - noise) < LEAST_R2:
+        return Verdict("none", f"no equation found: the terms explain little of {target} on {where} ({explained})")
+    if window is None:
+        return Verdict("found", f"{explained} on {where}")
+    if not window < AS_THE_MEAN:
+        return Verdict(
+            "none",
+            f"no equation found: free runs over windows of one period are no better than the mean, though the terms"
+            f" explain {target} row by row ({explained} on {where})",
+        )
+    return Verdict("found", f"{explained} on {where}; free runs over one period within {100 * window:.2g} %")
+
+
+def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
+    """The verdict on a system of equations, by their targets: the worst of them."""
+    failed = [(target, one) for target, one in verdicts if one.kind == "none"]
+    if failed:
+        return failed[0][1]
+    if len(verdicts) == 1:
+        return verdicts[0][1]
+    return Verdict("found", "; ".join(f"{target}: {one.reason}" for target, one in verdicts))
+
+
+def noise_share(regression: Regression, variance: float) -> float:
+    """Share of a measured target's variance that is noise, where the smoother has learned it; else 0."""
+    chain, smoothing = regression.chain, regression.motion.smoothing
+    if chain.measured[-1] is None or not smoothing or not variance > 0.0:
+        return 0.0
+    own = smoothing[regression.k]
+    sd = own.model.noise_sd[chain.order]
+    return 0.0 if sd is None else min(float((sd * own.unit_gains[chain.order]) ** 2 / variance), 1.0)
+
+
+def window_errors(dynamics: Dynamics, parameters: Floats, motion: Motion) -> list[float] | None:
+    """Errors of free runs over windows of one period, one per chain, as shares of the spread of its states.
+
+    Each is the median over windows of the rows held out, or of the training rows if none are. A window is one period
+    long, 2 pi sd(x)/sd(x'), over which chaotic motion can be followed too.
+
+    Returns
+    -------
+    list of float or None
+        Infinite where most runs blow up; None without time, or where rows are too few for a window.
+    """
+    if not motion.timed:
+        return None
+    train, held_out = divided(motion, rows_of(motion, "a free run"))
+    for pieces in (held_out, train):
+        if pieces:
+            windows = window_runs(dynamics, parameters, pieces, typical_period(dynamics, pieces))
+            if windows:
+                return _errors_by_chain(dynamics, windows)
+    return None
+
+
+def _errors_by_chain(dynamics: Dynamics, windows: Sequence[tuple[Floats, Floats]]) -> list[float]:
+    out, first = [], 0
+    for chain in dynamics.chains:
+        part = slice(first, first + len(chain.states))
+        squares = [float(np.mean((run[:, part] - states[:, part]) ** 2)) for run, states in windows]
+        out.append(math.sqrt(np.median([s if math.isfinite(s) else math.inf for s in squares])))
+        first = part.stop
+    return out

@@ -1,0 +1,177 @@
+"""The dictionary evaluated on motion, once: columns of the training rows, and Gram matrices of all targets.
+
+Terms that cannot be used are left out here, each with its reason: not finite on the data, constant, or a copy of an
+earlier column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary import evaluate_terms
+from bayeq.errors import InputError
+from bayeq.expressions import Expression
+from bayeq.gram import Gram
+from bayeq.gram.gram import grams_from_blocks
+from bayeq.states import Motion, MotionRows
+
+__all__ = ["Design", "DroppedTerm", "build_design"]
+
+Floats = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+# Rows evaluated at a time where the columns are not kept.
+BLOCK_ROWS = 65_536
+
+# Columns of the training rows are kept up to this many numbers in all (400 MB), and evaluated again beyond.
+MOST_KEPT = 50_000_000
+
+# The largest value whose square can be summed over any number of rows.
+LARGEST = 1e150
+
+# A column counts as constant below this relative spread, and as a copy above this correlation: both are the
+# rounding of the centred sums of squares.
+CONSTANT_SPREAD = 1e-13
+COPY_CORRELATION = 1.0 - 1e-13
+
+
+@dataclass(frozen=True, slots=True)
+class DroppedTerm:
+    """A candidate that was left out, and why."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """A dictionary on the rows of some motion.
+
+    Attributes
+    ----------
+    motion : Motion
+        The rows.
+    terms : tuple of Expression
+        The P candidates that can be used.
+    train, held_out : tuple of Gram
+        Statistics of the training rows and of the rows held out for each target, as measured where it was; `held_out`
+        is empty if no rows are held out. Rows that were bridged do not count.
+    dropped : tuple of DroppedTerm
+        Candidates left out.
+    kept : tuple of (n, P) array
+        Columns on the training rows of each record; empty where there would be too many numbers.
+    """
+
+    motion: Motion
+    terms: tuple[Expression, ...]
+    train: tuple[Gram, ...]
+    held_out: tuple[Gram, ...]
+    dropped: tuple[DroppedTerm, ...]
+    kept: tuple[Floats, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The candidates as text."""
+        return tuple(term.text for term in self.terms)
+
+    def columns(self, i: int) -> Floats:
+        """Columns (n, P) on the training rows of record i, not to be written to."""
+        return self.kept[i] if self.kept else evaluate_terms(self.terms, self.motion.train[i].columns)
+
+
+def build_design(terms: Sequence[Expression], motion: Motion, progress: Progress | None = None) -> Design:
+    """Evaluate terms on motion and add up their Gram matrices.
+
+    Parameters
+    ----------
+    terms : sequence of Expression
+        Candidates.
+    motion : Motion
+        With the states and inputs that terms are made of.
+    progress : callable, optional
+        Called with (rows done, rows in all).
+
+    Raises
+    ------
+    InputError
+        No candidate can be used.
+    """
+    builder = _Builder(terms, motion, progress)
+    train = builder.grams(motion.train, keep=sum(rows.n for rows in motion.train) * len(terms) <= MOST_KEPT)
+    held_out = builder.grams(motion.held_out) if motion.held_out else ()
+    reasons = _reasons(train[0], builder.bad, builder.total)
+    dropped = tuple(DroppedTerm(terms[j].text, why) for j, why in sorted(reasons.items()))
+    kept = np.array([j for j in range(len(terms)) if j not in reasons], dtype=np.intp)
+    if not len(kept):
+        raise InputError(f"no usable term in the dictionary: {'; '.join(f'{d.name}: {d.reason}' for d in dropped[:5])}")
+    if not dropped:
+        return Design(motion, tuple(terms), train, held_out, dropped, tuple(builder.kept))
+    return Design(
+        motion=motion,
+        terms=tuple(terms[j] for j in kept),
+        train=tuple(gram.select(kept) for gram in train),
+        held_out=tuple(gram.select(kept) for gram in held_out),
+        dropped=dropped,
+        kept=tuple(np.asfortranarray(columns[:, kept]) for columns in builder.kept),
+    )
+
+
+class _Builder:
+    """Evaluates terms block by block, counting the rows in which each is not finite."""
+
+    def __init__(self, terms: Sequence[Expression], motion: Motion, progress: Progress | None) -> None:
+        self.terms, self.targets, self.progress = terms, motion.roles.targets, progress
+        self.total = sum(rows.n for rows in motion.records)
+        self.bad = np.zeros(len(terms), dtype=np.int64)
+        self.kept: list[Floats] = []
+        self.done = 0
+
+    def grams(self, pieces: Sequence[MotionRows], keep: bool = False) -> tuple[Gram, ...]:
+        """One Gram per target, of the rows that were measured; with `keep` the columns are kept."""
+        names = tuple(term.text for term in self.terms)
+
+        def blocks() -> Iterator[tuple[Floats, Floats]]:
+            for rows in pieces:
+                whole = self._evaluate(rows) if keep else None
+                if whole is not None:
+                    self.kept.append(whole)
+                for start in range(0, rows.n, BLOCK_ROWS):
+                    chosen = slice(start, start + BLOCK_ROWS)
+                    block = rows.part(chosen)
+                    D = self._evaluate(block) if whole is None else whole[chosen]
+                    Y = np.column_stack([block.observed[target] for target in self.targets])
+                    yield (D, Y) if block.known.all() else (D[block.known], Y[block.known])
+
+        return grams_from_blocks(blocks(), names, len(self.targets))
+
+    def _evaluate(self, rows: MotionRows) -> Floats:
+        D = evaluate_terms(self.terms, rows.columns)
+        for j in np.flatnonzero(~(np.abs(D).max(axis=0) <= LARGEST)):
+            self.bad[j] += int(np.count_nonzero(~(np.abs(D[:, j]) <= LARGEST)))
+            D[:, j] = 0.0
+        self.done += rows.n
+        if self.progress is not None:
+            self.progress(self.done, self.total)
+        return D
+
+
+def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int) -> dict[int, str]:
+    """Why each unusable column is left out."""
+    sd = gram.standard_deviation
+    out: dict[int, str] = {}
+    for j in range(len(sd)):
+        if bad[j]:
+            out[j] = f"not finite, or too large to square, in {bad[j]} of {rows} rows"
+        elif not sd[j] > CONSTANT_SPREAD * abs(gram.mean[j]):
+            out[j] = "constant on the data"
+    usable = np.array([j for j in range(len(sd)) if j not in out], dtype=np.intp)
+    scaled = gram.DtD[np.ix_(usable, usable)] / (sd[usable][:, None] * sd[usable] * gram.n)
+    rows_of, columns_of = np.nonzero(np.triu(np.abs(scaled) >= COPY_CORRELATION, k=1))
+    for a, b in zip(usable[rows_of], usable[columns_of], strict=True):
+        if int(a) not in out:
+            out.setdefault(int(b), f"a copy of {gram.names[a]} on the data")
+    return out

@@ -1,0 +1,148 @@
+"""`Regression`: one equation's rows, or bins of a band, from which its Gram, residuals and fits come."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary import evaluate_terms
+from bayeq.gram import Gram
+from bayeq.gram.gram import grams_from_blocks
+from bayeq.inference import Posterior
+from bayeq.regression.design import Design
+from bayeq.regression.filtered_terms import filtered_terms
+from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
+from bayeq.regression.weights import InBand, regress_in_band, thinned_gram
+from bayeq.states import Chain, ChainSmoothing, Motion, MotionRows
+
+__all__ = ["Regression"]
+
+Floats = NDArray[np.float64]
+
+# Residuals smaller than this share of the target are rounding of the Gram, and correlated.
+ROUNDING = 1e-6
+
+# With more candidates than this, correlation of the residuals is reported but not used to reduce the effective sample
+# size: the fits that find it would take too long.
+MOST_TERMS_TO_THIN = 500
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """The regression of one target on the dictionary.
+
+    Attributes
+    ----------
+    design : Design
+        The dictionary on the motion.
+    k : int
+        Number of the chain whose highest derivative is the target.
+    rows, held_out : Gram, Gram or None
+        Statistics that the equation is judged by: of the training rows and of those held out. Where the target was
+        estimated both sides went through the smoother.
+    band : InBand or None
+        The band regression, where states were smoothed.
+    gram : Gram
+        What counts as data: of the bins of the band, or of as many rows as the residuals are worth.
+    """
+
+    design: Design
+    k: int
+    rows: Gram
+    held_out: Gram | None
+    band: InBand | None
+    gram: Gram
+
+    @classmethod
+    def of(cls, design: Design, k: int) -> Regression:
+        """The regression of chain number `k` of the design's motion, every row or bin counting in full."""
+        motion = design.motion
+        rows, held_out = design.train[k], design.held_out[k] if design.held_out else None
+        if motion.estimated_by(k) is not None:
+            rows = _filtered_gram(design, k, motion.train, kept=True)
+            held_out = _filtered_gram(design, k, motion.held_out) if motion.held_out else None
+        band = regress_in_band(design, k)
+        return cls(design, k, rows, held_out, band, rows if band is None else band.gram)
+
+    @property
+    def motion(self) -> Motion:
+        """The rows."""
+        return self.design.motion
+
+    @property
+    def chain(self) -> Chain:
+        """The coordinate whose highest derivative is the target."""
+        return self.motion.roles.chains[self.k]
+
+    def thinned(self) -> Regression:
+        """The regression with rows that count for the effective sample size, where their residuals are correlated."""
+        if self.band is not None or len(self.design.terms) > MOST_TERMS_TO_THIN:
+            return self
+        return replace(self, gram=thinned_gram(self.rows, self.residuals))
+
+    def raised(self, power: float) -> Regression:
+        """The regression with the likelihood raised to a power of at most 1."""
+        return replace(self, gram=self.gram.raised(power))
+
+    def fit(self, posterior: Posterior) -> Fit:
+        """How well a posterior (in original units) gives the target on the training rows."""
+        return _fit(self.rows, posterior)
+
+    def held_out_fit(self, posterior: Posterior) -> Fit | None:
+        """The same on the rows held out; None where there are none."""
+        return None if self.held_out is None else _fit(self.held_out, posterior)
+
+    def noise_variance(self, posterior: Posterior) -> float:
+        """Variance of the residual over the training rows: what the spectrum of the band does not tell."""
+        spare = max(self.rows.n - 1.0 - float(posterior.support.sum()), 1.0)
+        return self.rows.squared_error(posterior.coef, posterior.intercept) / spare
+
+    def residuals(self, posterior: Posterior, channels: Sequence[str] = ()) -> Residuals:
+        """Training residuals, against some channels; those that are rounding of the Gram count as white."""
+        train, smoothing = self.motion.train, self.motion.estimated_by(self.k)
+        found = inspect_residuals(
+            [self._residual(posterior, i) for i in range(len(train))],
+            {name: [rows.columns[name][_judged(rows, smoothing)] for rows in train] for name in channels},
+        )
+        return found if self.fit(posterior).nrmse > ROUNDING else Residuals(found.n, 0.0, float(found.n))
+
+    def _residual(self, posterior: Posterior, i: int) -> Floats:
+        """What a posterior leaves of the target in the rows of record i that equations are judged by."""
+        rows, smoothing = self.motion.train[i], self.motion.estimated_by(self.k)
+        out: Floats = rows.observed[self.chain.target] - posterior.intercept
+        kept = np.flatnonzero(posterior.support)
+        if len(kept):
+            terms = [self.design.terms[j] for j in kept]
+            D = self.design.kept[i][:, kept] if self.design.kept else evaluate_terms(terms, rows.columns)
+            out = out - filtered_terms(D, terms, self.motion.roles.chains, smoothing) @ posterior.coef[kept]
+        return out[_judged(rows, smoothing)]
+
+
+def _judged(rows: MotionRows, smoothing: ChainSmoothing | None) -> slice:
+    """The rows that an equation is judged by: all, but the ends of an estimated target."""
+    return slice(0, rows.n) if smoothing is None else smoothing.inner(rows.n)
+
+
+def _filtered_gram(design: Design, k: int, pieces: Sequence[MotionRows], kept: bool = False) -> Gram:
+    """Statistics of a target that was estimated, its terms filtered like it, without rows that were bridged."""
+    smoothing, target = design.motion.estimated_by(k), design.motion.roles.chains[k].target
+    chains = design.motion.roles.chains
+
+    def blocks() -> Iterator[tuple[Floats, Floats]]:
+        for i, rows in enumerate(pieces):
+            D = design.columns(i) if kept else evaluate_terms(design.terms, rows.columns)
+            chosen = np.zeros(rows.n, dtype=np.bool_)
+            chosen[_judged(rows, smoothing)] = True
+            chosen &= rows.known
+            yield filtered_terms(D, design.terms, chains, smoothing)[chosen], rows.observed[target][chosen, None]
+
+    return grams_from_blocks(blocks(), design.names)[0]
+
+
+def _fit(gram: Gram, posterior: Posterior) -> Fit:
+    share = gram.squared_error(posterior.coef, posterior.intercept) / gram.yty if gram.yty > 0 else 1.0
+    return Fit(n=round(gram.n), r2=1.0 - share, nrmse=math.sqrt(share))

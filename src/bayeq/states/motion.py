@@ -1,0 +1,275 @@
+"""`Motion`: the states of all records, divided once into training rows and rows held out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import ChainError, RecordError, UnknownNameError
+from bayeq.records import Record
+from bayeq.states.chain import Chain
+from bayeq.states.derive import Smooth, derive_states, require_varying
+from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain
+from bayeq.states.roles import Roles
+from bayeq.states.uniform_grid import on_grid
+
+__all__ = ["FEW_ROWS", "Motion", "MotionRows", "cut_at", "estimate_motion", "held_out_share"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# In records of fewer rows nothing distinguishes noise from motion: they are differentiated as they are.
+FEW_ROWS = 40
+
+# Noise in states that are all measured, as a share of their standard deviation, below which they are used as they are:
+# it does no harm, and what a smoother makes of motion that is not its model's may do more.
+LEAST_NOISE = 0.01
+
+# With fewer rows in all none are held out.
+LEAST_ROWS_TO_HOLD_OUT = 50
+
+
+@dataclass(frozen=True, eq=False)
+class MotionRows:
+    """Consecutive rows of one record.
+
+    Attributes
+    ----------
+    name : str
+        Of the record.
+    time : (n,) array or None
+        [s].
+    columns : mapping of str to (n,) array
+        What regressions are made of: states and targets (smoothed, where they were) and inputs.
+    observed : mapping of str to (n,) array
+        What equations are judged by: each target as it was measured, as in `columns` where it was not.
+    samples : mapping of str to (n,) array
+        Measured channels of the chains; NaN where a sample is missing.
+    known : (n,) bool array
+        Rows that the record has. The others were missing on its grid of time and are bridged.
+    """
+
+    name: str
+    time: Floats | None
+    columns: Mapping[str, Floats]
+    observed: Mapping[str, Floats]
+    samples: Mapping[str, Floats]
+    known: Bools
+
+    @property
+    def n(self) -> int:
+        return len(self.known)
+
+    def part(self, rows: slice) -> MotionRows:
+        """Some of the rows."""
+
+        def cut(columns: Mapping[str, Floats]) -> dict[str, Floats]:
+            return {name: values[rows] for name, values in columns.items()}
+
+        return MotionRows(
+            self.name,
+            None if self.time is None else self.time[rows],
+            cut(self.columns),
+            cut(self.observed),
+            cut(self.samples),
+            self.known[rows],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """States, targets and inputs of records of one system.
+
+    Attributes
+    ----------
+    roles : Roles
+        Chains and inputs.
+    records : tuple of MotionRows
+        All rows of each record.
+    cuts : tuple of int
+        The first row of each record that is held out; its number of rows if none is.
+    smoothing : tuple of ChainSmoothing
+        How the kinematic smoother went over each chain; empty if it did not.
+    holdout : float
+        Share of the rows of each record, the last, that is held out.
+    """
+
+    roles: Roles
+    records: tuple[MotionRows, ...]
+    cuts: tuple[int, ...]
+    smoothing: tuple[ChainSmoothing, ...]
+    holdout: float
+
+    @cached_property
+    def train(self) -> tuple[MotionRows, ...]:
+        """The training rows of each record."""
+        return tuple(rows.part(slice(0, cut)) for rows, cut in zip(self.records, self.cuts, strict=True))
+
+    @cached_property
+    def held_out(self) -> tuple[MotionRows, ...]:
+        """The rows held out of each record that has some."""
+        return tuple(
+            rows.part(slice(cut, rows.n)) for rows, cut in zip(self.records, self.cuts, strict=True) if cut < rows.n
+        )
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Measured rows used for training, and held out."""
+        used, left = (sum(int(rows.known.sum()) for rows in part) for part in (self.train, self.held_out))
+        return used, left
+
+    @property
+    def timed(self) -> bool:
+        """Whether every record has time."""
+        return all(rows.time is not None for rows in self.records)
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Derivatives that were not measured but estimated."""
+        return tuple(
+            name
+            for chain in self.roles.chains
+            for name, channel in zip(chain.names, chain.measured, strict=True)
+            if channel is None
+        )
+
+    def estimated_by(self, k: int) -> ChainSmoothing | None:
+        """How the target of chain k was estimated; None where it was measured, or not smoothed."""
+        return self.smoothing[k] if self.smoothing and self.roles.chains[k].measured[-1] is None else None
+
+
+def held_out_share(holdout: float, rows: int) -> float:
+    """The share of the rows to hold out: none of few."""
+    return holdout if rows >= LEAST_ROWS_TO_HOLD_OUT else 0.0
+
+
+def cut_at(rows: int, share: float) -> int:
+    """The first of some rows that is held out."""
+    return rows - int(share * rows)
+
+
+def estimate_motion(records: Sequence[Record], roles: Roles, smooth: Smooth = "auto", share: float = 0.0) -> Motion:
+    """States, targets and inputs of records of one system, which share their noise levels.
+
+    With "auto" the kinematic smoother fuses all measured channels of a chain (`bayeq.states.kinematic`), and samples
+    that were dropped from a uniform grid are bridged: the states then have a row for each. Records of fewer than 40
+    rows are differentiated as they are. Records without time, and states and targets that are all measured with hardly
+    any noise, are left to `derive_states`, whose errors are those of this function. Noise levels are learned from the
+    training rows; the rows held out are smoothed apart.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Measured channels.
+    roles : Roles
+        Chains and inputs.
+    smooth : "auto" or "none"
+        How derivatives that are not measured are estimated.
+    share : float
+        Of the rows, the last of each record, to hold out.
+
+    Raises
+    ------
+    UnknownNameError, RecordError, ChainError
+        Channels that are missing or cannot be used.
+    """
+    smoothed = _smoothed(records, roles, smooth, share)
+    no_smoothing: tuple[ChainSmoothing, ...] = ()
+    if smoothed is None:
+        pieces = tuple(_as_measured(record, roles, smooth) for record in records)
+        cuts, smoothing = tuple(cut_at(rows.n, share) for rows in pieces), no_smoothing
+    else:
+        pieces, cuts, smoothing = smoothed
+    return Motion(roles, pieces, cuts, smoothing, share)
+
+
+def _as_measured(record: Record, roles: Roles, smooth: Smooth) -> MotionRows:
+    """States and targets as measured, missing derivatives by a filter of each record."""
+    columns = derive_states(record, roles.chains, roles.inputs, smooth).columns
+    samples = {name: np.asarray(record[name]) for name in roles.measured}
+    observed = {target: columns[target] for target in roles.targets}
+    return MotionRows(record.name, record.time, columns, observed, samples, np.ones(record.n, dtype=np.bool_))
+
+
+def _smoothed(
+    records: Sequence[Record], roles: Roles, smooth: Smooth, share: float
+) -> tuple[tuple[MotionRows, ...], tuple[int, ...], tuple[ChainSmoothing, ...]] | None:
+    """Rows by the kinematic smoother; None where records are better taken as measured."""
+    timed = all(record.time is not None for record in records)
+    wanted = timed and smooth == "auto" and max(record.n for record in records) >= FEW_ROWS
+    # what is checked is checked before the work
+    whole = [chain for chain in roles.chains if chain.lowest == 0]
+    for record in records:
+        derive_states(record, whole, roles.inputs, "none" if timed else smooth)
+    for chain in roles.chains:
+        if chain.lowest > 0:
+            _require_integrable(records, chain, wanted)
+    if not wanted:
+        return None
+    filled = [on_grid(record, roles.measured, roles.inputs) for record in records]
+    cuts = tuple(cut_at(record.n, share) for record in filled)
+    found = [smooth_chain(filled, chain, cuts) for chain in roles.chains]
+    complete = [one for one in found if one is not None]
+    measured_all = all(name is not None for chain in roles.chains for name in chain.measured)
+    clean = measured_all and all(smoothing.noise_ratio < LEAST_NOISE for _, smoothing in complete)
+    if clean or len(complete) < len(found):
+        for chain in roles.chains:
+            if chain.lowest > 0:
+                raise _not_integrable(records[0], chain)
+        return None
+    rows = tuple(_rows(record, roles, [means[i] for means, _ in complete]) for i, record in enumerate(filled))
+    return rows, cuts, tuple(smoothing for _, smoothing in complete)
+
+
+def _rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
+    """Rows of a record on its grid with the smoothed derivatives (n, K + 1) of each chain."""
+    columns = {name: np.asarray(record[name]) for name in roles.inputs}
+    columns.update(_named(roles.chains, means))
+    samples = {name: np.asarray(record[name]) for name in roles.measured}
+    observed = {
+        target: np.where(np.isnan(samples[target]), columns[target], samples[target])
+        if target in samples
+        else columns[target]
+        for target in roles.targets
+    }
+    known = np.ones(record.n, dtype=np.bool_)
+    for values in samples.values():
+        known &= np.isfinite(values)
+    return MotionRows(record.name, record.time, columns, observed, samples, known)
+
+
+def _named(chains: Sequence[Chain], means: Sequence[Floats]) -> Iterator[tuple[str, Floats]]:
+    for chain, values in zip(chains, means, strict=True):
+        for k, name in enumerate(chain.names):
+            yield name, np.ascontiguousarray(values[:, k])
+
+
+def _require_integrable(records: Sequence[Record], chain: Chain, smoothed: bool) -> None:
+    """Check the channels of a chain whose coordinate is not measured.
+
+    A channel that happens to have the coordinate's name was left out of the chain, and is not used.
+    """
+    for record in records:
+        for name in chain.measured:
+            if name is not None:
+                if name not in record.channels:
+                    raise UnknownNameError("channel", name, record.names, where=record.name)
+                record.require_finite(name)
+                require_varying(record, name)
+        if not smoothed:
+            raise ChainError(
+                f"{record.name or 'record'}: chain {str(chain)!r} has to be integrated, which needs smooth='auto' and"
+                " a time column or fs"
+            )
+
+
+def _not_integrable(record: Record, chain: Chain) -> RecordError:
+    first = chain.measured[chain.lowest]
+    return RecordError(
+        f"{record.name or 'record'}: {first!r} cannot be integrated: that needs even steps of time, and a signal that"
+        " stands out of its noise"
+    )
