@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayeq.dictionary import Variables, build_design, build_dictionary, evaluate_terms
+from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.errors import BayeqError, ExpressionError, FileFormatError, InputError
-from bayeq.gram import Gram
 
 OSCILLATOR = Variables(("x", "v"), ("u",))
 
@@ -106,42 +105,3 @@ def test_too_many_terms():
 def test_any_text_is_a_dictionary_or_an_error(text):
     with contextlib.suppress(BayeqError):
         assert names(text)
-
-
-def test_unusable_terms_are_left_out_by_name():
-    c = columns()
-    c["x"] = np.abs(c["x"])
-    c["v"][3] = -1.0
-    terms = build_dictionary(["x", "abs(x)", "v", "log(v)", "x-x+3", "2*x+1", "u", "sign(x)"], OSCILLATOR)
-    design = build_design(terms, ["a"], [c])
-    assert [t.text for t in design.terms] == ["x", "v", "u"]
-    assert design.train[0].names == ("x", "v", "u")
-    reasons = {d.name: d.reason for d in design.dropped}
-    assert reasons["abs(x)"] == "a copy of x on the data"
-    assert reasons["2*x+1"] == "a copy of x on the data"
-    assert reasons["x-x+3"] == reasons["sign(x)"] == "constant on the data"
-    assert "not finite" in reasons["log(v)"]
-    assert "500 rows" in reasons["log(v)"]
-    with pytest.raises(InputError, match="no usable term"):
-        build_design(build_dictionary(["sign(x)"], OSCILLATOR), ["a"], [c])
-
-
-def test_copies_are_judged_whatever_the_units():
-    for scale in (1e-9, 1.0, 1e9):
-        c = columns()
-        c["x"] = c["x"] * scale
-        kept = build_design(build_dictionary("oscillator", OSCILLATOR), ["a"], [c]).terms
-        assert len(kept) == 36
-
-
-def test_pieces_and_held_out_rows():
-    c, other = columns(seed=1), columns(n=77, seed=2)
-    terms = build_dictionary("polynomial:2", OSCILLATOR)
-    seen = []
-    design = build_design(terms, ["a", "u"], [c, other], [other], lambda done, total: seen.append((done, total)))
-    both = {name: np.concatenate([c[name], other[name]]) for name in c}
-    direct = Gram.from_data(evaluate_terms(terms, both), both["a"], [t.text for t in terms])
-    np.testing.assert_allclose(design.train[0].DtD, direct.DtD, rtol=1e-10, atol=1e-9)
-    assert design.train[1].n == 577
-    assert design.held_out[0].n == 77
-    assert seen[-1] == (654, 654)

@@ -2,92 +2,77 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-import bayeq
+from tests.layers import SOURCE, circles, files, floors, imported, modules, room, rooms
 
-SOURCE = Path(bayeq.__file__).parent
-
-# Rooms from the ground up; a module imports from rooms below its own, and from its own room.
-LEVELS = [
-    {"errors", "files", "kernels"},
-    {"expressions", "records", "posterior", "diagnostics"},
-    {"gram", "lazy_gram", "spectral"},
-    {"systems", "states", "dictionary", "inference"},
-    {"seen"},
-    {"weighting"},
-    {"propagation"},
-    {"adapters", "constraints", "equalities", "forecast", "report"},
-    {
-        "_equations_base",
-        "_equations_runs",
-        "_estimator_base",
-        "estimators",
-        "equation",
-        "equations",
-        "storage",
-        "render",
-        "sensitivity",
-        "choice",
-        "coarsening",
-        "coef_units",
-        "parsimony",
-    },
-    {"stand_in"},
-    {"infer", "notes"},
-    {"inspection", "negligible"},
-    {"discovery"},
-    {"study"},
-    {"cli_outputs", "cli_study"},
-    {"cli"},
-    {"__main__"},
+# From the ground up: a room imports from lines above its own, which here means from floors below.
+ORDER = [
+    "errors kernels",
+    "expressions gram records",
+    "dictionary figures inference ode states systems",
+    "adapters forecast regression",
+    "refine selection",
+    "equation study",
+    "discovery estimators",
+    "cli",
+    "__main__",
 ]
-LEVEL = {room: k for k, rooms in enumerate(LEVELS) for room in rooms}
-STAGES = LEVELS[3]
-
-
-def modules():
-    return sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
-
-
-def room(path):
-    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
-
-
-def imported_rooms(path):
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("bayeq."):
-            yield node.module.split(".")[1]
-        elif isinstance(node, ast.Import):
-            yield from (alias.name.split(".")[1] for alias in node.names if alias.name.startswith("bayeq."))
+FLOOR = {name: floor for floor, names in enumerate(ORDER) for name in names.split()}
+CONTRIBUTING = Path(__file__).resolve().parents[1] / "CONTRIBUTING.md"
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(SOURCE)))
 def test_imports_point_down(path):
     here = room(path)
-    assert here in LEVEL, f"give {here} a level"
-    for other in imported_rooms(path):
-        if other == here:
-            continue
-        if here in STAGES and other in STAGES:
-            pytest.fail(f"{path.name}: stages do not import each other ({here} imports {other})")
-        assert LEVEL[other] < LEVEL[here] or (LEVEL[other] == LEVEL[here] and here not in STAGES), (here, other)
+    assert here in FLOOR, f"give {here} a floor"
+    for other in imported(path):
+        if other != SOURCE / "__init__.py" and room(other) != here:
+            assert FLOOR[room(other)] < FLOOR[here], f"{path.name} imports {other.relative_to(SOURCE)}"
+
+
+def test_no_circles():
+    assert circles(rooms()) == []
+    assert circles(files()) == []
+
+
+def test_rooms_stand_as_low_as_they_can():
+    assert floors(rooms()) == FLOOR
+
+
+def test_the_picture_is_that_of_the_code():
+    lines = CONTRIBUTING.read_text(encoding="utf-8").splitlines()
+    drawn = [line.split("#")[0].split() for line in lines if line.startswith("    ") and "#" in line]
+    picture = [sorted(names) for names in drawn if names and set(names) <= set(FLOOR)]
+    assert picture == [sorted(names.split()) for names in reversed(ORDER)]
+
+
+def test_few_files_at_the_root():
+    assert len(list(SOURCE.glob("*.py"))) <= 8
 
 
 def test_no_relative_imports_which_the_rule_would_not_see():
     for path in modules():
-        for node in ast.walk(ast.parse(path.read_text())):
-            assert not (isinstance(node, ast.ImportFrom) and node.level), path
+        assert "from ." not in path.read_text(encoding="utf-8"), path
 
 
-def test_the_reader_of_imports_sees_them():
-    assert "gram" in set(imported_rooms(SOURCE / "infer.py"))
-    assert "records" in set(imported_rooms(SOURCE / "cli.py"))
+def test_the_reader_of_imports_sees_them(tmp_path):
+    source = tmp_path / "bayeq"
+    for name, text in {
+        "a.py": "from bayeq.b import c",
+        "b/__init__.py": "",
+        "b/c.py": "def f():\n    import bayeq.d",
+        "d.py": "from bayeq.a import x\nimport numpy",
+    }.items():
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        (source / name).write_text(text)
+    assert rooms(source) == {"a": {"b"}, "b": {"d"}, "d": {"a"}}
+    assert circles(rooms(source)) == [{"a", "b", "d"}]
+    assert floors({"a": {"b"}, "b": {"c"}, "c": set()}) == {"a": 2, "b": 1, "c": 0}
 
 
 def loaded_after(statement):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 import re
 import warnings
@@ -15,7 +14,7 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import DataWarning, InputError
 from bayeq.gram import Gram
-from bayeq.inference import path
+from bayeq.inference.collapsed import path
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.path import best_of_each_size, model_log_posterior, partial_shares
 from bayeq.inference.collapsed.problem import Problem
@@ -77,7 +76,7 @@ def test_the_search_misses_hardly_any_of_them():
 
 
 def test_no_term_more_less_or_other_improves_on_the_path_of_a_large_dictionary():
-    p = Problem.of(EQ[0].regression.standard.gram, EQ[0].regression.prior)
+    p = Problem.of(EQ[0].fit.standard.gram, EQ[0].fit.prior)
     found = best_of_each_size(p, 9)
     best = dict(enumerate(value for _, value in found))
     for size, (model, value) in enumerate(found):
@@ -207,7 +206,7 @@ def test_each_model_is_what_discover_gives_when_told_its_terms():
     table = PATH.table()
     for k in (1, 3, 6):
         terms = [name for name, kept in zip(PATH.names, PATH.models[k], strict=True) if kept]
-        told = bq.Prior(prior_inclusion=np.ones(k), slab_variance=EQ[0].regression.prior.slab_variance)
+        told = bq.Prior(prior_inclusion=np.ones(k), slab_variance=EQ[0].fit.prior.slab_variance)
         one = discover(RECORD, **OSCILLATOR, dictionary=terms, prior=told)[0]
         assert table.nrmse[k] == pytest.approx(one.train.nrmse, rel=1e-4)
         assert table.held_out_nrmse[k] == pytest.approx(one.held_out.nrmse, rel=1e-4)
@@ -243,17 +242,6 @@ def test_the_elbow_in_print():
     assert marked.split()[1:3] == ["4", "0.0"]
     assert marked.endswith("+ v")
     assert lines[-1].startswith("variance that the fit loses without a term: u 26 %")
-
-
-def test_an_equation_off_its_path_is_shown_beside_it():
-    few = discover(RECORD, **OSCILLATOR, min_share=0.05)[0]
-    # pruned one at a time it ends at x and u, which x*abs(x) and u would beat
-    assert few.included == ("x", "u")
-    off = few.path()
-    assert not off.is_chosen.any()
-    assert "the equation: x, u" in str(off)
-    assert off.chosen_log_evidence < off.log_evidence[2]
-    assert off.chosen_r2 == pytest.approx(few.train.r2, abs=1e-12)
 
 
 def test_a_length_that_makes_no_sense():
@@ -308,87 +296,6 @@ def test_the_figure():
         assert label.y0 > 0
 
 
-# --- limits set by the user ------------------------------------------------------------------------------------------
-
-
-def test_at_most_so_many_terms():
-    few = discover(RECORD, **OSCILLATOR, max_terms=3)[0]
-    best = PATH.models[:4][np.argmax(PATH.log_evidence[:4])]
-    np.testing.assert_array_equal(few.posterior.support, best)
-    assert few.included == ("x", "x**3", "u")
-    np.testing.assert_allclose(few.posterior.coef, PATH.coef[3], rtol=1e-9)
-    # probabilities stay what they are
-    np.testing.assert_array_equal(few.posterior.pip, EQ[0].posterior.pip)
-    (left,) = few.left_out
-    assert (left.name, left.reason) == ("v", "max_terms")
-    assert left.share == pytest.approx(EQ[0].share[1])
-    assert left.pip > 0.99
-    assert few.noise_sd == pytest.approx(few.train.nrmse * np.std(RECORD["a"][:3200]), rel=2e-3)
-    plain = discover(RECORD, **OSCILLATOR, max_terms=4)[0]
-    assert plain.included == EQ[0].included
-    assert plain.left_out == ()
-    assert plain.posterior.noise_variance == EQ[0].posterior.noise_variance
-
-
-def test_terms_that_explain_little_go_the_smallest_first():
-    few = discover(RECORD, **OSCILLATOR, min_share=0.01)[0]
-    assert few.included == ("x", "x**3", "u")
-    assert [(t.name, t.reason) for t in few.left_out] == [("v", "min_share")]
-    assert discover(RECORD, **OSCILLATOR, min_share=1e-3)[0].left_out == ()
-    # x and x**3 explain 6.5 and 4.1 % beside each other, but x alone much more once x**3 has gone
-    fewer = discover(RECORD, **OSCILLATOR, min_share=0.1)[0]
-    assert fewer.included == ("x", "u")
-    assert min(fewer.share[fewer.posterior.support]) > 0.1
-    both = discover(RECORD, **OSCILLATOR, max_terms=3, min_share=0.1)[0]
-    assert both.included == ("x", "u")
-    assert {t.name: t.reason for t in both.left_out} == {"v": "max_terms", "x**3": "min_share"}
-
-
-def test_forced_terms_stay():
-    prior = bq.Prior(prior_inclusion=[0.1, 1.0, 0.1, 0.1], slab_variance=1e3)
-    options = {**OSCILLATOR, "dictionary": ["x", "v", "x**3", "u"], "prior": prior}
-    assert discover(RECORD, **options, min_share=0.9)[0].included == ("v",)
-    assert "v" in discover(RECORD, **options, max_terms=1)[0].included
-    two = bq.Prior(prior_inclusion=[0.1, 1.0, 0.1, 1.0])
-    with pytest.raises(InputError, match="at most 1 terms are asked for, but 2 are forced in"):
-        discover(RECORD, **{**options, "prior": two}, max_terms=1)
-
-
-@pytest.mark.parametrize("method", ["vb", "bma", "gibbs"])
-def test_limits_whatever_the_engine(method):
-    assert discover(RECORD, **OSCILLATOR, method=method, max_terms=3)[0].included == ("x", "x**3", "u")
-
-
-@pytest.mark.parametrize(
-    ("options", "match"),
-    [
-        ({"max_terms": 0}, "max_terms must be at least 1, got 0"),
-        ({"max_terms": 2.5}, "max_terms must be a whole number"),
-        ({"max_terms": True}, "max_terms must be"),
-        ({"min_share": -0.1}, "min_share is a share"),
-        ({"min_share": 1.0}, "min_share is a share"),
-        ({"min_share": math.nan}, "min_share is a share"),
-        ({"min_share": "0.1"}, "min_share is a share"),
-        ({"max_terms": 3, "method": "stlsq"}, "take one of: auto"),
-        ({"min_share": 0.1, "method": "rvm"}, "take one of: auto"),
-    ],
-)
-def test_limits_that_make_no_sense(options, match):
-    with pytest.raises(InputError, match=match):
-        discover(RECORD, **OSCILLATOR, **options)
-
-
-def test_what_was_left_out_is_kept_and_printed(tmp_path):
-    few = discover(RECORD, **OSCILLATOR, max_terms=3)
-    few.save(tmp_path / "eq.json")
-    again = bq.load(tmp_path / "eq.json")
-    assert again.to_dict() == few.to_dict()
-    assert str(again) == str(few)
-    assert "left out as asked (max_terms): v, PIP 1.000, explains 0.17 %" in str(few)
-    (left,) = few.to_dict()["diagnostics"]["equations"]["a"]["left_out"]
-    assert left == {"name": "v", "pip": left["pip"], "share": pytest.approx(EQ[0].share[1]), "reason": "max_terms"}
-
-
 # --- units -----------------------------------------------------------------------------------------------------------
 
 
@@ -429,23 +336,6 @@ def duffing(tmp_path_factory):
     file = tmp_path_factory.mktemp("path") / "duffing.csv"
     bq.write(RECORD, file)
     return [str(file), "--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--smooth", "none"]
-
-
-def test_limits_on_the_command_line(duffing, capsys):
-    for option in (["--max-terms", "3"], ["--min-share", "0.01"]):
-        assert main(["discover", *duffing, *option, "--json"]) == 0
-        out = json.loads(capsys.readouterr().out)
-        terms = {t["name"]: t for t in out["equations"][0]["terms"]}
-        assert {name for name, t in terms.items() if t["included"]} == {"x", "x**3", "u"}
-        assert terms["v"]["pip"] > 0.99
-        assert terms["v"]["share"] is None
-        assert terms["x"]["share"] > 0.01
-    assert main(["discover", *duffing, "--max-terms", "0"]) == 2
-    assert "bayeq: error: max_terms must be at least 1" in capsys.readouterr().err
-    assert main(["discover", *duffing, "--min-share", "2"]) == 2
-    assert "bayeq: error: min_share is a share" in capsys.readouterr().err
-    assert main(["discover", *duffing, "--max-terms", "few"]) == 2
-    capsys.readouterr()
 
 
 def test_the_path_in_a_file(duffing, tmp_path, capsys):

@@ -174,7 +174,7 @@ def test_only_where_there_is_a_prior_to_vary(tmp_path):
     np.testing.assert_array_equal(vb.pip[0, 0], EQ[0].posterior.pip)
     EQ.save(tmp_path / "eq.json")
     loaded = bq.load(tmp_path / "eq.json")[0]
-    assert loaded.regression is None
+    assert loaded.fit is None
     with pytest.raises(InputError, match="run discover again"):
         loaded.sensitivity()
 
@@ -183,8 +183,8 @@ def test_what_was_solved_stays_out_of_sight(tmp_path):
     assert "regression" not in repr(EQ[0])
     assert "DtD" not in json_of(EQ, tmp_path)
     assert replace(EQ[0], regression=None) == EQ[0]
-    assert EQ[0].regression.prior.slab_variance == EQ[0].posterior.slab_variance
-    assert EQ[0].regression.standard.gram.names == EQ[0].posterior.names
+    assert EQ[0].fit.prior.slab_variance == EQ[0].posterior.slab_variance
+    assert EQ[0].fit.standard.gram.names == EQ[0].posterior.names
 
 
 def json_of(eq, folder):

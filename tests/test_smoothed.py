@@ -13,13 +13,14 @@ from bayeq.gram import Gram
 from bayeq.gram.band import Band, band_gram, noise_floor, residual_spectrum, taper, to_band
 from bayeq.records import split_at_gaps
 from bayeq.regression.weights import Piece, weighted_gram
-from bayeq.states import derive_all, parse_chains
+from bayeq.states import Roles, estimate_motion, parse_chains
 from bayeq.states.kinematic.chain_smoother import smooth_chain
 from bayeq.states.uniform_grid import on_grid
 from bayeq.study.config import StudyConfig
 from bayeq.study.realise import draw
 
 CHAIN = parse_chains(["x:v:a"])
+ROLES = Roles(tuple(CHAIN), ("u",))
 
 
 def white(seed, n=2000, P=3):
@@ -133,15 +134,15 @@ def test_units_that_do_not_belong_together_are_put_right_within_the_smoother(fac
 
 def test_clean_states_are_left_alone():
     rec = bq.simulate("duffing", n=1000, seed=2, noise={"a": 0.05})
-    (states,) = derive_all([rec], CHAIN, ["u"])
-    np.testing.assert_array_equal(states.columns["x"], rec["x"])
-    assert states.smoothing == ()
+    motion = estimate_motion([rec], ROLES)
+    np.testing.assert_array_equal(motion.records[0].columns["x"], rec["x"])
+    assert motion.smoothing == ()
 
 
 def test_rows_held_out_do_not_touch_the_others():
     rec = bq.simulate("duffing", n=2000, seed=2, noise=0.05)
     spoiled = rec.with_channels({"x": np.where(np.arange(2000) < 1500, rec["x"], 0.1 * rec["x"])})
-    a, b = (derive_all([r], CHAIN, ["u"], holdout=0.25)[0] for r in (rec, spoiled))
+    a, b = (estimate_motion([r], ROLES, share=0.25).records[0] for r in (rec, spoiled))
     for name in ("x", "v", "a"):
         np.testing.assert_array_equal(a.columns[name][:1500], b.columns[name][:1500])
         assert not np.array_equal(a.columns[name][1500:], b.columns[name][1500:])
@@ -149,22 +150,22 @@ def test_rows_held_out_do_not_touch_the_others():
 
 def test_too_few_numbers_in_the_band():
     rec = bq.simulate("duffing", n=300, seed=2, noise=0.05)
-    (states,) = derive_all([rec], CHAIN, ["u"])
+    motion = estimate_motion([rec], ROLES)
     D = np.random.default_rng(0).normal(size=(300, 36))
     names = tuple(f"d{j}" for j in range(36))
     assert (
         weighted_gram(
-            [Piece(D, states.columns["a"], np.zeros((300, 2)), np.zeros((300, 0)))],
+            [Piece(D, motion.records[0].columns["a"], np.zeros((300, 2)), np.zeros((300, 0)))],
             names,
-            states.smoothing[0],
+            motion.smoothing[0],
             (0.0, 20.0),
         )
         is None
     )
     more = weighted_gram(
-        [Piece(D, states.columns["a"], np.zeros((300, 2)), np.zeros((300, 0)))],
+        [Piece(D, motion.records[0].columns["a"], np.zeros((300, 2)), np.zeros((300, 0)))],
         names,
-        states.smoothing[0],
+        motion.smoothing[0],
         (0.0, 60.0),
     )
     # fewer numbers than terms are no obstacle to a sparse model
@@ -199,8 +200,9 @@ def test_dropped_samples_are_put_back_on_their_grid():
     kept = np.sort(np.random.default_rng(0).choice(3000, 2700, replace=False))
     kept[[0, -1]] = 0, 2999
     gappy = rec.take(kept)
-    (states,) = derive_all([gappy], CHAIN, ["u"])
+    (states,) = estimate_motion([gappy], ROLES).records
     assert states.n == 3000
+    assert states.known.sum() == 2700
     missing = np.setdiff1d(np.arange(3000), kept)
     for name in ("x", "v"):
         clean = rec.truth.clean[name]
@@ -303,7 +305,7 @@ def test_products_of_states_are_filtered_as_the_target_is():
 
 @pytest.mark.parametrize("n", [40, 501, 3000])
 def test_follow_is_the_gain_at_each_frequency(n):
-    smoothing = derive_all([bq.simulate("duffing", seed=1)], CHAIN, ["u"])[0].smoothing[0]
+    smoothing = estimate_motion([bq.simulate("duffing", seed=1)], ROLES).smoothing[0]
     t = np.arange(n) / smoothing.fs
     for f in (0.0, 10.0, 80.0, 200.0):
         wave = np.column_stack([np.cos(2 * np.pi * f * t), np.ones(n)])

@@ -1,19 +1,28 @@
-"""``assemble``: columns to records. Which column is time, what the units are, where trials begin."""
+"""``assemble``: columns to the parts of records. Which column is time, what the units are, where trials begin."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import RecordError
 from bayeq.records.columns import Columns, listed
-from bayeq.records.record import Record
 from bayeq.records.truth import FloatArray
 from bayeq.records.validate import SECONDS, check_time, time_from, trial_starts
 
-__all__ = ["assemble"]
+__all__ = ["Trial", "assemble"]
+
+
+class Trial(NamedTuple):
+    """What a `Record` is made of: channels, time [s], units, name."""
+
+    channels: dict[str, FloatArray]
+    time: FloatArray | None
+    units: dict[str, str]
+    name: str
 
 
 def assemble(
@@ -25,8 +34,8 @@ def assemble(
     group: str | None = None,
     columns: Sequence[str] | str | None = None,
     name: str | None = None,
-) -> list[Record]:
-    """Make one record of the columns, or one for each run of equal values of the column `group`.
+) -> list[Trial]:
+    """The columns as one record, or as one for each run of equal values of the column `group`.
 
     Parameters are those of `bayeq.records.read`; `name` labels the records.
     """
@@ -58,13 +67,13 @@ def assemble(
         raise RecordError(f"{where}: no channels besides time; the columns are {', '.join(data.names)}")
 
     label = where if name is None else name
-    records = []
+    trials = []
     for trial, (start, stop) in enumerate(zip(starts, stops, strict=True)):
         rows = {column: values[start:stop] for column, values in channels.items()}
         t = None if seconds is None else seconds[start:stop]
         title = label if group is None else f"{label} [trial {trial}]"
-        records.append(Record(rows, time_from(rows, t, fs, where), kept_units, title))
-    return records
+        trials.append(Trial(rows, time_from(rows, t, fs, where), kept_units, title))
+    return trials
 
 
 def _time(

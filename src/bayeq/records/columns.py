@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +18,6 @@ from bayeq.records.validate import as_column, as_time
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from bayeq.records.record import Record
 
 __all__ = ["Columns", "Headers", "Select", "listed", "select"]
 
@@ -137,18 +135,20 @@ class Columns:
         return cls(Headers(parts[0], parts[1], [headers.units[i] for i in rows], headers.where), arrays)
 
     @classmethod
-    def from_record(cls, record: Record) -> Columns:
+    def of(
+        cls, channels: Mapping[str, FloatArray], time: FloatArray | None, units: Mapping[str, str], where: str
+    ) -> Columns:
         """The columns by which a record is written: time first, then the channels."""
-        names, values = list(record.names), list(record.channels.values())
-        units = [record.units.get(name) for name in names]
-        if record.time is not None:
+        names, values = list(channels), list(channels.values())
+        kept = [units.get(name) for name in names]
+        if time is not None:
             spellings = ("t", "time", "Time", "timestamp")
-            time = next((name for name in spellings if name not in record.channels), None)
-            if time is None:
-                raise RecordError(f"{record.name or 'record'}: no name is left for time; rename the channel 't'")
-            names, values = [time, *names], [record.time, *values]
-            units = [record.units.get("t") if time == "t" else None, *units]
-        return cls(Headers(names, names, units, record.name), values)
+            name = next((name for name in spellings if name not in channels), None)
+            if name is None:
+                raise RecordError(f"{where or 'record'}: no name is left for time; rename the channel 't'")
+            names, values = [name, *names], [time, *values]
+            kept = [units.get("t") if name == "t" else None, *kept]
+        return cls(Headers(names, names, kept, where), values)
 
     @classmethod
     def from_dataframe(

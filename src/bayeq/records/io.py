@@ -128,7 +128,8 @@ def read(
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or type(error).__name__
         raise FileFormatError(f"{path}: cannot be read ({reason})") from None
-    records = assemble(data, time=time, fs=fs, units=units, group=group, columns=columns, name=path.name)
+    trials = assemble(data, time=time, fs=fs, units=units, group=group, columns=columns, name=path.name)
+    records = [Record(*trial) for trial in trials]
     return records[0] if group is None else records
 
 

@@ -93,7 +93,7 @@ def write(record: Record, path: Path) -> None:
     path : Path
         The file, replaced if it is there.
     """
-    columns = Columns.from_record(record)
+    columns = record.to_columns()
     units = {n: u for n, u in zip(columns.names, columns.headers.units, strict=True) if u}
     members: dict[str, AnyArray] = dict(zip(columns.names, columns.values, strict=True))
     if units:

@@ -84,7 +84,7 @@ def write(record: Record, path: Path) -> None:
         The file, replaced if it is there.
     """
     pa, pq = _pyarrow()
-    columns = Columns.from_record(record)
+    columns = record.to_columns()
     units = {n: u for n, u in zip(columns.names, columns.headers.units, strict=True) if u}
     table = pa.table(dict(zip(columns.names, columns.values, strict=True)))
     if units:

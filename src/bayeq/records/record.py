@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from bayeq.errors import RecordError, UnknownNameError
+from bayeq.records.assemble import assemble
+from bayeq.records.columns import Columns
 from bayeq.records.truth import FloatArray, Truth, frozen_array
 from bayeq.records.validate import (
     as_column,
@@ -170,12 +172,12 @@ class Record:
         >>> Record.from_dataframe(pd.DataFrame({"t": [0.0, 0.1], "x [m]": [1.0, 2.0]}))
         Record('data frame': 2 rows at 10 Hz; x [m])
         """
-        from bayeq.records.assemble import assemble
-        from bayeq.records.columns import Columns
-
         data = Columns.from_dataframe(df, time=time, columns=columns)
-        made = assemble(data, time=time, fs=fs, units=units, columns=columns)[0]
-        return cls(made.channels, made.time, made.units, made.name)
+        return cls(*assemble(data, time=time, fs=fs, units=units, columns=columns)[0])
+
+    def to_columns(self) -> Columns:
+        """The columns by which the record is written: time first, then the channels."""
+        return Columns.of(self.channels, self.time, self.units, self.name)
 
     @property
     def n(self) -> int:
@@ -299,9 +301,7 @@ class Record:
         """A pandas data frame of the channels; the column ``t`` comes first if there is time."""
         import pandas as pd
 
-        from bayeq.records.columns import Columns
-
-        columns = Columns.from_record(self)
+        columns = self.to_columns()
         return pd.DataFrame(dict(zip(columns.names, columns.values, strict=True)))
 
     def __repr__(self) -> str:

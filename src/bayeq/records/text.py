@@ -192,7 +192,7 @@ def write_text(record: Record, path: Path) -> None:
     path : Path
         The file, replaced if it is there; tabs separate the cells of a ``.tsv``, commas those of others.
     """
-    columns = Columns.from_record(record)
+    columns = record.to_columns()
     mark = "\t" if path.suffix.lower() == ".tsv" else ","
     headers = [f"{n} [{u}]" if u else n for n, u in zip(columns.names, columns.headers.units, strict=True)]
     with path.open("w", encoding="utf-8", newline="") as file:

@@ -92,9 +92,9 @@ class Rules:
         try:
             whole = operator.index(self.max_terms)
         except TypeError:
-            raise InputError(f"max_terms must be a whole number, got {self.max_terms!r}") from None
-        if whole < 0:
-            raise InputError(f"max_terms must not be negative, got {whole}")
+            raise InputError(f"max_terms must be a whole number of terms, got {self.max_terms!r}") from None
+        if isinstance(self.max_terms, bool) or whole < 1:
+            raise InputError(f"max_terms must be at least 1, got {self.max_terms!r}")
         if not ENGINES[method].spike_slab:
             known = ", ".join(name for name, engine in ENGINES.items() if engine.spike_slab)
             raise InputError(
