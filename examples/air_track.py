@@ -52,7 +52,7 @@ def run(example: Example, data: Path) -> None:
     whole = eq.simulate(rec)
     viscous = compared[1][1]
     run = viscous.simulate(rec)
-    low, high = eq[0].ci95[list(eq[0].posterior.names).index("v")]
+    low, high = eq[0].shown_ci95[list(eq[0].posterior.names).index("v")]
     example.numbers |= {
         "free run of the whole record, discovered equation, error of x": f"{100 * whole.nrmse['x']:.0f} %",
         "free run of the whole record, x and v refined, error of x": f"{100 * run.nrmse['x']:.1f} %",
@@ -60,7 +60,7 @@ def run(example: Example, data: Path) -> None:
         "coefficient of v, discovered, 95 % interval": f"{low:.4f} .. {high:.4f}",
         "sampling rate [Hz]": f"{(rec.n - 1) / (time[-1] - time[0]):.2f}",
         "amplitude of the second harmonic [tracking units]": f"{_second_harmonic(rec, stiffness):.1f}",
-        "stiffness against the period": f"{100 * (eq[0].coef['x'] / -stiffness - 1):+.2f} %",
+        "stiffness against the period": f"{100 * (eq[0].shown_coef['x'] / -stiffness - 1):+.2f} %",
         "README of the record, coefficients of x and v": "-6.04, -0.012",
     }
     example.figure = draw(

@@ -18,7 +18,7 @@ def run(example: Example, data: Path) -> None:
         eq = bq.discover(rec, chains=["x1:v1:", "x2:v2:"], dictionary="polynomial:1")
         print(eq)
     with example.block("springs"):
-        one, two = eq[0].coef, eq[1].coef
+        one, two = eq[0].shown_coef, eq[1].shown_coef
         print(f"mass 1 / mass 2 from the coupling: {two['x1'] / one['x2']:.3f}")
         outer = -(one["x1"] + one["x2"]), -(two["x2"] + two["x1"])
         ratio = outer[0] / outer[1] * two["x1"] / one["x2"]

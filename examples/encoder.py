@@ -29,11 +29,11 @@ def run(example: Example, data: Path) -> None:
         print(eq[0].coarsening())
     with example.block("doubt"):
         everything = bq.discover(pieces, chains="th:w:", dictionary=terms, negligible=0)
-        coef = everything[0].coef
+        coef = everything[0].shown_coef
         for w in (1, 3, 5, 10):
             total = coef["w"] * w + coef["w*abs(w)"] * w**2 + coef["sign(w)"]
             print(
-                f"friction of all terms at w = {w:2} rad/s: {total:+.2f}, of w alone {eq[0].coef['w'] * w:+.2f} rad/s^2"
+                f"friction of all terms at w = {w:2} rad/s: {total:+.2f}, of w alone {eq[0].shown_coef['w'] * w:+.2f} rad/s^2"
             )
         thin = {}
         for step in (5, 10):
@@ -58,13 +58,13 @@ def run(example: Example, data: Path) -> None:
             print(f"{refined[-1][0].text:70}", *(f"{100 * error:5.1f} %" for error in errors))
 
     pushing = refined[-1][0]
-    low, high = pushing.ci95[list(pushing.posterior.names).index("w")]
+    low, high = pushing.shown_ci95[list(pushing.posterior.names).index("w")]
     example.numbers |= {
         "authors' parameters, A and B": "64.22, 0.067",
-        "sin(th) against the authors'": f"{100 * (eq[0].coef['sin(th)'] / 64.22 - 1):+.1f} %",
-        "A times one sample [1/s]": f"{eq[0].coef['sin(th)'] * 0.001:.3f}",
-        "coefficient of sin(th), refined with viscous friction": f"{refined[0][0].coef['sin(th)']:.2f}",
-        "coefficient of w, refined with viscous friction": f"{refined[0][0].coef['w']:.4f}",
+        "sin(th) against the authors'": f"{100 * (eq[0].shown_coef['sin(th)'] / 64.22 - 1):+.1f} %",
+        "A times one sample [1/s]": f"{eq[0].shown_coef['sin(th)'] * 0.001:.3f}",
+        "coefficient of sin(th), refined with viscous friction": f"{refined[0][0].shown_coef['sin(th)']:.2f}",
+        "coefficient of w, refined with viscous friction": f"{refined[0][0].shown_coef['w']:.4f}",
     }
     example.numbers["coefficient of w, refined with three forms, 95 % interval"] = f"{low:.3f} .. {high:.3f}"
     strips = [

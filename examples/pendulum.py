@@ -51,16 +51,16 @@ def run(example: Example, data: Path) -> None:
         without = bq.discover(rec, chains="o:w:", dictionary=terms)
         print(f"from o and w: {without[0].text}")
 
-    low, high = eq[0].ci95[list(eq[0].posterior.names).index("sin(o)")]
-    found, true = -eq[0].coef["sin(o)"], float(np.mean(exact))
+    low, high = eq[0].shown_ci95[list(eq[0].posterior.names).index("sin(o)")]
+    found, true = -eq[0].shown_coef["sin(o)"], float(np.mean(exact))
     example.numbers |= {
         "stiffness by periods, mean": f"{true:.3f}",
         "width of the interval of sin(o)": f"{100 * (high - low) / found:.1f} %",
         "coefficient of sin(o) against periods": f"{100 * (found / true - 1):+.1f} %",
-        "the same from o and w": f"{100 * (-without[0].coef['sin(o)'] / true - 1):+.1f} %",
+        "the same from o and w": f"{100 * (-without[0].shown_coef['sin(o)'] / true - 1):+.1f} %",
         "the same by least squares": f"{100 * (1.26 / true - 1):+.1f} %",
         "README of the record, coefficients of sin(o) and w": "-1.26, -0.010",
-        "coefficient of sin(o), discovered": f"{eq[0].coef['sin(o)']:.3f}",
+        "coefficient of sin(o), discovered": f"{eq[0].shown_coef['sin(o)']:.3f}",
     }
     example.figure = draw(
         [

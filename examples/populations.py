@@ -34,7 +34,7 @@ def run(example: Example, data: Path) -> None:
 
     for (target, term), published in PUBLISHED.items():
         for how, one in (("regression", eq), ("refined", better)):
-            rate = one[target].coef[term]
+            rate = one[target].shown_coef[term]
             example.numbers[f"{term} in {target}, {how}"] = (
                 f"{rate:.4f}: {100 * (rate / published - 1):+.0f} % from {published}"
             )

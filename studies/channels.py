@@ -108,7 +108,9 @@ def measure_cell(system: str, channels: str, fs: float, method: str, records: in
                     eq = discover(ready, chains=[full], inputs=["u"], smooth="none", holdout=0.0)[0]
             except BayeqError:
                 continue
-        found = {"*".join(speed_free(f, speed) for f in name.split("*")): value for name, value in eq.coef.items()}
+        found = {
+            "*".join(speed_free(f, speed) for f in name.split("*")): value for name, value in eq.shown_coef.items()
+        }
         if set(found) == set(truth):
             errors.append([found[name] / value - 1.0 for name, value in truth.items()])
     line: dict[str, object] = {

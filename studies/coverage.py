@@ -47,13 +47,13 @@ def coverage(
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", BayeqWarning)
                 eq = discover(record, displacement="x", velocity="v", acceleration="a", force="u", smooth=smooth)[0]
-            if set(eq.included) != set(truth):
+            if set(eq.shown) != set(truth):
                 continue
             exact += 1
-            interval = dict(zip((t.text for t in eq.terms), eq.ci95, strict=True))
+            interval = dict(zip((t.text for t in eq.terms), eq.shown_ci95, strict=True))
             for term, value in truth.items():
                 hits.setdefault(term, []).append(bool(interval[term][0] <= value <= interval[term][1]))
-                ratios.setdefault(term, []).append(eq.coef[term] / value)
+                ratios.setdefault(term, []).append(eq.shown_coef[term] / value)
         for term, covered in hits.items():
             yield {
                 "system": system,

@@ -116,11 +116,11 @@ def measure_record(system: str, case: Case, seed: int) -> dict[str, float] | Non
         out[label] = _free_run_error(eq, record, velocity)
         out[f"{label}_measured"] = eq.score(seen, start=ROWS - int(UNSEEN * ROWS)).free_run["x"]
     found = after[0]
-    out["exact"] = float(set(found.included) == set(terms))
+    out["exact"] = float(set(found.shown) == set(terms))
     if out["exact"] and after.refined is not None:
-        sd = dict(zip((t.text for t in found.terms), found.posterior.sd, strict=True))
+        sd = dict(zip((t.text for t in found.terms), found.shown_posterior.sd, strict=True))
         out["terms"] = len(terms)
-        out["covered"] = sum(abs(found.coef[n] - value) <= Z95 * sd[n] for n, value in terms.items())
+        out["covered"] = sum(abs(found.shown_coef[n] - value) <= Z95 * sd[n] for n, value in terms.items())
     return out
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
+from studies import calibration, reliability
 from studies.calibration import calibrate_one, main, tables
 from studies.reliability import Curve, draw_reliability, study_problem, table
 from studies.tally import (
@@ -25,7 +26,6 @@ from studies.tally import (
 
 from bayeq.figures.style import style
 from bayeq.inference.posterior import Draws
-from bayeq.study import calibration, reliability
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
 from bayeq.study.realise import draw
 

@@ -43,7 +43,7 @@ def test_scores_of_the_held_out_rows_are_shown(record, capsys):
     assert scores["one_step"]["a"] == pytest.approx(eq[0].held_out.nrmse, rel=1e-6)
     assert scores["free_run"] == dict(eq.scores.free_run)
     code, out, _ = run(capsys, record, *OSCILLATOR, "--holdout", "0")
-    assert "free run" not in out
+    assert "free run over" not in out
 
 
 def test_a_free_run_that_blows_up_is_told(tmp_path, capsys):
@@ -101,7 +101,7 @@ def test_physical_needs_a_second_order_equation(record, capsys):
     terms = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "v, u"]
     code, out, err = run(capsys, record, *terms, "--physical")
     assert code == 2
-    assert out.startswith("a = ")
+    assert "\na = " in out
     assert "no restoring term" in err
 
 

@@ -53,8 +53,14 @@ def test_table_lists_every_candidate():
         "ci_high",
         "pip",
         "included",
+        "shown",
         "share",
         "unit",
+        "shown_coef",
+        "shown_sd",
+        "shown_ci_low",
+        "shown_ci_high",
+        "why",
     ]
     assert len(table) == 36
     chosen = table[table.included]
@@ -133,7 +139,8 @@ def test_indexing_by_position_and_target():
 def test_plain_text_for_a_pipe_and_style_for_a_terminal(monkeypatch):
     plain = str(EQ)
     assert plain.isascii()
-    assert plain.splitlines()[0] == EQ[0].text
+    assert plain.splitlines()[0] == f"verdict: {EQ.verdict}"
+    assert plain.splitlines()[2] == EQ[0].text
     assert "| x**3 " in plain
     assert "held-out rows (800)" in plain
     assert "\x1b" not in plain
@@ -186,16 +193,20 @@ def test_saved_and_loaded(eq, tmp_path):
 def test_json_has_the_shape_of_the_contract():
     out = EQ.to_dict()
     json.dumps(out, allow_nan=False)
-    assert list(out) == ["version", "method", "data", "equations", "diagnostics"]
+    assert list(out) == ["version", "method", "verdict", "data", "equations", "diagnostics"]
     assert {"file", "n"} <= set(out["data"])
     equation = out["equations"][0]
     assert {"target", "intercept", "noise_sd", "elbo", "equation", "latex", "terms"} <= set(equation)
     assert len(equation["terms"]) == 36
     assert list(equation["terms"][0]) == [
-        "name", "coef", "sd", "ci95", "pip", "included", "averaged_coef", "averaged_sd", "share", "unit",
+        "name", "coef", "sd", "ci95", "pip", "included", "shown", "why", "shown_coef", "shown_sd", "shown_ci95",
+        "averaged_coef", "averaged_sd", "averaged_ci95", "share", "unit",
     ]  # fmt: skip
     for term in equation["terms"]:
         assert term["included"] == (term["pip"] > 0.5)
+        assert term["shown"] == term["included"]
+        assert term["why"] is None
+    assert out["verdict"] == equation["verdict"] == {"kind": "found", "reason": EQ.verdict.reason}
     assert isinstance(equation["intercept"], float)
     assert equation["intercept_sd"] > 0
     low, high = equation["intercept_ci95"]

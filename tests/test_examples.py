@@ -120,7 +120,7 @@ def test_the_tanks_are_not_explained():
     first, second = example.blocks["found"], example.blocks["second"]
     for warning in (
         "y is clipped",
-        "this is hardly the law",
+        "no equation found",
         "times the power that the noise of the channels explains",
     ):
         assert warning in first

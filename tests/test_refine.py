@@ -240,7 +240,7 @@ def innovations(m, theta, start, arrays):
 
 @pytest.mark.parametrize("missing", [False, True])
 def test_the_filter_s_likelihood_is_that_of_the_whole_covariance(missing):
-    linear = replace(EQ, equations=(replace(EQ[0], posterior=without(EQ[0].posterior, 2)),))
+    linear = replace(EQ, equations=(EQ[0].with_posterior(without(EQ[0].posterior, 2)),))
     m, theta = problem(linear, RECORD, slice(0, 40))
     if missing:
         channels = m.pieces[0].channels.copy()
@@ -370,7 +370,7 @@ def test_a_start_that_loses_its_way_is_led_back():
     eq = discover(record, chains=["x:v:a"], dictionary=["x", "v"], smooth="none")
     assert eq[0].included == ("x", "v")
     off = eq[0].posterior.coef * [0.98, 1.5]
-    wrong = replace(eq, equations=(replace(eq[0], posterior=replace(eq[0].posterior, coef=off)),))
+    wrong = replace(eq, equations=(eq[0].with_posterior(replace(eq[0].posterior, coef=off)),))
     assert wrong.score(record).free_run["x"] > 0.5
     found = wrong.refine(record)
     assert found.refined.segments == 1
@@ -512,7 +512,7 @@ def test_a_start_that_follows_nothing_is_returned():
     record = coarse("duffing", 300, 0, NOISE)
     eq = duffing(record)
     p = eq[0].posterior
-    absurd = replace(eq, equations=(replace(eq[0], posterior=replace(p, coef=-300.0 * p.coef)),))
+    absurd = replace(eq, equations=(eq[0].with_posterior(replace(p, coef=-300.0 * p.coef)),))
     with pytest.warns(ConvergenceWarning, match="no free run follows"):
         assert absurd.refine(record) is absurd
 
@@ -554,8 +554,8 @@ def test_bad_records():
         EQ.refine(bq.Record.from_arrays(x=RECORD["x"], time=RECORD.time))
     p = EQ[0].posterior
     nothing = replace(p, support=np.zeros_like(p.support), coef=0.0 * p.coef, covariance=np.empty((0, 0)))
-    with pytest.raises(InputError, match="no terms are included"):
-        replace(EQ, equations=(replace(EQ[0], posterior=nothing),)).refine(RECORD)
+    with pytest.raises(InputError, match="no terms to refine"):
+        replace(EQ, equations=(EQ[0].with_posterior(nothing),)).refine(RECORD)
 
 
 # --- measured records ------------------------------------------------------------------------------------------------

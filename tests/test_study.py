@@ -109,10 +109,10 @@ def test_parameters_are_perturbed_and_the_mass_is_not():
 
 
 def test_a_failure_is_recorded_and_shown(tmp_path, monkeypatch):
-    def fails(train, held_out, config, seed):
+    def fails(data, config, seed):
         if seed[2] == 2:
             raise ValueError("did not\nwork")
-        return ALGORITHMS["vb"](train, held_out, config, seed)
+        return ALGORITHMS["vb"](data, config, seed)
 
     monkeypatch.setitem(ALGORITHMS, "rvm", fails)
     path = tmp_path / "study.db"
@@ -130,8 +130,8 @@ def test_a_failure_is_recorded_and_shown(tmp_path, monkeypatch):
 
 
 def test_estimates_that_are_not_finite_are_failures(monkeypatch):
-    def bad(train, held_out, config, seed):
-        answer = ALGORITHMS["vb"](train, held_out, config, seed)
+    def bad(data, config, seed):
+        answer = ALGORITHMS["vb"](data, config, seed)
         return replace(answer, coef=answer.coef * np.nan)
 
     monkeypatch.setitem(ALGORITHMS, "rvm", bad)

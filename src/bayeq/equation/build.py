@@ -150,11 +150,9 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
             CorrelatedResidualsWarning,
         )
     if residuals.excess is not None and residuals.excess > INADEQUATE:
-        unknown = _inputs_of_unknown_noise(equation, selection)
-        inputs = f" (the noise of {', '.join(unknown)} is not known: it may be the cause)" if unknown else ""
         log.warn(
-            f"{target}: the residual has {residuals.excess_text} times the power that the known noise of the channels"
-            f" explains{inputs}: the equation is only nearly true, or the channels do not fit each other. Included"
+            f"{target}: the residual has {residuals.excess_text} times the power that the noise of the channels"
+            " explains: the equation is only nearly true, or the channels do not fit each other. Included"
             " terms may compensate for what is missing, and intervals do not cover that",
             DataWarning,
         )
@@ -164,16 +162,6 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
             " delayed against each other",
             CorrelatedResidualsWarning,
         )
-
-
-def _inputs_of_unknown_noise(equation: Equation, selection: Selection) -> list[str]:
-    """Inputs in the terms shown whose noise could not be read from their spectrum."""
-    regression = selection.fit.regression
-    if regression.band is None:
-        return []
-    known = {equation.terms[j].text for j in regression.band.noise}
-    used = {name for term in equation.terms if term.text in equation.shown for name in term.names}
-    return [name for name in regression.motion.roles.inputs if name in used and name not in known]
 
 
 def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], log: WarningLog) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import exp, floor, isfinite, log10
 from typing import TYPE_CHECKING, Any
@@ -153,6 +153,20 @@ class Equation:
     def coef_units(self) -> tuple[str | None, ...]:
         """Unit of each candidate's coefficient; None where a unit is not known. Those of the intercept are y's."""
         return tuple(quotient_unit(self.target, term, self.units) for term in self.terms)
+
+    def with_posterior(self, posterior: Posterior, **changes: Any) -> Equation:
+        """The equation with other coefficients of the terms shown; of the included terms too, where these are the same.
+
+        Parameters
+        ----------
+        posterior : Posterior
+            In original units.
+        **changes
+            Other attributes.
+        """
+        same = bool((self.posterior.support == posterior.support).all())
+        included = posterior if same else self.posterior
+        return replace(self, posterior=included, shown_posterior=posterior, **changes)
 
     @property
     def noise_sd(self) -> float:

@@ -17,7 +17,6 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import ConvergenceWarning, InputError, UnknownNameError
 from bayeq.forecast.results import Refinement, Scores
-from bayeq.inference import Posterior
 from bayeq.records import Record
 from bayeq.records.atomic import replacing
 from bayeq.regression.design import DroppedTerm
@@ -385,7 +384,7 @@ class Equations:
         return replace(
             self,
             equations=tuple(
-                _refined(old, new.posterior, train=new.train, held_out=new.held_out, residuals=new.residuals)
+                old.with_posterior(new.posterior, train=new.train, held_out=new.held_out, residuals=new.residuals)
                 for old, new in zip(self.equations, found.equations, strict=True)
             ),
             warnings=notes,
@@ -489,10 +488,3 @@ def _oscillator(equations: Equations, target: str | None) -> Equation:
     if len(second) > 1:
         raise InputError(f"name one of the equations as target: {', '.join(e.target for e in second)}")
     return second[0]
-
-
-def _refined(equation: Equation, posterior: Posterior, **changes: Any) -> Equation:
-    """An equation with other coefficients of the terms shown; of the included terms, where these are the same."""
-    same = bool((equation.posterior.support == posterior.support).all())
-    included = posterior if same else equation.posterior
-    return replace(equation, posterior=included, shown_posterior=posterior, **changes)

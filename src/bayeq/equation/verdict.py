@@ -24,6 +24,9 @@ Floats = NDArray[np.float64]
 # An equation explains at least this share of what stands above the noise of its target.
 LEAST_R2 = 0.5
 
+# An R2 that two decimals show as zero.
+NOTHING = 0.005
+
 # A run over a window that errs by the states' own spread is no better than their mean.
 AS_THE_MEAN = 1.0
 
@@ -68,7 +71,9 @@ def judge(target: str, fit: Fit, held_out: bool, noise: float, window: float | N
     # a variance of n rows errs by sqrt(2/n) of itself
     if 1.0 - noise < 3.0 * math.sqrt(2.0 / max(fit.n, 1)):
         return Verdict("none", f"no equation found: {target} does not stand out of its noise on {where}")
-    explained = f"R2 {fit.r2:.3g}" if fit.r2 > 0 else f"R2 {fit.r2:.2g}, worse than the mean"
+    explained = f"R2 {fit.r2:.3g}" if fit.r2 >= NOTHING else "R2 0.00"
+    if fit.r2 < -NOTHING:
+        explained = f"R2 {fit.r2:.2g}, worse than the mean"
     if fit.r2 / (1.0 - noise) < LEAST_R2:
         return Verdict("none", f"no equation found: the terms explain little of {target} on {where} ({explained})")
     if window is None:

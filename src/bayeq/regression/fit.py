@@ -92,7 +92,17 @@ class RegressionFit:
         excess = None
         if found.support.any() and not self.constraints.signs.any():
             found, excess = self._propagated(found)
+            if self._inputs_of_unknown_noise(found):
+                # it is in the residual too
+                excess = None
         return replace(found, noise_variance=self.regression.noise_variance(found)), excess
+
+    def _inputs_of_unknown_noise(self, posterior: Posterior) -> set[str]:
+        """Inputs in the terms of a posterior whose noise could not be read from their spectrum."""
+        design, band = self.regression.design, self.regression.band
+        assert band is not None
+        used = {name for j in np.flatnonzero(posterior.support) for name in design.terms[j].names}
+        return (used & set(design.motion.roles.inputs)) - {design.terms[j].text for j in band.noise}
 
     def _propagated(self, posterior: Posterior) -> tuple[Posterior, float]:
         """The posterior with the covariance that the noise of the channels makes, and the excess of the residual."""

@@ -177,6 +177,8 @@ def estimate_motion(records: Sequence[Record], roles: Roles, smooth: Smooth = "a
     UnknownNameError, RecordError, ChainError
         Channels that are missing or cannot be used.
     """
+    if all(record.time is not None for record in records) and max(record.n for record in records) < FEW_ROWS:
+        smooth = "none"
     smoothed = _smoothed(records, roles, smooth, share)
     no_smoothing: tuple[ChainSmoothing, ...] = ()
     if smoothed is None:
@@ -200,7 +202,7 @@ def _smoothed(
 ) -> tuple[tuple[MotionRows, ...], tuple[int, ...], tuple[ChainSmoothing, ...]] | None:
     """Rows by the kinematic smoother; None where records are better taken as measured."""
     timed = all(record.time is not None for record in records)
-    wanted = timed and smooth == "auto" and max(record.n for record in records) >= FEW_ROWS
+    wanted = timed and smooth == "auto"
     # what is checked is checked before the work
     whole = [chain for chain in roles.chains if chain.lowest == 0]
     for record in records:

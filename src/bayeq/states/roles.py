@@ -55,10 +55,16 @@ class Roles:
         if len(set(named)) < len(named):
             raise InputError(f"an input is named twice: {', '.join(named)}")
         if chains is None:
-            return cls(_oscillator(displacement, velocity, acceleration), named)
-        if displacement or velocity or acceleration:
+            parsed = _oscillator(displacement, velocity, acceleration)
+        elif displacement or velocity or acceleration:
             raise ChainError("give either chains or displacement, velocity and acceleration, not both")
-        return cls(parse_chains([chains] if isinstance(chains, str) else list(chains)), named)
+        else:
+            parsed = parse_chains([chains] if isinstance(chains, str) else list(chains))
+        roles = cls(parsed, named)
+        for name in named:
+            if name in roles.measured:
+                raise ChainError(f"channel {name!r} is both an input and part of a chain")
+        return roles
 
     @property
     def targets(self) -> tuple[str, ...]:
