@@ -32,9 +32,8 @@ def run(example: Example, data: Path) -> None:
         coef = everything[0].shown_coef
         for w in (1, 3, 5, 10):
             total = coef["w"] * w + coef["w*abs(w)"] * w**2 + coef["sign(w)"]
-            print(
-                f"friction of all terms at w = {w:2} rad/s: {total:+.2f}, of w alone {eq[0].shown_coef['w'] * w:+.2f} rad/s^2"
-            )
+            alone = eq[0].shown_coef["w"] * w
+            print(f"friction of all terms at w = {w:2} rad/s: {total:+.2f}, of w alone {alone:+.2f} rad/s^2")
         thin = {}
         for step in (5, 10):
             thin[step] = [

@@ -68,13 +68,13 @@ def judge(target: str, fit: Fit, held_out: bool, noise: float, window: float | N
         Error of free runs over windows, as a share of the states' spread; None where there are none.
     """
     where = f"the {'held-out' if held_out else 'training'} rows"
-    # a variance of n rows errs by sqrt(2/n) of itself
-    if 1.0 - noise < 3.0 * math.sqrt(2.0 / max(fit.n, 1)):
-        return Verdict("none", f"no equation found: {target} does not stand out of its noise on {where}")
     explained = f"R2 {fit.r2:.3g}" if fit.r2 >= NOTHING else "R2 0.00"
     if fit.r2 < -NOTHING:
         explained = f"R2 {fit.r2:.2g}, worse than the mean"
-    if fit.r2 / (1.0 - noise) < LEAST_R2:
+    # the variance of n rows errs by sqrt(2/n) of itself: less than that tells nothing of what is above the noise
+    signal = 1.0 - noise
+    above = fit.r2 / signal if signal > 3.0 * math.sqrt(2.0 / max(fit.n, 1)) else fit.r2
+    if max(above, fit.r2) < LEAST_R2:
         return Verdict("none", f"no equation found: the terms explain little of {target} on {where} ({explained})")
     if window is None:
         return Verdict("found", f"{explained} on {where}")
