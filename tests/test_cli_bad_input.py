@@ -285,7 +285,7 @@ def test_derivatives_need_time_and_rows(run: Run, folder: Path) -> None:
         (["--save", "nowhere/eq.json"], ["nowhere/eq.json: cannot be written", "no directory nowhere"]),
         (["--sensitivity", "."], [".: is a directory; name a file in it"]),
         (["--sensitivity", "nowhere/pip.csv"], ["nowhere/pip.csv: cannot be written", "no directory nowhere"]),
-        (["--sensitivity", "pip.xls"], ["pip.xls: a sensitivity is written to a table or a figure", ".csv, .png"]),
+        (["--sensitivity", "pip.xls"], ["pip.xls: is to be written as a table or a figure", ".csv, .png"]),
         (["--sensitivity", "run.csv"], ["run.csv: is a record that is read; name another file"]),
         (["--sensitivity", "pip.csv", "--save", "pip.csv"], ["pip.csv: named twice"]),
         (["--sensitivity", "pip.csv", "--method", "rvm"], ["method 'rvm' has no v_s and p_0", "auto, bma"]),

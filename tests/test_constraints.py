@@ -602,8 +602,8 @@ def test_what_hangs_on_an_answer_works_with_constraints(tmp_path):
     assert back.constraints == eq.constraints
     np.testing.assert_array_equal(back[0].posterior.covariance, eq[0].posterior.covariance)
     np.testing.assert_allclose(back.predict(rec, return_std=True), eq.predict(rec, return_std=True), rtol=1e-4)
-    sensitivity = eq[0].sensitivity(slab_variances=[10.0], prior_inclusions=[0.2])
-    used = dict(zip(sensitivity.names, sensitivity.pip[sensitivity.base], strict=True))
+    curve = eq[0].sensitivity(slab_variances=[10.0], prior_inclusions=[0.2]).prior_inclusion
+    used = dict(zip(curve.names, curve.pip[curve.current], strict=True))
     assert used == pytest.approx({name: eq[0].posterior.pip[terms.index(name)] for name in used}, abs=1e-9)
     path = eq[0].path()
     assert path.is_chosen.any()

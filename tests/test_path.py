@@ -12,6 +12,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.cli.app import main
+from bayeq.equation.size_path import parsimony_path
 from bayeq.errors import DataWarning, InputError
 from bayeq.gram import Gram
 from bayeq.inference.collapsed import path
@@ -230,8 +231,10 @@ def test_the_table_says_what_each_size_changes():
     assert table.chosen.tolist() == [size == 4 for size in table["size"]]
     nothing_held_out = discover(RECORD, **OSCILLATOR, holdout=0.0)[0].path(3)
     assert len(nothing_held_out.models) == 4
-    assert nothing_held_out.held_out_r2 is None
     assert nothing_held_out.table().held_out_nrmse.isna().all()
+    assert [t.get_text() for t in nothing_held_out.plot().legends[0].get_texts()] == [
+        "log evidence", "training rows", "the equation",
+    ]  # fmt: skip
     assert "->" in str(nothing_held_out)
 
 
@@ -242,6 +245,18 @@ def test_the_elbow_in_print():
     assert marked.split()[1:3] == ["4", "0.0"]
     assert marked.endswith("+ v")
     assert lines[-1].startswith("variance that the fit loses without a term: u 26 %")
+
+
+def test_an_equation_off_its_path_is_shown_beside_it():
+    # the best two terms are x*abs(x) and u
+    off = parsimony_path(EQ[0].fit, np.array([name in ("x", "u") for name in PATH.names]))
+    assert not off.is_chosen.any()
+    assert off.chosen_log_evidence < off.log_evidence[2]
+    assert off.chosen_r2 == pytest.approx(r2(np.column_stack([RECORD["x"], RECORD["u"]])[:3200], RECORD["a"][:3200]))
+    line = [row for row in str(off).splitlines() if row.startswith("->")]
+    assert [row.split("  ")[-1] for row in line] == ["the equation: x, u"]
+    rings = off.plot().axes[0].lines[-1].get_xydata()
+    np.testing.assert_allclose(rings, [[2.0, off.chosen_log_evidence - off.log_evidence.max()]])
 
 
 def test_a_length_that_makes_no_sense():
@@ -267,7 +282,7 @@ def test_known_coefficients_leave_the_errors_what_they_are(smooth):
     without_v = free.path(4)
     assert path.r2[k - 1] == pytest.approx(without_v.r2[3], abs=1e-3)
     assert path.share[path.chosen] == pytest.approx(free.share[free.posterior.support][:3], rel=0.02)
-    assert known.path(1).chosen_r2 == known.train.r2
+    assert known.path(1).chosen_r2 == pytest.approx(known.train.r2, abs=1e-12)
 
 
 def test_a_loaded_equation_has_no_path(tmp_path):
@@ -351,7 +366,7 @@ def test_the_path_in_a_file(duffing, tmp_path, capsys):
         assert main(["discover", *duffing, "--path", str(figure)]) == 0
         assert figure.read_bytes().startswith(start)
     capsys.readouterr()
-    for wrong, message in (("path.txt", "a path of equations is a table or a figure"), ("no/p.csv", "no directory")):
+    for wrong, message in (("path.txt", "is to be written as a table or a figure"), ("no/p.csv", "no directory")):
         assert main(["discover", *duffing, "--path", str(tmp_path / wrong)]) == 2
         assert message in capsys.readouterr().err
     assert main(["discover", *duffing, "--path", str(table), "--save", str(table)]) == 2

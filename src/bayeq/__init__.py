@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bayeq.equation.equations import Equations
     from bayeq.equation.load import load
     from bayeq.equation.physical import PhysicalParameters
-    from bayeq.equation.prior_sensitivity import PriorSensitivity
+    from bayeq.equation.pip_curve import PriorSensitivity
     from bayeq.equation.size_path import ParsimonyPath
     from bayeq.estimators.regressors import RVM, STLSQ, SpikeSlabBMA, SpikeSlabGibbs, SpikeSlabVB
     from bayeq.forecast.results import Refinement, Scores
@@ -41,7 +41,7 @@ _HOME = {
     "PhysicalParameters": "equation.physical",
     "Posterior": "inference.posterior",
     "Prior": "inference.prior",
-    "PriorSensitivity": "equation.prior_sensitivity",
+    "PriorSensitivity": "equation.pip_curve",
     "Record": "records",
     "Refinement": "forecast.results",
     "Scores": "forecast.results",

@@ -93,19 +93,15 @@ class Outputs:
             if output in seen:
                 raise InputError(f"{output}: named twice, {seen[output]} and {purpose}")
             seen[output] = purpose
+        for file in (self.sensitivity, self.path, self.forecast):
+            if file is not None:
+                from bayeq.figures.write import require_suffix
+
+                require_suffix(file)
         if self.sensitivity is not None:
-            from bayeq.equation import prior_sensitivity as sensitivity
+            from bayeq.equation.pip_curve import require_spike_slab
 
-            sensitivity.require_writable(self.sensitivity)
-            sensitivity.require_spike_slab(method)
-        if self.path is not None:
-            from bayeq.equation import size_path as parsimony
-
-            parsimony.require_writable(self.path)
-        if self.forecast is not None:
-            from bayeq.forecast import write
-
-            write.require_writable(self.forecast)
+            require_spike_slab(method)
         if self.physical and chains and not by_displacement:
             from bayeq.states import parse_chains
 
@@ -129,13 +125,15 @@ class Outputs:
 
         # these are about the regression
         if self.sensitivity is not None:
-            from bayeq.equation.prior_sensitivity import write_sensitivity
+            from bayeq.figures.pip_curves import draw_pip_curves
+            from bayeq.figures.write import write_by_target
 
-            write_sensitivity(self.sensitivity, {equation.target: equation.sensitivity() for equation in found})
+            write_by_target(self.sensitivity, {one.target: one.sensitivity() for one in found}, draw_pip_curves)
         if self.path is not None:
-            from bayeq.equation.size_path import write_paths
+            from bayeq.figures.size_path import draw_paths
+            from bayeq.figures.write import write_by_target
 
-            write_paths(self.path, {equation.target: equation.path() for equation in found})
+            write_by_target(self.path, {one.target: one.path() for one in found}, draw_paths)
         answer = found.refine(records, holdout=holdout) if self.refine else found
         if self.save is not None:
             answer.save(self.save)

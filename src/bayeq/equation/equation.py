@@ -11,8 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayeq.equation.power_sensitivity import Coarsening, coarsening
-from bayeq.equation.prior_sensitivity import PriorSensitivity, prior_sensitivity, require_spike_slab
+from bayeq.equation.pip_curve import (
+    PipCurve,
+    PriorSensitivity,
+    power_sensitivity,
+    prior_sensitivity,
+    require_spike_slab,
+)
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.units import quotient_unit
 from bayeq.equation.verdict import Verdict
@@ -317,42 +322,30 @@ class Equation:
         Returns
         -------
         ParsimonyPath
-            Print it for a summary; ``table()`` and ``plot()`` tell more.
+            Print it for a summary; ``table()`` and ``plot()`` show all of it.
 
         Raises
         ------
         InputError
             An equation that was loaded from a file; `most` no whole number, or below the number of forced terms.
         """
-        fit = self._solved()
-        chosen = self.shown_posterior.support[fit.constraints.equalities.kept]
-        held_out = fit.regression.held_out
-        tested = None if held_out is None else fit.constraints.reduce(held_out)
-        found = parsimony_path(self.target, fit.standard, fit.prior, chosen, fit.rows, tested, most)
-        # where equalities are known the regression has a smaller target than the equation
-        return found.with_fit(self.train.r2, None if self.held_out is None else self.held_out.r2)
+        return parsimony_path(self._solved(), self.shown_posterior.support, most)
 
     def sensitivity(
-        self,
-        slab_variances: ArrayLike | None = None,
-        prior_inclusions: ArrayLike | None = None,
-        *,
-        every_pair: bool = False,
+        self, slab_variances: ArrayLike | None = None, prior_inclusions: ArrayLike | None = None
     ) -> PriorSensitivity:
-        """PIPs by model averaging under other v_s and p_0, to see which terms hang on the prior.
+        """Prior sensitivity of the PIPs: model averaging under other v_s and p_0, one at a time.
 
         Parameters
         ----------
         slab_variances, prior_inclusions : sequence of float, optional
             Values of v_s and of p_0 besides those used; by default v_s up to a hundred times smaller and larger, and
             p_0 from 0.01 to 0.5.
-        every_pair : bool
-            Vary both at once. By default one varies while the other stays.
 
         Returns
         -------
         PriorSensitivity
-            Print it for a summary; ``table()``, ``changes()`` and ``plot()`` tell more.
+            Print it for a summary; ``table()``, ``changes()`` and ``plot()`` show all of it.
 
         Raises
         ------
@@ -366,38 +359,38 @@ class Equation:
         """
         fit = self._solved()
         require_spike_slab(self.posterior.method)
-        return prior_sensitivity(
-            fit.standard.gram,
-            fit.prior,
-            slab_variances,
-            prior_inclusions,
-            every_pair=every_pair,
-        )
+        return prior_sensitivity(fit.standard.gram, fit.prior, slab_variances, prior_inclusions)
 
-    def coarsening(self, powers: ArrayLike | None = None) -> Coarsening:
-        """PIPs by model averaging as each row counts for less, to see which terms hang on the number of rows.
+    def coarsening(self, powers: ArrayLike | None = None) -> PipCurve:
+        """Sensitivity of the PIPs to the power of the likelihood: model averaging as each row counts for less.
 
-        Where the model is only nearly true, terms that stand in for what it lacks vanish long before the others. To get
-        the equation at a power, give it to `discover` as ``coarsen``.
+        Where the model is only nearly true, terms that compensate for what it lacks vanish long before the others. To
+        get the equation at a power, give it to `discover` as ``coarsen``.
 
         Parameters
         ----------
         powers : sequence of float, optional
-            Powers of the likelihood, above 0 and at most 1; by default halved from 1 to 1/4096.
+            Powers of the likelihood that the equation was found with, above 0 and at most 1; by default halved from 1
+            to 1/4096, as far as five rows are left.
 
         Returns
         -------
-        Coarsening
-            Print it for a summary; ``table()`` and ``plot()`` tell more.
+        PipCurve
+            Print it for a summary; ``table()``, ``changes()`` and ``plot()`` show all of it.
 
         Raises
         ------
         InputError
             As for `sensitivity`.
+
+        Warns
+        -----
+        ConvergenceWarning
+            As for `sensitivity`.
         """
         fit = self._solved()
         require_spike_slab(self.posterior.method)
-        return coarsening(fit.standard.gram, fit.prior, powers)
+        return power_sensitivity(fit.standard.gram, fit.prior, powers)
 
     def _solved(self) -> RegressionFit:
         """The regression, which a file does not hold."""

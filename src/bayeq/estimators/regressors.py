@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from bayeq.adapters.arviz import to_arviz
-from bayeq.equation.prior_sensitivity import PriorSensitivity, prior_sensitivity
+from bayeq.equation.pip_curve import PriorSensitivity, prior_sensitivity
 from bayeq.errors import InputError
 from bayeq.estimators.base import Floats, Read, SparseRegressor, SpikeSlabRegressor
 from bayeq.gram import Gram, GramLike
@@ -359,14 +359,13 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         slab_variances: ArrayLike | None = None,
         prior_inclusions: ArrayLike | None = None,
         *,
-        every_pair: bool = False,
         target: int | None = None,
     ) -> PriorSensitivity:
-        """Inclusion probabilities under other v_s and p_0, to see which terms hang on the prior.
+        """Prior sensitivity of the PIPs: model averaging under other v_s and p_0, one at a time.
 
         Parameters
         ----------
-        slab_variances, prior_inclusions, every_pair
+        slab_variances, prior_inclusions
             As in `Equation.sensitivity`.
         target : int, optional
             Which target, of a fit to several.
@@ -378,9 +377,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         k = self._target(target)
         grams, prior = self._sampled
         gram = grams[k].standardise().gram
-        return prior_sensitivity(
-            gram, prior, slab_variances, prior_inclusions, every_pair=every_pair, tolerance=self.tolerance
-        )
+        return prior_sensitivity(gram, prior, slab_variances, prior_inclusions, tolerance=self.tolerance)
 
     def to_arviz(
         self,

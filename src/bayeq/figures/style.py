@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec
 
-from bayeq.errors import InputError, MissingExtraError
+from bayeq.errors import BayeqError, InputError, MissingExtraError
 from bayeq.expressions import parse, to_sympy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 __all__ = [
@@ -25,12 +27,17 @@ __all__ = [
     "SINGLE_COLUMN",
     "UNSIGNED",
     "add_axes",
+    "log_ticks",
     "mathtext",
     "new_figure",
     "require_matplotlib",
     "save",
     "style",
+    "styled",
+    "term_label",
 ]
+
+P = ParamSpec("P")
 
 # Widths of a journal's page [mm].
 SINGLE_COLUMN = 90.0
@@ -118,6 +125,19 @@ def style() -> Iterator[None]:
         yield
 
 
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """A function that draws, made to draw in this `style`."""
+
+    @wraps(draw)
+    def in_style(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with style():
+            figure = draw(*args, **kwargs)
+            figure.draw_without_rendering()  # ticks are made on drawing, by the settings of that moment
+        return figure
+
+    return in_style
+
+
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure, of a size in mm."""
     require_matplotlib()
@@ -139,6 +159,19 @@ def add_axes(
     across, down = (MM_PER_INCH * float(inches) for inches in figure.get_size_inches())
     place = (left / across, 1.0 - (top + height) / down, width / across, height / down)
     return figure.add_axes(place, sharex=sharex, sharey=sharey)
+
+
+def log_ticks(axis: Axis, text: Callable[[float], str] = "{:g}".format) -> None:
+    """Ticks of a logarithmic axis that can be read over many decades and over half of one; its limits have been set."""
+    from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    locator: Locator = LogLocator(subs=(1.0,) if high > 300.0 * low else (1.0, 2.0, 5.0), numticks=8)
+    if sum(low <= tick <= high for tick in locator.tick_values(low, high)) < 2:
+        locator = MaxNLocator(4)
+    axis.set_major_locator(locator)
+    axis.set_major_formatter(FuncFormatter(lambda tick, _: text(tick)))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
@@ -201,3 +234,24 @@ def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
     text = re.sub(r"\b([a-z])([A-Z])\b", r"\1_{\2}", text)
     text = text.replace(" |", r"\,|")
     return f"${re.sub('^- ', '-', text)}$"
+
+
+def term_label(term: str, dictionary: Sequence[str] = (), longest: int = 18) -> str:
+    """A term as matplotlib sets it; as it stands where it is a column's name and no expression; shortened if long.
+
+    Parameters
+    ----------
+    term : str
+        A term or the name of a column.
+    dictionary : sequence of str
+        All terms: factors stand in the order in which these bring their names.
+    longest : int
+        Number of characters from which a term is shortened, so that its label fits.
+    """
+    short = term if len(term) <= longest else f"{term[: longest // 2 - 1]}…{term[-longest // 2 :]}"
+    plain = short.replace("$", r"\$")
+    order = tuple(dict.fromkeys(re.findall(r"[^\W\d]\w*", " ".join(dictionary))))
+    try:
+        return mathtext(term, order) if short == term else plain
+    except BayeqError:
+        return plain

@@ -1,10 +1,10 @@
-"""What is a table or a figure, by the suffix of the file that it is written to."""
+"""Results as files: a table or a figure, by the suffix of the file that is written."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from bayeq.errors import InputError
 from bayeq.figures.style import UNSIGNED, require_matplotlib, style
@@ -14,20 +14,22 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["by_target", "require_suffix", "write_output"]
+__all__ = ["require_suffix", "write_by_target", "write_output"]
 
 SUFFIXES = (".csv", *(f".{name}" for name in UNSIGNED))
 
 
-def require_suffix(file: Path, what: str) -> None:
-    """Check that `write_output` can make such a file, before anything is computed for it.
+class Tabulated(Protocol):
+    """What has a table."""
 
-    Parameters
-    ----------
-    file : Path
-        The suffix says what to write.
-    what : str
-        For the message: what is a table or a figure.
+    def table(self) -> pd.DataFrame: ...
+
+
+T = TypeVar("T", bound=Tabulated)
+
+
+def require_suffix(file: Path) -> None:
+    """Check that `write_output` can make such a file, before anything is computed for it.
 
     Raises
     ------
@@ -37,7 +39,7 @@ def require_suffix(file: Path, what: str) -> None:
         matplotlib is needed and not installed.
     """
     if file.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{file}: {what} a table or a figure: end it in {', '.join(SUFFIXES)}")
+        raise InputError(f"{file}: is to be written as a table or a figure: end it in {', '.join(SUFFIXES)}")
     if file.suffix.lower() != ".csv":
         require_matplotlib()
 
@@ -64,8 +66,13 @@ def write_output(file: Path, table: Callable[[], pd.DataFrame], figure: Callable
             drawn.savefig(part, format=suffix, metadata=UNSIGNED[suffix])
 
 
-def by_target(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Tables of several equations under each other, the target of each in front."""
-    import pandas as pd
+def write_by_target(file: Path, results: Mapping[str, T], draw: Callable[[Mapping[str, T]], Figure]) -> None:
+    """`write_output` of results by the target of their equation: tables joined, the target in front, or one figure."""
 
-    return pd.concat(list(tables.values()), keys=list(tables), names=["target", None]).reset_index(level=0)
+    def table() -> pd.DataFrame:
+        import pandas as pd
+
+        tables = {target: result.table() for target, result in results.items()}
+        return pd.concat(tables, names=["target", None]).reset_index(level=0)
+
+    write_output(file, table, lambda: draw(results))

@@ -7,30 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayeq.figures.forecast import draw_forecasts
-from bayeq.figures.write import require_suffix, write_output
+from bayeq.figures.write import write_output
 from bayeq.forecast.run import Forecast
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["require_writable", "write_forecasts"]
+__all__ = ["write_forecasts"]
 
 # More records do not fit on a page.
 MOST_DRAWN = 6
-
-
-def require_writable(file: Path) -> None:
-    """Check that `write_forecasts` can make such a file, before anything is computed for it.
-
-    Raises
-    ------
-    InputError
-        A suffix that is not known.
-    MissingExtraError
-        matplotlib is needed and not installed.
-    """
-    require_suffix(file, "a free run is written to")
 
 
 def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
@@ -39,16 +26,10 @@ def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
     Parameters
     ----------
     file : Path
-        The suffix says what to write.
+        The suffix, which `bayeq.figures.write.require_suffix` has checked, says what to write.
     runs : sequence of (str, Forecast)
         With the names of the records.
-
-    Raises
-    ------
-    InputError, MissingExtraError
-        As `require_writable`.
     """
-    require_writable(file)
     several = len(runs) > 1
 
     def table() -> pd.DataFrame:
