@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 from bayeq.dictionary import Variables, build_dictionary
-from bayeq.equation.build import build_equation, warn_of
+from bayeq.equation.build import build_equations
 from bayeq.equation.equations import DataSummary, Equations
 from bayeq.equation.units import channel_units
-from bayeq.equation.verdict import window_errors
 from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, UnknownNameError, WarningLog
-from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.score import held_out_scores
-from bayeq.inference import ENGINES, Prior
+from bayeq.inference import ENGINES, Engine, Prior
 from bayeq.records import Record, check_messages, split_at_gaps
-from bayeq.regression.constraints import parse_constraints
+from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.fit import fit_regression
 from bayeq.regression.regression import Regression
@@ -129,33 +124,24 @@ def discover(
     >>> eq[0].included
     ('x', 'v', 'x**3', 'u')
     """
-    log = WarningLog()
-    step = progress or _silent
-    rules = Rules(max_terms, negligible)
-    _check(method, rules, holdout, coarsen)
+    log, step = WarningLog(), progress or _silent
+    engine, rules = _engine(method), Rules(max_terms, negligible)
+    rules.check(method)
+    _check_shares(holdout, coarsen)
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
     terms = build_dictionary(dictionary, Variables(roles.states, roles.inputs))
     known = [constraints] if isinstance(constraints, str) else list(constraints)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+
     step("states", 0, 1)
-    pieces = _as_records(records)
-    share = held_out_share(holdout, sum(piece.n for piece in pieces))
-    pieces, roles = _prepared(pieces, roles, smooth, share, log)
+    pieces, roles, share = _prepared(_as_records(records), roles, smooth, holdout, log)
     motion = estimate_motion(pieces, roles, smooth, share)
-    _check_rows(motion, pieces, holdout, log)
-    for message in check_messages(pieces, [chain.measured for chain in roles.chains], roles.inputs):
-        log.warn(message, DataWarning)
-    step("states", 1, 1)
+    _inspect(motion, pieces, holdout, log)
     design = build_design(terms, motion, lambda done, total: step("dictionary", done, total))
     _warn_of_terms(design, log)
-    constrained = parse_constraints(known, design.terms, roles.targets, {d.name: d.reason for d in design.dropped})
-    if method not in SIGNED and any(one.signs.any() for one in constrained):
-        raise InputError(f"method {method!r} takes no signs of coefficients; choose one of: {', '.join(SIGNED)}")
-    units, conflicts = channel_units([piece.units for piece in pieces], roles.chains, roles.inputs)
-    for message in conflicts:
-        log.warn(message, DataWarning)
+    constrained = _constrained(known, design, method)
 
-    engine, fits = ENGINES[method], []
+    fits = []
     for k in range(len(roles.chains)):
         step("inference", k, len(roles.chains))
         regression = Regression.of(design, k)
@@ -163,28 +149,19 @@ def discover(
             regression = regression.thinned()
         fits.append(fit_regression(regression, constrained[k], engine, prior, coarsen, seed=(seed, k)))
     selections = select(fits, rules, motion)
+    equations, scores = build_equations(selections, _units(pieces, roles, log), log)
     step("inference", len(roles.chains), len(roles.chains))
 
-    posteriors = [one.fit.expanded(one.shown) for one in selections]
-    dynamics = Dynamics.of(roles.chains, roles.inputs, posteriors, [design.terms] * len(posteriors))
-    windows = window_errors(dynamics, dynamics.means(posteriors), motion)
-    equations = []
-    for k, selection in enumerate(selections):
-        equation = replace(build_equation(selection, None if windows is None else windows[k]), units=units)
-        warn_of(equation, selection, log)
-        equations.append(equation)
-    scores = held_out_scores(dynamics, dynamics.means(posteriors), motion)
-    for message, category in log.collected:
-        warnings.warn(message, category, stacklevel=2)
+    log.emit(stacklevel=3)
     return Equations(
-        equations=tuple(equations),
+        equations=equations,
         inputs=roles.inputs,
         method=method,
         dictionary=dictionary if isinstance(dictionary, str) else ", ".join(str(t) for t in dictionary),
         smooth=smooth,
         data=DataSummary.of(pieces, motion),
         dropped=design.dropped,
-        warnings=tuple(message for message, _ in log.collected),
+        warnings=log.messages,
         constraints=tuple(known),
         scores=scores,
     )
@@ -194,15 +171,17 @@ def _silent(stage: str, done: int, total: int) -> None:
     """No progress shown."""
 
 
-def _check(method: str, rules: Rules, holdout: float, coarsen: float) -> None:
-    """Refuse numbers and names that are out of range."""
+def _engine(method: str) -> Engine:
     if method not in ENGINES:
         raise UnknownNameError("method", method, ENGINES)
+    return ENGINES[method]
+
+
+def _check_shares(holdout: float, coarsen: float) -> None:
     if not 0 <= holdout < 1:
         raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
     if not 0 < coarsen <= 1:
         raise InputError(f"coarsen is a power of the likelihood, 0 < coarsen <= 1, got {coarsen!r}")
-    rules.check(method)
 
 
 def _as_records(records: Record | Sequence[Record]) -> list[Record]:
@@ -213,23 +192,23 @@ def _as_records(records: Record | Sequence[Record]) -> list[Record]:
 
 
 def _prepared(
-    records: list[Record], roles: Roles, smooth: Smooth, share: float, log: WarningLog
-) -> tuple[list[Record], Roles]:
-    """Records divided at gaps that cannot be bridged, and chains without channels that were computed from others."""
-    messages: list[str] = []
+    records: list[Record], roles: Roles, smooth: Smooth, holdout: float, log: WarningLog
+) -> tuple[list[Record], Roles, float]:
+    """Records divided at gaps that cannot be bridged, chains without channels that were computed from others, and the
+    share of the rows to hold out."""
+    share = held_out_share(holdout, sum(record.n for record in records))
     if smooth == "auto":
         shown = [str(chain.measured[chain.lowest]) for chain in roles.chains]
         records, messages = split_at_gaps(records, shown)
         if all(record.time is not None for record in records):
             chains, computed = measured_apart(records, roles.chains, share)
             roles, messages = roles.with_chains(chains), messages + computed
-    for message in messages:
-        log.warn(message, DataWarning)
-    return records, roles
+        log.extend(messages, DataWarning)
+    return records, roles, share
 
 
-def _check_rows(motion: Motion, records: Sequence[Record], holdout: float, log: WarningLog) -> None:
-    """Refuse too few rows, and warn where rows cannot be used as they would be."""
+def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: WarningLog) -> None:
+    """Refuse too few rows, and warn of channels that do not fit each other and of rows that cannot be used in full."""
     where, total = ", ".join(record.name or "record" for record in records[:3]), sum(record.n for record in records)
     if total < LEAST_TRAINING_ROWS:
         rows = f"{total} row{'s' * (total != 1)}"
@@ -239,12 +218,30 @@ def _check_rows(motion: Motion, records: Sequence[Record], holdout: float, log: 
         raise RecordError(f"holdout {holdout:g} leaves {used} training rows, too few for a regression; lower it")
     if holdout > 0 and motion.holdout == 0:
         log.warn(f"only {total} rows: all are used, none held out to judge the equation by", DataWarning)
+    log.extend(
+        check_messages(records, [chain.measured for chain in motion.roles.chains], motion.roles.inputs), DataWarning
+    )
     if any(smoothing.fs is None for smoothing in motion.smoothing):
         log.warn(
             "steps of time are uneven, or differ between records: the regression goes row by row instead of in the band"
             " that the smoother follows, and small terms are harder to find; resample evenly",
             DataWarning,
         )
+
+
+def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Constraints, ...]:
+    """What is known of the coefficients of each equation, among the terms that can be used."""
+    dropped = {term.name: term.reason for term in design.dropped}
+    found = parse_constraints(known, design.terms, design.motion.roles.targets, dropped)
+    if method not in SIGNED and any(one.signs.any() for one in found):
+        raise InputError(f"method {method!r} takes no signs of coefficients; choose one of: {', '.join(SIGNED)}")
+    return found
+
+
+def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:
+    units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs)
+    log.extend(conflicts, DataWarning)
+    return units
 
 
 def _warn_of_terms(design: Design, log: WarningLog) -> None:

@@ -23,6 +23,7 @@
 from __future__ import annotations
 
 import difflib
+import warnings
 from collections.abc import Iterable
 
 __all__ = [
@@ -152,3 +153,17 @@ class WarningLog:
     def warn(self, message: str, category: type[BayeqWarning]) -> None:
         """Record a warning."""
         self.collected.append((message, category))
+
+    def extend(self, messages: Iterable[str], category: type[BayeqWarning]) -> None:
+        """Record several of one category."""
+        self.collected.extend((message, category) for message in messages)
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """The text of all warnings, in order."""
+        return tuple(message for message, _ in self.collected)
+
+    def emit(self, stacklevel: int) -> None:
+        """Issue the warnings, as `warnings.warn` does from the caller."""
+        for message, category in self.collected:
+            warnings.warn(message, category, stacklevel=stacklevel)

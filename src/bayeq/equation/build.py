@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
 from bayeq.equation.equation import Equation, RunnerUp
-from bayeq.equation.verdict import judge, noise_share
+from bayeq.equation.verdict import judge, noise_share, window_errors
 from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidualsWarning, DataWarning, WarningLog
+from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.results import Scores
+from bayeq.forecast.score import held_out_scores
 from bayeq.inference import ENGINES, Posterior
 from bayeq.inference.collapsed.path import partial_shares
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import neighbours
 from bayeq.selection.select import Selection
 
-__all__ = ["build_equation", "warn_of"]
+__all__ = ["build_equations"]
 
 # The residual of an adequate model has 0.9 to 1.3 times the power that the noise of the channels explains; a multiple
 # above this one is warned of.
@@ -25,6 +28,34 @@ INADEQUATE = 1.75
 RUNNER_UP_WINDOW = 12.0
 RUNNERS_UP = 5
 AMBIGUOUS = math.log(20.0)
+
+
+def build_equations(
+    selections: Sequence[Selection], units: Mapping[str, str], log: WarningLog
+) -> tuple[tuple[Equation, ...], Scores | None]:
+    """The equations of a system, and how they do on the rows held out.
+
+    Parameters
+    ----------
+    selections : sequence of Selection
+        One per equation.
+    units : mapping of str to str
+        Of channels and their derivatives, as far as they are known.
+    log : WarningLog
+        Takes the warnings.
+    """
+    design = selections[0].fit.regression.design
+    motion, roles = design.motion, design.motion.roles
+    posteriors = [one.fit.expanded(one.shown) for one in selections]
+    dynamics = Dynamics.of(roles.chains, roles.inputs, posteriors, [design.terms] * len(posteriors))
+    parameters = dynamics.means(posteriors)
+    windows: Sequence[float | None] = window_errors(dynamics, parameters, motion) or [None] * len(selections)
+    equations = []
+    for selection, window in zip(selections, windows, strict=True):
+        equation = replace(build_equation(selection, window), units=units)
+        warn_of(equation, selection, log)
+        equations.append(equation)
+    return tuple(equations), held_out_scores(dynamics, parameters, motion)
 
 
 def build_equation(selection: Selection, window: float | None) -> Equation:
