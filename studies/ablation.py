@@ -26,6 +26,7 @@ from bayeq.inference.rvm import rvm
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.study.config import STUDY_SYSTEMS
 from bayeq.systems import BandLimitedForce, get_system, simulate
+from studies.lines import print_table
 
 __all__ = ["VARIANTS", "Variant", "literal_vb", "run_ablation"]
 
@@ -234,3 +235,19 @@ def run_ablation(realisations: int = 200, seed: int = 0, jobs: int = 2) -> Itera
 def _indexed_cell(system: str, variant: int, seed: int, realisations: int) -> tuple[int, float]:
     """A variant by its number: functions made on the fly do not travel to workers."""
     return _cell(system, VARIANTS[variant], seed, realisations)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Write the table to standard output."""
+    import argparse
+
+    parser = argparse.ArgumentParser(description="One factor of the paper's SS-VB changed at a time.")
+    parser.add_argument("--realisations", type=int, default=200, help="realisations of each system")
+    parser.add_argument("--jobs", type=int, default=2, help="worker processes; the results do not depend on it")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args(arguments)
+    print_table(run_ablation(given.realisations, given.seed, given.jobs))
+
+
+if __name__ == "__main__":
+    main()

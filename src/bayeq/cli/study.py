@@ -144,29 +144,6 @@ def figures(
         typer.echo(str(path))
 
 
-@study_app.command()
-def ablation(
-    realisations: Annotated[int, typer.Option(help="Realisations of each system.")] = 200,
-    jobs: Annotated[int, typer.Option(help="Worker processes; the results do not depend on it.")] = 2,
-    seed: Annotated[int, typer.Option(help="Seed of the study.")] = 0,
-) -> None:
-    """Change one factor of the paper's SS-VB at a time; prints exact rates and FDRs as CSV."""
-    import csv
-    import sys
-
-    from studies.ablation import VARIANTS, run_ablation
-
-    if realisations < 1 or jobs < 1:
-        raise InputError("realisations and jobs must be at least 1")
-    writer = None
-    for k, row in enumerate(run_ablation(realisations, seed, jobs)):
-        if writer is None:
-            writer = csv.DictWriter(sys.stdout, list(row), lineterminator="\n")
-            writer.writeheader()
-        writer.writerow(row)
-        typer.echo(f"{k + 1} of {len(VARIANTS)} variants", err=True)
-
-
 def _names(text: str) -> list[str]:
     """The names in a list separated by commas."""
     return [name.strip() for name in text.split(",") if name.strip()]
