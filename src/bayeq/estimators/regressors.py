@@ -53,9 +53,6 @@ class SpikeSlabVB(SpikeSlabRegressor):
         Stop when the ELBO rises by less.
     max_iter : int
         Limit on the sweeps.
-    covariance : "mean-field" or "lrvb"
-        covariance_ as the factorised posterior states it, or by linear response: it then also holds what undecided
-        terms (those whose pip_ is neither 0 nor 1) leave open, and is the same where there are none.
 
     Attributes
     ----------
@@ -107,7 +104,6 @@ class SpikeSlabVB(SpikeSlabRegressor):
         init: Literal["search", "greedy", "rvm"] | Floats = "search",
         tol: float = 1e-6,
         max_iter: int = 1000,
-        covariance: Literal["mean-field", "lrvb"] = "mean-field",
     ) -> None:
         self.slab_variance = slab_variance
         self.prior_inclusion = prior_inclusion
@@ -118,7 +114,6 @@ class SpikeSlabVB(SpikeSlabRegressor):
         self.init = init
         self.tol = tol
         self.max_iter = max_iter
-        self.covariance = covariance
 
     def _engine(self, gram: GramLike) -> Posterior:
         return spike_slab_vb(
@@ -127,7 +122,6 @@ class SpikeSlabVB(SpikeSlabRegressor):
             init=self.init,
             tolerance=self.tol,
             max_iter=self.max_iter,
-            covariance=self.covariance,
         )
 
     def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:

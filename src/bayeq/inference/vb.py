@@ -23,7 +23,6 @@ from bayeq.inference.collapsed.path import model_log_posterior
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem, fetch
 from bayeq.inference.collapsed.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
 from bayeq.inference.collapsed.tableau import GAIN_TOLERANCE
-from bayeq.inference.lrvb import linear_response
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm_gamma
@@ -311,7 +310,6 @@ def spike_slab_vb(
     models: Sequence[Bools] = (),
     tolerance: float = 1e-6,
     max_iter: int = 1000,
-    covariance: Literal["mean-field", "lrvb"] = "mean-field",
 ) -> Posterior:
     """Variational posterior under spike-and-slab priors.
 
@@ -333,8 +331,6 @@ def spike_slab_vb(
         Stop when the ELBO rises by less, eq. (27).
     max_iter : int
         Limit on the sweeps.
-    covariance : "mean-field" or "lrvb"
-        That of q(theta), or by linear response, which adds what undecided terms leave open (see `lrvb`).
 
     Returns
     -------
@@ -353,8 +349,6 @@ def spike_slab_vb(
     highest posterior probability that the search of model averaging finds. Such a w holds no doubt of a term:
     `spike_slab_bma` does.
     """
-    if covariance not in ("mean-field", "lrvb"):
-        raise InputError(f"covariance must be 'mean-field' or 'lrvb', got {covariance!r}")
     problem = Problem.of(gram, prior or Prior())
     if len(problem.signs):
         if not (isinstance(init, str) and init == "search"):
@@ -375,8 +369,6 @@ def spike_slab_vb(
     mu, sigma, index, shape, rate, trace = best
     if not len(trace):
         raise InputError("D'D of the starting models is not positive semi-definite: no Gram of real rows is so")
-    if covariance == "lrvb":
-        sigma = linear_response(problem, best_w, mu, sigma, index, shape / rate)
     kept = np.flatnonzero(best_w[index] > 0.5)
     support = np.zeros(len(best_w), dtype=np.bool_)
     support[index[kept]] = True
