@@ -337,7 +337,7 @@ def test_a_start_that_cannot_be_fitted_is_the_one_read_off():
 def test_samples_that_were_dropped_do_not_change_the_run():
     kept = np.flatnonzero(np.random.default_rng(0).random(RECORD.n) > 0.1)
     run = EQ.simulate(RECORD.take(kept), initial={"x": 0.0, "v": 0.0}, draws=0)
-    # the force is what it was, but for the spline over its gaps
+    # the force is what it was, but for its gaps
     whole = EQ.simulate(RECORD, initial={"x": 0.0, "v": 0.0}, draws=0)
     difference = run.mean["x"] - whole.mean["x"][kept]
     assert np.sqrt(np.mean(difference**2)) < 0.15 * whole.mean["x"].std()

@@ -386,7 +386,7 @@ def test_several_records_and_dropped_samples():
     together = eq.refine(pieces)
     assert together.refined.n == 640
     gaps = eq.refine([pieces[0], pieces[1].take(kept)])
-    # the force in the gaps is that of a spline
+    # the force in the gaps is interpolated
     for name, value in together[0].coef.items():
         assert gaps[0].coef[name] == pytest.approx(value, rel=0.02)
         assert value == pytest.approx({"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}[name], rel=0.02)

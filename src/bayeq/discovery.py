@@ -198,8 +198,7 @@ def _prepared(
     share of the rows to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
     if smooth == "auto":
-        shown = [str(chain.measured[chain.lowest]) for chain in roles.chains]
-        records, messages = split_at_gaps(records, shown)
+        records, messages = split_at_gaps(records, [*roles.measured, *roles.inputs])
         if all(record.time is not None for record in records):
             chains, computed = measured_apart(records, roles.chains, share)
             roles, messages = roles.with_chains(chains), messages + computed

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.errors import InputError
 from bayeq.records import Record
+from bayeq.states.kinematic.smoother import ChainSeries, fit_kinematic, smooth_kinematic
 
 __all__ = ["on_grid"]
 
@@ -36,9 +38,9 @@ SINGLE = (0.5, 1.5)
 def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]) -> Record:
     """The record with a row for every sample of its grid: the same record, if none is missing or there is no grid.
 
-    Channels of chains are NaN in rows that are filled in, for the smoother to bridge; inputs are interpolated by a
-    cubic spline, since nothing else is known of them. Times that are off their grid by little (0.033, 0.067, 0.100 at
-    30 Hz, written with three decimals) become even.
+    Channels of chains are NaN in rows that are filled in, for the smoother to bridge; each input is filled in by a
+    smoother of its own. Times that are off their grid by little (0.033, 0.067, 0.100 at 30 Hz, written with three decimals)
+    become even.
     """
     if record.time is None or record.n < 3:
         return record
@@ -58,19 +60,24 @@ def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]
     grid = start + step * np.arange(n, dtype=np.float64)
     if n == record.n:
         return Record(record.channels, grid, record.units, record.name, record.truth)
-    # takes a second to import, and few records have gaps
-    from scipy.interpolate import CubicSpline
-
     channels = {}
     for name in (*chain_channels, *inputs):
         values = np.full(n, np.nan)
         values[index] = record[name]
-        if name in inputs:
-            values = CubicSpline(grid[index], record[name])(grid)
-            values[index] = record[name]
-        channels[name] = values
+        channels[name] = _filled_in(grid, values) if name in inputs else values
     units = {name: unit for name, unit in record.units.items() if name in channels or name == "t"}
     return Record(channels=channels, time=grid, units=units, name=record.name)
+
+
+def _filled_in(time: Floats, samples: Floats) -> Floats:
+    """Samples with missing ones interpolated: in a gap a spline through noisy samples overshoots, a smoother does not."""
+    series = ChainSeries(time, (samples,))
+    try:
+        values = smooth_kinematic(series, fit_kinematic([series])).mean[:, 0]
+    except InputError:  # a few samples, or one value throughout
+        known = np.isfinite(samples)
+        values = np.interp(time, time[known], samples[known])
+    return np.where(np.isnan(samples), values, samples)
 
 
 def _places(time: Floats) -> Ints:

@@ -1,0 +1,80 @@
+"""Gaps in records: bridged where the samples on both sides still fix the motion, else the record is divided."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayeq as bq
+from bayeq.records import split_at_gaps
+from bayeq.states.uniform_grid import on_grid
+
+
+def slow_state(n=2000, fs=50.0, seed=0, noise=0.02):
+    """x' = -0.8 x - 0.5 x^3 + 2 u, where u fills the band up to 5 Hz: the strongest lines of x are far slower."""
+    rng, fine = np.random.default_rng(seed), 8
+    spectrum = np.zeros(n * fine // 2 + 1, dtype=complex)
+    lines = slice(1, int(5.0 * n / fs) + 1)
+    spectrum[lines] = rng.normal(size=(2, lines.stop - 1)).T @ [1, 1j]
+    u = np.fft.irfft(spectrum)
+    u /= u.std()
+    step, x = 1.0 / (fs * fine), np.zeros(n * fine)
+    for i in range(len(x) - 1):
+        first = -0.8 * x[i] - 0.5 * x[i] ** 3 + 2.0 * u[i]
+        guess = x[i] + step * first
+        x[i + 1] = x[i] + 0.5 * step * (first - 0.8 * guess - 0.5 * guess**3 + 2.0 * u[i + 1])
+    x, u = x[::fine], u[::fine]
+    noisy = {"x": x + noise * x.std() * rng.normal(size=n), "u": u}
+    return bq.Record(noisy, np.arange(n) / fs), u
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_a_gap_of_many_short_periods_of_a_slow_state_is_not_bridged():
+    # 6 s without samples: little of the slowest motion, thirty periods of the input
+    rec, _ = slow_state()
+    settings = {"chains": "x", "inputs": ["u"], "dictionary": "polynomial:3"}
+    gap = bq.discover(rec.take(np.r_[0:700, 1000:2000]), **settings)
+    apart = bq.discover([rec.slice(0, 700), rec.slice(1000, 2000)], **settings)
+    assert gap[0].coef == apart[0].coef
+    for name, true in {"x": -0.8, "x**3": -0.5, "u": 2.0}.items():
+        assert gap[0].coef[name] == pytest.approx(true, rel=0.02)
+    assert any("gaps longer than half a period of u (0.1" in message for message in gap.warnings)
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.2])
+def test_noise_does_not_shorten_the_period_and_single_samples_are_bridged(noise):
+    rec, _ = slow_state(noise=noise)
+    kept = np.ones(rec.n, dtype=bool)
+    kept[5:-5:10] = False  # single samples
+    kept[1000:1004] = False  # a step of 0.1 s, half of 0.2 s
+    (whole,), messages = split_at_gaps([rec.take(kept)], ["x"])
+    assert whole.n == kept.sum()
+    assert messages == []
+
+
+def test_gaps_are_bridged_where_nothing_else_would_be_left():
+    # white noise up to half the sampling rate: no gap of more than one sample is bridged without loss
+    rec = bq.Record({"u": np.random.default_rng(0).normal(size=1200)}, np.arange(1200) / 50.0)
+    rare = np.arange(1200) % 50 < 46
+    pieces, _ = split_at_gaps([rec.take(rare)], ["u"])
+    assert [piece.n for piece in pieces] == [46] * 24
+    often = np.arange(1200) % 30 < 26
+    often[:60] = True  # one piece would be long enough, 950 rows would be lost
+    (whole,), messages = split_at_gaps([rec.take(often)], ["u"])
+    assert whole.n == often.sum()
+    assert messages[0].endswith("interpolated all the same, since the pieces between them are too short to use")
+
+
+def test_a_noisy_input_does_not_overshoot_in_a_gap():
+    # a spline through samples with 2 % noise is wrong by half of the standard deviation in such gaps
+    rng = np.random.default_rng(1)
+    t = np.arange(4000) / 50.0
+    u = np.sin(2 * np.pi * 0.3 * t + 0.5 * np.sin(t))
+    kept = (np.arange(4000) + 200) % 400 > 70  # gaps of 1.4 s, less than half a period
+    kept[[0, -1]] = True
+    rec = bq.Record({"x": np.cos(t), "u": u + 0.02 * rng.normal(size=4000)}, t)
+    filled = on_grid(rec.take(kept), ["x"], ["u"])
+    np.testing.assert_array_equal(filled["u"][kept], rec["u"][kept])
+    assert np.std((filled["u"] - u)[~kept]) < 0.05
+    constant = on_grid(bq.Record({"x": np.cos(t), "u": np.ones(4000)}, t).take(kept), ["x"], ["u"])
+    np.testing.assert_array_equal(constant["u"], 1.0)
