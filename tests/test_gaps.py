@@ -8,45 +8,46 @@ import pytest
 import bayeq as bq
 from bayeq.records import split_at_gaps
 from bayeq.states.uniform_grid import on_grid
+from bayeq.systems.system import BandLimitedForce, System
 
-
-def slow_state(n=2000, fs=50.0, seed=0, noise=0.02):
-    """x' = -0.8 x - 0.5 x^3 + 2 u, where u fills the band up to 5 Hz: the strongest lines of x are far slower."""
-    rng, fine = np.random.default_rng(seed), 8
-    spectrum = np.zeros(n * fine // 2 + 1, dtype=complex)
-    lines = slice(1, int(5.0 * n / fs) + 1)
-    spectrum[lines] = rng.normal(size=(2, lines.stop - 1)).T @ [1, 1j]
-    u = np.fft.irfft(spectrum)
-    u /= u.std()
-    step, x = 1.0 / (fs * fine), np.zeros(n * fine)
-    for i in range(len(x) - 1):
-        first = -0.8 * x[i] - 0.5 * x[i] ** 3 + 2.0 * u[i]
-        guess = x[i] + step * first
-        x[i + 1] = x[i] + 0.5 * step * (first - 0.8 * guess - 0.5 * guess**3 + 2.0 * u[i + 1])
-    x, u = x[::fine], u[::fine]
-    noisy = {"x": x + noise * x.std() * rng.normal(size=n), "u": u}
-    return bq.Record(noisy, np.arange(n) / fs), u
+# the input fills the band up to 5 Hz; the strongest lines of x are far slower
+SLOW = System(
+    name="slow",
+    title="a first-order state",
+    chains=("x",),
+    rhs={"x": "2*u-0.8*x-0.5*x**3"},
+    terms={"dx": {"x": "-0.8", "x**3": "-0.5", "u": "2"}},
+    parameters={},
+    initial={"x": 0.0},
+    inputs=("u",),
+    force=BandLimitedForce(1.0, (0.0, 5.0)),
+    n=2000,
+    fs=50.0,
+    substeps=4,
+    noise=0.02,
+    citation="",
+)
 
 
 @pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 def test_a_gap_of_many_short_periods_of_a_slow_state_is_not_bridged():
     # 6 s without samples: little of the slowest motion, thirty periods of the input
-    rec, _ = slow_state()
+    rec = bq.simulate(SLOW)
     settings = {"chains": "x", "inputs": ["u"], "dictionary": "polynomial:3"}
     gap = bq.discover(rec.take(np.r_[0:700, 1000:2000]), **settings)
     apart = bq.discover([rec.slice(0, 700), rec.slice(1000, 2000)], **settings)
     assert gap[0].coef == apart[0].coef
-    for name, true in {"x": -0.8, "x**3": -0.5, "u": 2.0}.items():
+    for name, true in rec.truth.coefficients["dx"].items():
         assert gap[0].coef[name] == pytest.approx(true, rel=0.02)
     assert any("gaps longer than half a period of u (0.1" in message for message in gap.warnings)
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.2])
 def test_noise_does_not_shorten_the_period_and_single_samples_are_bridged(noise):
-    rec, _ = slow_state(noise=noise)
+    rec = bq.simulate(SLOW, noise=noise)
     kept = np.ones(rec.n, dtype=bool)
     kept[5:-5:10] = False  # single samples
-    kept[1000:1004] = False  # a step of 0.1 s, half of 0.2 s
+    kept[1000:1003] = False  # a step of 0.08 s; the shortest period of x is about 0.25 s
     (whole,), messages = split_at_gaps([rec.take(kept)], ["x"])
     assert whole.n == kept.sum()
     assert messages == []

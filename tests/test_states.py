@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from bayeq import Record
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
-from bayeq.states import derive_states, parse_chain, parse_chains
+from bayeq.states import derive_states, parse_chain, parse_chains, require_varying
 from bayeq.states.savitzky_golay import smooth_derivative
 
 
@@ -122,8 +122,12 @@ def test_what_cannot_be_used_is_refused():
         derive_states(rec, parse_chains(["x"]), smooth="much")
     with pytest.raises(ChainError, match="both an input"):
         derive_states(rec, parse_chains(["x:v:a"]), ["v"])
-    with pytest.raises(RecordError, match="constant"):
-        derive_states(Record.from_arrays(time=rec.time, x=x, q=np.ones(50)), parse_chains(["x"]), ["q"])
+    with pytest.raises(RecordError, match="channel 'q' is constant"):
+        require_varying([Record.from_arrays(time=rec.time, x=x, q=np.ones(50))], ["x", "q"])
+    with pytest.raises(RecordError, match="varies by 1e-200 only"):
+        require_varying([Record({"x": [0.0, 1e-200]})], ["x"])
+    with pytest.raises(RecordError, match="too large to square"):
+        derive_states(Record({"x": [0.0, 1e200]}), parse_chains(["x:v"])[:0], ["x"])
     with pytest.raises(RecordError, match="time"):
         derive_states(Record.from_arrays(x=x), parse_chains(["x"]))
     with pytest.raises(RecordError, match="too few"):

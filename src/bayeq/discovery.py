@@ -17,7 +17,7 @@ from bayeq.regression.fit import fit_regression
 from bayeq.regression.regression import Regression
 from bayeq.selection.negligible import NEGLIGIBLE
 from bayeq.selection.select import Rules, select
-from bayeq.states import Motion, Roles, Smooth, estimate_motion, measured_apart
+from bayeq.states import Motion, Roles, Smooth, estimate_motion, measured_apart, require_varying
 from bayeq.states.motion import held_out_share
 
 __all__ = ["discover"]
@@ -197,6 +197,7 @@ def _prepared(
     """Records divided at gaps that cannot be bridged, chains without channels that were computed from others, and the
     share of the rows to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
+    require_varying(records, [*roles.measured, *roles.inputs])
     if smooth == "auto":
         records, messages = split_at_gaps(records, [*roles.measured, *roles.inputs])
         if all(record.time is not None for record in records):

@@ -20,8 +20,9 @@ Floats = NDArray[np.float64]
 LONGEST_GAP = 0.5
 POWER = 0.99
 
-# The least level of so many bands of a spectrum is taken for white noise, which is no power of the signal.
-BANDS = 16
+# The least level of so many bands of a spectrum is taken for white noise, which is no power of the signal. In more of
+# them, shorter ones, chance makes the least too low: noise of 20 % of the signal would count as motion.
+BANDS = 4
 
 # A gap of more than one sample is a step of time longer than so many usual ones; single samples are always bridged.
 GAP = 2.5
@@ -101,7 +102,7 @@ def _missing(record: Record, ends: list[int]) -> float:
 
 
 def _shortest_period(times: Sequence[Floats], stretches: Sequence[Floats], step: float) -> float:
-    """Period [s] of the frequency that 99 % of a channel's power lies below, its noise left out; 0 of short stretches."""
+    """Period [s] of the frequency that 99 % of a channel's power lies below, without noise; 0 of short stretches."""
     counts = [round(float(time[-1] - time[0]) / step) + 1 for time in times]
     if max(counts) < SHORTEST_PIECE:
         return 0.0

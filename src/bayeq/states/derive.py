@@ -17,7 +17,7 @@ from bayeq.records import Record
 from bayeq.states.chain import Chain
 from bayeq.states.savitzky_golay import smooth_derivative
 
-__all__ = ["Smooth", "States", "derive_states", "require_varying", "usable"]
+__all__ = ["Smooth", "States", "derive_states", "require_usable", "require_varying", "usable"]
 
 Floats = NDArray[np.float64]
 Smooth = Literal["auto", "none"]
@@ -72,22 +72,16 @@ def derive_states(
     UnknownNameError
         A channel that the record does not have.
     RecordError
-        NaN or infinite samples, a channel that is constant, no time where derivatives are needed, or too few
-        rows.
+        NaN or infinite samples, no time where derivatives are needed, or too few rows.
     """
     if smooth not in get_args(Smooth):
         raise InputError(f"smooth must be one of {', '.join(get_args(Smooth))}, got {smooth!r}")
     measured = [m for chain in chains for m in chain.measured if m is not None]
     wanted = [*measured, *inputs]
-    for name in wanted:
-        if name not in record.channels:
-            raise UnknownNameError("channel", name, record.names, where=record.name)
     for name in inputs:
         if name in measured:
             raise ChainError(f"channel {name!r} is both an input and part of a chain")
-    record.require_finite(wanted)
-    for name in wanted:
-        require_varying(record, name)
+    require_usable(record, wanted)
     columns = {name: record[name] for name in wanted}
     estimated: list[str] = []
     for chain in chains:
@@ -113,24 +107,47 @@ def usable(values: Floats) -> bool:
     return bool(values.max() - values.min() >= 1 / LARGEST)
 
 
-def require_varying(record: Record, name: str) -> None:
-    values = record[name]
-    if record.n > 1 and values.min() == values.max():
-        raise RecordError(
-            f"{record.name or 'record'}: channel {name!r} is constant ({values[0]:g} in all {record.n} rows):"
-            " nothing can be learned from it; leave it out"
-        )
-    row = int(np.argmax(np.abs(values)))
-    if abs(values[row]) > LARGEST:
-        raise RecordError(
-            f"{record.name or 'record'}: channel {name!r} is {values[row]:g} in row {row + 1}, too large to square;"
-            " correct it, or give the channel in a larger unit"
-        )
-    if record.n > 1 and values.max() - values.min() < 1 / LARGEST:
-        raise RecordError(
-            f"{record.name or 'record'}: channel {name!r} varies by {values.max() - values.min():g} only, too little"
-            " to square; give the channel in a smaller unit"
-        )
+def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
+    """Raise unless each channel varies, though not in every record: in a free decay the force is zero throughout.
+
+    Raises
+    ------
+    RecordError
+        A channel that is the same in all rows of all records, or varies by too little to have a square.
+    UnknownNameError
+        A channel that a record does not have.
+    """
+    where = (records[0].name or "record") if len(records) == 1 else f"{len(records)} records"
+    rows = sum(record.n for record in records)
+    for name in names:
+        low = float(np.min([record[name].min() for record in records]))
+        high = float(np.max([record[name].max() for record in records]))
+        if rows > 1 and low == high:
+            raise RecordError(
+                f"{where}: channel {name!r} is constant ({low:g} in all {rows} rows): nothing can be learned from it;"
+                " leave it out"
+            )
+        if rows > 1 and high - low < 1 / LARGEST:
+            raise RecordError(
+                f"{where}: channel {name!r} varies by {high - low:g} only, too little to square; give the channel in a"
+                " smaller unit"
+            )
+
+
+def require_usable(record: Record, names: Sequence[str]) -> None:
+    """Raise unless a record has the channels, and their samples are finite and have squares."""
+    for name in names:
+        if name not in record.channels:
+            raise UnknownNameError("channel", name, record.names, where=record.name)
+    record.require_finite(names)
+    for name in names:
+        values = record[name]
+        row = int(np.argmax(np.abs(values)))
+        if abs(values[row]) > LARGEST:
+            raise RecordError(
+                f"{record.name or 'record'}: channel {name!r} is {values[row]:g} in row {row + 1}, too large to square;"
+                " correct it, or give the channel in a larger unit"
+            )
 
 
 def _fill(columns: dict[str, Floats], record: Record, source: str, name: str, order: int, smooth: Smooth) -> None:

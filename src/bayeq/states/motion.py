@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import ChainError, RecordError, UnknownNameError
+from bayeq.errors import ChainError, RecordError
 from bayeq.records import Record
 from bayeq.states.chain import Chain
-from bayeq.states.derive import Smooth, derive_states, require_varying
+from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain
 from bayeq.states.roles import Roles
 from bayeq.states.uniform_grid import on_grid
@@ -256,12 +256,7 @@ def _require_integrable(records: Sequence[Record], chain: Chain, smoothed: bool)
     A channel that happens to have the coordinate's name was left out of the chain, and is not used.
     """
     for record in records:
-        for name in chain.measured:
-            if name is not None:
-                if name not in record.channels:
-                    raise UnknownNameError("channel", name, record.names, where=record.name)
-                record.require_finite(name)
-                require_varying(record, name)
+        require_usable(record, [name for name in chain.measured if name is not None])
         if not smoothed:
             raise ChainError(
                 f"{record.name or 'record'}: chain {str(chain)!r} has to be integrated, which needs smooth='auto' and"

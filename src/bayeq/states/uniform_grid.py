@@ -39,8 +39,8 @@ def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]
     """The record with a row for every sample of its grid: the same record, if none is missing or there is no grid.
 
     Channels of chains are NaN in rows that are filled in, for the smoother to bridge; each input is filled in by a
-    smoother of its own. Times that are off their grid by little (0.033, 0.067, 0.100 at 30 Hz, written with three decimals)
-    become even.
+    smoother of its own. Times that are off their grid by little (0.033, 0.067, 0.100 at 30 Hz, written with three
+    decimals) become even.
     """
     if record.time is None or record.n < 3:
         return record
@@ -70,7 +70,7 @@ def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]
 
 
 def _filled_in(time: Floats, samples: Floats) -> Floats:
-    """Samples with missing ones interpolated: in a gap a spline through noisy samples overshoots, a smoother does not."""
+    """Samples with missing ones interpolated; a spline through noisy samples would overshoot in a gap."""
     series = ChainSeries(time, (samples,))
     try:
         values = smooth_kinematic(series, fit_kinematic([series])).mean[:, 0]

@@ -1,0 +1,65 @@
+"""Several records of one system, in some of which a channel does not vary."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayeq as bq
+from bayeq.errors import RecordError
+
+SETTINGS = {"chains": "x:v:a", "inputs": ["u"]}
+
+
+def forced_and_decay(seed):
+    """A Duffing oscillator driven for 0.8 s, and the free decay that follows, with a force of exactly zero."""
+    force = bq.simulate("duffing", n=3300, seed=seed, noise=0.0)["u"].copy()
+    force[800:] = 0.0
+    whole = bq.simulate("duffing", force=force, seed=seed, noise={"x": 0.05, "v": 0.05, "a": 0.05})
+    decay = whole.slice(800)
+    assert np.ptp(decay["u"]) == 0.0
+    return whole.slice(0, 800).renamed("forced"), decay.renamed("decay")
+
+
+def test_a_free_decay_joins_a_forced_record():
+    true = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}
+    errors = []
+    for seed in range(6):
+        forced, decay = forced_and_decay(seed)
+        found = [bq.discover(records, **SETTINGS)[0] for records in (forced, [forced, decay])]
+        assert set(found[1].included) == set(true)
+        errors.append([[one.coef[name] / true[name] - 1.0 for name in ("x", "v")] for one in found])
+    # three times the rows, in which nothing but stiffness and damping shows
+    alone, together = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (together < 0.6 * alone).all()
+
+
+@pytest.mark.parametrize("smooth", ["auto", "none"])
+def test_what_was_found_predicts_a_free_decay(smooth):
+    forced, decay = forced_and_decay(0)
+    eq = bq.discover(forced, smooth=smooth, **SETTINGS)
+    # the last 2.5 of 12 periods, by what 0.8 s at 5 % noise have shown
+    assert eq.score(decay).free_run["x"] < 0.5
+    assert eq.simulate(decay, draws=0).mean["x"].shape == (decay.n,)
+    assert np.isfinite(eq.predict(decay)).all()
+
+
+@pytest.mark.parametrize("level", [0.0, 0.05])
+def test_a_record_at_rest_joins_others(level):
+    # in balance: the force that holds the spring at a level
+    forced, _ = forced_and_decay(1)
+    held = {"x": np.full(300, level), "u": np.full(300, 1000.0 * level + 1e5 * level**3)}
+    rest = bq.Record(held, np.arange(300) / 1000.0)
+    for records in ([forced, rest], [rest, forced]):
+        eq = bq.discover(records, chains="x::", inputs=["u"])
+        assert eq[0].included == ("x", "dx", "x**3", "u")
+
+
+def test_what_is_constant_in_all_records_is_refused():
+    forced, decay = forced_and_decay(0)
+    still = decay.with_channels({"u": np.zeros(decay.n)})
+    with pytest.raises(RecordError, match=r"2 records: channel 'u' is constant \(0 in all 5000 rows\)"):
+        bq.discover([decay, still], **SETTINGS)
+    # a step from record to record is a change
+    held = [forced.with_channels({"u": np.full(forced.n, level)}) for level in (1.0, 2.0)]
+    bq.states.require_varying(held, ["u"])
