@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayeq import Record
+from bayeq import Record, discover, simulate
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
 from bayeq.states import derive_states, parse_chain, parse_chains, require_varying
 from bayeq.states.savitzky_golay import smooth_derivative
+from bayeq.systems.system import BandLimitedForce, System
 
 
 @pytest.mark.parametrize(
@@ -22,6 +23,7 @@ from bayeq.states.savitzky_golay import smooth_derivative
         ("x:xdot", ("x", "xdot"), 1),
         ("::a", ("x", "dx", "a"), 2),
         (":v:a", ("x", "v", "a"), 2),
+        ("~q::a", ("q", "dq", "a"), 2),
         (" x : v : a ", ("x", "v", "a"), 2),
     ],
 )
@@ -48,6 +50,49 @@ def test_any_text_is_a_chain_or_a_chain_error(text):
     except ChainError:
         return
     assert len(chain.names) == chain.order + 1
+
+
+def test_coordinates_that_are_not_measured_are_told_apart_by_their_channels():
+    def names(texts, inputs=()):
+        return [chain.names for chain in parse_chains(texts, inputs)]
+
+    assert names(["::a"]) == [("x", "dx", "a")]
+    assert names(["::a1", "::a2"]) == [("x_a1", "dx_a1", "a1"), ("x_a2", "dx_a2", "a2")]
+    assert names(["x:v:", ":w:a"]) == [("x", "v", "ddx"), ("x_w", "w", "a")]
+    assert names(["::a"], ["x"]) == [("x_a", "dx_a", "a")]
+    # what clashes with nothing, and what has a name, keeps it
+    assert names(["q::", "::a"]) == [("q", "dq", "ddq"), ("x", "dx", "a")]
+    assert names(["~q::a1", "::a2"]) == [("q", "dq", "a1"), ("x", "dx", "a2")]
+    # saved chains mean the same when they are read alone
+    for chain in parse_chains(["::a1", "::a2"]):
+        assert parse_chain(str(chain)) == chain
+
+
+def test_two_masses_of_which_only_accelerations_are_measured():
+    system = System(
+        name="two",
+        title="two masses",
+        chains=("p:v:a1", "q:w:a2"),
+        rhs={"p": "v", "q": "w", "v": "u-700*p+200*q-2*v", "w": "200*p-500*q-2*w"},
+        terms={
+            "a1": {"x_a1": "-700", "dx_a1": "-2", "x_a2": "200", "u": "1"},
+            "a2": {"x_a1": "200", "x_a2": "-500", "dx_a2": "-2"},
+        },
+        parameters={},
+        initial={"p": 0.0, "q": 0.0, "v": 0.0, "w": 0.0},
+        inputs=("u",),
+        force=BandLimitedForce(10.0, (1.0, 20.0)),
+        n=4000,
+        fs=200.0,
+        substeps=2,
+        noise=0.01,
+        citation="",
+    )
+    record = simulate(system, seed=1)
+    found = discover(record, chains=["::a1", "::a2"], inputs=["u"], dictionary="polynomial:1")
+    for equation, target in zip(found.equations, ("a1", "a2"), strict=True):
+        assert equation.target == target
+        assert equation.coef == pytest.approx(record.truth.coefficients[target], rel=0.01)
 
 
 def test_names_of_several_chains_are_distinct():

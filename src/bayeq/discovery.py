@@ -60,7 +60,8 @@ def discover(
         Measured channels; several records of the same system are used together.
     chains : sequence of str, optional
         A coordinate and its measured derivatives each: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order). In ``"::a"``,
-        only the acceleration measured, the coordinate is called x.
+        only the acceleration measured, the coordinate is called x; where another chain or an input has that name, as
+        in ``["::a1", "::a2"]``, x_a1 and x_a2. ``"~q::a"`` names it q.
     displacement, velocity, acceleration : str, optional
         Channels of one oscillator's chain, instead of `chains`.
     force : str, optional

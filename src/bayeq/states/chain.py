@@ -12,7 +12,7 @@ __all__ = ["MAX_ORDER", "Chain", "parse_chain", "parse_chains"]
 
 MAX_ORDER = 4
 
-# Name of a coordinate that is not measured.
+# Name of a coordinate that is not measured; where that name is taken, with the first measured channel: x_a1, x_a2.
 COORDINATE = "x"
 
 
@@ -36,8 +36,8 @@ class Chain:
     ('x', 'dx')
     >>> parse_chain("::a").names
     ('x', 'dx', 'a')
-    >>> parse_chain("x:~v:~a").names
-    ('x', 'v', 'a')
+    >>> parse_chain("x:~v:~a").names, parse_chain("~q::a").names
+    (('x', 'v', 'a'), ('q', 'dq', 'a'))
     """
 
     measured: tuple[str | None, ...]
@@ -57,9 +57,9 @@ class Chain:
     def names(self) -> tuple[str, ...]:
         """Names of the derivatives: the channel's, or ``dx``, ``ddx`` ... where not measured and not called otherwise.
 
-        A coordinate that is not measured itself is called ``x``.
+        A coordinate that is neither measured nor called otherwise is ``x``.
         """
-        base = self.measured[0] or COORDINATE
+        base = self.own_name(0) or COORDINATE
         return tuple(self.own_name(k) or "d" * k + base for k in range(len(self.measured)))
 
     def own_name(self, k: int) -> str | None:
@@ -86,7 +86,8 @@ def parse_chain(text: str) -> Chain:
     """Read a chain such as ``x:v:a``, ``x::`` (only displacement measured), ``::a`` (only acceleration), ``x`` or
     ``x:xdot`` (first order).
 
-    ``x:~v:~a`` is ``x::`` with names for what is not measured, instead of dx and ddx.
+    ``x:~v:~a`` is ``x::`` with names for what is not measured, instead of dx and ddx; ``~q::a`` is ``::a`` with the
+    coordinate q instead of x.
 
     Raises
     ------
@@ -126,8 +127,16 @@ def parse_chain(text: str) -> Chain:
     return chain
 
 
-def parse_chains(texts: Sequence[str]) -> tuple[Chain, ...]:
+def parse_chains(texts: Sequence[str], inputs: Sequence[str] = ()) -> tuple[Chain, ...]:
     """Read several chains and check that no name occurs in two of them.
+
+    A coordinate that is not measured is called x. Where two chains, or a chain and an input, would share that name,
+    such coordinates are called after the lowest measured channel of their chain.
+
+    Examples
+    --------
+    >>> [chain.names for chain in parse_chains(["::a1", "::a2"])]
+    [('x_a1', 'dx_a1', 'a1'), ('x_a2', 'dx_a2', 'a2')]
 
     Raises
     ------
@@ -136,11 +145,21 @@ def parse_chains(texts: Sequence[str]) -> tuple[Chain, ...]:
     """
     if not texts:
         raise ChainError("no chain given: name the coordinate and its measured derivatives, as in x:v:a")
-    chains = tuple(parse_chain(text) for text in texts)
+    chains = [parse_chain(text) for text in texts]
+    if sum(COORDINATE in chain.names for chain in chains) + (COORDINATE in inputs) > 1:
+        chains = [_named_by_channel(chain) for chain in chains]
     seen: dict[str, Chain] = {}
     for chain in chains:
         for name in chain.names:
             if name in seen:
                 raise ChainError(f"{name!r} occurs in chain {str(seen[name])!r} and in chain {str(chain)!r}")
             seen[name] = chain
-    return chains
+    return tuple(chains)
+
+
+def _named_by_channel(chain: Chain) -> Chain:
+    """The chain with a name of its own for a coordinate that has none."""
+    if chain.own_name(0) is not None:
+        return chain
+    others = chain.called[1:] or (None,) * chain.order
+    return Chain(chain.measured, (f"{COORDINATE}_{chain.measured[chain.lowest]}", *others))

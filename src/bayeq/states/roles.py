@@ -55,11 +55,11 @@ class Roles:
         if len(set(named)) < len(named):
             raise InputError(f"an input is named twice: {', '.join(named)}")
         if chains is None:
-            parsed = _oscillator(displacement, velocity, acceleration)
+            parsed = _oscillator(displacement, velocity, acceleration, named)
         elif displacement or velocity or acceleration:
             raise ChainError("give either chains or displacement, velocity and acceleration, not both")
         else:
-            parsed = parse_chains([chains] if isinstance(chains, str) else list(chains))
+            parsed = parse_chains([chains] if isinstance(chains, str) else list(chains), named)
         roles = cls(parsed, named)
         for name in named:
             if name in roles.measured:
@@ -86,7 +86,9 @@ class Roles:
         return replace(self, chains=tuple(chains))
 
 
-def _oscillator(displacement: str | None, velocity: str | None, acceleration: str | None) -> tuple[Chain, ...]:
+def _oscillator(
+    displacement: str | None, velocity: str | None, acceleration: str | None, inputs: Sequence[str]
+) -> tuple[Chain, ...]:
     """The chain of one second-order coordinate from the names of its channels."""
     if displacement is None and acceleration is None:
         raise ChainError(
@@ -98,4 +100,4 @@ def _oscillator(displacement: str | None, velocity: str | None, acceleration: st
             raise ChainError(
                 f"{role} {channel[:60]!r} is not a channel's name; name one, or give a chain such as x:v:a instead"
             )
-    return parse_chains([":".join(name or "" for name in (displacement, velocity, acceleration))])
+    return parse_chains([":".join(name or "" for name in (displacement, velocity, acceleration))], inputs)
