@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayeq as bq
-from bayeq.errors import ChainError, RecordError
+from bayeq.errors import ChainError, InputError, RecordError
 from bayeq.gram.band import added_floor, residual_spectrum, to_band
 from bayeq.states import parse_chain
 from bayeq.states.kinematic.chain_smoother import smooth_chain
@@ -91,8 +91,38 @@ def test_what_cannot_be_integrated():
     odd = bq.Record.from_arrays(
         {name: uneven[name] for name in "au"}, time=uneven.time + 1e-4 * np.random.default_rng(1).random(200)
     )
-    with pytest.raises(RecordError, match="even steps"):
+    with pytest.raises(RecordError, match="record: 'a' cannot be integrated: its steps of time are uneven"):
         bq.discover(odd, chains="::a", inputs=["u"])
+
+
+def refused(records):
+    with pytest.raises(InputError) as error:
+        bq.discover(records, chains="::a", dictionary=["x", "dx"])
+    return str(error.value)
+
+
+def test_why_it_cannot_be_integrated():
+    t = np.arange(2000) / 100.0
+    rng = np.random.default_rng(0)
+    wave = np.cos(20 * t)
+    record = bq.Record({"a": wave + 0.05 * rng.normal(size=2000)}, t, name="run")
+    noise = record.with_channels({"a": rng.normal(size=2000)})
+    assert refused(noise) == (
+        "run: 'a' cannot be integrated: it does not stand out of its noise at any frequency; measure with less noise"
+    )
+    assert refused([record, bq.Record({"a": record["a"]}, 2 * t)]) == (
+        "run: 'a' cannot be integrated: records are sampled at different rates; resample them at one rate"
+    )
+    assert refused(record.slice(0, 80)) == (
+        "run: 'a' cannot be integrated: 0.64 s of training rows are too short to show below which frequency it is"
+        " noise; measure longer records"
+    )
+    assert refused([record.slice(k, k + 30) for k in (0, 30)]).endswith("which needs a record of 40 rows or more")
+    assert refused(bq.Record({"a": record["a"]}, name="run")).endswith("which needs a time column or fs")
+    still = record.with_channels({"a": np.where(t < 16.5, 1.0, record["a"])})
+    assert refused(still) == (
+        "run: training rows of chain '::a' cannot be smoothed: derivative 2 is constant: its noise cannot be estimated"
+    )
 
 
 def test_an_adequate_residual_is_that_of_the_noise():

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import comb
 
+from bayeq.errors import RecordError
 from bayeq.records import Record
 from bayeq.states.chain import Chain
 from bayeq.states.derive import usable
@@ -105,10 +106,13 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int
     if not suspected:
         return []
     # the noise of the lowest channel as it is known alone
-    alone = smooth_chain(even, Chain(_only(chain, chain.lowest)), cuts)
-    if alone is None or alone[1].noise_ratio < LEAST_NOISE:
+    try:
+        _, alone = smooth_chain(even, Chain(_only(chain, chain.lowest)), cuts)
+    except RecordError:  # noise and motion cannot be told apart: neither can measured channels and computed ones
         return []
-    noise = float(alone[1].model.noise_sd[chain.lowest] or 0.0)
+    if alone.noise_ratio < LEAST_NOISE:
+        return []
+    noise = float(alone.model.noise_sd[chain.lowest] or 0.0)
     return [k for k, left, gain in suspected if left < COMPUTED * gain * noise]
 
 

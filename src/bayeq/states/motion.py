@@ -207,24 +207,24 @@ def _smoothed(
     whole = [chain for chain in roles.chains if chain.lowest == 0]
     for record in records:
         derive_states(record, whole, roles.inputs, "none" if timed else smooth)
-    for chain in roles.chains:
-        if chain.lowest > 0:
-            _require_integrable(records, chain, wanted)
+    integrated = [chain for chain in roles.chains if chain.lowest > 0]
+    for chain in integrated:
+        _require_integrable(records, chain, smooth)
     if not wanted:
         return None
     filled = [on_grid(record, roles.measured, roles.inputs) for record in records]
     cuts = tuple(cut_at(record.n, share) for record in filled)
-    found = [smooth_chain(filled, chain, cuts) for chain in roles.chains]
-    complete = [one for one in found if one is not None]
-    measured_all = all(name is not None for chain in roles.chains for name in chain.measured)
-    clean = measured_all and all(smoothing.noise_ratio < LEAST_NOISE for _, smoothing in complete)
-    if clean or len(complete) < len(found):
-        for chain in roles.chains:
-            if chain.lowest > 0:
-                raise _not_integrable(records[0], chain)
+    try:
+        found = [smooth_chain(filled, chain, cuts) for chain in roles.chains]
+    except RecordError:
+        if integrated:  # which only the smoother can do
+            raise
         return None
-    rows = tuple(_rows(record, roles, [means[i] for means, _ in complete]) for i, record in enumerate(filled))
-    return rows, cuts, tuple(smoothing for _, smoothing in complete)
+    measured_all = all(name is not None for chain in roles.chains for name in chain.measured)
+    if measured_all and all(smoothing.noise_ratio < LEAST_NOISE for _, smoothing in found):
+        return None
+    rows = tuple(_rows(record, roles, [means[i] for means, _ in found]) for i, record in enumerate(filled))
+    return rows, cuts, tuple(smoothing for _, smoothing in found)
 
 
 def _rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
@@ -250,23 +250,20 @@ def _named(chains: Sequence[Chain], means: Sequence[Floats]) -> Iterator[tuple[s
             yield name, np.ascontiguousarray(values[:, k])
 
 
-def _require_integrable(records: Sequence[Record], chain: Chain, smoothed: bool) -> None:
+def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth) -> None:
     """Check the channels of a chain whose coordinate is not measured.
 
     A channel that happens to have the coordinate's name was left out of the chain, and is not used.
     """
     for record in records:
         require_usable(record, [name for name in chain.measured if name is not None])
-        if not smoothed:
-            raise ChainError(
-                f"{record.name or 'record'}: chain {str(chain)!r} has to be integrated, which needs smooth='auto' and"
-                " a time column or fs"
-            )
-
-
-def _not_integrable(record: Record, chain: Chain) -> RecordError:
-    first = chain.measured[chain.lowest]
-    return RecordError(
-        f"{record.name or 'record'}: {first!r} cannot be integrated: that needs even steps of time, and a signal that"
-        " stands out of its noise"
-    )
+    where = records[0].name or "record"
+    lacking = []
+    if smooth != "auto":
+        lacking.append("smooth='auto'")
+    if any(record.time is None for record in records):
+        lacking.append("a time column or fs")
+    if max(record.n for record in records) < FEW_ROWS:
+        lacking.append(f"a record of {FEW_ROWS} rows or more")
+    if lacking:
+        raise ChainError(f"{where}: chain {str(chain)!r} has to be integrated, which needs {' and '.join(lacking)}")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from bayeq.errors import InputError
+from bayeq.errors import InputError, RecordError
 from bayeq.records import Record
 from bayeq.states.chain import Chain
 from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, fit_kinematic, smooth_kinematic
@@ -215,7 +215,7 @@ def _unit_gains(series: Sequence[ChainSeries]) -> Floats:
 
 def smooth_chain(
     records: Sequence[Record], chain: Chain, rows: Sequence[int] | None = None
-) -> tuple[list[Floats], ChainSmoothing] | None:
+) -> tuple[list[Floats], ChainSmoothing]:
     """States of a chain in some records.
 
     Parameters
@@ -231,25 +231,36 @@ def smooth_chain(
     Returns
     -------
     list of (n, K+1) array, ChainSmoothing
-        Smoothed derivatives of order 0 to K of each record, each in the unit of its channel. None where the records are
-        too short to tell noise from motion.
+        Smoothed derivatives of order 0 to K of each record, each in the unit of its channel.
+
+    Raises
+    ------
+    RecordError
+        Noise cannot be told from motion, or a coordinate that is not measured cannot be integrated; the message says
+        why.
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
-    if sum(cuts) < LEAST_ROWS * (chain.order + 1) or min(cuts) < 2:
-        return None
+    where = records[0].name or "record"
+    least = LEAST_ROWS * (chain.order + 1)
+    if sum(cuts) < least or min(cuts) < 2:
+        raise RecordError(
+            f"{where}: {sum(cuts)} training rows are too few to smooth chain {str(chain)!r} (at least {least}, and 2 in"
+            " each record)"
+        )
     whole = [_series(record, chain) for record in records]
     series = [s.take(slice(0, cut)) for s, cut in zip(whole, cuts, strict=True)]
     gains = _unit_gains(series)
     try:
         model = fit_kinematic([_in_units(s, gains) for s in series])
-    except InputError:
-        # a channel with too few samples, or one that never changes
-        return None
+    except InputError as error:  # a channel with too few samples, or one that never changes
+        reason = str(error).split(";")[0]
+        raise RecordError(f"{where}: training rows of chain {str(chain)!r} cannot be smoothed: {reason}") from None
     bound = None
     if chain.lowest > 0:
-        bound = _coordinate_sd(series, chain.lowest, model)
-        if bound is None:
-            return None
+        try:
+            bound = _coordinate_sd(series, chain.lowest, model)
+        except RecordError as error:
+            raise RecordError(f"{where}: {chain.measured[chain.lowest]!r} cannot be integrated: {error}") from None
         whole, model = [_bounded(s) for s in whole], replace(model, noise_sd=(bound, *model.noise_sd[1:]))
     means = []
     for s, cut in zip(whole, cuts, strict=True):
@@ -271,30 +282,39 @@ def _bounded(series: ChainSeries) -> ChainSeries:
     return ChainSeries(series.times, (np.zeros(series.n), *series.channels[1:]))
 
 
-def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicModel) -> float | None:
+def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicModel) -> float:
     """How near to zero the samples of an unmeasured coordinate are taken to be.
 
     Integrating the channel multiplies its noise by 1/omega^lowest, which is without bound. Below the frequency f_low at
     which its signal comes out of its noise nothing is known of the coordinate but that it does not run away: zeros of
     the standard deviation sigma/omega_low^lowest weigh there as much as the channel does at f_low.
 
-    Returns
-    -------
-    float or None
-        None for records at uneven steps, and where the signal never comes out of the noise.
+    Raises
+    ------
+    RecordError
+        Uneven steps of time, records at different rates, or a signal that never comes out of its noise.
     """
     fs, noise = _rate(series), model.noise_sd[lowest]
-    if fs is None or noise is None:
-        return None
+    if fs is None:
+        if any(_rate([s]) is None for s in series):
+            raise RecordError("its steps of time are uneven; resample evenly")
+        raise RecordError("records are sampled at different rates; resample them at one rate")
+    assert noise is not None
     longest = max(series, key=lambda s: s.n)
     level, freedom = _density(_bridged(longest.channels[lowest]))
+    by_chance = float(chdtri(freedom, CHANCE / len(level))) / freedom
+    emerged = max(EMERGED, by_chance)
+    if not (level[1:] > emerged * noise**2).any():
+        raise RecordError("it does not stand out of its noise at any frequency; measure with less noise")
     # the noise at the low end, if there is more of it than the smoother found
     peak = int(np.argmax(level))
     noise = max(noise, float(np.sqrt(level[: peak + 1].min())))
-    by_chance = float(chdtri(freedom, CHANCE / len(level))) / freedom
-    above = np.flatnonzero(level[1:] > max(EMERGED, by_chance) * noise**2)
+    above = np.flatnonzero(level[1:] > emerged * noise**2)
     if not len(above):
-        return None
+        raise RecordError(
+            f"{longest.n / fs:.3g} s of training rows are too short to show below which frequency it is noise; measure"
+            " longer records"
+        )
     low = float(np.fft.rfftfreq(longest.n, 1.0 / fs)[1 + above[0]])
     return float(noise / (2.0 * np.pi * low) ** lowest)
 
