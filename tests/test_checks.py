@@ -194,6 +194,42 @@ def test_an_offset_is_measured_beside_a_wrong_sign_and_gain():
     assert found["offset"].value == pytest.approx(0.2 * record["v"].std(), rel=0.1)
 
 
+def shaft(seed, noise, n=4000):
+    """A shaft that runs up to 6 turns per second, with a ripple in every turn: its angle and its speed."""
+    t = np.arange(n) / 100
+    rng = np.random.default_rng(seed)
+    mean, angle = 40 * (1 - np.exp(-t / 10)), 40 * (t - 10 * (1 - np.exp(-t / 10)))
+    ripple = 0.05 * np.sin(angle) + 0.3 * np.sin(7 * t)
+    slope = 0.05 * np.cos(angle) * mean + 2.1 * np.cos(7 * t)
+    return bq.Record(
+        {"x": angle + ripple + noise * rng.normal(size=n), "v": mean + slope + noise * rng.normal(size=n)}, t
+    )
+
+
+def test_an_angle_of_many_turns_and_its_speed():
+    for noise in (1e-3, 0.01, 0.1, 0.3):
+        for seed in range(5):
+            record = shaft(seed, noise)
+            assert np.ptp(record["x"]) > 180 * 2 * np.pi
+            assert bq.check_record(record, ["x:v:"]) == []
+    # what is wrong is still found
+    record = shaft(0, 0.01)
+    spread = record["v"].std()
+    for offset in (-0.05, 0.05):
+        (finding,) = bq.check_record(record.with_channels({"v": record["v"] + offset * spread}), ["x:v:"])
+        assert finding.kind == "offset"
+        assert finding.value == pytest.approx(offset * spread, rel=0.02)
+    assert ("gain", "v") in kinds(record.with_channels({"v": 1.1 * record["v"]}), ["x:v:"], ())
+    assert kinds(record.with_channels({"v": -record["v"]}), ["x:v:"], ()) == [("sign", "v")]
+    turns = np.round(record["x"] / (2 * np.pi) * 4096) / 4096
+    assert bq.check_record(bq.Record({"x": 2 * np.pi * turns, "v": record["v"]}, record.time), ["x:v:"]) == []
+
+
+def test_even_motion_leaves_nothing_to_compare():
+    t = np.arange(8000) / 20
+    assert bq.check_record(bq.Record({"x": 5 * t + 0.025 * t**2, "v": 5 + 0.05 * t}, t), ["x:v:"]) == []
+
+
 def test_units_of_the_channels_do_not_matter():
     record = simulated("quadratic", 5)
     wrong = late(record, "v", 1.5).with_channels({"a": 0.05 * record["a"].std() - record["a"]})
@@ -264,6 +300,22 @@ def test_what_stands_still_on_purpose_is_not_clipped_nor_lost():
     held = np.repeat(np.random.default_rng(0).normal(size=200), 10)
     record = bq.Record({"square": square, "sine": sine, "tap": tap, "held": held}, t)
     assert bq.check_record(record, [], ["square", "sine", "tap", "held"]) == []
+
+
+@pytest.mark.parametrize(("step", "jitter"), [(0.0, 0.0), (2 * np.pi / 4096, 0.0), (2 * np.pi / 4096, 0.02)])
+def test_what_is_held_before_its_release_is_not_clipped(step, jitter):
+    # a pendulum held at its greatest angle for a tenth of the record; the encoder flickers at times
+    t = np.arange(2000) / 100
+    after = np.maximum(t - 2.0, 0.0)
+    angle = 1.2 * np.exp(-0.05 * after) * np.cos(3 * after)
+    if step:
+        angle = np.round(angle / step - 0.3 - (np.random.default_rng(0).random(2000) < jitter)) * step
+    for x in (angle, -angle, angle[::-1]):
+        assert bq.check_record(bq.Record({"x": x}, t), ["x::"]) == []
+    # and in a range that is too narrow it is clipped, whatever it began with
+    forced = angle + 0.9 * np.sin(7 * t) * (t > 2)
+    (finding,) = bq.check_record(bq.Record({"x": np.minimum(forced, 0.8 * forced.max())}, t), ["x::"])
+    assert finding.kind == "clipping"
 
 
 def test_samples_that_repeat_the_last_one():

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Frames", "Relation", "Shift", "relate", "uniform_frames"]
+__all__ = ["Frames", "Relation", "Shift", "relate", "shift_of", "uniform_frames"]
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -50,6 +50,9 @@ BANDWIDTH = 924 / 400
 
 # The phase of the whole must be known to 1/sqrt of this [rad] for a comparison.
 LEAST_WEIGHT = 100.0
+
+# Motion that differs from an even one, or a steadily faster one, by less than this share of it is rounding.
+ROUNDING = 1e-9
 
 # Bins whose ratio of amplitudes differs from the usual one by a larger factor than exp of this do not show the motion.
 SAME_GAIN = math.log(1.4)
@@ -127,7 +130,6 @@ class Relation:
         Share of all that is coherent that a sign and a delay explain: 1 for a perfect derivative.
     weight : float
         Information: the phase of the whole is known to 1/sqrt(weight) rad.
-    shift : Shift
     """
 
     sign: int
@@ -139,7 +141,6 @@ class Relation:
     delay_error: float
     fit: float
     weight: float
-    shift: Shift
 
 
 def uniform_frames(time: Floats) -> Frames | None:
@@ -209,7 +210,11 @@ def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Re
     # in units of their own, so that no power of them overflows
     size_p, size_q = float(np.ptp(p)), float(np.ptp(q))
     p, q = p / size_p, q / size_q
-    both = _spectra(time, p, q, order, frames)
+    # without the slowest motion, in which a shift of q hides; from both sides alike
+    motion, other = _detrended(time, p, 1 + order), _detrended(time, q, 1)
+    if any(np.abs(left).max() <= ROUNDING * np.abs(whole).max() for left, whole in ((motion, p), (other, q))):
+        return None
+    both = _spectra(motion, other, order, frames)
     if float(both.weight.sum()) < LEAST_WEIGHT:
         return None
     phase = np.angle(both.cross)
@@ -241,7 +246,6 @@ def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Re
         delay_error=math.sqrt(misfit / float(weight @ both.omega**2)),
         fit=fit,
         weight=total,
-        shift=_shift(p, q, order, frames, sign * gain, size_q),
     )
 
 
@@ -259,11 +263,9 @@ class _Spectra(NamedTuple):
     weight: Floats
 
 
-def _spectra(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> _Spectra:
-    # without the slowest motion, in which a shift of q hides; from both sides alike
-    motion = _detrended(time, p, 1 + order)
-    A = _weak_derivative(_detrended(time, q, 1), frames, 0)
-    B, next_one = (_weak_derivative(motion, frames, order + j) for j in (0, 1))
+def _spectra(p: Floats, q: Floats, order: int, frames: Frames) -> _Spectra:
+    A = _weak_derivative(q, frames, 0)
+    B, next_one = (_weak_derivative(p, frames, order + j) for j in (0, 1))
     cross, rate = (_smooth(np.mean(v * B.conj(), axis=0)) for v in (A, next_one))
     power_a, power_b = (_smooth(np.mean(np.abs(v) ** 2, axis=0) + 0j).real for v in (A, B))
     # a bin beside a resonance holds mostly the resonance: its mean frequency, not its middle, turns a delay to a phase
@@ -325,23 +327,46 @@ def _align(phase: Floats, weight: Floats, omega: Floats, dt: float) -> tuple[int
     return sign, delay, sign * float(weight @ np.cos(phase + omega * delay))
 
 
-def _shift(p: Floats, q: Floats, order: int, frames: Frames, factor: float, size: float) -> Shift:
-    """Offset and drift, in units of 1/size, of q against `factor` times the derivative of p; frames overlap by half."""
-    some = Frames(frames.starts[:: OVERLAP // 2], frames.length, frames.dt)
-    window = _test_functions(some, 0)[0]
-    level = q.mean()
-    difference = _weak_derivative(q - level, some, 0)[:, 0].real - factor * _weak_derivative(p, some, order)[:, 0].real
-    y = difference / (window.sum() * frames.dt) + level
-    t = (some.starts - some.starts.mean()) * frames.dt
-    count = len(y)
-    drift = float(t @ y / (t @ t))
-    offset = float(y.mean())
-    residual = y - offset - drift * t
+def shift_of(p: Floats, q: Floats, order: int, frames: Frames, gain: float, gain_error: float = 0.0) -> Shift:
+    """Offset and drift of a channel against the derivative of another.
+
+    Parameters
+    ----------
+    p, q : (n,) arrays
+        q should be `gain` times the `order`-th derivative of p.
+    order : int
+        1 or more.
+    frames : Frames
+        Where to compare them.
+    gain, gain_error : float
+        Its standard error counts where the derivative has a mean, or a trend: that of a shaft that turns.
+    """
+    some = Frames(frames.starts[:: OVERLAP // 2], frames.length, frames.dt)  # that overlap by half
+    size, level = float(np.ptp(q)), float(q.mean())
+    expected = _local_means(gain / size * p, order, some)
+    means = _local_means((q - level) / size, 0, some) + level / size
+    offset, drift = _line(means - expected, some)
+    mean_error, trend_error = (gain_error / gain * value for value in _line(expected, some))
+    t = (some.starts - some.starts.mean()) * some.dt
+    count = len(t)
+    residual = means - expected - offset - drift * t
     variance = float(residual @ residual) / (count - 2)
     return Shift(
         offset=offset * size,
         drift=drift * size,
-        offset_t=offset / math.sqrt(max(variance / count, TINY)),
-        drift_t=drift / math.sqrt(max(variance / float(t @ t), TINY)),
+        offset_t=offset / math.sqrt(max(variance / count + mean_error**2, TINY)),
+        drift_t=drift / math.sqrt(max(variance / float(t @ t) + trend_error**2, TINY)),
         freedom=count - 2,
     )
+
+
+def _local_means(values: Floats, order: int, frames: Frames) -> Floats:
+    """Means of the `order`-th derivative of a channel over the window of each frame, (K,)."""
+    window = _test_functions(frames, 0)[0]
+    return np.asarray(_weak_derivative(values, frames, order)[:, 0].real / (window.sum() * frames.dt))
+
+
+def _line(means: Floats, frames: Frames) -> tuple[float, float]:
+    """Value at the middle of the frames, and change per second, of a line through local means."""
+    t = (frames.starts - frames.starts.mean()) * frames.dt
+    return float(means.mean()), float(t @ means / (t @ t))

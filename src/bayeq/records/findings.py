@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.records.consistency import Relation, relate, uniform_frames
+from bayeq.records.consistency import Frames, Relation, relate, shift_of, uniform_frames
 from bayeq.records.record import Record
 from bayeq.records.units import derivative_ratio
 
@@ -186,7 +186,7 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
     found += _gains(record, measured, links)
     found += _delays(measured, links, frames.dt)
     for ((low, p), (high, q)), link in zip(pairwise(measured), links, strict=True):
-        found += _shifts(record, p, q, high - low, link)
+        found += _shifts(record, p, q, high - low, link, frames)
     return found
 
 
@@ -231,10 +231,8 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
     # what the units say: x in mm makes v in m/s a thousandth of dx/dt
     stated = [_stated_gain(record, p, q, high - low) for (low, p), (high, q) in pairwise(measured)]
     steps = [math.log(link.gain / expected) for link, expected in zip(links, stated, strict=True)]
-    # besides chance, noise leaves a gain undecided between regression one way and the other
-    errors = [SIGNIFICANT * link.gain_error + 0.5 * math.log(link.most_gain / link.least_gain) for link in links]
     found = []
-    for k, other, difference in _odd_ones(steps, errors, math.log(LEAST_GAIN)):
+    for k, other, difference in _odd_ones(steps, [_undecided(link) for link in links], math.log(LEAST_GAIN)):
         name, between = measured[k][1], stated[min(k, other) : max(k, other)]
         expected = math.prod(between) ** (1 if k > other else -1)
         gain = math.exp(difference) * expected
@@ -243,6 +241,11 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
         message = f"{name} is {gain:.4g} times {_against(measured, k, other)}{by_unit}: {hint}"
         found.append(Finding("gain", (name, measured[other][1]), message, gain))
     return found
+
+
+def _undecided(link: Relation) -> float:
+    """How far ln gain may be off by chance, and by noise, which leaves it between regression one way and the other."""
+    return SIGNIFICANT * link.gain_error + 0.5 * math.log(link.most_gain / link.least_gain)
 
 
 def _stated_gain(record: Record, p: str, q: str, order: int) -> float:
@@ -271,11 +274,20 @@ def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: 
     return found
 
 
-def _shifts(record: Record, p: str, q: str, order: int, link: Relation) -> list[Finding]:
-    """Offset and drift of a channel against the derivative of the one below it."""
+def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> list[Finding]:
+    """Offset and drift of a channel against the derivative of the one below it.
+
+    The gain is the stated one if the measured one may be that: in an angle of many turns the noise of a measured gain
+    would be an offset.
+    """
     assert record.time is not None
+    stated = _stated_gain(record, p, q, order)
+    if abs(math.log(link.gain / stated)) <= max(math.log(LEAST_GAIN), _undecided(link)):
+        gain, gain_error = stated, 0.0
+    else:
+        gain, gain_error = link.gain, link.gain * _undecided(link) / SIGNIFICANT
+    shift, what = shift_of(record[p], record[q], order, frames, link.sign * gain, gain_error), _derivative(p, order)
     spread, span = float(np.std(record[q])), float(record.time[-1] - record.time[0])
-    shift, what = link.shift, _derivative(p, order)
     unit = record.units.get(q, "")
     significant = _student(SIGNIFICANT, shift.freedom)
     found = []
@@ -342,20 +354,24 @@ def _clipped(name: str, values: Floats) -> list[Finding]:
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < LEAST_LEVELS:
         return []
-    starts, lengths = _runs(values)
     unlike = bool((counts[1:-1] == 1).all())
     found = []
-    for level, count, near in (
-        (levels[-1], counts[-1], counts[-1 - NEXT_LEVELS : -1]),
-        (levels[0], counts[0], counts[1 : 1 + NEXT_LEVELS]),
+    for which, beyond, near in (
+        ("greatest", values >= levels[-1 - NEXT_LEVELS], counts[-1 - NEXT_LEVELS : -1]),
+        ("least", values <= levels[NEXT_LEVELS], counts[1 : 1 + NEXT_LEVELS]),
     ):
-        runs = int(np.count_nonzero((values[starts] == level) & (lengths >= LEAST_RUN)))
+        # a record that begins or ends at its extreme is that of something held, or come to rest
+        moving = np.flatnonzero(~beyond)
+        inner = values[moving[0] : moving[-1] + 1]
+        level = levels[-1] if which == "greatest" else levels[0]
+        starts, lengths = _runs(inner)
+        lengths = lengths[inner[starts] == level]
+        count, longest = int(lengths.sum()), int(lengths.max(initial=0))
         beyond_chance = unlike or count >= max(LEAST_CLIPPED, TIMES_NEXT * int(near.max()))
-        if runs and beyond_chance and count < MOST_AT_REST * len(values):
-            which = "greatest" if level == levels[-1] else "least"
+        if longest >= LEAST_RUN and beyond_chance and count < MOST_AT_REST * len(values):
             message = (
-                f"{name} is clipped: {int(count)} samples stand at its {which} value {level:.4g}, up to"
-                f" {int(lengths[values[starts] == level].max())} in a row; measure in a wider range, or leave them out"
+                f"{name} is clipped: {count} samples stand at its {which} value {level:.4g}, up to {longest} in a row;"
+                " measure in a wider range, or leave them out"
             )
             found.append(Finding("clipping", (name,), message, float(level)))
     return found
