@@ -8,11 +8,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bayeq.errors import FileFormatError, InputError, MissingExtraError, RecordError, UnknownNameError
+from bayeq.errors import DataWarning, FileFormatError, InputError, MissingExtraError, RecordError, UnknownNameError
 from bayeq.records import Record, parquet, read, write
 from bayeq.records.columns import Headers
 from bayeq.records.layout import sniff
@@ -265,6 +266,26 @@ def test_import_is_light() -> None:
 
 @needs_data
 @pytest.mark.data
+def test_columns_of_the_same_name_are_named(tmp_path: Path) -> None:
+    path = put(tmp_path, "t,x [m],v,x,V-1,V_1\n0,1,2,3,4,5\n1,2,3,4,5,6\n")
+    with pytest.warns(DataWarning) as given:
+        rec = read(path)
+    assert rec.names == ("x", "v", "x_2", "V_1", "V_1_2")
+    assert [str(w.message) for w in given] == [
+        f"{path}: columns 2 ('x [m]') and 4 ('x') have the same name: they are read as x and x_2; rename them, or check"
+        " which one is meant",
+        f"{path}: columns 5 ('V-1') and 6 ('V_1') have the same name: they are read as V_1 and V_1_2; rename them, or"
+        " check which one is meant",
+    ]
+    assert given[0].filename == __file__
+    with pytest.warns(DataWarning, match="columns 2"):
+        assert read(path, columns=["x", "v"]).names == ("x", "v")
+    # nothing is in doubt where neither is used
+    assert read(path, columns="v").names == ("v",)
+    with pytest.warns(DataWarning, match=r"data frame: columns 1 \('x'\) and 2 \('x'\)"):
+        Record.from_dataframe(pd.DataFrame([[1.0, 2.0]], columns=["x", "x"]))
+
+
 def test_measured_records() -> None:
     folder = DATA / "schmidt_lipson"
     rec = read(folder / "real_linear_a_1.txt")
@@ -273,7 +294,8 @@ def test_measured_records() -> None:
     assert rec.time is not None
     assert rec.time[0] == 0.033
     names = "trial t o1 o2 w1 w2 w1 w2 a1 a2"
-    trials = read(folder / "real_double_pend_h_1.txt", names=names, group="trial")
+    with pytest.warns(DataWarning, match="columns 5 .* and 7 .*w1 and w1_2|columns 6 .* and 8 .*w2 and w2_2"):
+        trials = read(folder / "real_double_pend_h_1.txt", names=names, group="trial")
     assert [trial.n for trial in trials] == [819, 701]
     assert trials[0].names == ("o1", "o2", "w1", "w2", "w1_2", "w2_2", "a1", "a2")
     tanks = read(DATA / "cascaded_tanks" / "dataBenchmark.csv", fs=0.25)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import RecordError
+from bayeq.errors import DataWarning, RecordError
 from bayeq.records.columns import Columns, listed
 from bayeq.records.truth import FloatArray
 from bayeq.records.validate import SECONDS, check_time, time_from, trial_starts
@@ -40,6 +41,8 @@ def assemble(
     Parameters are those of `bayeq.records.read`; `name` labels the records.
     """
     where = data.headers.where
+    for doubt in data.doubts:
+        warnings.warn(doubt, DataWarning, stacklevel=3)  # the caller of `read` or `Record.from_dataframe`
     if time is not None and fs is not None:
         raise RecordError(f"{where}: time and fs are both given; give one of them")
     known_units: dict[int, str | None] = dict(enumerate(data.headers.units))

@@ -65,6 +65,19 @@ class Headers:
                 return keys.index(asked)
         raise UnknownNameError("column", key, self.names, self.where)
 
+    def clashes(self, rows: Sequence[int]) -> list[str]:
+        """What to say of `rows` whose header, cleaned, is that of other columns too."""
+        alike: dict[str, list[int]] = {}
+        for i, text in enumerate(self.texts):
+            alike.setdefault(clean_name(text, i + 1)[0], []).append(i)
+        return [
+            f"{self.where}: columns {' and '.join(f'{i + 1} ({self.texts[i]!r})' for i in columns)} have the same name:"
+            f" they are read as {' and '.join(self.names[i] for i in columns)}; rename them, or check which one is"
+            " meant"
+            for columns in alike.values()
+            if len(columns) > 1 and not set(columns).isdisjoint(rows)
+        ]
+
     @property
     def time(self) -> int | None:
         """The first column whose name says that it is time; a capital T (temperature?) only in front."""
@@ -108,10 +121,11 @@ def select(columns: Sequence[str] | str | None, time: str | None, fs: float | No
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Columns of a file, in order: headers and samples (float64, missing cells NaN)."""
+    """Columns of a file, in order: headers, samples (float64, missing cells NaN), and what to warn of."""
 
     headers: Headers
     values: list[FloatArray]
+    doubts: tuple[str, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -132,7 +146,8 @@ class Columns:
                 hint = "; name the columns to read if this one is not needed" if raw.dtype.kind not in "biufc" else ""
                 raise FileFormatError(f"{headers.where}: {error}{hint}") from None
         parts = [[column[i] for i in rows] for column in (headers.texts, headers.names)]
-        return cls(Headers(parts[0], parts[1], [headers.units[i] for i in rows], headers.where), arrays)
+        kept = Headers(parts[0], parts[1], [headers.units[i] for i in rows], headers.where)
+        return cls(kept, arrays, tuple(headers.clashes(rows)))
 
     @classmethod
     def of(

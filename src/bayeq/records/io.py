@@ -109,6 +109,11 @@ def read(
     MissingExtraError
         The format needs a package that is not installed.
 
+    Warns
+    -----
+    DataWarning
+        Columns of the same name: the second is read as ``x_2``.
+
     Examples
     --------
     >>> import tempfile, pathlib
