@@ -44,6 +44,7 @@ def test_what_was_found_predicts_a_free_decay(smooth):
     assert np.isfinite(eq.predict(decay)).all()
 
 
+@pytest.mark.filterwarnings("ignore::bayeq.errors.CorrelatedResidualsWarning")
 @pytest.mark.parametrize("level", [0.0, 0.05])
 def test_a_record_at_rest_joins_others(level):
     # in balance: the force that holds the spring at a level

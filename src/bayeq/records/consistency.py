@@ -19,6 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.records.sampling import JITTER
+
 __all__ = ["Frames", "Relation", "Shift", "relate", "shift_of", "uniform_frames"]
 
 Floats = NDArray[np.float64]
@@ -38,9 +40,6 @@ PART = 8
 OVERLAP = 4
 LEAST_FRAMES = 12
 MOST_FRAMES = 128
-
-# Time steps that differ from the median by a larger share end a frame; smaller ones are the rounding of a time column.
-UNIFORM = 0.05
 
 # Bins on either side over which spectra are averaged.
 SMOOTHING = 2
@@ -152,7 +151,7 @@ def uniform_frames(time: Floats) -> Frames | None:
     steps = np.diff(time)
     if not len(steps):
         return None
-    even = np.abs(steps / np.median(steps) - 1.0) <= UNIFORM
+    even = np.abs(steps / np.median(steps) - 1.0) <= JITTER  # others end a frame
     dt = float(steps[even].mean())
     breaks = np.flatnonzero(~even) + 1
     hop = length // OVERLAP

@@ -61,7 +61,7 @@ LEVELS_PER_STEP = 8.0
 MOST_REPEATED = 0.3
 
 # Fewer rows tell nothing.
-LEAST_ROWS = 20
+LEAST_ROWS_TO_CHECK = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ def check_record(
     for chain in split:
         found += _kinematics(record, [name if name and whole[name] else None for name in chain])
     for name in dict.fromkeys((*names, *inputs)):
-        if whole[name] and record.n >= LEAST_ROWS:
+        if whole[name] and record.n >= LEAST_ROWS_TO_CHECK:
             clipped = _clipped(name, record[name])
             found += clipped or _repeated(name, record[name])
     return found
@@ -325,7 +325,7 @@ def _quantity(value: float, unit: str) -> str:
 
 def _dropped(record: Record, name: str) -> list[Finding]:
     """Steps of time that are whole multiples of the usual one."""
-    if record.time is None or record.n < LEAST_ROWS:
+    if record.time is None or record.n < LEAST_ROWS_TO_CHECK:
         return []
     steps = np.diff(record.time)
     ratio = steps / np.median(steps)

@@ -13,6 +13,7 @@ import numpy as np
 from bayeq.errors import RecordError, UnknownNameError
 from bayeq.records.assemble import assemble
 from bayeq.records.columns import Columns
+from bayeq.records.sampling import even_step
 from bayeq.records.truth import FloatArray, Truth, frozen_array
 from bayeq.records.validate import (
     as_column,
@@ -20,7 +21,6 @@ from bayeq.records.validate import (
     check_name,
     check_time,
     checked_units,
-    sampling_step,
     time_from,
     trial_starts,
 )
@@ -207,7 +207,9 @@ class Record:
 
         Of an even grid it is the mean step, which rounding of the times touches less.
         """
-        return None if self.time is None else sampling_step(self.time)[0]
+        if self.time is None or self.n < 2:
+            return None
+        return even_step(self.time) or float(np.median(np.diff(self.time)))
 
     @property
     def fs(self) -> float | None:
@@ -215,9 +217,9 @@ class Record:
         dt = self.dt
         return None if dt is None else 1.0 / dt
 
-    def is_uniform(self, rtol: float = 1e-6) -> bool:
-        """Whether every time step equals the median to `rtol`; False without time."""
-        return self.time is not None and sampling_step(self.time, rtol)[1]
+    def is_uniform(self) -> bool:
+        """Whether all time steps are the same to a thousandth; False without time."""
+        return self.time is not None and (self.n < 2 or even_step(self.time) is not None)
 
     def slice(self, start: int | None = None, stop: int | None = None, step: int | None = None) -> Record:
         """Rows from `start` up to `stop`, as Python slices.
@@ -309,6 +311,6 @@ class Record:
         more = f", ... ({len(self.names)} channels)" if len(self.names) > 8 else ""
         rate = ""
         if self.fs is not None:
-            rate = f" at {self.fs:.6g} Hz" if self.is_uniform(1e-3) else f", median step {self.dt:.6g} s"
+            rate = f" at {self.fs:.6g} Hz" if self.is_uniform() else f", median step {self.dt:.6g} s"
         label = f"{self.name!r}: " if self.name else ""
         return f"Record({label}{self.n} row{'s' * (self.n != 1)}{rate}; {', '.join(shown)}{more})"

@@ -19,9 +19,6 @@ Floats = NDArray[np.float64]
 HALF_WIDTH = 32
 KAISER = 10.0
 
-# Time steps that differ from the median by a larger share are not even.
-UNIFORM = 1e-3
-
 
 def _number(what: str, value: float) -> float:
     if not (isinstance(value, (int, float, np.number)) and math.isfinite(value)):
@@ -67,7 +64,7 @@ def correct_delay(record: Record, channel: str, seconds: float) -> Record:
     where = record.name or "record"
     values = record[channel]
     record.require_finite(channel)
-    if record.time is None or record.n < 2 or not record.is_uniform(UNIFORM):
+    if record.time is None or record.n < 2 or not record.is_uniform():
         raise RecordError(f"{where}: a channel is shifted by interpolation, which needs even steps of time")
     dt = float(record.time[-1] - record.time[0]) / (record.n - 1)
     steps = seconds / dt

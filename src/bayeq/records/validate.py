@@ -19,7 +19,6 @@ __all__ = [
     "check_name",
     "check_time",
     "checked_units",
-    "sampling_step",
     "time_from",
     "trial_starts",
 ]
@@ -138,18 +137,6 @@ def checked_units(units: Mapping[str, str], names: Iterable[str], has_time: bool
             raise RecordError(f"{where}: time is kept in seconds, not {checked['t']}; multiply it by {factor:g}")
         checked["t"] = "s"
     return checked
-
-
-def sampling_step(time: FloatArray, rtol: float = 1e-6) -> tuple[float | None, bool]:
-    """The time step, and whether all steps equal their median to `rtol` and the times' rounding."""
-    if len(time) < 2:
-        return None, True
-    steps = np.diff(time)
-    median = float(np.median(steps))
-    rounding = 4 * np.finfo(float).eps * float(np.abs(time).max())
-    uniform = bool(np.abs(steps - median).max() <= rtol * median + rounding)
-    # The mean step of an even grid is less touched by the rounding of the times than any single one.
-    return (float(time[-1] - time[0]) / (len(time) - 1) if uniform else median), uniform
 
 
 def trial_starts(labels: Any, n: int, where: str) -> list[int]:

@@ -22,8 +22,8 @@ __all__ = ["Smooth", "States", "derive_states", "require_usable", "require_varyi
 Floats = NDArray[np.float64]
 Smooth = Literal["auto", "none"]
 
-# Fewer rows than this cannot carry a smoother.
-LEAST_ROWS = 5
+# Fewer rows than this cannot carry a filter.
+LEAST_ROWS_TO_DIFFERENTIATE = 5
 
 # Samples beyond, and channels that vary by less than its inverse, have no square in floating point.
 LARGEST = 1e150
@@ -155,8 +155,10 @@ def _fill(columns: dict[str, Floats], record: Record, source: str, name: str, or
     where = record.name or "record"
     if record.time is None:
         raise RecordError(f"{where}: {name!r} has to be estimated from {source!r}, which needs a time column or fs")
-    if record.n < LEAST_ROWS:
-        raise RecordError(f"{where}: {record.n} rows are too few to estimate {name!r} (at least {LEAST_ROWS})")
+    if record.n < LEAST_ROWS_TO_DIFFERENTIATE:
+        raise RecordError(
+            f"{where}: {record.n} rows are too few to estimate {name!r} (at least {LEAST_ROWS_TO_DIFFERENTIATE})"
+        )
     with np.errstate(all="ignore"):
         smoothed = values = record[source]
         if smooth == "none":

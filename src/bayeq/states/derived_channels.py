@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 # Samples on either side that a filter takes in, and rows per sample without which none is fitted; more rows than so
 # many are not needed.
 REACH = 16
-LEAST_ROWS = 10
+ROWS_PER_SAMPLE = 10
 MOST_ROWS = 20_000
 
 # What is left is computed if it is less than this share of the noise that the filter lets through. Measured channels
@@ -39,7 +39,7 @@ MOST_ROWS = 20_000
 COMPUTED = 0.5
 
 # Noise smaller than this share of a channel is not told from rounding.
-LEAST_NOISE = 1e-4
+ROUNDING_NOISE = 1e-4
 
 # Directions of neighbouring samples smaller than this share of the largest are rounding.
 ROUNDING = 1e-13
@@ -110,7 +110,7 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int
         _, alone = smooth_chain(even, Chain(_only(chain, chain.lowest)), cuts)
     except RecordError:  # noise and motion cannot be told apart: neither can measured channels and computed ones
         return []
-    if alone.noise_ratio < LEAST_NOISE:
+    if alone.noise_ratio < ROUNDING_NOISE:
         return []
     noise = float(alone.model.noise_sd[chain.lowest] or 0.0)
     return [k for k, left, gain in suspected if left < COMPUTED * gain * noise]
@@ -143,7 +143,7 @@ def _filter(records: Sequence[Record], cuts: Sequence[int], source: str, name: s
         targets.append(Y[known])
         rows += int(known.sum())
     taps = 2 * REACH + 1
-    if rows < LEAST_ROWS * taps:
+    if rows < ROWS_PER_SAMPLE * taps:
         return None
     X, Y = np.concatenate(blocks), np.concatenate(targets)
     centre, middle = X.mean(axis=0), Y.mean()

@@ -258,12 +258,12 @@ def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth)
     for record in records:
         require_usable(record, [name for name in chain.measured if name is not None])
     where = records[0].name or "record"
-    lacking = []
-    if smooth != "auto":
-        lacking.append("smooth='auto'")
+    lacking = None
     if any(record.time is None for record in records):
-        lacking.append("a time column or fs")
-    if max(record.n for record in records) < FEW_ROWS:
-        lacking.append(f"a record of {FEW_ROWS} rows or more")
-    if lacking:
-        raise ChainError(f"{where}: chain {str(chain)!r} has to be integrated, which needs {' and '.join(lacking)}")
+        lacking = "a time column or fs"
+    elif max(record.n for record in records) < FEW_ROWS:
+        lacking = f"a record of {FEW_ROWS} rows or more"
+    elif smooth != "auto":
+        lacking = "smooth='auto'"
+    if lacking is not None:
+        raise ChainError(f"{where}: chain {str(chain)!r} has to be integrated, which needs {lacking}")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.records.sampling import even_step
+
 __all__ = ["smooth_derivative"]
 
 Floats = NDArray[np.float64]
@@ -13,9 +15,6 @@ Floats = NDArray[np.float64]
 DEGREES = (4, 6)
 WINDOWS = 40
 LONGEST_WINDOW = 1001
-
-# Steps that differ by less, relative to the median, make a uniform grid.
-UNIFORM = 1e-3
 
 
 def smooth_derivative(time: Floats, values: Floats, order: int) -> tuple[Floats, Floats]:
@@ -38,11 +37,10 @@ def smooth_derivative(time: Floats, values: Floats, order: int) -> tuple[Floats,
     smoothed, derivative : (n,) arrays
         In the units of `values`, and of `values` per s^order.
     """
-    steps = np.diff(time)
     offset, scale = values.mean(), values.std() or 1.0
     step = (time[-1] - time[0]) / (len(time) - 1)
     standard = (values - offset) / scale
-    if np.ptp(steps) <= UNIFORM * step and len(values) > 2 * (DEGREES[0] + 3):
+    if even_step(time) is not None and len(values) > 2 * (DEGREES[0] + 3):
         smoothed, derivative = _savitzky_golay(standard, order)
     else:
         smoothed, derivative = _spline((time - time[0]) / step, standard, order)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError
 from bayeq.records import Record
+from bayeq.records.sampling import JITTER, is_step
 from bayeq.states.kinematic.smoother import ChainSeries, fit_kinematic, smooth_kinematic
 
 __all__ = ["on_grid"]
@@ -19,17 +20,13 @@ Ints = NDArray[np.int64]
 # No more than this share of the samples may be missing.
 MOST_MISSING = 0.4
 
-# Times may be off an even grid by this share of a step: rounding (to decimals or digits), or a jitter that moves a
-# sample of 75 per period by less than half a per cent.
-OFF_GRID = 0.05
-
 # Times that are multiples of such a power of ten may have been rounded to it, which moves them by half of it at most;
 # the grid fitted to them may be off by a little more.
 DECIMALS = range(1, 10)
 ROUNDED_BY = 0.6
 
-# Times that are even to this share of a step are left as they are.
-EVEN = 1e-6
+# ... and are such multiples if they are off by a smaller share of it.
+SAME_DECIMALS = 1e-6
 
 # Steps that count as one when the grid's own is sought, as shares of the median.
 SINGLE = (0.5, 1.5)
@@ -51,12 +48,10 @@ def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]
         return record
     start, step = _fitted(time, index)
     off = float(np.abs(time - start - step * index).max())
-    if off > OFF_GRID * step and not _is_rounding(time, off, step):
+    if off > JITTER * step and not _is_rounding(time, off, step):
         return record
-    if off <= EVEN * step:
-        if n == record.n:
-            return record
-        start, step = float(time[0]), float(time[-1] - time[0]) / (n - 1)
+    if record.n == n and is_step(time, float(time[-1] - time[0]) / (n - 1), 0.0).all():
+        return record
     grid = start + step * np.arange(n, dtype=np.float64)
     if n == record.n:
         return Record(record.channels, grid, record.units, record.name, record.truth)
@@ -103,6 +98,6 @@ def _is_rounding(time: Floats, off: float, step: float) -> bool:
     """Whether times are multiples of a power of ten, and off a grid by no more than rounding to it."""
     for decimals in DECIMALS:
         unit = 10.0**-decimals
-        if np.abs(time - np.round(time, decimals)).max() <= EVEN * unit:
+        if np.abs(time - np.round(time, decimals)).max() <= SAME_DECIMALS * unit:
             return off <= ROUNDED_BY * unit and unit < step
     return False

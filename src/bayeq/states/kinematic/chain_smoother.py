@@ -11,6 +11,7 @@ from scipy.special import chdtri
 
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record
+from bayeq.records.sampling import even_step
 from bayeq.states.chain import Chain
 from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, fit_kinematic, smooth_kinematic
 
@@ -23,9 +24,6 @@ LEAST_GAIN = 0.9
 
 # A smoother's filter reaches over so many times as many samples as the inverse of its band's width.
 REACH = 4.0
-
-# Steps of time that differ by a smaller share count as one.
-UNIFORM = 1e-3
 
 # A factor between units this near to a usual one is that one.
 SNAP = 0.1
@@ -44,8 +42,8 @@ CHANCE = 1e-3
 # Share of the bins that a Hann window leaves independent.
 INDEPENDENT = 0.6
 
-# Fewer rows than this in all do not tell noise from motion.
-LEAST_ROWS = 10
+# Fewer rows in all, per derivative and one, do not tell noise from motion.
+LEAST_ROWS_PER_ORDER = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +148,8 @@ def _series(record: Record, chain: Chain) -> ChainSeries:
 
 def _rate(series: Sequence[ChainSeries]) -> float | None:
     """The one sampling rate of uniformly sampled records."""
-    steps = np.concatenate([np.diff(s.times) for s in series])
-    step = float(np.mean(steps))
-    return 1.0 / step if bool((np.abs(steps - step) <= UNIFORM * step).all()) else None
+    step = even_step(*(s.times for s in series))
+    return None if step is None else 1.0 / step
 
 
 def _derivative_lines(samples: Floats, step: float, order: int) -> NDArray[np.complex128]:
@@ -241,7 +238,7 @@ def smooth_chain(
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
     where = records[0].name or "record"
-    least = LEAST_ROWS * (chain.order + 1)
+    least = LEAST_ROWS_PER_ORDER * (chain.order + 1)
     if sum(cuts) < least or min(cuts) < 2:
         raise RecordError(
             f"{where}: {sum(cuts)} training rows are too few to smooth chain {str(chain)!r} (at least {least}, and 2 in"

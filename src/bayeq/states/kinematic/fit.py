@@ -20,13 +20,13 @@ __all__ = ["fit_kinematic"]
 Floats = NDArray[np.float64]
 
 # Fewer samples than this say nothing about the noise of a channel.
-LEAST_ROWS = 10
+LEAST_SAMPLES = 10
 
 # The order that the search starts from, over that of the highest derivative.
 FIRST_EXTRA = 3
 
 # Noise variances as shares of the channel's variance: least and most.
-LEAST_NOISE, MOST_NOISE = 1e-12, 10.0
+LEAST_VARIANCE, MOST_VARIANCE = 1e-12, 10.0
 
 # Bandwidths of the prior [rad per step]: where the search starts, its ratio, and the bounds.
 WIDEST, RATIO = 3.0, 3.0
@@ -151,9 +151,9 @@ def _require_noisy(series: Sequence[ChainSeries], k: int) -> None:
     """Raise unless the noise of derivative k can be estimated."""
     pieces = [piece[np.isfinite(piece)] for s in series if (piece := s.channels[k]) is not None]
     rows = sum(map(len, pieces))
-    if rows < LEAST_ROWS:
+    if rows < LEAST_SAMPLES:
         raise InputError(
-            f"derivative {k} has {rows} samples, too few to estimate its noise (at least {LEAST_ROWS});"
+            f"derivative {k} has {rows} samples, too few to estimate its noise (at least {LEAST_SAMPLES});"
             " give noise_sd, or leave the channel out"
         )
     if all(piece.min() == piece.max() for piece in pieces if len(piece)):
@@ -202,7 +202,7 @@ def _floors(rows: Sequence[Rows], sizes: Sizes) -> Floats:
         np.median(level) / variance if level and variance > 0 else FALLBACK
         for level, variance in zip(levels, sizes.variance, strict=True)
     ]
-    return sizes.variance * np.clip(shares, 10 * LEAST_NOISE, 1.0)
+    return sizes.variance * np.clip(shares, 10 * LEAST_VARIANCE, 1.0)
 
 
 def _lowest_level(times: Floats, samples: Floats) -> float:
@@ -256,7 +256,7 @@ class _Likelihood:
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
-        noise = (math.log(LEAST_NOISE), math.log(MOST_NOISE))
+        noise = (math.log(LEAST_VARIANCE), math.log(MOST_VARIANCE))
         roughness = (self.power * math.log(BANDWIDTHS[0]), self.power * math.log(BANDWIDTHS[1]))
         return [noise] * len(self.free) + [roughness] * (self.density is None)
 

@@ -13,15 +13,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayeq.records.sampling import is_step
 from bayeq.states.kinematic.kalman import filter_gains, filter_means, score
 from bayeq.states.kinematic.model import ChainSeries
 
 __all__ = ["Filtered", "Rows", "prepare"]
 
 Floats = NDArray[np.float64]
-
-# Steps that differ by less, relative to the median, are the same.
-UNIFORM = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,9 +127,8 @@ def prepare(series: ChainSeries, initial_sd: Floats, all_states: bool = False) -
     """
     seen = [k for k, channel in enumerate(series.channels) if channel is not None and np.isfinite(channel).any()]
     measured = np.array(seen or series.measured, dtype=np.int64)
-    step, gaps = series.step, np.diff(series.times, prepend=series.times[0])
-    rounding = 4 * np.finfo(float).eps * float(np.abs(series.times).max())
-    steps = np.where(np.abs(gaps - step) <= UNIFORM * step + rounding, 1.0, gaps / step)
+    step = series.step
+    steps = np.append(0.0, np.where(is_step(series.times, step, 0.0), 1.0, np.diff(series.times) / step))
     samples = np.stack([channel for k in measured if (channel := series.channels[k]) is not None], axis=1)
     present = np.isfinite(samples)
     centre, scale = 0.0, float(initial_sd[measured[0]]) * step ** int(measured[0])
