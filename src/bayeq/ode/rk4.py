@@ -148,9 +148,9 @@ def advance(
     """From the sample `row` to the next, by classical Runge-Kutta steps: the state ``work[0]`` is moved on."""
     size = work.shape[1]
     x, y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4], work[5]
-    h = interval / substeps
+    h, share = interval / substeps, 1.0 / substeps
     for step in range(substeps):
-        start, middle, end = step / substeps, (step + 0.5) / substeps, (step + 1.0) / substeps
+        start, middle, end = step * share, (step + 0.5) * share, (step + 1.0) * share
         slope_at(program, inputs, x, row, start, tangents, k1)
         for i in range(size):
             y[i] = x[i] + 0.5 * h * k1[i]
