@@ -31,8 +31,7 @@ from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_limits
 
 import bayeq as bq
-from bayeq.forecast.dynamics import Dynamics
-from bayeq.ode.rk4 import free_runs, interpolant
+from bayeq.ode.rk4 import Drive, free_runs, interpolant
 from bayeq.ode.tangents import shoot
 from perf.timing import medians
 
@@ -51,9 +50,8 @@ def by_hand(theta, start, inputs, h, out):
     for row in range(len(out)):
         out[row, 0], out[row, 1] = x, v
         p = inputs[row, 0]
-        u0 = p[0]
-        u1 = p[0] + 0.5 * h * (p[1] + 0.5 * h * (p[2] + 0.5 * h * p[3]))
-        u2 = p[0] + h * (p[1] + h * (p[2] + h * p[3]))
+        u0, u2 = p[0], p[1]
+        u1 = 0.5 * (p[0] + p[1]) + 0.25 * (p[2] + 0.5 * p[3])
         a1 = b + k * x + c * v + k3 * x * x * x + g * u0
         x2, v2 = x + 0.5 * h * v, v + 0.5 * h * a1
         a2 = b + k * x2 + c * v2 + k3 * x2 * x2 * x2 + g * u1
@@ -71,28 +69,22 @@ def contestants() -> tuple[dict[str, Callable[[], object]], dict[str, int]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         eq = bq.discover(record, chains=["x:v:a"], inputs=["u"], dictionary=["x", "v", "x**3", "u"])
-    posteriors = [eq[0].posterior]
-    dynamics = Dynamics.of(eq.chains, eq.inputs, posteriors, [eq[0].terms])
-    theta, tape = dynamics.means(posteriors), dynamics.tape
-    many = dynamics.draw(posteriors, DRAWS, np.random.default_rng(0))
+    dynamics = eq.dynamics()
+    theta, many = dynamics.mean, dynamics.draw(DRAWS, np.random.default_rng(0))
     start = np.array([record["x"][0], record["v"][0]])
     inputs = interpolant(record.time, record["u"][:, None], "cubic")
     wide = np.full(2, np.inf)
+    drive = Drive.over(record.time, inputs, -wide, wide)
     one, band = np.empty((1, ROWS, 2)), np.empty((DRAWS, ROWS_OF_DRAWS, 2))
     hand, values, jacobian = np.empty((ROWS, 2)), np.empty((ROWS, 2)), np.empty((ROWS, 2, 7))
 
     def runs(parameters: np.ndarray, rows: int, out: np.ndarray) -> None:
         count = len(parameters)
-        free_runs(
-            tape.code, tape.outputs, tape.registers(), parameters, np.tile(start, (count, 1)),
-            np.zeros(count, np.uint32), inputs[:rows], record.time[:rows], record.dt, -wide, wide, out,
-        )  # fmt: skip
+        current, stopped = np.tile(start, (count, 1)), np.zeros(count, np.uint32)
+        free_runs(dynamics.program(), drive.part(0, rows), parameters, current, stopped, out)
 
     def derivatives() -> None:
-        shoot(
-            tape.code, tape.outputs, tape.registers(), theta, start, inputs, record.time, record.dt, -wide, wide,
-            np.arange(2, dtype=np.uint32), values, jacobian,
-        )  # fmt: skip
+        shoot(dynamics.program(), drive, theta, start, np.arange(2, dtype=np.uint32), values, jacobian)
 
     x, v, u = sympy.symbols("x v u")
     terms = zip(theta[1:], (x, v, x**3, u), strict=True)

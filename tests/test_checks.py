@@ -402,9 +402,10 @@ def test_discover_warns_of_what_it_finds():
     assert messages[:2] == [f.message for f in bq.check_record(wrong, CHAIN, ["u"])]
     assert [m.split()[0] for m in messages[:2]] == ["v", "v"]
     assert set(messages) <= set(eq.warnings)
-    # of a velocity of the wrong sign no free run comes near the record
-    assert eq.verdict.kind == "none"
-    assert messages[2].startswith("a: no equation found: free runs")
+    # the free run takes the sign into account: dx/dt = -v
+    assert eq[0].unit_gains == (1.0, -1.0, 1.0)
+    assert eq.verdict.kind == "found"
+    assert eq.scores.free_run["x"] < 0.2
 
 
 def test_many_records_are_told_of_once():

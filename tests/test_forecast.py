@@ -15,8 +15,8 @@ from scipy.interpolate import CubicSpline
 import bayeq as bq
 from bayeq.errors import BayeqWarning, InputError, MissingExtraError, RecordError, UnknownNameError
 from bayeq.expressions import Tape, parse
-from bayeq.forecast.dynamics import Dynamics, finest_step, normal_draws
-from bayeq.ode.rk4 import free_runs, interpolant
+from bayeq.forecast.dynamics import finest_step, normal_draws
+from bayeq.ode.rk4 import Drive, free_runs, interpolant
 
 # 13 samples per natural period, where whole sampling intervals would be coarse steps.
 FS, FINE = 65.0, 15
@@ -46,10 +46,6 @@ def law(eq, time, inputs=None):
     return lambda t, s: eq.rhs(t, s, inputs(t))
 
 
-def dynamics(eq):
-    return Dynamics.of(eq.chains, eq.inputs, [e.posterior for e in eq], [e.terms for e in eq])
-
-
 @pytest.mark.parametrize("kind", ["cubic", "linear"])
 def test_the_free_run_agrees_with_an_adaptive_integrator(kind):
     first = {name: float(RECORD[name][100]) for name in "xv"}
@@ -77,10 +73,9 @@ def runs(chain, laws, start, time):
     tape = Tape.compile([parse(text) for text in laws], chain)
     out = np.empty((1, len(time), len(chain)))
     wide = np.full(len(chain), np.inf)
-    free_runs(
-        tape.code, tape.outputs, tape.registers(), np.empty((1, 0)), np.array([start], dtype=float),
-        np.zeros(1, np.uint32), np.empty((len(time), 0, 4)), time, time[1] - time[0], -wide, wide, out,
-    )  # fmt: skip
+    drive = Drive.over(time, np.empty((len(time), 0, 4)), -wide, wide)
+    stopped = np.zeros(1, np.uint32)
+    free_runs(tape.program(), drive, np.empty((1, 0)), np.array([start], dtype=float), stopped, out)
     return out[0]
 
 
@@ -122,13 +117,13 @@ def test_the_order_of_convergence_is_four():
     time = np.linspace(0.0, 5.0, 60)
     inputs = interpolant(time, 30 * np.sin(3 * time)[:, None], "cubic")
 
+    wide = np.full(2, np.inf)
+    drive = Drive.over(time, inputs, -wide, wide)
+
     def run(step):
-        out = np.empty((1, 60, 2))
-        wide = np.full(2, np.inf)
-        free_runs(
-            tape.code, tape.outputs, tape.registers(), np.empty((1, 0)), np.array([[1.0, 0.0]]), np.zeros(1, np.uint32),
-            inputs, time, step, -wide, wide, out,
-        )  # fmt: skip
+        out, stopped = np.empty((1, 60, 2)), np.zeros(1, np.uint32)
+        start = np.array([[1.0, 0.0]])
+        free_runs(tape.program(), drive._replace(step=step), np.empty((1, 0)), start, stopped, out)
         return out[0, :, 0]
 
     dt = time[1]
@@ -149,18 +144,20 @@ def test_inputs_between_their_samples():
         "hold": samples[row],
     }
     for kind, theirs in twins.items():
-        c = interpolant(time, samples[:, None], kind)[row, 0]
-        np.testing.assert_allclose(np.sum(c * (at - time[row])[:, None] ** np.arange(4), axis=1), theirs, rtol=1e-12)
+        p, q, r, s = interpolant(time, samples[:, None], kind)[row, 0].T
+        w = (at - time[row]) / (time[row + 1] - time[row])
+        np.testing.assert_allclose((1 - w) * p + w * q + w * (1 - w) * (r + w * s), theirs, rtol=1e-12)
     # after the last sample, and where there is but one
-    assert interpolant(time, samples[:, None], "cubic")[-1, 0].tolist() == [4.0, 0.0, 0.0, 0.0]
-    assert interpolant(time[:1], samples[:1, None], "cubic").tolist() == [[[1.0, 0.0, 0.0, 0.0]]]
+    assert interpolant(time, samples[:, None], "cubic")[-1, 0].tolist() == [4.0, 4.0, 0.0, 0.0]
+    assert interpolant(time[:1], samples[:1, None], "cubic").tolist() == [[[1.0, 1.0, 0.0, 0.0]]]
 
 
 def test_steps_follow_the_sampling():
     def step(record):
-        d = dynamics(EQ)
+        d = EQ.dynamics()
         states = np.column_stack([record["x"], record["v"]])
-        return finest_step(d, d.means([EQ[0].posterior]), states, np.zeros((record.n, 1, 4)), record.time)
+        wide = np.full(2, np.inf)
+        return finest_step(d, d.mean, states, Drive.over(record.time, np.zeros((record.n, 1, 4)), -wide, wide))
 
     assert step(RECORD) < 0.3 / FS
     fast = bq.simulate("duffing", seed=0, noise=0.0)
@@ -185,14 +182,13 @@ def test_the_same_seed_gives_the_same_bands():
 def test_bands_are_order_statistics_of_single_runs(block, monkeypatch):
     if block is not None:
         monkeypatch.setattr("bayeq.forecast.free_run.BLOCK", block)
-    d, posteriors = dynamics(EQ), [EQ[0].posterior]
     first = {name: float(RECORD[name][50]) for name in "xv"}
     run = EQ.simulate(RECORD, draws=41, seed=2, start=50, rows=80, initial=first)
-    drawn = d.draw(posteriors, 41, np.random.default_rng(2))
+    drawn = EQ.dynamics().draw(41, np.random.default_rng(2))
     runs = []
     for theta in drawn:
         # an equation whose posterior mean is the draw
-        p = posteriors[0]
+        p = EQ[0].posterior
         coef = p.coef.copy()
         coef[p.support] = theta[1:]
         one = replace(p, coef=coef, target_mean=theta[0] + float(p.center @ coef))
@@ -206,13 +202,11 @@ def test_bands_are_order_statistics_of_single_runs(block, monkeypatch):
 
 def test_draws_have_the_moments_of_the_posterior():
     p = EQ[0].posterior
-    drawn = dynamics(EQ).draw([p], 200_000, np.random.default_rng(0))
+    drawn = EQ.dynamics().draw(200_000, np.random.default_rng(0))
     assert drawn[:, 0].std() == pytest.approx(p.intercept_sd, rel=0.01)
     np.testing.assert_allclose(drawn[:, 1:].std(axis=0), p.sd[p.support], rtol=0.01)
     # standard error of a mean of 200,000
-    np.testing.assert_allclose(
-        drawn.mean(axis=0), dynamics(EQ).means([p]), atol=5e-3 * drawn.std(axis=0).max(), rtol=1e-4
-    )
+    np.testing.assert_allclose(drawn.mean(axis=0), EQ.dynamics().mean, atol=5e-3 * drawn.std(axis=0).max(), rtol=1e-4)
     # the intercept plus center'theta is the mean of the target, which is independent of the coefficients
     level = drawn[:, 0] + drawn[:, 1:] @ p.center[p.support]
     assert level.std() == pytest.approx(math.sqrt(p.noise_variance / p.n), rel=0.01)

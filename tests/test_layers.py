@@ -14,8 +14,8 @@ from tests.layers import SOURCE, circles, files, floors, imported, modules, room
 ORDER = [
     "errors kernels",
     "expressions gram records",
-    "dictionary figures inference ode states systems",
-    "adapters forecast regression",
+    "dictionary figures inference ode states",
+    "adapters forecast regression systems",
     "refine selection",
     "equation study",
     "discovery estimators",

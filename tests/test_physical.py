@@ -13,6 +13,7 @@ import bayeq as bq
 from bayeq.equation.physical import physical_parameters
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
+from bayeq.forecast.dynamics import Law
 from bayeq.inference.posterior import Posterior
 from bayeq.states import parse_chain
 
@@ -33,11 +34,12 @@ def posterior(coef, relative=1e-3, correlation=0.0, names=None):
     )  # fmt: skip
 
 
-def parameters(coef=DUFFING, *, chain="x:v:a", inputs=("u",), units=SI, relative=1e-3, correlation=0.0, **options):
+def parameters(
+    coef=DUFFING, *, chain="x:v:a", inputs=("u",), units=SI, gains=(), relative=1e-3, correlation=0.0, **options
+):
     terms = [parse(name) for name in coef]
-    return physical_parameters(
-        parse_chain(chain), inputs, terms, posterior(coef, relative, correlation), units, **options
-    )
+    law = Law(parse_chain(chain), terms, posterior(coef, relative, correlation), gains)
+    return physical_parameters(law, inputs, units, **options)
 
 
 def test_parameters_of_the_duffing_oscillator():

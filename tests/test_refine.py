@@ -15,10 +15,9 @@ from studies.refinement import CASES, draw_record, measure_case, measure_record
 
 import bayeq as bq
 from bayeq.errors import BayeqWarning, ConvergenceWarning, InputError, RecordError
-from bayeq.expressions import FUNCTIONS, Tape, parse
-from bayeq.forecast.dynamics import Dynamics
-from bayeq.ode.rk4 import interpolant
-from bayeq.ode.tangents import run_tangents, shoot
+from bayeq.expressions import FUNCTIONS, Tape, parse, run_tape
+from bayeq.ode.rk4 import Drive, interpolant
+from bayeq.ode.tangents import shoot
 from bayeq.refine.innovations import filter_run, predict_run
 from bayeq.refine.measured import Measured, Piece
 from bayeq.refine.noise import Noise
@@ -45,8 +44,7 @@ def duffing(record, **arguments):
 
 def problem(eq, record, rows=slice(None), names=("x", "v", "a"), intercepts=None):
     """What free runs of an equation are fitted to, sampling intervals as steps of integration."""
-    posteriors = [e.posterior for e in eq]
-    dynamics = Dynamics.of(eq.chains, eq.inputs, posteriors, [e.terms for e in eq], intercepts)
+    dynamics = eq.dynamics(intercepts)
     time = record.time[rows]
     piece = Piece(
         time,
@@ -54,9 +52,9 @@ def problem(eq, record, rows=slice(None), names=("x", "v", "a"), intercepts=None
         np.column_stack([record["x"][rows], record["v"][rows]]),
         np.column_stack([record[name][rows] for name in names]),
     )
-    channels = np.array([{"x": 0, "v": 1, "a": 3}[name] for name in names], dtype=np.uint32)
+    channels = np.array([{"x": 0, "v": 1, "a": 2}[name] for name in names], dtype=np.uint32)
     wide = np.full(2, 1e6)
-    return Measured(dynamics, [piece], channels, 1.0 / record.fs, -wide, wide), dynamics.means(posteriors)
+    return Measured(dynamics, [piece], channels, 1.0 / record.fs, -wide, wide), dynamics.mean
 
 
 EQ = duffing(RECORD)
@@ -74,11 +72,11 @@ def test_tangents_are_the_derivatives(text):
     tape = Tape.compile([parse(text)], ["x", "y"])
     rng = np.random.default_rng(0)
     for x, y in rng.uniform(0.2, 1.5, (5, 2)):
-        registers = tape.registers([x, y])
-        tangents = np.zeros((len(registers), 2))
+        program = tape.program([x, y])
+        tangents = np.zeros((len(program.registers), 2))
         tangents[0, 0] = tangents[1, 1] = 1.0
-        run_tangents(tape.code, registers, tangents)
-        assert registers[tape.outputs[0]] == tape([x, y])[0]
+        run_tape(program, tangents)
+        assert program.registers[tape.outputs[0]] == tape([x, y])[0]
         h = 1e-6
         twin = [
             (tape([x + h, y])[0] - tape([x - h, y])[0]) / (2 * h),
@@ -90,23 +88,21 @@ def test_tangents_are_the_derivatives(text):
 def test_tangents_at_zero():
     # powers of zero, and what has no slope there
     tape = Tape.compile([parse("x**2"), parse("x**0.5*0"), parse("sign(x)"), parse("abs(x)")], ["x"])
-    registers = tape.registers([0.0])
-    tangents = np.zeros((len(registers), 1))
-    run_tangents(tape.code, registers, tangents)
+    program = tape.program([0.0])
+    tangents = np.zeros((len(program.registers), 1))
+    run_tape(program, tangents)
     assert tangents[tape.outputs].tolist() == [[0.0]] * 4
 
 
 def test_sensitivities_of_a_run_are_those_by_differences():
     m, theta = problem(EQ, RECORD, slice(0, 80))
-    tape, piece = m.dynamics.tape, m.pieces[0]
+    piece = m.pieces[0]
+    drive = Drive.over(piece.time, piece.inputs, m.low, m.high)._replace(step=m.step / 3)
     start = np.array([0.02, -0.4])
 
     def run(start, theta):
         values, jacobian = np.empty((80, 3)), np.empty((80, 3, 7))
-        done = shoot(
-            tape.code, tape.outputs, tape.registers(), theta, start, piece.inputs, piece.time, m.step / 3,
-            m.low, m.high, m.channels, values, jacobian,
-        )  # fmt: skip
+        done = shoot(m.dynamics.program(), drive, theta, start, m.channels, values, jacobian)
         assert done == 80
         return values, jacobian
 
@@ -162,9 +158,13 @@ def test_the_minimum_is_that_of_a_general_solver(missing):
     time, y = m.pieces[0].time, m.pieces[0].channels
     c = m.pieces[0].inputs
 
+    def between(u, w):
+        return (1 - w) * u[0] + w * u[1] + w * (1 - w) * (u[2] + w * u[3])
+
     def force(t, last):
         k = min(int(np.searchsorted(time, t, side="right")) - 1, last)
-        return np.polyval(c[k, 0, ::-1], t - time[k])
+        w = (t - time[k]) / (time[k + 1] - time[k])
+        return between(c[k, 0], w)
 
     def residuals(unknown):
         b, k, cc, k3, g = unknown[:5]
@@ -181,7 +181,7 @@ def test_the_minimum_is_that_of_a_general_solver(missing):
             for i in range(rows.start, rows.stop - 1):
                 t, h = time[i], time[i + 1] - time[i]
                 k1 = np.array(law(t, z[-1]))
-                u_mid = [np.polyval(c[i, 0, ::-1], tau) for tau in (0.5 * h, h)]
+                u_mid = [between(c[i, 0], w) for w in (0.5, 1.0)]
                 f = lambda w, u: np.array([w[1], b + k * w[0] + cc * w[1] + k3 * w[0] ** 3 + g * u])  # noqa: E731
                 k2 = f(z[-1] + 0.5 * h * k1, u_mid[0])
                 k3_ = f(z[-1] + 0.5 * h * k2, u_mid[0])
@@ -450,16 +450,14 @@ def test_the_covariance_with_the_intercept_is_kept():
     eq = duffing(record)
     after = eq.refine(record, intercept=True)
     # a single free run from the refined coefficients ends where it was
-    m, _ = problem(after, record, slice(0, 480))
-    dynamics = m.dynamics
+    m, refined = problem(after, record, slice(0, 480))
     p = after[0].posterior
-    whole = dynamics.covariance([p])
+    whole = m.dynamics.covariance
     assert whole[0, 0] == pytest.approx(p.intercept_sd**2)
-    found = output_error(
-        replace(m, step=m.step / 8), dynamics.means([eq[0].posterior]), dynamics.covariance([eq[0].posterior])
-    )
+    before = eq.dynamics()
+    found = output_error(replace(m, step=m.step / 8), before.mean, before.covariance)
     assert not isinstance(found, Unrefined)
-    np.testing.assert_allclose(found.parameters, dynamics.means([p]), rtol=1e-3, atol=0.01 * p.intercept_sd)
+    np.testing.assert_allclose(found.parameters, refined, rtol=1e-3, atol=0.01 * p.intercept_sd)
     np.testing.assert_allclose(found.covariance / whole, 1.0, rtol=0.3)
     assert np.all(np.linalg.eigvalsh(whole / np.outer(*[np.sqrt(np.diagonal(whole))] * 2)) > 0)
 

@@ -13,7 +13,6 @@ from studies.discrepancy import draw_record
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import InputError
-from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.rows import Rows
 from bayeq.forecast.windows import apart, typical_period, window_runs
 from bayeq.inference.collapsed.path import model_log_posterior
@@ -285,10 +284,9 @@ def test_errors_of_windows_are_those_of_simulate():
     rec = bq.simulate("linear", n=400, seed=3, noise=0.0)
     eq = bq.discover(rec, **OSCILLATOR, dictionary=["x", "u"], holdout=0.0, negligible=0.0)
     rows = Rows(rec.time, rec.channels, {}, interpolant(rec.time, rec["u"][:, None], "cubic"))
-    posteriors = [e.posterior for e in eq]
-    dynamics = Dynamics.of(eq.chains, eq.inputs, posteriors, [e.terms for e in eq])
+    dynamics = eq.dynamics()
     assert typical_period(dynamics, [rows]) == pytest.approx(2 * np.pi * rec["x"].std() / rec["v"].std())
-    ours = apart(window_runs(dynamics, dynamics.means(posteriors), [rows], 0.1))
+    ours = apart(window_runs(dynamics, [rows], 0.1))
     scale = {name: rec[name].std() for name in "xv"}
     errors = []
     for first in np.linspace(0, 400 - 101, 12).astype(int):

@@ -11,9 +11,9 @@ from scipy.integrate import solve_ivp
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Tape, parse
+from bayeq.ode.rk4 import Drive, free_runs, interpolant
 from bayeq.systems import BandLimitedForce, System, get_system, simulate
 from bayeq.systems.force import band_limited_noise
-from bayeq.systems.integrate import rk4
 
 
 def with_substeps(name: str, substeps: int) -> System:
@@ -73,8 +73,10 @@ def test_lorenz_agrees_with_an_adaptive_integrator() -> None:
 def test_the_compiled_integrator_equals_the_obvious_one() -> None:
     tape = Tape.compile([parse("v"), parse("u-k*sin(x)-v*abs(v)")], ["x", "v", "u", "k"])
     u = np.random.default_rng(0).standard_normal((50, 1))
-    out = np.empty((50, 2))
-    assert rk4(tape.code, tape.outputs, tape.registers([0, 0, 0, 9.81]), np.array([1.0, 0]), u, 0.1, 2, out) == 50
+    out, stopped, wide = np.empty((1, 50, 2)), np.zeros(1, np.uint32), np.full(2, 1e9)
+    drive = Drive(interpolant(np.arange(50) / 10, u, "linear"), np.full(49, 0.1), 0.05, -wide, wide)
+    free_runs(tape.program(), drive, np.array([[9.81]]), np.array([[1.0, 0.0]]), stopped, out)
+    assert stopped[0] == 0
 
     def law(s: np.ndarray, force: float) -> np.ndarray:
         return np.array([s[1], force - 9.81 * np.sin(s[0]) - s[1] * abs(s[1])])
@@ -89,16 +91,18 @@ def test_the_compiled_integrator_equals_the_obvious_one() -> None:
             k3 = law(s + h / 2 * k2, u1)
             k4 = law(s + h * k3, u2)
             s = s + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    np.testing.assert_allclose(out[:49], expected, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(out[0, :49], expected, rtol=1e-12, atol=1e-13)
 
 
 def test_a_run_that_diverges_stops_and_names_the_row() -> None:
     tape = Tape.compile([parse("x**2")], ["x"])
-    out = np.full((100, 1), -1.0)
-    row = rk4(tape.code, tape.outputs, tape.registers(), np.array([1.0]), np.empty((100, 0)), 0.1, 1, out)
+    out, stopped, wide = np.empty((1, 100, 1)), np.zeros(1, np.uint32), np.full(1, 1e300)
+    drive = Drive(np.empty((100, 0, 4)), np.full(99, 0.1), 0.1, -wide, wide)
+    free_runs(tape.program(), drive, np.empty((1, 0)), np.array([[1.0]]), stopped, out)
+    row = int(stopped[0]) - 1
     assert 10 <= row < 20
-    assert np.all(np.isfinite(out[:row]))
-    assert np.all(out[row:] == -1)
+    assert np.all(np.isfinite(out[0, :row]))
+    assert np.all(np.isnan(out[0, row:]))
     with pytest.raises(InputError, match=r"'duffing' diverged at .* s \(row \d+\): raise fs"):
         simulate("duffing", fs=30.0, force=5000 * np.ones(100))
 

@@ -45,17 +45,15 @@ def build_equations(
         Takes the warnings.
     """
     design = selections[0].fit.regression.design
-    motion, roles = design.motion, design.motion.roles
-    posteriors = [one.fit.expanded(one.shown) for one in selections]
-    dynamics = Dynamics.of(roles.chains, roles.inputs, posteriors, [design.terms] * len(posteriors))
-    parameters = dynamics.means(posteriors)
-    windows: Sequence[float | None] = window_errors(dynamics, parameters, motion) or [None] * len(selections)
+    motion = design.motion
+    dynamics = Dynamics.on(motion, design.terms, [one.fit.expanded(one.shown) for one in selections])
+    windows: Sequence[float | None] = window_errors(dynamics, motion) or [None] * len(selections)
     equations = []
     for selection, window in zip(selections, windows, strict=True):
         equation = replace(build_equation(selection, window), units=units)
         warn_of(equation, selection, log)
         equations.append(equation)
-    return tuple(equations), held_out_scores(dynamics, parameters, motion)
+    return tuple(equations), held_out_scores(dynamics, motion)
 
 
 def build_equation(selection: Selection, window: float | None) -> Equation:
@@ -85,6 +83,7 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
     }
     return Equation(
         chain=regression.chain,
+        unit_gains=tuple(motion.unit_gains[regression.k].tolist()),
         terms=regression.design.terms,
         posterior=posterior,
         shown_posterior=shown,

@@ -23,6 +23,7 @@ from bayeq.equation.units import quotient_unit
 from bayeq.equation.verdict import Verdict
 from bayeq.errors import InputError
 from bayeq.expressions import Evaluator, Expression, to_sympy
+from bayeq.forecast.dynamics import Law
 from bayeq.inference.posterior import Posterior
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.residuals import Fit, Residuals
@@ -108,6 +109,9 @@ class Equation:
         Whether an equation was found.
     units : mapping of str to str
         Units of channels and their derivatives, as far as they are known.
+    unit_gains : tuple of float
+        Factor of each derivative's channel to the derivative by seconds of the chain's lowest measured channel: 0.001
+        of v in m/s beside x in mm. Empty where all are 1.
     """
 
     chain: Chain
@@ -124,6 +128,12 @@ class Equation:
     why: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[LeftOut, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    unit_gains: tuple[float, ...] = ()
+
+    @property
+    def law(self) -> Law:
+        """What a free run needs of the equation: the terms shown."""
+        return Law(self.chain, self.terms, self.shown_posterior, self.unit_gains)
 
     @property
     def target(self) -> str:

@@ -20,12 +20,13 @@ from bayeq.forecast.results import Refinement, Scores
 from bayeq.records import Record
 from bayeq.records.atomic import replacing
 from bayeq.regression.design import DroppedTerm
-from bayeq.states import Chain, Roles, Smooth, estimate_motion
+from bayeq.states import Chain, Roles, Smooth, estimate_motion, rates
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from bayeq.equation.physical import PhysicalParameters
+    from bayeq.forecast.dynamics import Dynamics
     from bayeq.forecast.run import Forecast
     from bayeq.ode.rk4 import Interpolation
 
@@ -150,6 +151,8 @@ class Equations:
         Returns
         -------
         (d,) array
+            In the unit of each state per second, also where the channels of a chain have units that do not belong
+            together (see `Equation.unit_gains`).
         """
         del t
         values = np.asarray(state, dtype=np.float64)
@@ -161,9 +164,15 @@ class Equations:
         columns = dict(zip(self.states, values, strict=True)) | dict(zip(self.inputs, given, strict=True))
         out: list[float] = []
         for equation in self.equations:
-            out.extend(columns[name] for name in equation.chain.states[1:])
-            out.append(float(equation.evaluate(columns)))
+            above = [*(columns[name] for name in equation.chain.states[1:]), float(equation.evaluate(columns))]
+            out.extend(np.multiply(rates(equation.chain, equation.unit_gains), above).tolist())
         return np.array(out)
+
+    def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics:
+        """The equations shown as one system of first order; by default all have an intercept."""
+        from bayeq.forecast.dynamics import Dynamics
+
+        return Dynamics.of([equation.law for equation in self.equations], self.inputs, intercepts)
 
     def predict(self, record: Record, return_std: bool = False) -> Any:
         """Target(s) of a record, eqs. (29)-(30): the right-hand side at its measured states and inputs.
@@ -234,13 +243,10 @@ class Equations:
         InputError
             No time, an input that is missing, an initial state that is neither measured nor given, rows out of range.
         """
-        from bayeq.forecast.dynamics import Dynamics
         from bayeq.forecast.run import forecast
 
-        posteriors = [equation.shown_posterior for equation in self.equations]
         return forecast(
-            Dynamics.of(self.chains, self.inputs, posteriors, [e.terms for e in self.equations]),
-            posteriors,
+            self.dynamics(),
             record,
             self.smooth,
             initial=initial,
@@ -281,14 +287,10 @@ class Equations:
         InputError
             As `simulate`, and channels that are missing.
         """
-        from bayeq.forecast.dynamics import Dynamics
         from bayeq.forecast.score import score_records
 
-        posteriors = [equation.shown_posterior for equation in self.equations]
-        dynamics = Dynamics.of(self.chains, self.inputs, posteriors, [e.terms for e in self.equations])
         return score_records(
-            dynamics,
-            dynamics.means(posteriors),
+            self.dynamics(),
             _as_list(records, "score"),
             self.smooth,
             start=start,
@@ -362,13 +364,9 @@ class Equations:
             if not equation.shown:
                 raise InputError(f"{equation.target}: there are no terms to refine")
         found = refine(
-            self.chains,
-            self.inputs,
-            [equation.shown_posterior for equation in self.equations],
-            [equation.terms for equation in self.equations],
+            self.dynamics([e.intercept_matters if intercept is None else intercept for e in self.equations]),
             pieces,
             smooth=self.smooth,
-            intercepts=[e.intercept_matters if intercept is None else intercept for e in self.equations],
             segment=segment,
             holdout=holdout,
             interpolation=interpolation,
@@ -427,10 +425,8 @@ class Equations:
 
         equation = _oscillator(self, target)
         return physical_parameters(
-            equation.chain,
+            equation.law,
             self.inputs,
-            equation.terms,
-            equation.shown_posterior,
             equation.units,
             mass=mass,
             force=force,

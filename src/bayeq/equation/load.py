@@ -195,6 +195,7 @@ def _restore_equation(
         share=_restored_share(saved["terms"]),
         left_out=tuple(LeftOut(**term) for term in checks.get("left_out", [])),
         units=units,
+        unit_gains=tuple(float(gain) for gain in saved.get("unit_gains", ())),
     )
 
 

@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 
 from bayeq.equation.physical_units import OscillatorUnits
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.expressions import Expression, parse
-from bayeq.forecast.dynamics import normal_draws
-from bayeq.inference.posterior import Posterior
-from bayeq.states import Chain
+from bayeq.expressions import parse
+from bayeq.forecast.dynamics import Law, normal_draws
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -149,10 +147,8 @@ def _forces(x: str, v: str) -> list[_Force]:
 
 
 def physical_parameters(
-    chain: Chain,
+    law: Law,
     inputs: Sequence[str],
-    terms: Sequence[Expression],
-    posterior: Posterior,
     units: Mapping[str, str],
     *,
     mass: float | None = None,
@@ -164,12 +160,10 @@ def physical_parameters(
 
     Parameters
     ----------
-    chain : Chain
-        Of second order.
+    law : Law
+        The equation, of second order.
     inputs : sequence of str
         Names of the inputs.
-    terms, posterior
-        Of the equation.
     units : mapping of str to str
         Of states, target and inputs, as far as known. Where lengths and forces are known ones, parameters are in SI
         units (a displacement in mm is fine); otherwise in those of the channels.
@@ -180,11 +174,11 @@ def physical_parameters(
     ------
     InputError
         Not of second order, no term in the displacement alone that restores, a mass that is not positive, or units that
-        are not those of a motion and its derivatives.
+        are not those of a motion and its derivatives, or not those of this motion.
     """
-    coefficients, forces = _read(chain, terms, posterior, draws, seed)
+    coefficients, forces = _read(law, draws, seed)
     driven = _force(inputs, coefficients, force)
-    system = OscillatorUnits(units, chain, driven, mass is not None)
+    system = OscillatorUnits(units, law.chain, law.unit_gains, driven, mass is not None)
     theta = {f.symbol: coefficients[f.term] * system.scale(f.powers) for f in forces}
     quantities = _modal(theta)
     weight = _mass(mass, None if driven is None else coefficients[driven] * system.scale_force(), draws)
@@ -199,10 +193,9 @@ def physical_parameters(
     return PhysicalParameters(tuple(quantities), tuple(name for name in coefficients if name not in explained))
 
 
-def _read(
-    chain: Chain, terms: Sequence[Expression], posterior: Posterior, draws: int, seed: int
-) -> tuple[dict[str, Floats], list[_Force]]:
+def _read(law: Law, draws: int, seed: int) -> tuple[dict[str, Floats], list[_Force]]:
     """Draws of the coefficient of each included term, and the forces among the terms."""
+    chain, posterior = law.chain, law.posterior
     if chain.order != 2:
         raise InputError(
             f"physical parameters are those of a second-order equation, but that of {chain.target} is of order"
@@ -217,7 +210,7 @@ def _read(
     x, v = chain.states
     coef = posterior.coef[posterior.support]
     drawn = normal_draws(coef, posterior.covariance, count, np.random.default_rng(seed))
-    kept = [term for term, inside in zip(terms, posterior.support, strict=True) if inside]
+    kept = [term for term, inside in zip(law.terms, posterior.support, strict=True) if inside]
     # |v|*v is v*|v|
     same = {parse(f"abs({v})*{v}"): f"{v}*abs({v})"}
     coefficients = {same.get(term, term.text): drawn[:, j] for j, term in enumerate(kept)}

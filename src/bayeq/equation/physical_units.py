@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 from bayeq.errors import InputError
@@ -30,6 +31,8 @@ class OscillatorUnits:
         Of channels, as far as known.
     chain : Chain
         Displacement, velocity and acceleration.
+    gains : sequence of float
+        From `bayeq.states.unit_gains`, what the motion says of the units; empty where it says nothing.
     force : str or None
         The input that is a force.
     in_kg : bool
@@ -38,34 +41,29 @@ class OscillatorUnits:
     Raises
     ------
     InputError
-        Units that are not those of a motion and its derivatives.
+        Units that are not those of a motion and its derivatives, or not those of this motion.
     """
 
-    def __init__(self, units: Mapping[str, str], chain: Chain, force: str | None, in_kg: bool = False) -> None:
-        x, v, a = chain.names
+    def __init__(
+        self,
+        units: Mapping[str, str],
+        chain: Chain,
+        gains: Sequence[float],
+        force: str | None,
+        in_kg: bool = False,
+    ) -> None:
+        x = chain.names[0]
         self.length: Unit | None = parse_unit(units[x]) if x in units else None
         self.force: Unit | None = parse_unit(units[force]) if force is not None and force in units else None
         self.per_length = self.per_force = 1.0
         # a channel's number is this ratio times the derivative's of the displacement
-        self.velocity, self.acceleration = self._ratio(units, x, v, 1), self._ratio(units, x, a, 2)
+        self.velocity, self.acceleration = (_ratio(units, chain, k, gains[k] if gains else None) for k in (1, 2))
         if self.length is not None:
             self.per_length, self.length = _in_si(self.length)
         if self.force is not None:
             self.per_force, self.force = _in_si(self.force)
         elif in_kg and self.length in ({}, {"m": Fraction(1)}):
             self.force = multiply_units({"N": Fraction(1)}, {} if self.length else {"m": Fraction(1)})
-
-    @staticmethod
-    def _ratio(units: Mapping[str, str], x: str, other: str, order: int) -> float:
-        if x not in units or other not in units:
-            return 1.0
-        ratio = derivative_ratio(units[x], units[other], order)
-        if ratio is None and parse_unit(units[other]) != multiply_units(parse_unit(units[x]), {"s": Fraction(-order)}):
-            raise InputError(
-                f"{other} in {units[other]} is no {'second ' * (order == 2)}derivative of {x} in {units[x]}: state"
-                " units that fit, or none"
-            )
-        return 1.0 if ratio is None else ratio
 
     def scale(self, powers: tuple[int, int]) -> float:
         """Of the coefficient of x**p v**q in the equation of the acceleration."""
@@ -94,6 +92,22 @@ class OscillatorUnits:
             out = multiply_units(dict(self.length), {"s": Fraction(-2)})
         multiply_units(out, self.length, -(p + q))
         return _written(multiply_units(out, {"s": Fraction(q)}))
+
+
+def _ratio(units: Mapping[str, str], chain: Chain, order: int, gain: float | None) -> float:
+    """Factor of a derivative's channel to the derivative of the displacement's; `gain` is what the motion says."""
+    x, other = chain.names[0], chain.names[order]
+    if x not in units or other not in units:
+        return 1.0 if gain is None else gain
+    stated, what = derivative_ratio(units[x], units[other], order), f"{'second ' * (order == 2)}derivative of {x}"
+    if stated is None:
+        raise InputError(f"{other} in {units[other]} is no {what} in {units[x]}: state units that fit, or none")
+    if gain is not None and not math.isclose(abs(gain), stated, rel_tol=1e-9):
+        raise InputError(
+            f"{other} in {units[other]} should be {stated:.4g} times the {what} in {units[x]}, but it is {gain:.4g}"
+            " times that: state the units that the channels have, or none"
+        )
+    return stated if gain is None else gain
 
 
 def _in_si(unit: Unit) -> tuple[float, Unit]:

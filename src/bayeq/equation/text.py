@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from math import isclose
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from bayeq.equation.size_path import percent
 from bayeq.forecast.results import Scores, percentages
 from bayeq.inference import ENGINES
 from bayeq.regression.residuals import Residuals
+from bayeq.states import rates
 
 __all__ = ["render"]
 
@@ -82,7 +84,7 @@ def _render_equation(console: Console, equation: Equation, method: str, scores: 
             f"\n{rest} more candidates not included, {ENGINES[method].score} at most {max(low, default=0.0):.2g}"
         )
     console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
-    for line in (*_fits(equation), *_free_run(equation, scores)):
+    for line in (*_units(equation), *_fits(equation), *_free_run(equation, scores)):
         console.print(escape(line))
     for line in _residuals(equation.residuals):
         console.print(escape(line))
@@ -108,6 +110,16 @@ def _differences(equation: Equation, score: str) -> list[str]:
         if equation.shown_posterior.support[j] and not p.support[j]:
             out.append(f"shown, though its {score} is {p.pip[j]:.3f}: {term.text} ({equation.why[term.text]})")
     return out
+
+
+def _units(equation: Equation) -> list[str]:
+    """What the channels of a chain are to each other, where their units do not belong together."""
+    chain = equation.chain
+    factors = rates(chain, equation.unit_gains)
+    if all(isclose(factor, 1.0) for factor in factors):
+        return []
+    links = zip(chain.names[:-1], factors, chain.names[1:], strict=True)
+    return [f"units of the channels: {', '.join(f'd{low}/dt = {factor:.6g} {high}' for low, factor, high in links)}"]
 
 
 def _fits(equation: Equation) -> list[str]:

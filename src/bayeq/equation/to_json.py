@@ -74,6 +74,7 @@ def _equation(equation: Equation) -> dict[str, Any]:
         "elbo": p.elbo,
         "equation": equation.text,
         "latex": equation.to_latex(),
+        "unit_gains": list(equation.unit_gains),
         "terms": [_term(equation, j) for j in range(len(equation.terms))],
     }
 

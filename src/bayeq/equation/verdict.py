@@ -107,7 +107,7 @@ def noise_share(regression: Regression, variance: float) -> float:
     return 0.0 if sd is None else min(float((sd * own.unit_gains[chain.order]) ** 2 / variance), 1.0)
 
 
-def window_errors(dynamics: Dynamics, parameters: Floats, motion: Motion) -> list[float] | None:
+def window_errors(dynamics: Dynamics, motion: Motion) -> list[float] | None:
     """Errors of free runs over windows of one period, one per chain, as shares of the spread of its states.
 
     Each is the median over windows of the rows held out, or of the training rows if none are. A window is one period
@@ -123,7 +123,7 @@ def window_errors(dynamics: Dynamics, parameters: Floats, motion: Motion) -> lis
     train, held_out = divided(motion, rows_of(motion, "a free run"))
     for pieces in (held_out, train):
         if pieces:
-            windows = window_runs(dynamics, parameters, pieces, typical_period(dynamics, pieces))
+            windows = window_runs(dynamics, pieces, typical_period(dynamics, pieces))
             if windows:
                 return _errors_by_chain(dynamics, windows)
     return None

@@ -1,6 +1,7 @@
 """The functions that a term may call: one table for parsing, evaluating, compiling and SymPy.
 
-A new function is a row here, an opcode, and a branch in `bayeq.expressions.tape.apply_function`.
+A new function is a row here, an opcode, and in `bayeq.expressions.tape.apply_function` a line for its value and its
+derivative.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """``Tape``: expressions compiled for a register machine, to be evaluated point by point in kernels.
 
 An integrator needs the right-hand side at one state at a time, where arrays do not help. A tape is plain
-arrays, so that one compiled integrator serves every system without compiling anything per system.
+arrays, so that one compiled integrator serves every system without compiling anything per system. Derivatives by any
+variables are carried along where asked for (forward differentiation), exact to rounding.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,7 +37,7 @@ from bayeq.expressions.functions import (
 from bayeq.expressions.nodes import Binary, Call, Expression, Negate, Node, Number, Symbol
 from bayeq.kernels import kernel
 
-__all__ = ["IndexArray", "Tape", "apply_function", "run_tape"]
+__all__ = ["IndexArray", "Program", "Tape", "run_tape"]
 
 IndexArray: TypeAlias = NDArray[np.uint32]
 
@@ -49,70 +50,116 @@ _UFUNCS: dict[int, np.ufunc] = {
 }
 
 
+class Program(NamedTuple):
+    """A tape as kernels take it.
+
+    Attributes
+    ----------
+    code : (instructions, 4) uint32 array
+        Opcode, destination, first and second operand of each instruction.
+    outputs : (n_expressions,) uint32 array
+        The register of each expression's value.
+    registers : (n_registers,) float array
+        The values of the variables in front; changed in place, so that each run needs its own.
+    """
+
+    code: IndexArray
+    outputs: IndexArray
+    registers: FloatArray
+
+
 @kernel
-def apply_function(opcode: int, a: float) -> float:
-    """Value of the function with this opcode at `a` (NaN for an opcode that does not exist)."""
+def apply_function(opcode: int, a: float, slope: bool) -> float:
+    """Value of the function with this opcode at `a`, or its derivative there; NaN if there is no such opcode."""
+    if opcode == ABS:
+        return (1.0 if a > 0.0 else -1.0 if a < 0.0 else 0.0) if slope else abs(a)
+    if opcode == SIGN:
+        return 0.0 if slope else 1.0 if a > 0.0 else -1.0 if a < 0.0 else 0.0 if a == 0.0 else a
     if opcode == SIN:
-        return math.sin(a)
+        return math.cos(a) if slope else math.sin(a)
     if opcode == COS:
-        return math.cos(a)
+        return -math.sin(a) if slope else math.cos(a)
     if opcode == TAN:
-        return math.tan(a)
+        return 1.0 + math.tan(a) ** 2 if slope else math.tan(a)
     if opcode == ASIN:
-        return math.asin(a)
+        return 1.0 / math.sqrt(1.0 - a * a) if slope else math.asin(a)
     if opcode == ACOS:
-        return math.acos(a)
+        return -1.0 / math.sqrt(1.0 - a * a) if slope else math.acos(a)
     if opcode == ATAN:
-        return math.atan(a)
+        return 1.0 / (1.0 + a * a) if slope else math.atan(a)
     if opcode == EXP:
         return math.exp(a)
     if opcode == LOG:
-        return math.log(a)
+        return 1.0 / a if slope else math.log(a)
     if opcode == SQRT:
-        return math.sqrt(a)
+        return 0.5 / math.sqrt(a) if slope else math.sqrt(a)
     if opcode == SINH:
-        return math.sinh(a)
+        return math.cosh(a) if slope else math.sinh(a)
     if opcode == COSH:
-        return math.cosh(a)
+        return math.sinh(a) if slope else math.cosh(a)
     if opcode == TANH:
-        return math.tanh(a)
+        return 1.0 - math.tanh(a) ** 2 if slope else math.tanh(a)
     return math.nan
 
 
 @kernel
-def run_tape(code: IndexArray, registers: FloatArray) -> None:
-    """Execute a tape: afterwards the outputs stand in ``registers[tape.outputs]``.
+def run_tape(program: Program, tangents: FloatArray | None) -> None:
+    """Execute a tape: afterwards the outputs stand in ``program.registers[program.outputs]``.
 
     Parameters
     ----------
-    code : (instructions, 4) uint32 array
-        Opcode, destination, first and second operand of each instruction.
-    registers : (n,) float array
-        From `Tape.registers`, with the values of the variables in front; changed in place.
+    program : Program
+        With the values of the variables in its first registers.
+    tangents : (n_registers, q) float array or None
+        Derivatives of each register along q directions: those of the variables in front are given (0 for constants),
+        the others are computed. With None, which is a type of its own to the compiler, nothing is spent on them.
     """
+    code, registers = program.code, program.registers
     for i in range(code.shape[0]):
-        opcode = code[i, 0]
-        a = registers[code[i, 2]]
-        b = registers[code[i, 3]]
+        opcode, to, left, right = code[i, 0], code[i, 1], code[i, 2], code[i, 3]
+        a = registers[left]
+        b = registers[right]
         if opcode == MULTIPLY:
             value = a * b
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = a * tangents[right, j] + b * tangents[left, j]
         elif opcode == ADD:
             value = a + b
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = tangents[left, j] + tangents[right, j]
         elif opcode == SUBTRACT:
             value = a - b
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = tangents[left, j] - tangents[right, j]
         elif opcode == DIVIDE:
             value = a / b
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = (tangents[left, j] - value * tangents[right, j]) / b
         elif opcode == NEGATE:
             value = -a
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = -tangents[left, j]
         elif opcode == POWER:
             value = a**b
-        elif opcode == ABS:
-            value = abs(a)
-        elif opcode == SIGN:
-            value = 1.0 if a > 0.0 else -1.0 if a < 0.0 else 0.0 if a == 0.0 else a
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    # a factor that is 0 leaves out what would be infinite or undefined
+                    slope = b * a ** (b - 1.0) * tangents[left, j] if tangents[left, j] != 0.0 else 0.0
+                    if tangents[right, j] != 0.0:
+                        slope += value * math.log(a) * tangents[right, j]
+                    tangents[to, j] = slope
         else:
-            value = apply_function(opcode, a)
-        registers[code[i, 1]] = value
+            value = apply_function(opcode, a, False)
+            if tangents is not None:
+                slope = apply_function(opcode, a, True)
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = slope * tangents[left, j] if tangents[left, j] != 0.0 else 0.0
+        registers[to] = value
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,20 +209,20 @@ class Tape:
             outputs=np.array(outputs, dtype=np.uint32),
         )
 
-    def registers(self, values: ArrayLike = ()) -> FloatArray:
-        """Fresh registers for `run_tape`; `values` are those of the first variables, the others are 0."""
+    def program(self, values: ArrayLike = ()) -> Program:
+        """The tape with fresh registers; `values` are those of the first variables, the others are 0."""
         registers = self.initial.copy()
         given = np.asarray(values, dtype=np.float64)
         if given.ndim != 1 or len(given) > len(self.variables):
             raise InputError(f"expected at most {len(self.variables)} values, got shape {given.shape}")
         registers[: len(given)] = given
-        return registers
+        return Program(self.code, self.outputs, registers)
 
     def __call__(self, values: ArrayLike) -> FloatArray:
         """Values of the expressions, ``(n_expressions,)``, at one point: a value per variable."""
-        registers = self.registers(values)
-        run_tape(self.code, registers)
-        return registers[self.outputs]
+        program = self.program(values)
+        run_tape(program, None)
+        return program.registers[self.outputs]
 
 
 class _Compiler:

@@ -6,16 +6,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import compress
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape
+from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
+from bayeq.expressions.tape import Program
 from bayeq.inference.posterior import Posterior
-from bayeq.ode.rk4 import local_errors
-from bayeq.states import Chain
+from bayeq.ode.rk4 import Drive, local_errors
+from bayeq.states import Chain, Motion, Roles, rates
 
-__all__ = ["Dynamics", "finest_step", "normal_draws"]
+__all__ = ["Dynamics", "Law", "finest_step", "normal_draws"]
 
 Floats = NDArray[np.float64]
 
@@ -26,67 +28,99 @@ TOLERANCE = 1e-6
 MOST_SUBSTEPS = 16
 
 
+class Law(NamedTuple):
+    """An equation for the highest derivative of a chain.
+
+    Attributes
+    ----------
+    chain : Chain
+    terms : sequence of Expression
+        All candidates.
+    posterior : Posterior
+        Says which of them are included.
+    unit_gains : sequence of float
+        Of the chain's channels, see `bayeq.states.unit_gains`; empty where all are 1.
+    """
+
+    chain: Chain
+    terms: Sequence[Expression]
+    posterior: Posterior
+    unit_gains: Sequence[float] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Dynamics:
     """dx/dt = f(x, u; theta): the chains' derivatives, and intercept + sum of coefficient x term for the highest.
 
     Attributes
     ----------
-    chains : tuple of Chain
-        One per equation.
+    laws : tuple of Law
+        The equations.
     inputs : tuple of str
         Names of the inputs.
     terms : tuple of tuples of Expression
-        The terms of each equation.
+        The terms that each equation includes.
     intercepts : tuple of bool
         Equations that have an intercept.
     tape : Tape
-        Of states, inputs and parameters; its outputs are the states' derivatives. The parameters are, equation by
-        equation, the intercept (if there is one) and the coefficients of the terms.
+        Of states, inputs and parameters; its outputs are the states' derivatives, then the targets. The parameters are,
+        equation by equation, the intercept (if there is one) and the coefficients of the terms.
     """
 
-    chains: tuple[Chain, ...]
+    laws: tuple[Law, ...]
     inputs: tuple[str, ...]
     terms: tuple[tuple[Expression, ...], ...]
     intercepts: tuple[bool, ...]
     tape: Tape
 
     @classmethod
-    def of(
-        cls,
-        chains: Sequence[Chain],
-        inputs: Sequence[str],
-        posteriors: Sequence[Posterior],
-        terms: Sequence[Sequence[Expression]],
-        intercepts: Sequence[bool] | None = None,
-    ) -> Dynamics:
-        """From the terms that posteriors include; nothing is compiled to machine code for them.
+    def of(cls, laws: Sequence[Law], inputs: Sequence[str], intercepts: Sequence[bool] | None = None) -> Dynamics:
+        """From the terms that equations include; nothing is compiled to machine code for them.
 
         Parameters
         ----------
-        chains, inputs
+        laws, inputs
             As the attributes.
-        posteriors, terms
-            Of each equation, with all candidates.
         intercepts : sequence of bool, optional
             By default all have one.
         """
-        kept = [tuple(compress(all_, p.support)) for all_, p in zip(terms, posteriors, strict=True)]
+        kept = [tuple(compress(law.terms, law.posterior.support)) for law in laws]
         constant = (True,) * len(kept) if intercepts is None else tuple(intercepts)
-        right: list[Expression] = []
+        slopes: list[Expression] = []
+        targets: list[Expression] = []
         parameters: list[str] = []
-        for k, (chain, members) in enumerate(zip(chains, kept, strict=True)):
-            right += [Expression(Symbol(name)) for name in chain.states[1:]]
+        for k, (law, members) in enumerate(zip(laws, kept, strict=True)):
             # names that no channel can have
             names = [f"theta[{k},{j}]" for j in range(len(members) + 1)]
             total: Node = Symbol(names[0]) if constant[k] else Number(0)
             for name, term in zip(names[1:], members, strict=True):
                 total = Binary("+", total, Binary("*", Symbol(name), term.tree))
-            right.append(Expression(total))
             parameters += names[not constant[k] :]
-        states = [name for chain in chains for name in chain.states]
-        tape = Tape.compile(right, [*states, *inputs, *parameters])
-        return cls(tuple(chains), tuple(inputs), tuple(kept), constant, tape)
+            targets.append(Expression(total))
+            above = [*map(Symbol, law.chain.states[1:]), total]
+            factors = rates(law.chain, law.unit_gains)
+            for factor, node in zip(factors, above, strict=True):
+                slopes.append(Expression(node if factor == 1.0 else Binary("*", number(factor), node)))
+        states = [name for law in laws for name in law.chain.states]
+        tape = Tape.compile([*slopes, *targets], [*states, *inputs, *parameters])
+        return cls(tuple(laws), tuple(inputs), tuple(kept), constant, tape)
+
+    @classmethod
+    def on(cls, motion: Motion, terms: Sequence[Expression], posteriors: Sequence[Posterior]) -> Dynamics:
+        """From the posterior of each equation of some motion, all of the same candidate terms."""
+        parts = zip(motion.roles.chains, posteriors, motion.unit_gains, strict=True)
+        laws = [Law(chain, terms, posterior, gains.tolist()) for chain, posterior, gains in parts]
+        return cls.of(laws, motion.roles.inputs)
+
+    @cached_property
+    def chains(self) -> tuple[Chain, ...]:
+        """One per equation."""
+        return tuple(law.chain for law in self.laws)
+
+    @property
+    def roles(self) -> Roles:
+        """Chains and inputs."""
+        return Roles(self.chains, self.inputs)
 
     @cached_property
     def states(self) -> tuple[str, ...]:
@@ -95,14 +129,8 @@ class Dynamics:
 
     @cached_property
     def targets(self) -> tuple[str, ...]:
-        """Names of the left-hand sides."""
+        """Names of the left-hand sides, in the tape's order."""
         return tuple(chain.target for chain in self.chains)
-
-    @cached_property
-    def slopes(self) -> dict[str, int]:
-        """Which of the tape's outputs each target is."""
-        last = np.cumsum([chain.order for chain in self.chains]) - 1
-        return dict(zip(self.targets, last.tolist(), strict=True))
 
     @property
     def size(self) -> int:
@@ -117,36 +145,38 @@ class Dynamics:
             yield slice(start, end)
             start = end
 
-    def means(self, posteriors: Sequence[Posterior]) -> Floats:
+    @cached_property
+    def mean(self) -> Floats:
         """Posterior means of the parameters, (p,)."""
-        return np.concatenate(
-            [
-                np.append(p.intercept, p.coef[p.support])[not constant :]
-                for p, constant in zip(posteriors, self.intercepts, strict=True)
-            ]
-        )
+        parts = []
+        for law, constant in zip(self.laws, self.intercepts, strict=True):
+            p = law.posterior
+            parts.append(np.append(p.intercept, p.coef[p.support])[not constant :])
+        return np.concatenate(parts)
 
-    def covariance(self, posteriors: Sequence[Posterior]) -> Floats:
+    @cached_property
+    def covariance(self) -> Floats:
         """Posterior covariance of the parameters given the terms, (p, p); equations are independent."""
         out = np.zeros((self.size, self.size))
-        for block, p, constant in zip(self.blocks(), posteriors, self.intercepts, strict=True):
+        for block, law, constant in zip(self.blocks(), self.laws, self.intercepts, strict=True):
             # intercept = mean(y) - center'theta, where mean(y) has variance sigma^2/n
+            p = law.posterior
             carried = p.covariance @ p.center[p.support]
             whole = np.block([[np.array([[p.intercept_sd**2]]), -carried], [-carried[:, None], p.covariance]])
             out[block, block] = whole[not constant :, not constant :]
         return out
 
-    def draw(self, posteriors: Sequence[Posterior], count: int, rng: np.random.Generator) -> Floats:
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Parameters from their normal posterior given the terms, (count, p)."""
-        return normal_draws(self.means(posteriors), self.covariance(posteriors), count, rng)
+        return normal_draws(self.mean, self.covariance, count, rng)
 
-    def registers(self, parameters: Floats | None = None) -> Floats:
-        """Fresh registers of the tape, with these parameters."""
-        registers = self.tape.registers()
+    def program(self, parameters: Floats | None = None) -> Program:
+        """The tape with fresh registers, with these parameters."""
+        program = self.tape.program()
         if parameters is not None:
             first = len(self.states) + len(self.inputs)
-            registers[first : first + self.size] = parameters
-        return registers
+            program.registers[first : first + self.size] = parameters
+        return program
 
 
 def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Generator) -> Floats:
@@ -158,7 +188,7 @@ def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Ge
     return np.asarray(mean + rng.standard_normal((count, len(mean))) @ half.T)
 
 
-def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, inputs: Floats, time: Floats) -> float:
+def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, drive: Drive) -> float:
     """A step [s] at which integration errs little at given states: the sampling interval, or a fraction of it.
 
     Parameters
@@ -169,25 +199,21 @@ def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, inputs: 
         Its parameters.
     states : (n, d) array
         Where steps are tried; rows that are not finite are left out of the judgement.
-    inputs : (n, m, 4) array
-        From `interpolant`.
-    time : (n,) array
-        [s].
+    drive : Drive
+        Of these rows.
 
     Returns
     -------
     float
         The median interval over 1, 2, 4, 8 or 16.
     """
-    interval = float(np.median(np.diff(time)))
+    interval = float(np.median(drive.intervals))
     scale = np.array([_spread(column) for column in states.T])
-    errors = np.empty(len(time) - 1)
+    errors = np.empty(len(drive.intervals))
+    program = dynamics.program(parameters)
     substeps = 1
     while substeps < MOST_SUBSTEPS:
-        local_errors(
-            dynamics.tape.code, dynamics.tape.outputs, dynamics.registers(parameters), states, inputs, time,
-            interval / substeps, scale, errors,
-        )  # fmt: skip
+        local_errors(program, drive._replace(step=interval / substeps), states, scale, errors)
         finite = errors[np.isfinite(states[:-1]).all(axis=1)]
         finite = np.where(np.isfinite(finite), finite, np.inf)
         if not len(finite) or np.sort(finite)[int(SHARE * (len(finite) - 1))] <= TOLERANCE:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.forecast.dynamics import Dynamics, finest_step
-from bayeq.ode.rk4 import free_runs
+from bayeq.ode.rk4 import Drive, free_runs
 
 __all__ = ["ANYWHERE", "GENEROUS", "mean_run", "run_bands", "state_range"]
 
@@ -41,13 +41,11 @@ def state_range(states: Floats) -> tuple[Floats, Floats]:
     return low - margin, high + margin
 
 
-def mean_run(
-    dynamics: Dynamics, parameters: Floats, first: Floats, inputs: Floats, time: Floats, low: Floats, high: Floats
-) -> tuple[float, Floats, int | None]:
+def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive) -> tuple[Floats, int | None, Drive]:
     """A free run, with a step found on the way.
 
-    The run itself is where the step is judged: taken with whole sampling intervals at first, and anew where that is
-    coarse.
+    The step is judged on the run itself, taken with whole sampling intervals at first and again with shorter ones where
+    these are coarse.
 
     Parameters
     ----------
@@ -57,71 +55,39 @@ def mean_run(
         Its parameters.
     first : (d,) array
         Initial state.
-    inputs : (n, m, 4) array
-        From `bayeq.ode.rk4.interpolant`.
-    time : (n,) array
-        [s].
-    low, high : (d,) arrays
-        Range in which the run goes on.
+    drive : Drive
+        From `Drive.over`.
 
     Returns
     -------
-    step : float
-        Longest step [s].
     states : (n, d) array
         NaN from where the run left the range.
     stopped : int or None
         The row where it did.
+    drive : Drive
+        With the step found.
     """
-    step = float(np.median(np.diff(time)))
+    n = len(drive.inputs)
     while True:
-        current, stopped = first[None].copy(), np.zeros(1, dtype=np.uint32)
-        out = np.empty((1, len(time), len(first)))
-        _run(dynamics, parameters[None], current, stopped, inputs, time, step, low, high, out)
-        reached = int(stopped[0]) - 1 if stopped[0] else len(time)
-        rows = slice(0, min(max(reached, 2), JUDGED_ROWS))
-        finer = finest_step(dynamics, parameters, out[0, rows], inputs[rows], time[rows])
-        if finer >= 0.999 * step:
-            return step, out[0], reached if reached < len(time) else None
-        step = finer
+        stopped, out = np.zeros(1, dtype=np.uint32), np.empty((1, n, len(first)))
+        free_runs(dynamics.program(), drive, parameters[None], first[None].copy(), stopped, out)
+        reached = int(stopped[0]) - 1 if stopped[0] else n
+        judged = min(max(reached, 2), JUDGED_ROWS)
+        finer = finest_step(dynamics, parameters, out[0, :judged], drive.part(0, judged))
+        if finer >= 0.999 * drive.step:
+            return out[0], reached if reached < n else None, drive
+        drive = drive._replace(step=finer)
 
 
-def _run(
-    dynamics: Dynamics,
-    parameters: Floats,
-    current: Floats,
-    stopped: NDArray[np.uint32],
-    inputs: Floats,
-    time: Floats,
-    step: float,
-    low: Floats,
-    high: Floats,
-    out: Floats,
-) -> None:
-    tape = dynamics.tape
-    free_runs(
-        tape.code, tape.outputs, tape.registers(), parameters, current, stopped, inputs, time, step, low, high, out
-    )
-
-
-def run_bands(
-    dynamics: Dynamics,
-    parameters: Floats,
-    first: Floats,
-    inputs: Floats,
-    time: Floats,
-    step: float,
-    low: Floats,
-    high: Floats,
-) -> tuple[Floats, Floats, int]:
+def run_bands(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive) -> tuple[Floats, Floats, int]:
     """Pointwise 95 % band of runs with different parameters.
 
     Parameters
     ----------
     parameters : (runs, p) array
         Of each run.
-    dynamics, first, inputs, time, step, low, high
-        As for `mean_run`.
+    dynamics, first, drive
+        As for `mean_run`; the step is taken as it is.
 
     Returns
     -------
@@ -130,17 +96,17 @@ def run_bands(
     blown : int
         How many did at some time.
     """
-    runs, n, d = len(parameters), len(time), len(first)
+    runs, n, d = len(parameters), len(drive.inputs), len(first)
     current, stopped = np.tile(first, (runs, 1)), np.zeros(runs, dtype=np.uint32)
     bottom, top = np.empty((n, d)), np.empty((n, d))
     below, above = math.floor(TAIL * (runs - 1)), math.ceil((1.0 - TAIL) * (runs - 1))
     size = max(2, BLOCK // (runs * d))
     for row in range(0, max(n - 1, 1), size - 1):  # a block starts with the last row of the one before
-        rows = slice(row, min(row + size, n))
-        out = np.empty((runs, rows.stop - row, d))
-        _run(dynamics, parameters, current, stopped, inputs[rows], time[rows], step, low, high, out)
+        end = min(row + size, n)
+        out = np.empty((runs, end - row, d))
+        free_runs(dynamics.program(), drive.part(row, end), parameters, current, stopped, out)
         # a run that blew up may be anywhere
         gone = np.isnan(out)
-        bottom[rows] = np.partition(np.where(gone, -math.inf, out), below, axis=0)[below]
-        top[rows] = np.partition(np.where(gone, math.inf, out), above, axis=0)[above]
+        bottom[row:end] = np.partition(np.where(gone, -math.inf, out), below, axis=0)[below]
+        top[row:end] = np.partition(np.where(gone, math.inf, out), above, axis=0)[above]
     return bottom, top, int(np.count_nonzero(stopped))

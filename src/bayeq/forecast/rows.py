@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError, RecordError
 from bayeq.expressions import Expression
-from bayeq.ode.rk4 import Interpolation, interpolant
+from bayeq.ode.rk4 import Drive, Interpolation, interpolant
 from bayeq.records import Record
 from bayeq.states import ChainSmoothing, Motion
 
@@ -71,6 +71,10 @@ class Rows:
             self.driven[rows],
             self.estimated,
         )
+
+    def drive(self, low: Floats, high: Floats) -> Drive:
+        """What drives a run over these rows, within a range of the states."""
+        return Drive.over(self.time, self.driven, low, high)
 
     def interpolated(self, inputs: Sequence[str], kind: Interpolation) -> Rows:
         """The same with inputs interpolated otherwise, of a whole record."""

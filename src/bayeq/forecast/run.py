@@ -26,10 +26,9 @@ from bayeq.forecast.rows import (
     window_of,
 )
 from bayeq.forecast.start import fitted_start
-from bayeq.inference.posterior import Posterior
-from bayeq.ode.rk4 import Interpolation, interpolant
+from bayeq.ode.rk4 import Drive, Interpolation, interpolant
 from bayeq.records import Record
-from bayeq.states import Roles, Smooth, estimate_motion
+from bayeq.states import Smooth, estimate_motion
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -131,7 +130,6 @@ class Forecast:
 
 def forecast(
     dynamics: Dynamics,
-    posteriors: Sequence[Posterior],
     record: Record,
     smooth: Smooth,
     *,
@@ -152,15 +150,14 @@ def forecast(
     part.require_finite(dynamics.inputs)
     time = time[window]
     inputs = _inputs(dynamics, record, window, interpolation)
-    parameters = dynamics.means(posteriors)
-    first, low, high = _beginning(dynamics, parameters, record, smooth, window, initial)
-    step, mean, stopped = mean_run(dynamics, parameters, first, inputs, time, low, high)
+    first, low, high = _beginning(dynamics, record, smooth, window, initial)
+    mean, stopped, drive = mean_run(dynamics, dynamics.mean, first, Drive.over(time, inputs, low, high))
     bottom: Mapping[str, Floats] = {}
     top: Mapping[str, Floats] = {}
     blown = 0
     if draws:
-        drawn = dynamics.draw(posteriors, draws, np.random.default_rng(seed))
-        below, above, blown = run_bands(dynamics, drawn, first, inputs, time, step, low, high)
+        drawn = dynamics.draw(draws, np.random.default_rng(seed))
+        below, above, blown = run_bands(dynamics, drawn, first, drive)
         bottom = dict(zip(dynamics.states, below.T, strict=True))
         top = dict(zip(dynamics.states, above.T, strict=True))
     measured = {name: part[name] for name in dynamics.states if name in part.channels}
@@ -190,7 +187,6 @@ def _inputs(dynamics: Dynamics, record: Record, window: slice, interpolation: In
 
 def _beginning(
     dynamics: Dynamics,
-    parameters: Floats,
     record: Record,
     smooth: Smooth,
     window: slice,
@@ -224,19 +220,16 @@ def _beginning(
     margin = GENEROUS * np.abs(start)
     low, high = np.minimum(low, start - margin), np.maximum(high, start + margin)
     if rows is not None and not given:
-        start = fitted_start(
-            dynamics, parameters, rows.part(slice(row, rows.nearest(times[window.stop - 1]) + 1)), low, high
-        )
+        part = rows.part(slice(row, rows.nearest(times[window.stop - 1]) + 1))
+        start = fitted_start(dynamics, dynamics.mean, part, low, high)
     return start, low, high
 
 
 def _rows(dynamics: Dynamics, record: Record, smooth: Smooth) -> Rows | None:
     """The record with its states, where all channels that they come from are measured."""
-    channels = [name for chain in dynamics.chains for name in chain.measured if name is not None]
-    if not all(name in record.channels for name in channels):
+    if not all(name in record.channels for name in dynamics.roles.measured):
         return None
-    motion = estimate_motion([record], Roles(dynamics.chains, dynamics.inputs), smooth)
-    return rows_of(motion, "a free run")[0]
+    return rows_of(estimate_motion([record], dynamics.roles, smooth), "a free run")[0]
 
 
 def _measured_states(dynamics: Dynamics, record: Record, row: int, needed: Sequence[str]) -> Mapping[str, Floats]:

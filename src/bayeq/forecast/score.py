@@ -24,7 +24,7 @@ from bayeq.forecast.rows import (
 from bayeq.forecast.start import fitted_start
 from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
-from bayeq.states import Motion, Roles, Smooth, estimate_motion
+from bayeq.states import Motion, Smooth, estimate_motion
 
 __all__ = ["held_out_scores", "score_records", "score_rows"]
 
@@ -48,7 +48,7 @@ def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows]) -
     for rows in pieces:
         limits = state_range(rows.stack(dynamics.states))
         first = fitted_start(dynamics, parameters, rows, *limits)
-        _, run, stopped = mean_run(dynamics, parameters, first, rows.driven, rows.time, *limits)
+        run, stopped, _ = mean_run(dynamics, parameters, first, rows.drive(*limits))
         runs.append(run)
         if stopped is not None and blew_up_at is None:
             blew_up_at = float(rows.time[stopped])
@@ -75,7 +75,7 @@ def _predicted(target: str, terms: Sequence[Expression], parameters: Floats, row
     return smoothing.follow(values[:, None])[inner, 0], given[inner]
 
 
-def held_out_scores(dynamics: Dynamics, parameters: Floats, motion: Motion) -> Scores | None:
+def held_out_scores(dynamics: Dynamics, motion: Motion) -> Scores | None:
     """Scores on the rows held out.
 
     Returns
@@ -86,12 +86,11 @@ def held_out_scores(dynamics: Dynamics, parameters: Floats, motion: Motion) -> S
     if not motion.timed:
         return None
     pieces = [rows for rows in divided(motion, rows_of(motion, "a free run"))[1] if rows.n >= LEAST_ROWS]
-    return score_rows(dynamics, parameters, pieces) if pieces else None
+    return score_rows(dynamics, dynamics.mean, pieces) if pieces else None
 
 
 def score_records(
     dynamics: Dynamics,
-    parameters: Floats,
     records: Sequence[Record],
     smooth: Smooth,
     *,
@@ -102,8 +101,7 @@ def score_records(
 ) -> Scores:
     """Scores on rows of records; see `bayeq.Equations.score`. Without `start` these are the last ones, a share."""
     check_interpolation(interpolation)
-    roles = Roles(dynamics.chains, dynamics.inputs)
-    motion = estimate_motion(records, roles, smooth, share if start is None else 0.0)
+    motion = estimate_motion(records, dynamics.roles, smooth, share if start is None else 0.0)
     pieces = []
     for record, whole in zip(records, rows_of(motion, "a free run", interpolation), strict=True):
         time = require_time(record, "a free run")
@@ -115,4 +113,4 @@ def score_records(
         else:
             window = window_of(record, start, rows)
         pieces.append(whole.part(slice(whole.nearest(time[window.start]), whole.nearest(time[window.stop - 1]) + 1)))
-    return score_rows(dynamics, parameters, pieces)
+    return score_rows(dynamics, dynamics.mean, pieces)

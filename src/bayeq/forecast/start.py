@@ -8,8 +8,6 @@ that was read off where the samples say little.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,23 +55,19 @@ def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats
     known = np.array([i for i, name in enumerate(dynamics.states) if name in rows.samples], dtype=np.uint32)
     if rows.n < LEAST_ROWS or not len(known):
         return first
-    count = typical_period(dynamics, [rows]) / float(np.median(np.diff(rows.time)))
-    beginning = rows.part(slice(0, int(min(max(count, LEAST_ROWS), rows.n)) if math.isfinite(count) else rows.n))
-    chosen = np.column_stack([beginning.samples[dynamics.states[i]] for i in known])
-    inputs, time = beginning.driven, beginning.time
-    tape = dynamics.tape
-    registers = tape.registers()
-    step = finest_step(dynamics, parameters, whole[: len(time)], inputs, time)
+    drive = rows.drive(low, high)
+    n = int(min(max(typical_period(dynamics, [rows]) / drive.step, LEAST_ROWS), rows.n))
+    chosen = np.column_stack([rows.samples[dynamics.states[i]][:n] for i in known])
+    drive = drive.part(0, n)
+    drive = drive._replace(step=finest_step(dynamics, parameters, whole[:n], drive))
+    program = dynamics.program()
 
     def errors(start: Floats) -> tuple[Floats, Floats] | None:
         """Weighted errors of samples and state, and their derivatives by the state."""
         values = np.empty(chosen.shape)
         jacobian = np.empty((*chosen.shape, len(start) + len(parameters)))
-        done = shoot(
-            tape.code, tape.outputs, registers, parameters, start, inputs, time, step, low, high, known, values,
-            jacobian,
-        )  # fmt: skip
-        if done < len(time) or not np.isfinite(jacobian).all():
+        done = shoot(program, drive, parameters, start, known, values, jacobian)
+        if done < n or not np.isfinite(jacobian).all():
             return None
         weight = 1.0 / (SAMPLE * scale[known])
         there = np.isfinite(chosen)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import mean_run, state_range
 from bayeq.forecast.rows import Rows
+from bayeq.states import rates
 
 __all__ = ["apart", "typical_period", "window_runs"]
 
@@ -24,16 +25,14 @@ LEAST_ROWS = 8
 def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
     """Shortest of the chains' periods [s]: 2 pi times the spread of the coordinate over that of its derivative."""
     periods = []
-    for chain in dynamics.chains:
-        low, rate = (np.concatenate([rows.columns[name] for rows in pieces]) for name in chain.names[:2])
-        spread = float(rate.std())
+    for law in dynamics.laws:
+        low, above = (np.concatenate([rows.columns[name] for rows in pieces]) for name in law.chain.names[:2])
+        spread = abs(rates(law.chain, law.unit_gains)[0]) * float(above.std())
         periods.append(2.0 * math.pi * float(low.std()) / spread if spread > 0 else math.inf)
     return min(periods)
 
 
-def window_runs(
-    dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], duration: float
-) -> list[tuple[Floats, Floats]]:
+def window_runs(dynamics: Dynamics, pieces: Sequence[Rows], duration: float) -> list[tuple[Floats, Floats]]:
     """Free runs over windows of some seconds, and the states that they are to follow, in units of their spread.
 
     Each starts at the states of its first row. Windows are at most half a record, and overlap where it is short; there
@@ -41,28 +40,29 @@ def window_runs(
 
     Parameters
     ----------
-    dynamics, parameters
-        The equations.
+    dynamics : Dynamics
+        The equations, with their posterior means.
     pieces : sequence of Rows
         Records, even or uneven steps of time.
     duration : float
         [s].
     """
-    whole = np.concatenate([rows.stack(dynamics.states) for rows in pieces])
+    states = [rows.stack(dynamics.states) for rows in pieces]
+    whole = np.concatenate(states)
     spread = whole.std(axis=0)
     scale = np.where(spread > 0, spread, 1.0)
-    low, high = state_range(whole)
+    limits = state_range(whole)
     out = []
-    for rows in pieces:
-        length = min(round(duration / float(np.median(np.diff(rows.time)))) + 1, rows.n // 2)
+    for rows, known in zip(pieces, states, strict=True):
+        drive = rows.drive(*limits)
+        length = min(round(duration / drive.step) + 1, rows.n // 2)
         if length < LEAST_ROWS:
             continue
         count = max(1, round(WINDOWS * rows.n / len(whole)))
-        states = rows.stack(dynamics.states)
         for first in np.linspace(0, rows.n - length, count).astype(int):
-            window = rows.part(slice(first, first + length))
-            run = mean_run(dynamics, parameters, states[first], window.driven, window.time, low, high)[1]
-            out.append((run / scale, states[first : first + length] / scale))
+            end = first + length
+            run, _, _ = mean_run(dynamics, dynamics.mean, known[first], drive.part(first, end))
+            out.append((run / scale, known[first:end] / scale))
     return out
 
 

@@ -1,25 +1,58 @@
-"""Free runs of any right-hand side that is a tape, many side by side: RK4 in fixed steps, compiled once for all.
+"""Runge-Kutta runs of any right-hand side that is a tape: fixed steps, compiled once for all systems.
 
-`bayeq.systems.integrate` is its plainer relation: one run, even sampling, inputs interpolated linearly.
+The tape's variables are the d states, the inputs, then the parameters; its first d outputs are the states'
+derivatives.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from bayeq.expressions.evaluate import FloatArray
-from bayeq.expressions.tape import IndexArray, run_tape
+from bayeq.expressions.tape import IndexArray, Program, run_tape
 from bayeq.kernels import kernel
 
-__all__ = ["STAGES", "Interpolation", "free_runs", "input_at", "interpolant", "local_errors", "steps_between"]
+__all__ = ["STAGES", "Drive", "Interpolation", "advance", "free_runs", "interpolant", "local_errors", "slope_at"]
 
 Interpolation = Literal["cubic", "linear", "hold"]
 
 # Rows of work space: the state between samples, a trial state, and four slopes.
 STAGES = 6
+
+
+class Drive(NamedTuple):
+    """What drives a run, from sample to sample, and where it may go.
+
+    Attributes
+    ----------
+    inputs : (n, m, 4) array
+        From `interpolant`.
+    intervals : (n - 1,) array
+        Between the samples [s].
+    step : float
+        Longest step of integration [s]; intervals are divided evenly.
+    low, high : (d,) arrays
+        The range of the states; a run that leaves it, or is not finite, stops.
+    """
+
+    inputs: FloatArray
+    intervals: FloatArray
+    step: float
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def over(cls, time: FloatArray, inputs: FloatArray, low: FloatArray, high: FloatArray) -> Drive:
+        """With samples at some times, the median interval as the step."""
+        intervals = np.diff(time)
+        return cls(inputs, intervals, float(np.median(intervals)), low, high)
+
+    def part(self, start: int, stop: int) -> Drive:
+        """The samples from `start` up to `stop`, that one left out."""
+        return self._replace(inputs=self.inputs[start:stop], intervals=self.intervals[start : stop - 1])
 
 
 def interpolant(time: FloatArray, samples: FloatArray, kind: Interpolation) -> FloatArray:
@@ -38,183 +71,171 @@ def interpolant(time: FloatArray, samples: FloatArray, kind: Interpolation) -> F
     Returns
     -------
     (n, m, 4) array
-        In powers of the time since the sample, the lowest first; constant after the last.
+        The values p, q at both ends of each interval, and r, s of the deviation from the straight line between them: in
+        the fraction w of the interval, ``(1 - w) p + w q + w (1 - w) (r + w s)``. Constant after the last sample.
     """
-    n = len(time)
     out = np.zeros((*samples.shape, 4))
-    out[:, :, 0] = samples
-    if n < 2 or samples.shape[1] == 0 or kind == "hold":
+    out[:, :, 0] = out[:, :, 1] = samples
+    if len(time) < 2 or samples.shape[1] == 0 or kind == "hold":
         return out
-    if kind == "linear":
-        out[:-1, :, 1] = np.diff(samples, axis=0) / np.diff(time)[:, None]
-        return out
-    from scipy.interpolate import CubicSpline
+    out[:-1, :, 1] = samples[1:]
+    if kind == "cubic":
+        from scipy.interpolate import CubicSpline
 
-    coefficients = CubicSpline(time, samples, axis=0).c
-    out[:-1] = np.moveaxis(coefficients[::-1], 0, -1)
-    out[:-1, :, 0] = samples[:-1]
+        h = np.diff(time)[:, None]
+        cubic, square = CubicSpline(time, samples, axis=0).c[:2]
+        out[:-1, :, 3] = -cubic * h**3
+        out[:-1, :, 2] = out[:-1, :, 3] - square * h**2
     return out
 
 
 @kernel
-def input_at(inputs: FloatArray, row: int, which: int, since: float) -> float:
-    """Value of an input, `since` seconds after the sample `row`."""
-    c = inputs[row, which]
-    return c[0] + since * (c[1] + since * (c[2] + since * c[3]))
-
-
-@kernel
-def _slope(
-    code: IndexArray,
-    outputs: IndexArray,
-    registers: FloatArray,
-    x: FloatArray,
+def slope_at(
+    program: Program,
     inputs: FloatArray,
+    x: FloatArray,
     row: int,
-    since: float,
+    fraction: float,
+    tangents: FloatArray | None,
     slope: FloatArray,
 ) -> None:
-    """Right-hand side at `x`, `since` seconds after the sample `row`."""
-    states = x.shape[0]
-    for i in range(states):
+    """Right-hand side at `x`, at a fraction of the interval after the sample `row`.
+
+    Parameters
+    ----------
+    program : Program
+        As for `free_runs`.
+    inputs : (n, m, 4) array
+        From `interpolant`.
+    row, fraction : int, float
+        The sample, and a number between 0 and 1.
+    x : (d (1 + q),) float array
+        The state, then its derivatives along q directions, state by state.
+    tangents : (registers, q) float array or None
+        As for `run_tape`; None for q = 0.
+    slope : (d (1 + q),) float array
+        Receives the derivatives of `x` by time.
+    """
+    registers, rest = program.registers, 1.0 - fraction
+    size = x.shape[0] if tangents is None else x.shape[0] // (1 + tangents.shape[1])
+    for i in range(size):
         registers[i] = x[i]
     for k in range(inputs.shape[1]):
-        registers[states + k] = input_at(inputs, row, k, since)
-    run_tape(code, registers)
-    for i in range(states):
-        slope[i] = registers[outputs[i]]
+        p = inputs[row, k]
+        registers[size + k] = rest * p[0] + fraction * p[1] + fraction * rest * (p[2] + fraction * p[3])
+    if tangents is not None:
+        for i in range(size):
+            for j in range(tangents.shape[1]):
+                tangents[i, j] = x[size + i * tangents.shape[1] + j]
+    run_tape(program, tangents)
+    for i in range(size):
+        slope[i] = registers[program.outputs[i]]
+        if tangents is not None:
+            for j in range(tangents.shape[1]):
+                slope[size + i * tangents.shape[1] + j] = tangents[program.outputs[i], j]
 
 
 @kernel
-def _interval(
-    code: IndexArray,
-    outputs: IndexArray,
-    registers: FloatArray,
+def advance(
+    program: Program,
     inputs: FloatArray,
     row: int,
-    dt: float,
+    interval: float,
     substeps: int,
+    tangents: FloatArray | None,
     work: FloatArray,
 ) -> None:
-    """From the sample `row` to the next by classical Runge-Kutta steps: the state ``work[0]`` is advanced by `dt`."""
-    states = work.shape[1]
+    """From the sample `row` to the next, by classical Runge-Kutta steps: the state ``work[0]`` is moved on."""
+    size = work.shape[1]
     x, y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4], work[5]
-    h = dt / substeps
+    h, share = interval / substeps, 1.0 / substeps
     for step in range(substeps):
-        start, middle, end = h * step, h * (step + 0.5), h * (step + 1.0)
-        _slope(code, outputs, registers, x, inputs, row, start, k1)
-        for i in range(states):
+        start, middle, end = step * share, (step + 0.5) * share, (step + 1.0) * share
+        slope_at(program, inputs, x, row, start, tangents, k1)
+        for i in range(size):
             y[i] = x[i] + 0.5 * h * k1[i]
-        _slope(code, outputs, registers, y, inputs, row, middle, k2)
-        for i in range(states):
+        slope_at(program, inputs, y, row, middle, tangents, k2)
+        for i in range(size):
             y[i] = x[i] + 0.5 * h * k2[i]
-        _slope(code, outputs, registers, y, inputs, row, middle, k3)
-        for i in range(states):
+        slope_at(program, inputs, y, row, middle, tangents, k3)
+        for i in range(size):
             y[i] = x[i] + h * k3[i]
-        _slope(code, outputs, registers, y, inputs, row, end, k4)
-        for i in range(states):
+        slope_at(program, inputs, y, row, end, tangents, k4)
+        for i in range(size):
             x[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
 
 
 @kernel
-def steps_between(dt: float, step: float) -> int:
-    """Equal steps that divide an interval `dt` so that none is longer than `step`, up to rounding."""
-    return max(1, math.ceil(dt / step - 1e-6))
+def steps_in(interval: float, step: float) -> int:
+    """Equal steps that divide an interval so that none is longer than `step`, up to rounding."""
+    return max(1, math.ceil(interval / step - 1e-6))
 
 
 @kernel
 def free_runs(
-    code: IndexArray,
-    outputs: IndexArray,
-    registers: FloatArray,
+    program: Program,
+    drive: Drive,
     parameters: FloatArray,
     current: FloatArray,
     stopped: IndexArray,
-    inputs: FloatArray,
-    time: FloatArray,
-    step: float,
-    low: FloatArray,
-    high: FloatArray,
     out: FloatArray,
 ) -> None:
     """Integrate ``dx/dt = f(x, u; theta)`` from several states, each with parameters of its own.
 
-    The tape's variables are the states, then the inputs, then the parameters; its outputs are the states' derivatives.
-
     Parameters
     ----------
-    code, outputs : uint32 arrays
-        Of a `bayeq.expressions.Tape`.
-    registers : float array
-        From `Tape.registers`; changed in place.
+    program : Program
+        Of a tape in states, inputs and parameters; its registers are changed.
+    drive : Drive
+        Inputs and steps, common to the runs.
     parameters : (runs, p) float array
         Of each run.
-    current : (runs, states) float array
+    current : (runs, d) float array
         States at the first sample; afterwards those at the last, so that the next call can go on.
     stopped : (runs,) uint32 array
         0 for a run that goes on; set to the row (counted from 1) at which a run left its range.
-    inputs : (n, m, 4) float array
-        From `interpolant`.
-    time : (n,) float array
-        Sampling times [s].
-    step : float
-        Longest step [s].
-    low, high : (states,) float arrays
-        The range of the states; a run that leaves it, or is not finite, stops.
-    out : (runs, n, states) float array
+    out : (runs, n, d) float array
         Receives the states at the samples, NaN from where a run stopped.
     """
-    runs, n, states = out.shape
-    first = states + inputs.shape[1]
-    work = np.empty((STAGES, states))
+    runs, n, size = out.shape
+    first = size + drive.inputs.shape[1]
+    work = np.empty((STAGES, size))
     for run in range(runs):
         for j in range(parameters.shape[1]):
-            registers[first + j] = parameters[run, j]
-        for i in range(states):
+            program.registers[first + j] = parameters[run, j]
+        for i in range(size):
             work[0, i] = current[run, i]
         for row in range(n):
             if stopped[run] == 0:
-                for i in range(states):
-                    if not (work[0, i] >= low[i] and work[0, i] <= high[i]):
+                for i in range(size):
+                    if not (work[0, i] >= drive.low[i] and work[0, i] <= drive.high[i]):
                         stopped[run] = row + 1
             if stopped[run] > 0:
-                for i in range(states):
+                for i in range(size):
                     out[run, row, i] = math.nan
                 continue
-            for i in range(states):
+            for i in range(size):
                 out[run, row, i] = work[0, i]
             if row < n - 1:
-                dt = time[row + 1] - time[row]
-                _interval(code, outputs, registers, inputs, row, dt, steps_between(dt, step), work)
-        for i in range(states):
+                interval = drive.intervals[row]
+                advance(program, drive.inputs, row, interval, steps_in(interval, drive.step), None, work)
+        for i in range(size):
             current[run, i] = work[0, i]
 
 
 @kernel
-def local_errors(
-    code: IndexArray,
-    outputs: IndexArray,
-    registers: FloatArray,
-    states: FloatArray,
-    inputs: FloatArray,
-    time: FloatArray,
-    step: float,
-    scale: FloatArray,
-    out: FloatArray,
-) -> None:
+def local_errors(program: Program, drive: Drive, states: FloatArray, scale: FloatArray, out: FloatArray) -> None:
     """What half the step changes in each sampling interval, started from given states.
 
     Parameters
     ----------
-    code, outputs, registers
+    program : Program
         As for `free_runs`, the parameters in their registers.
-    states : (n, states) float array
+    drive : Drive
+        Compared are twice as many steps as it has.
+    states : (n, d) float array
         Where each interval starts.
-    inputs, time
-        As for `free_runs`.
-    step : float
-        Longest step [s]; compared are twice as many.
-    scale : (states,) float array
+    scale : (d,) float array
         Unit of each state's error.
     out : (n - 1,) float array
         Receives the largest difference of any state, in these units.
@@ -226,10 +247,10 @@ def local_errors(
         for i in range(size):
             coarse[0, i] = states[row, i]
             fine[0, i] = states[row, i]
-        dt = time[row + 1] - time[row]
-        substeps = steps_between(dt, step)
-        _interval(code, outputs, registers, inputs, row, dt, substeps, coarse)
-        _interval(code, outputs, registers, inputs, row, dt, 2 * substeps, fine)
+        interval = drive.intervals[row]
+        steps = steps_in(interval, drive.step)
+        advance(program, drive.inputs, row, interval, steps, None, coarse)
+        advance(program, drive.inputs, row, interval, 2 * steps, None, fine)
         out[row] = 0.0
         for i in range(size):
             error = abs(coarse[0, i] - fine[0, i]) / scale[i]

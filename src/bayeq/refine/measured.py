@@ -49,7 +49,7 @@ class Measured:
     pieces : sequence of Piece
         One per record.
     channels : (m,) uint32 array
-        What the pieces' channels are: state i is i, the derivative of state i is d + i.
+        What the pieces' channels are: state i is i, target k is d + k.
     step : float
         Longest step of integration [s].
     low, high : (d,) arrays
@@ -81,7 +81,7 @@ class Measured:
     @cached_property
     def last(self) -> IndexArray:
         """The highest state of each chain."""
-        return np.array(list(self.dynamics.slopes.values()), dtype=np.uint32)
+        return np.cumsum([chain.order for chain in self.dynamics.chains]).astype(np.uint32) - np.uint32(1)
 
     @cached_property
     def samples(self) -> NDArray[np.intp]:

@@ -17,7 +17,7 @@ from bayeq.forecast.results import Refinement, Scores
 from bayeq.forecast.rows import Rows, predicted_target, rows_of
 from bayeq.forecast.score import score_rows
 from bayeq.inference.posterior import Posterior
-from bayeq.ode.rk4 import Interpolation
+from bayeq.ode.rk4 import Drive, Interpolation
 from bayeq.records import Record
 from bayeq.refine.measured import Measured, Piece
 from bayeq.refine.output_error import OutputError, Unrefined, follows_better, output_error
@@ -56,14 +56,10 @@ class RefinedEquations:
 
 
 def refine(
-    chains: Sequence[Chain],
-    inputs: Sequence[str],
-    posteriors: Sequence[Posterior],
-    terms: Sequence[Sequence[Expression]],
+    dynamics: Dynamics,
     records: Sequence[Record],
     *,
     smooth: Smooth,
-    intercepts: Sequence[bool],
     segment: int | None,
     holdout: float,
     interpolation: Interpolation | None,
@@ -72,14 +68,12 @@ def refine(
 
     Parameters
     ----------
-    chains, inputs, posteriors, terms
-        Of the equations, by regression.
+    dynamics : Dynamics
+        The equations, by regression; an intercept that they lack is zero.
     records : sequence of Record
         With the channels that the equations were found from.
     smooth
         As `discover` takes it.
-    intercepts : sequence of bool
-        Equations whose intercept is estimated; of the others it is set to zero.
     segment, holdout, interpolation
         See `bayeq.Equations.refine`.
 
@@ -88,9 +82,8 @@ def refine(
     InputError
         Channels that are missing, no time, too few rows.
     """
-    dynamics = Dynamics.of(chains, inputs, posteriors, terms, intercepts)
+    chains, inputs, means = dynamics.chains, dynamics.inputs, dynamics.mean
     names = [name for chain in chains for name in chain.measured if name is not None]
-    means = dynamics.means(posteriors)
     rows = _rows(chains, inputs, records, smooth, holdout, interpolation or "cubic")
     measured = _measured(dynamics, means, rows, names)
     if interpolation is None and inputs:
@@ -98,7 +91,7 @@ def refine(
         other = _measured(dynamics, means, straight, names)
         interpolation = "linear" if follows_better(other, measured, means, segment) else "cubic"
         rows, measured = (straight, other) if interpolation == "linear" else (rows, measured)
-    found = output_error(measured, means, dynamics.covariance(posteriors), segment)
+    found = output_error(measured, means, dynamics.covariance, segment)
     if isinstance(found, Unrefined):
         return found
     train = [whole.part(slice(0, cut)) for whole, cut in rows]
@@ -113,7 +106,7 @@ def refine(
         assert fits[0] is not None
         refined.append(
             RefinedEquation(
-                _posterior(posteriors[k], parameters, covariance, noise),
+                _posterior(dynamics.laws[k].posterior, parameters, covariance, noise),
                 fits[0],
                 fits[1],
                 inspect_residuals(residuals, channels),
@@ -178,14 +171,15 @@ def _measured(dynamics: Dynamics, means: Floats, whole: Sequence[tuple[Rows, int
     size = len(dynamics.states)
     places = {
         **{name: i for i, name in enumerate(dynamics.states)},
-        **{target: size + k for target, k in dynamics.slopes.items()},
+        **{target: size + k for k, target in enumerate(dynamics.targets)},
     }
+    limits = state_range(np.concatenate([piece.states for piece in pieces]))
     return Measured(
         dynamics,
         pieces,
         np.array([places[name] for name in names], dtype=np.uint32),
-        min(finest_step(dynamics, means, piece.states, piece.inputs, piece.time) for piece in pieces),
-        *state_range(np.concatenate([piece.states for piece in pieces])),
+        min(finest_step(dynamics, means, p.states, Drive.over(p.time, p.inputs, *limits)) for p in pieces),
+        *limits,
     )
 
 

@@ -16,6 +16,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.ode.rk4 import Drive
 from bayeq.ode.tangents import shoot
 from bayeq.refine.innovations import filter_run, predict_run
 from bayeq.refine.measured import Measured, Piece
@@ -81,7 +82,7 @@ class Segments:
     def free(self, weights: Floats) -> Runner:
         """Free runs, residuals multiplied by the weights (m,) of their channels."""
         m = self.measured
-        tape, registers = m.dynamics.tape, m.dynamics.registers()
+        program = m.dynamics.program()
 
         def run(parameters: Floats, starts: Floats) -> Runs | None:
             out = []
@@ -89,10 +90,8 @@ class Segments:
                 samples = piece.channels[a:e]
                 values = np.empty(samples.shape)
                 jacobian = np.empty((*samples.shape, len(start) + len(parameters)))
-                done = shoot(
-                    tape.code, tape.outputs, registers, parameters, start, piece.inputs[a:e], piece.time[a:e], m.step,
-                    m.low, m.high, m.channels, values, jacobian,
-                )  # fmt: skip
+                drive = Drive(piece.inputs[a:e], np.diff(piece.time[a:e]), m.step, m.low, m.high)
+                done = shoot(program, drive, parameters, start, m.channels, values, jacobian)
                 if done < e - a or not (np.abs(jacobian) < LARGEST).all():
                     return None
                 whole = np.concatenate([(samples - values)[:, :, None], jacobian], axis=2) * weights[:, None]

@@ -71,11 +71,9 @@ class FreeRuns:
     def of(self, shown: Sequence[Posterior]) -> dict[float, Windows]:
         """Runs and what they are to follow, by their length in periods; one posterior per equation."""
         posteriors = [fit.expanded(one) for fit, one in zip(self.fits, shown, strict=True)]
-        roles, terms = self.motion.roles, self.fits[0].regression.design.terms
-        dynamics = Dynamics.of(roles.chains, roles.inputs, posteriors, [terms] * len(posteriors))
+        dynamics = Dynamics.on(self.motion, self.fits[0].regression.design.terms, posteriors)
         period = typical_period(dynamics, self.pieces)
-        parameters = dynamics.means(posteriors)
-        return {periods: window_runs(dynamics, parameters, self.pieces, periods * period) for periods in TOLERANCES}
+        return {periods: window_runs(dynamics, self.pieces, periods * period) for periods in TOLERANCES}
 
     def hardly_worse(self, fewer: dict[float, Windows], whole: dict[float, Windows]) -> bool:
         """Whether runs are within the tolerances; not where there are none."""

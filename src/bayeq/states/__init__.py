@@ -6,6 +6,7 @@ from bayeq.states.derived_channels import measured_apart
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing
 from bayeq.states.motion import FEW_ROWS, Motion, MotionRows, estimate_motion
 from bayeq.states.roles import Roles
+from bayeq.states.unit_gains import rates, unit_gains
 
 __all__ = [
     "FEW_ROWS",
@@ -22,4 +23,6 @@ __all__ = [
     "parse_chain",
     "parse_chains",
     "require_varying",
+    "rates",
+    "unit_gains",
 ]

@@ -16,6 +16,7 @@ from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain
 from bayeq.states.roles import Roles
 from bayeq.states.uniform_grid import on_grid
+from bayeq.states.unit_gains import unit_gains
 
 __all__ = ["FEW_ROWS", "Motion", "MotionRows", "cut_at", "estimate_motion", "held_out_share"]
 
@@ -94,6 +95,8 @@ class Motion:
         The first row of each record that is held out; its number of rows if none is.
     smoothing : tuple of ChainSmoothing
         How the kinematic smoother went over each chain; empty if it did not.
+    unit_gains : tuple of (K+1,) arrays
+        Of each chain, see `bayeq.states.unit_gains`.
     holdout : float
         Share of the rows of each record, the last, that is held out.
     """
@@ -102,6 +105,7 @@ class Motion:
     records: tuple[MotionRows, ...]
     cuts: tuple[int, ...]
     smoothing: tuple[ChainSmoothing, ...]
+    unit_gains: tuple[Floats, ...]
     holdout: float
 
     @cached_property
@@ -184,9 +188,12 @@ def estimate_motion(records: Sequence[Record], roles: Roles, smooth: Smooth = "a
     if smoothed is None:
         pieces = tuple(_as_measured(record, roles, smooth) for record in records)
         cuts, smoothing = tuple(cut_at(rows.n, share) for rows in pieces), no_smoothing
+        even = [on_grid(record, roles.measured, ()) for record in records]
+        gains = tuple(unit_gains(even, chain, [cut_at(record.n, share) for record in even]) for chain in roles.chains)
     else:
         pieces, cuts, smoothing = smoothed
-    return Motion(roles, pieces, cuts, smoothing, share)
+        gains = tuple(one.unit_gains for one in smoothing)
+    return Motion(roles, pieces, cuts, smoothing, gains, share)
 
 
 def _as_measured(record: Record, roles: Roles, smooth: Smooth) -> MotionRows:

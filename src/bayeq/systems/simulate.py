@@ -143,17 +143,25 @@ def _tape(system: System) -> Tape:
 
 def _integrate(system: System, values: Mapping[str, float], inputs: FloatArray, fs: float) -> FloatArray:
     """States at the samples, (n, states)."""
-    from bayeq.systems.integrate import rk4
+    from bayeq.ode.rk4 import Drive, free_runs, interpolant
 
-    tape = _tape(system)
-    n = len(inputs)
-    states = np.empty((n, len(system.states)))
-    x0 = np.array([system.initial[s] for s in system.states], dtype=np.float64)
-    registers = tape.registers([*x0, *inputs[0], *values.values()])
-    done = rk4(tape.code, tape.outputs, registers, x0, inputs, 1.0 / fs, system.substeps, states)
-    if done < n:
-        raise _diverged(system, f"at {done / fs:g} s (row {done})")
-    return states
+    n, size = len(inputs), len(system.states)
+    largest = np.full(size, np.finfo(np.float64).max)
+    drive = Drive(
+        interpolant(np.arange(n) / fs, inputs, "linear"),
+        np.full(n - 1, 1.0 / fs),
+        1.0 / fs / system.substeps,
+        -largest,
+        largest,
+    )
+    start = np.array([[system.initial[s] for s in system.states]], dtype=np.float64)
+    parameters = np.array([list(values.values())], dtype=np.float64)
+    stopped, states = np.zeros(1, dtype=np.uint32), np.empty((1, n, size))
+    free_runs(_tape(system).program(), drive, parameters, start, stopped, states)
+    if stopped[0]:
+        row = int(stopped[0]) - 1
+        raise _diverged(system, f"at {row / fs:g} s (row {row})")
+    return states[0]
 
 
 def _diverged(system: System, where: str) -> InputError:

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record
 from bayeq.records.sampling import even_step
 from bayeq.states.chain import Chain
 from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, fit_kinematic, smooth_kinematic
+from bayeq.states.unit_gains import bridged, unit_gains
 
 __all__ = ["ChainSmoothing", "smooth_chain"]
 
@@ -24,13 +24,6 @@ LEAST_GAIN = 0.9
 
 # A smoother's filter reaches over so many times as many samples as the inverse of its band's width.
 REACH = 4.0
-
-# A factor between units this near to a usual one is that one.
-SNAP = 0.1
-GRAVITY = 9.80665
-
-# Units are compared in chains of up to so many derivatives.
-MOST_DERIVATIVES = 3
 
 # A signal comes out of its noise where its density, averaged over so many bins on either side (at most this share of
 # them), exceeds that of the noise by this factor, and by what chance exceeds with this probability.
@@ -60,7 +53,7 @@ class ChainSmoothing:
         Noise of the noisiest measured state (all derivatives but the highest, unless that alone is measured), over the
         standard deviation of its channel.
     unit_gains : (K+1,) array
-        Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies.
+        From `bayeq.states.unit_gains`.
     coordinate_sd : float or None
         Where the coordinate is not measured: the standard deviation with which each of its samples is taken to be zero,
         so that it is bounded.
@@ -152,64 +145,6 @@ def _rate(series: Sequence[ChainSeries]) -> float | None:
     return None if step is None else 1.0 / step
 
 
-def _derivative_lines(samples: Floats, step: float, order: int) -> NDArray[np.complex128]:
-    """Transform of a Hann window times the derivative of a signal, from the signal by the product rule."""
-    n = len(samples)
-    phase = 2.0 * np.pi * (np.arange(n) + 0.5) / n
-    rate = 2.0 * np.pi / (n * step)
-    windows = (0.5 - 0.5 * np.cos(phase), 0.5 * rate * np.sin(phase), 0.5 * rate**2 * np.cos(phase))
-    omega = 2j * np.pi * np.fft.rfftfreq(n, step)
-    a, b, c = (np.fft.rfft(window * samples) for window in windows)
-    whole = (a, omega * a - b, omega**2 * a - 2.0 * omega * b + c)[order]
-    return np.asarray(whole[2:])
-
-
-def _bridged(samples: Floats | None) -> Floats:
-    """The samples, missing ones interpolated."""
-    assert samples is not None
-    known = np.flatnonzero(np.isfinite(samples))
-    return np.asarray(np.interp(np.arange(len(samples)), known, samples[known]))
-
-
-def _unit_gain(series: Sequence[ChainSeries], low: int, high: int) -> float:
-    """Factor between the unit of a derivative and that which a lower one implies: 0.001 for v in m/s with x in mm.
-
-    From the strongest lines of both spectra. A factor near a power of ten or the acceleration of gravity is taken for
-    it; others are left as they are found, signs too.
-    """
-    found: list[float] = []
-    weight: list[float] = []
-    for s in series:
-        x, y = _bridged(s.channels[low]), _bridged(s.channels[high])
-        expected = _derivative_lines(x - x.mean(), s.step, high - low)
-        given = _derivative_lines(y - y.mean(), s.step, 0)
-        strength = np.abs(_derivative_lines(x - x.mean(), s.step, 0)) * np.abs(given)
-        lines = np.argsort(-strength)[: max(5, s.n // 100)]
-        found.extend((np.real(given[lines] * expected[lines].conj()) / np.abs(expected[lines]) ** 2).tolist())
-        weight.extend(strength[lines].tolist())
-    order = np.argsort(found)
-    share = np.cumsum(np.array(weight)[order])
-    gain = float(np.array(found)[order][np.searchsorted(share, 0.5 * share[-1])])
-    if gain == 0.0 or not np.isfinite(gain):
-        return 1.0
-    units = (10.0 ** round(float(np.log10(abs(gain)))), GRAVITY, 1.0 / GRAVITY)
-    nearest = min(units, key=lambda unit: abs(float(np.log(abs(gain) / unit))))
-    return float(np.copysign(nearest, gain)) if abs(abs(gain) / nearest - 1.0) < SNAP else gain
-
-
-def _unit_gains(series: Sequence[ChainSeries]) -> Floats:
-    """Factor of each derivative relative to the unit that the lowest measured one implies."""
-    gains = np.ones(len(series[0].channels))
-    first, *others = series[0].measured
-    if _rate(series) is not None and len(gains) <= MOST_DERIVATIVES:
-        for k in others:
-            gains[k] = _unit_gain(series, first, k)
-        for k in range(len(gains)):
-            if k not in series[0].measured and k > 0:
-                gains[k] = gains[k - 1]
-    return gains
-
-
 def smooth_chain(
     records: Sequence[Record], chain: Chain, rows: Sequence[int] | None = None
 ) -> tuple[list[Floats], ChainSmoothing]:
@@ -246,7 +181,7 @@ def smooth_chain(
         )
     whole = [_series(record, chain) for record in records]
     series = [s.take(slice(0, cut)) for s, cut in zip(whole, cuts, strict=True)]
-    gains = _unit_gains(series)
+    gains = unit_gains(records, chain, cuts)
     try:
         model = fit_kinematic([_in_units(s, gains) for s in series])
     except InputError as error:  # a channel with too few samples, or one that never changes
@@ -298,11 +233,9 @@ def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicM
         raise RecordError("records are sampled at different rates; resample them at one rate")
     assert noise is not None
     longest = max(series, key=lambda s: s.n)
-    level, freedom = _density(_bridged(longest.channels[lowest]))
-    by_chance = float(chdtri(freedom, CHANCE / len(level))) / freedom
-    emerged = max(EMERGED, by_chance)
-    if not (level[1:] > emerged * noise**2).any():
-        raise RecordError("it does not stand out of its noise at any frequency; measure with less noise")
+    samples = longest.channels[lowest]
+    assert samples is not None
+    level, freedom = _density(bridged(samples))
     # the noise at the low end, if there is more of it than the smoother found
     peak = int(np.argmax(level))
     noise = max(noise, float(np.sqrt(level[: peak + 1].min())))
