@@ -236,6 +236,10 @@ def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicM
     samples = longest.channels[lowest]
     assert samples is not None
     level, freedom = _density(bridged(samples))
+    by_chance = float(chdtri(freedom, CHANCE / len(level))) / freedom
+    emerged = max(EMERGED, by_chance)
+    if not (level[1:] > emerged * noise**2).any():
+        raise RecordError("it does not stand out of its noise at any frequency; measure with less noise")
     # the noise at the low end, if there is more of it than the smoother found
     peak = int(np.argmax(level))
     noise = max(noise, float(np.sqrt(level[: peak + 1].min())))
