@@ -121,7 +121,8 @@ def window_errors(dynamics: Dynamics, motion: Motion) -> list[float] | None:
     if not motion.timed:
         return None
     train, held_out = divided(motion, rows_of(motion, "a free run"))
-    for pieces in (held_out, train):
+    for part in (held_out, train):
+        pieces = [rows for rows in part if rows.n > 1]
         if pieces:
             windows = window_runs(dynamics, pieces, typical_period(dynamics, pieces))
             if windows:
