@@ -94,9 +94,9 @@ def _root(
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
 ) -> None:
     if version:
-        from bayeq import __version__
+        from importlib.metadata import version as version_of
 
-        typer.echo(__version__)
+        typer.echo(version_of("bayeq"))
         raise typer.Exit
     if context.invoked_subcommand is None:
         names = [c.name or c.callback.__name__ for c in app.registered_commands if c.callback]
