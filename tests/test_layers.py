@@ -12,7 +12,7 @@ from tests.layers import SOURCE, circles, files, floors, imported, modules, room
 
 # From the ground up: a room imports from lines above its own, which here means from floors below.
 ORDER = [
-    "errors kernels",
+    "citation errors kernels",
     "expressions gram records",
     "dictionary figures inference ode states systems",
     "adapters forecast regression",

@@ -92,11 +92,17 @@ class Progress:
 def _root(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
+    cite: Annotated[bool, typer.Option("--cite", help="Print what to cite, also as BibTeX, and stop.")] = False,
 ) -> None:
     if version:
         from importlib.metadata import version as version_of
 
         typer.echo(version_of("bayeq"))
+        raise typer.Exit
+    if cite:
+        from bayeq.citation import citation
+
+        typer.echo(citation())
         raise typer.Exit
     if context.invoked_subcommand is None:
         names = [c.name or c.callback.__name__ for c in app.registered_commands if c.callback]
