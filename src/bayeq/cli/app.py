@@ -11,7 +11,7 @@ import sys
 import time as clock
 import warnings
 from enum import StrEnum
-from io import TextIOWrapper
+from io import UnsupportedOperation
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +19,7 @@ import typer
 from typer.exceptions import TyperException
 
 from bayeq.cli.outputs import ForecastFile, Outputs, PathFile, Physical, Refine, SensitivityFile
+from bayeq.cli.streams import prepare_streams, say
 from bayeq.cli.study import study_app
 from bayeq.errors import BayeqError, BayeqWarning, FileFormatError, InputError, InterruptedRun, MissingExtraError
 
@@ -193,7 +194,7 @@ def discover(
     if sys.stderr.isatty():
         from bayeq.kernels import announce_compiling
 
-        announce_compiling(lambda: print("compiling, once after installation: up to a minute ...", file=sys.stderr))
+        announce_compiling(lambda: say("compiling, once after installation: up to a minute ..."))
     records: list[Record] = []
     progress = Progress()
     try:
@@ -281,7 +282,7 @@ def simulate(
 
     record = run(system, n=n, fs=fs, noise=noise, perturb=perturb, seed=seed)
     write(record, output)
-    typer.echo(f"{output}: {record.n} rows of {', '.join(record.names)}", err=True)
+    say(f"{output}: {record.n} rows of {', '.join(record.names)}")
 
 
 @app.command()
@@ -314,7 +315,7 @@ def systems(json: Annotated[bool, typer.Option("--json", help="Print one JSON ob
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
     label = "warning" if issubclass(category, BayeqWarning) else category.__name__
-    print(f"bayeq: {label}: {_one_line(str(message))}", file=sys.stderr)
+    say(f"bayeq: {label}: {_one_line(str(message))}")
 
 
 def _one_line(text: str) -> str:
@@ -324,9 +325,7 @@ def _one_line(text: str) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # a name that the terminal's encoding lacks is no reason to fail
-            stream.reconfigure(errors="backslashreplace")
+    prepare_streams()
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", BayeqWarning)
     try:
@@ -334,7 +333,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, MissingExtraError) as error:
         return _fail(str(error), 2)
     except InterruptedRun as stop:
-        print(f"bayeq: {_one_line(str(stop))}", file=sys.stderr)
+        say(f"bayeq: {_one_line(str(stop))}")
         return INTERRUPTED
     except BayeqError as error:
         return _fail(str(error), 1)
@@ -351,16 +350,18 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     except MemoryError:
         return _fail("not enough memory; use fewer samples or fewer terms", 1)
+    except UnsupportedOperation:
+        return _fail("standard output is closed: the result cannot be printed", 1)
     except OSError as error:
         return _fail(f"{error.filename or 'system'}: {error.strerror or error}", 2 if error.filename else 1)
     if code == INTERRUPTED:  # typer turns the interrupt into this code
-        print("bayeq: interrupted", file=sys.stderr)
+        say("bayeq: interrupted")
     return code if isinstance(code, int) else 0
 
 
 def _fail(message: str, code: int) -> int:
     if message:
-        print(f"bayeq: error: {_one_line(message)}", file=sys.stderr)
+        say(f"bayeq: error: {_one_line(message)}")
     return code
 
 

@@ -12,6 +12,7 @@ from typing import Annotated, Literal, cast
 
 import typer
 
+from bayeq.cli.streams import say
 from bayeq.errors import InputError, InterruptedRun
 
 __all__ = ["study_app"]
@@ -89,9 +90,9 @@ def table2(
         progress.close()
     if outcome.realisations:
         rate = outcome.realisations / outcome.seconds
-        typer.echo(f"{store}: {outcome.realisations} realisations in {outcome.seconds:.1f} s ({rate:.3g}/s)", err=True)
+        say(f"{store}: {outcome.realisations} realisations in {outcome.seconds:.1f} s ({rate:.3g}/s)")
     if outcome.failures:
-        typer.echo(f"bayeq: warning: {outcome.failures} runs failed, see below the table", err=True)
+        say(f"bayeq: warning: {outcome.failures} runs failed, see below the table")
     with Store.open(store) as file:
         typer.echo(render(file))
 
