@@ -120,44 +120,78 @@ class Outputs:
                 require_time(record, option)
 
     def write(self, found: Equations, records: Sequence[Record], holdout: float, as_json: bool) -> None:
-        """Write the files and print the equations."""
-        from bayeq.equation.text import render
+        """Print the equations, then write the files.
 
-        # these are about the regression
-        if self.sensitivity is not None:
-            from bayeq.figures.pip_curves import draw_pip_curves
-            from bayeq.figures.write import write_by_target
+        Each is done whatever becomes of the others: what was found is printed although a file cannot be written.
 
-            write_by_target(self.sensitivity, {one.target: one.sensitivity() for one in found}, draw_pip_curves)
-        if self.path is not None:
-            from bayeq.figures.size_path import draw_paths
-            from bayeq.figures.write import write_by_target
-
-            write_by_target(self.path, {one.target: one.path() for one in found}, draw_paths)
+        Raises
+        ------
+        InputError
+            Files that could not be written, and why.
+        """
         answer = found.refine(records, holdout=holdout) if self.refine else found
-        if self.save is not None:
-            answer.save(self.save)
-        if self.forecast is not None:
-            from bayeq.forecast.write import write_forecasts
+        try:
+            self._print(answer, as_json)
+        finally:
+            self._write_files(found, answer, records, holdout)
 
-            share = holdout if answer.data.n_held_out else 0.0
-            starts = [record.n - int(share * record.n) for record in records]
-            write_forecasts(
-                self.forecast,
-                [
-                    (record.name, answer.simulate(record, start=start if start < record.n - 1 else 0))
-                    for record, start in zip(records, starts, strict=True)
-                ],
-            )
+    def _print(self, answer: Equations, as_json: bool) -> None:
         if as_json:
             out = answer.to_dict()
             if self.physical:
                 out["physical"] = {target: _plain(parameters) for target, parameters in _physical(answer).items()}
             typer.echo(json.dumps(out, allow_nan=False))
             return
+        from bayeq.equation.text import render
+
         typer.echo(render(answer, with_warnings=False))
         for target, parameters in _physical(answer).items() if self.physical else ():
             typer.echo(f"\nphysical parameters, from the equation of {target}\n\n{parameters}")
+
+    def _write_files(self, found: Equations, answer: Equations, records: Sequence[Record], holdout: float) -> None:
+        """Write the files that were named; sensitivity and path are about the regression, before any refinement."""
+        failures = []
+        for path, write in (
+            (self.save, answer.save),
+            (self.sensitivity, lambda file: _write_sensitivity(file, found)),
+            (self.path, lambda file: _write_path(file, found)),
+            (self.forecast, lambda file: _write_forecast(file, answer, records, holdout)),
+        ):
+            if path is None:
+                continue
+            try:
+                write(path)
+            except OSError as error:
+                failures.append(f"{path}: cannot be written: {error.strerror or error}")
+        if failures:
+            raise InputError("; ".join(failures))
+
+
+def _write_sensitivity(path: Path, found: Equations) -> None:
+    from bayeq.figures.pip_curves import draw_pip_curves
+    from bayeq.figures.write import write_by_target
+
+    write_by_target(path, {equation.target: equation.sensitivity() for equation in found}, draw_pip_curves)
+
+
+def _write_path(path: Path, found: Equations) -> None:
+    from bayeq.figures.size_path import draw_paths
+    from bayeq.figures.write import write_by_target
+
+    write_by_target(path, {equation.target: equation.path() for equation in found}, draw_paths)
+
+
+def _write_forecast(path: Path, answer: Equations, records: Sequence[Record], holdout: float) -> None:
+    """Free runs over the rows held out, or over whole records where none are."""
+    from bayeq.forecast.write import write_forecasts
+
+    share = holdout if answer.data.n_held_out else 0.0
+    starts = [record.n - int(share * record.n) for record in records]
+    runs = [
+        (record.name, answer.simulate(record, start=start if start < record.n - 1 else 0))
+        for record, start in zip(records, starts, strict=True)
+    ]
+    write_forecasts(path, runs)
 
 
 def _require_place(path: Path, files: Sequence[Path]) -> None:
