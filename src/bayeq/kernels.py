@@ -11,8 +11,11 @@ from __future__ import annotations
 import dis
 import hashlib
 import marshal
+import re
 import sys
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, TypeGuard, TypeVar
 
@@ -82,55 +85,55 @@ def kernel_digest(function: Callable[..., Any]) -> str:
     return sha.hexdigest()
 
 
-class _DigestStamp:
-    """Mixin for numba's cache locators: the stamp is the kernel's digest instead of its file's age."""
-
-    _function: Callable[..., Any]
-
-    def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
-        super().__init__(py_func, py_file)  # type: ignore[call-arg]
-        self._function = py_func
-
-    def get_source_stamp(self) -> str:
-        return kernel_digest(self._function)
-
-    def get_disambiguator(self) -> str:
-        return "kernel"
-
-
-class _Chosen(_DigestStamp, caching.UserProvidedCacheLocator):  # type: ignore[misc]
-    pass
-
-
-class _InTree(_DigestStamp, caching.InTreeCacheLocator):  # type: ignore[misc]
-    pass
-
-
-class _UserWide(_DigestStamp, caching.UserWideCacheLocator):  # type: ignore[misc]
-    pass
-
-
-class _KernelCacheImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = (_Chosen, _InTree, _UserWide)
-
-
 # Called once, before the first kernel that is not in the cache is compiled.
 _announcement: list[Callable[[], None]] = []
 
 
 def announce_compiling(tell: Callable[[], None]) -> None:
-    """Have somebody told, once, that kernels are about to be compiled: it takes a while."""
+    """Call `tell` once, before kernels are compiled: it takes a while."""
     _announcement[:] = [tell]
 
 
+class _CacheFile(caching.IndexDataCacheFile):  # type: ignore[misc]
+    """Index and code of a kernel, each with a checksum behind it: damaged machine code would crash the process."""
+
+    def _dump(self, obj: object) -> bytes:
+        data: bytes = super()._dump(obj)
+        return data + hashlib.sha256(data).digest()  # which the unpickler does not read
+
+    def _load_data(self, name: str) -> object:
+        content = Path(self._data_path(name)).read_bytes()
+        size = hashlib.sha256().digest_size
+        if hashlib.sha256(content[:-size]).digest() != content[-size:]:
+            raise ValueError(f"{name} is damaged")
+        return super()._load_data(name)
+
+
 class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
-    _impl_class = _KernelCacheImpl
+    """numba's cache on disk, keyed by `kernel_digest`; what cannot be read or written is compiled again."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        # not numba's name, which has the line number in it
+        file = Path(function.__code__.co_filename).stem
+        name = f"{file}.{function.__qualname__}.{sys.implementation.cache_tag}"
+        self._cache_file = _CacheFile(self._cache_path, re.sub("[<>]", "", name), kernel_digest(function))
 
     def load_overload(self, sig: object, target_context: object) -> object:
-        found = super().load_overload(sig, target_context)
+        found = None
+        try:
+            found = super().load_overload(sig, target_context)
+        except Exception:  # noqa: BLE001 - what a damaged file raises depends on its bytes
+            with suppress(OSError):  # a cache that is read-only stays damaged
+                self.flush()
         if found is None and _announcement:
             _announcement.pop()()
         return found
+
+    def save_overload(self, sig: object, data: object) -> None:
+        # A full disk, a folder that has gone, a damaged index that cannot be replaced: the kernel is in memory.
+        with suppress(Exception):
+            super().save_overload(sig, data)
 
 
 def kernel(function: F) -> F:
@@ -140,9 +143,7 @@ def kernel(function: F) -> F:
     kernel runs; floating-point semantics stay strict (no ``fastmath``: NaN checks must work).
     """
     dispatcher = numba.njit(nogil=True, error_model="numpy")(function)
-    try:
+    # Where there is nowhere to write a cache (read-only installation and home), every process compiles.
+    with suppress(RuntimeError):
         dispatcher._cache = _KernelCache(function)
-    except RuntimeError:
-        # Nowhere to write a cache (read-only installation and home): compile in every process.
-        return dispatcher
     return dispatcher
