@@ -14,7 +14,7 @@ import pytest
 
 import bayeq as bq
 from bayeq import discovery
-from bayeq.cli.app import main
+from bayeq.cli.app import COMPILING, main
 
 OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x, v, x**3, u"]
 
@@ -32,7 +32,7 @@ def record(tmp_path_factory):
 def run(capsys, *arguments):
     code = main(["discover", *map(str, arguments)])
     out, err = capsys.readouterr()
-    return code, out, err
+    return code, out, err.replace(f"{COMPILING}\n", "")
 
 
 def test_scores_of_the_held_out_rows_are_shown(record, capsys):
@@ -198,7 +198,7 @@ def test_a_full_disk_costs_one_file_and_leaves_the_one_before(record, tmp_path):
     done = subprocess.run(["sh", "-c", f"ulimit -f 1; {command}"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert json.loads(done.stdout)["equations"][0]["target"] == "a"
-    assert done.stderr == (
+    assert done.stderr.replace(f"{COMPILING}\n", "") == (
         f"bayeq: error: {kept}: cannot be written: File too large; {small}: cannot be written: File too large\n"
     )
     assert kept.read_text() == "what was there before"

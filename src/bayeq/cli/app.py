@@ -41,6 +41,8 @@ app.add_typer(study_app, name="study")
 # Exit code of an interrupted command, as shells count it.
 INTERRUPTED = 130
 
+COMPILING = "compiling, once after installation: up to a minute ..."
+
 # Work that takes longer shows its progress.
 PATIENCE = 1.0
 
@@ -191,10 +193,9 @@ def discover(
         for c in (text or "").split(":")
         if c and not c.startswith("~")
     ]
-    if sys.stderr.isatty():
-        from bayeq.kernels import announce_compiling
+    from bayeq.kernels import announce_compiling
 
-        announce_compiling(lambda: say("compiling, once after installation: up to a minute ..."))
+    announce_compiling(lambda: say(COMPILING))
     records: list[Record] = []
     progress = Progress()
     try:
