@@ -22,6 +22,7 @@ from bayeq.cli.outputs import ForecastFile, Outputs, PathFile, Physical, Refine,
 from bayeq.cli.streams import prepare_streams, say
 from bayeq.cli.study import study_app
 from bayeq.errors import BayeqError, BayeqWarning, FileFormatError, InputError, InterruptedRun, MissingExtraError
+from bayeq.inference.engines import ENGINES
 
 if TYPE_CHECKING:
     from bayeq.records import Record
@@ -45,17 +46,6 @@ COMPILING = "compiling, once after installation: up to a minute ..."
 
 # Work that takes longer shows its progress.
 PATIENCE = 1.0
-
-
-class Method(StrEnum):
-    """Engines on offer."""
-
-    auto = "auto"
-    vb = "vb"
-    bma = "bma"
-    gibbs = "gibbs"
-    rvm = "rvm"
-    stlsq = "stlsq"
 
 
 class Smoothing(StrEnum):
@@ -139,8 +129,9 @@ def discover(
         typer.Option(help="Candidate terms: oscillator, polynomial:3, a file of terms, or terms separated by commas."),
     ] = "oscillator",
     method: Annotated[
-        Method, typer.Option(help="Engine; auto: optimum by VB, probabilities by model averaging.")
-    ] = Method.auto,
+        str,
+        typer.Option(metavar="|".join(ENGINES), help="Engine; auto: optimum by VB, probabilities by model averaging."),
+    ] = "auto",
     smooth: Annotated[
         Smoothing,
         typer.Option(help="Derivatives not measured: smoothed (auto) or differences (none)."),
@@ -180,7 +171,7 @@ def discover(
     from bayeq.selection.negligible import NEGLIGIBLE
 
     outputs = Outputs(save, sensitivity, path, forecast, refine, physical)
-    outputs.check(files, method.value, disp is not None, chain or ())
+    outputs.check(files, method, disp is not None, chain or ())
     for k, file in enumerate(files):
         if file.exists() and any(other.exists() and file.samefile(other) for other in files[:k]):
             raise InputError(f"{file}: named twice; the same rows twice are not twice the evidence")
@@ -212,7 +203,7 @@ def discover(
             force=force,
             inputs=inputs or (),
             dictionary=dictionary,
-            method=method.value,
+            method=method,
             smooth=smooth.value,
             holdout=holdout,
             max_terms=max_terms,
