@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-import bayeq
-from bayeq.kernels import announce_compiling, kernel, kernel_digest
+from bayeq.kernels import announce_compiling, kernel
 
 CALLEE = "from bayeq.kernels import kernel\n\n@kernel\ndef inner(x):\n    return x + {shift}\n"
 MIDDLE = "from bayeq.kernels import kernel\nfrom callee import inner\n\n@kernel\ndef middle(x):\n    return inner(x)\n"
@@ -84,20 +81,14 @@ def test_another_order_of_the_fields_of_a_record_recompiles(tmp_path):
     assert run(tmp_path) == (2.0, 0)
 
 
-def all_kernels():
-    for info in pkgutil.walk_packages(bayeq.__path__, "bayeq."):
-        if info.name == "bayeq.__main__":
-            continue
-        module = importlib.import_module(info.name)
-        for name, value in vars(module).items():
-            if hasattr(value, "py_func") and value.py_func.__module__ == info.name:
-                yield f"{info.name}.{name}", value
-
-
-@pytest.mark.parametrize(("name", "function"), list(all_kernels()), ids=lambda v: v if isinstance(v, str) else "")
-def test_every_callee_was_known_when_its_caller_was_decorated(name, function):
-    # the digest now, with all globals in place, is the one that the cache was keyed with
-    assert function._cache._cache_file._source_stamp == kernel_digest(function)
+def test_nothing_is_compiled_and_numba_not_imported_before_the_first_call(tmp_path):
+    (tmp_path / "callee.py").write_text(CALLEE.format(shift=1.0))
+    code = "import sys, bayeq.discovery, callee; {}; print('numba' in sys.modules)"
+    for call, imported in (("callee.inner", "False"), ("callee.inner(1.0)", "True")):
+        command = [sys.executable, "-c", code.format(call)]
+        out = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert out.stdout.strip() == imported
+    assert list(tmp_path.rglob("callee.inner.*.nbi"))
 
 
 def thirds(x):

@@ -1,89 +1,17 @@
-"""``kernel``: numba compilation with a cache that follows callees.
+"""``kernel``: functions that numba compiles when they are first called.
 
-numba's own file cache looks only at the file of the function itself, so that an edited callee in another
-file leaves a stale caller behind. Here the key of a kernel is a digest of its code, of the global constants
-it uses, of the layout of the NamedTuples it takes and, recursively, of the kernels it calls: whatever changes
-the result changes the key.
+numba takes a while to import, a kernel to be compiled or loaded from the cache: neither happens before it is needed.
 """
 
 from __future__ import annotations
 
-import dis
-import hashlib
-import marshal
-import re
-import sys
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
-from types import CodeType, ModuleType
-from typing import Any, TypeGuard, TypeVar
+from functools import cached_property, update_wrapper
+from typing import Any, TypeVar, cast
 
-import numba
-import numpy as np
-from numba.core import caching
-
-__all__ = ["announce_compiling", "kernel", "kernel_digest"]
+__all__ = ["Kernel", "announce_compiling", "compiling", "kernel"]
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-def _bare(code: CodeType) -> bytes:
-    """Bytes of a code object without its file name, line numbers and comments."""
-    consts = tuple(_bare(c) if isinstance(c, CodeType) else c for c in code.co_consts)
-    return marshal.dumps((code.co_code, consts, code.co_names, code.co_varnames, code.co_freevars))
-
-
-def _global_names(code: CodeType) -> set[str]:
-    return {i.argval for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"}
-
-
-def _layout(cls: type) -> str:
-    """Fields of a NamedTuple, in order, with those of the NamedTuples among them."""
-    space = vars(sys.modules[cls.__module__])
-    fields = []
-    for name, annotation in cls.__annotations__.items():
-        inner = annotation if isinstance(annotation, type) else space.get(str(annotation))
-        fields.append(f"{name}:{_layout(inner) if _is_record(inner) else annotation}")
-    return f"{cls.__name__}({','.join(fields)})"
-
-
-def _is_record(value: object) -> TypeGuard[type]:
-    return isinstance(value, type) and issubclass(value, tuple) and hasattr(value, "_fields")
-
-
-def kernel_digest(function: Callable[..., Any]) -> str:
-    """Digest of a function's code, the constants it reads, the records it takes and the kernels it calls."""
-    function = getattr(function, "py_func", function)
-    seen: set[int] = set()
-    sha = hashlib.sha256()
-
-    def visit(f: Callable[..., Any]) -> None:
-        if id(f) in seen:
-            return
-        seen.add(id(f))
-        sha.update(_bare(f.__code__))
-        sha.update(repr(f.__defaults__).encode())
-        for annotation in f.__annotations__.values():
-            record = annotation if isinstance(annotation, type) else f.__globals__.get(str(annotation))
-            if _is_record(record):
-                sha.update(_layout(record).encode())
-        for name in sorted(_global_names(f.__code__)):
-            value = f.__globals__.get(name)
-            sha.update(name.encode())
-            compiled = getattr(value, "py_func", None)
-            if compiled is not None:
-                visit(compiled)
-            elif _is_record(value):
-                sha.update(_layout(value).encode())
-            elif isinstance(value, np.ndarray):
-                sha.update(value.tobytes())
-            elif value is not None and not isinstance(value, ModuleType) and not callable(value):
-                sha.update(repr(value).encode())
-
-    visit(function)
-    return sha.hexdigest()
-
 
 # Called once, before the first kernel that is not in the cache is compiled.
 _announcement: list[Callable[[], None]] = []
@@ -94,56 +22,44 @@ def announce_compiling(tell: Callable[[], None]) -> None:
     _announcement[:] = [tell]
 
 
-class _CacheFile(caching.IndexDataCacheFile):  # type: ignore[misc]
-    """Index and code of a kernel, each with a checksum behind it: damaged machine code would crash the process."""
-
-    def _dump(self, obj: object) -> bytes:
-        data: bytes = super()._dump(obj)
-        return data + hashlib.sha256(data).digest()  # which the unpickler does not read
-
-    def _load_data(self, name: str) -> object:
-        content = Path(self._data_path(name)).read_bytes()
-        size = hashlib.sha256().digest_size
-        if hashlib.sha256(content[:-size]).digest() != content[-size:]:
-            raise ValueError(f"{name} is damaged")
-        return super()._load_data(name)
+def compiling() -> None:
+    """Say that a kernel is about to be compiled."""
+    if _announcement:
+        _announcement.pop()()
 
 
-class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
-    """numba's cache on disk, keyed by `kernel_digest`; what cannot be read or written is compiled again."""
+class Kernel:
+    """A compiled function; it is called like the one it was made of, and kernels call each other.
+
+    Attributes
+    ----------
+    py_func : callable
+        The function itself.
+    dispatcher : numba.core.dispatcher.Dispatcher
+        Compiled, made at the first call; its attributes are the kernel's too.
+    """
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        # not numba's name, which has the line number in it
-        file = Path(function.__code__.co_filename).stem
-        name = f"{file}.{function.__qualname__}.{sys.implementation.cache_tag}"
-        self._cache_file = _CacheFile(self._cache_path, re.sub("[<>]", "", name), kernel_digest(function))
+        update_wrapper(self, function)
+        self.py_func = function
 
-    def load_overload(self, sig: object, target_context: object) -> object:
-        found = None
-        try:
-            found = super().load_overload(sig, target_context)
-        except Exception:  # noqa: BLE001 - what a damaged file raises depends on its bytes
-            with suppress(OSError):  # a cache that is read-only stays damaged
-                self.flush()
-        if found is None and _announcement:
-            _announcement.pop()()
-        return found
+    @cached_property
+    def dispatcher(self) -> Any:
+        from bayeq.kernel_cache import cached_dispatcher
 
-    def save_overload(self, sig: object, data: object) -> None:
-        # A full disk, a folder that has gone, a damaged index that cannot be replaced: the kernel is in memory.
-        with suppress(Exception):
-            super().save_overload(sig, data)
+        return cached_dispatcher(self.py_func)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.dispatcher(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        # numba takes a kernel that is called by another for its dispatcher, by the attribute `_numba_type_`
+        return getattr(self.dispatcher, name)
 
 
 def kernel(function: F) -> F:
-    """Compile `function` with numba in nopython mode and cache it on disk, keyed by `kernel_digest`.
+    """Have numba compile `function` in nopython mode when it is first called, and cache it on disk.
 
-    Callees must be defined above their callers, so that the digest sees them. The GIL is released while a
-    kernel runs; floating-point semantics stay strict (no ``fastmath``: NaN checks must work).
+    See `bayeq.kernel_cache.cached_dispatcher`.
     """
-    dispatcher = numba.njit(nogil=True, error_model="numpy")(function)
-    # Where there is nowhere to write a cache (read-only installation and home), every process compiles.
-    with suppress(RuntimeError):
-        dispatcher._cache = _KernelCache(function)
-    return dispatcher
+    return cast(F, Kernel(function))
