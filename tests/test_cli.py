@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 import bayeq as bq
-from bayeq.cli.app import COMPILING, main
+from bayeq.cli.app import main
+from bayeq.cli.discover import COMPILING
 
 
 def bayeq(*arguments, **options):
