@@ -91,6 +91,60 @@ def test_nothing_is_compiled_and_numba_not_imported_before_the_first_call(tmp_pa
     assert list(tmp_path.rglob("callee.inner.*.nbi"))
 
 
+MANY = """
+import sys
+import numpy as np
+from bayeq.kernels import kernel
+
+@kernel
+def solved(A, b):
+    return np.linalg.solve(A, b).copy()
+
+@kernel
+def counted(x):
+    seen = {x[0]: 0}
+    for value in x:
+        seen[value] = seen.get(value, 0) + 1
+    return len(seen)
+
+@kernel
+def drawn(rng, n):
+    return rng.normal(0.0, 1.0, n).sum()
+
+@kernel
+def refused(n):
+    if n < 0:
+        raise ValueError("negative")
+    return "even" if n % 2 == 0 else "odd"
+
+print(solved(np.array([[2.0, 1.0], [1.0, 3.0]]), np.array([3.0, 4.0])))
+print(counted(np.array([1.5, 2.5, 1.5])), drawn(np.random.default_rng(0), 5), refused(3))
+try:
+    refused(-1)
+except ValueError as error:
+    print(error)
+kernels = (solved, counted, drawn, refused)
+print(sum(sum(k.stats.cache_hits.values()) for k in kernels), "numba.np.npyimpl" in sys.modules)
+if sys.argv[1:]:
+    print(kernel(lambda x: np.sort(x)[::-1])(np.array([1.0, 2.0])))
+"""
+
+
+def test_loaded_kernels_run_without_what_compiling_needs(tmp_path):
+    (tmp_path / "many.py").write_text(MANY)
+
+    def run(*arguments):
+        command = [sys.executable, "many.py", *arguments]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.splitlines()
+
+    *compiled, how = run()
+    assert how == "0 True"
+    *loaded, how = run()
+    assert (loaded, how) == (compiled, "4 False")
+    # and something can be compiled after it
+    assert run("more")[-2:] == ["4 False", "[2. 1.]"]
+
+
 def thirds(x):
     total = 0.0
     for k in range(3):

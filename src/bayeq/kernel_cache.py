@@ -14,6 +14,7 @@ import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, TypeGuard
@@ -21,6 +22,7 @@ from typing import Any, TypeGuard
 import numba
 import numpy as np
 from numba.core import caching
+from numba.core.runtime import rtsys
 
 from bayeq.kernels import compiling
 
@@ -113,13 +115,23 @@ class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
     def load_overload(self, sig: object, target_context: object) -> object:
         found = None
         try:
-            found = super().load_overload(sig, target_context)
+            found = self._load(sig, target_context)
         except Exception:  # noqa: BLE001 - what a damaged file raises depends on its bytes
             with suppress(OSError):  # a cache that is read-only stays damaged
                 self.flush()
         if found is None:
             compiling()
         return found
+
+    def _load(self, sig: object, target_context: object) -> object:
+        """Load compiled code with the run-time library that it is linked with.
+
+        numba's own `load_overload` first sets up all that compiling needs, which takes longer than loading; the
+        compiler does so too, when there is something to compile.
+        """
+        rtsys.initialize(target_context)
+        import_module("numba.cpython.hashing")  # names a symbol, which code with dictionaries needs
+        return self._load_overload(sig, target_context)
 
     def save_overload(self, sig: object, data: object) -> None:
         # A full disk, a folder that has gone, a damaged index that cannot be replaced: the kernel is in memory.

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from bayeq.errors import InputError
 from bayeq.records import Record
@@ -283,6 +282,8 @@ def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicM
     float or None
         None for records at uneven steps, and where the signal never comes out of the noise.
     """
+    from scipy.special import chdtri  # which takes a while to import
+
     fs, noise = _rate(series), model.noise_sd[lowest]
     if fs is None or noise is None:
         return None
