@@ -83,7 +83,7 @@ def measure(folder: Path, turns: int, first: bool) -> list[dict[str, object]]:
     def command(text: str, **environment: str) -> tuple[float, float]:
         return seconds(("-m", *shlex.split(text)), folder, COMMANDS[text][1], **environment)
 
-    def anew() -> tuple[float, float]:
+    def first_run() -> tuple[float, float]:
         with tempfile.TemporaryDirectory() as cache:
             return command(FIRST, NUMBA_CACHE_DIR=cache)
 
@@ -96,7 +96,7 @@ def measure(folder: Path, turns: int, first: bool) -> list[dict[str, object]]:
     goals = {name: goal for name, (goal, _) in COMMANDS.items()}
     if first:
         name = f"NUMBA_CACHE_DIR=empty {FIRST}"
-        taken |= medians({name: anew}, turns, warm=False)
+        taken |= medians({name: first_run}, turns, warm=False)
         goals[name] = FIRST_RATIO
     rows = [("python " + shlex.join(REFERENCE), reference, None)]
     rows += [(name, pair, goals[name]) for name, pair in taken.items()]
