@@ -12,12 +12,10 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from bayeq.errors import UnknownNameError
-
 if TYPE_CHECKING:
     from bayeq.inference.posterior import Posterior
 
-__all__ = ["ENGINES", "Engine", "require_engine"]
+__all__ = ["ENGINES", "Engine"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,15 +79,3 @@ ENGINES: dict[str, Engine] = {
         options={"columns": "raw"},
     ),
 }
-
-
-def require_engine(name: str) -> None:
-    """Refuse a method that is not in the table.
-
-    Raises
-    ------
-    UnknownNameError
-        There is no such engine.
-    """
-    if name not in ENGINES:
-        raise UnknownNameError("method", name, ENGINES)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import cached_property, update_wrapper
 from typing import Any, TypeVar, cast
 
-__all__ = ["Kernel", "announce_compiling", "compiling", "kernel"]
+__all__ = ["Kernel", "announce_compiling", "kernel"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -22,8 +22,7 @@ def announce_compiling(tell: Callable[[], None]) -> None:
     _announcement[:] = [tell]
 
 
-def compiling() -> None:
-    """Say that a kernel is about to be compiled."""
+def _say_compiling() -> None:
     if _announcement:
         _announcement.pop()()
 
@@ -45,9 +44,9 @@ class Kernel:
 
     @cached_property
     def dispatcher(self) -> Any:
-        from bayeq.kernel_cache import cached_dispatcher
+        from bayeq.kernels.cache import cached_dispatcher
 
-        return cached_dispatcher(self.py_func)
+        return cached_dispatcher(self.py_func, _say_compiling)
 
     def __call__(self, *arguments: Any) -> Any:
         return self.dispatcher(*arguments)
@@ -60,6 +59,6 @@ class Kernel:
 def kernel(function: F) -> F:
     """Have numba compile `function` in nopython mode when it is first called, and cache it on disk.
 
-    See `bayeq.kernel_cache.cached_dispatcher`.
+    See `bayeq.kernels.cache.cached_dispatcher`.
     """
     return cast(F, Kernel(function))

@@ -24,8 +24,6 @@ import numpy as np
 from numba.core import caching
 from numba.core.runtime import rtsys
 
-from bayeq.kernels import compiling
-
 __all__ = ["cached_dispatcher", "kernel_digest"]
 
 
@@ -105,8 +103,9 @@ class _CacheFile(caching.IndexDataCacheFile):  # type: ignore[misc]
 class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
     """numba's cache on disk, keyed by `kernel_digest`; what cannot be read or written is compiled again."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], compiling: Callable[[], None]) -> None:
         super().__init__(function)
+        self._compiling = compiling
         # not numba's name, which has the line number in it
         file = Path(function.__code__.co_filename).stem
         name = f"{file}.{function.__qualname__}.{sys.implementation.cache_tag}"
@@ -120,7 +119,7 @@ class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
             with suppress(OSError):  # a cache that is read-only stays damaged
                 self.flush()
         if found is None:
-            compiling()
+            self._compiling()
         return found
 
     def _load(self, sig: object, target_context: object) -> object:
@@ -139,8 +138,10 @@ class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
             super().save_overload(sig, data)
 
 
-def cached_dispatcher(function: Callable[..., Any]) -> Any:
+def cached_dispatcher(function: Callable[..., Any], compiling: Callable[[], None]) -> Any:
     """numba's dispatcher of a function: it compiles for the types that it is called with, or loads from the cache.
+
+    `compiling` is called before it compiles.
 
     The GIL is released while it runs; floating-point semantics stay strict (no ``fastmath``: NaN checks must work).
     """
@@ -148,5 +149,5 @@ def cached_dispatcher(function: Callable[..., Any]) -> Any:
     if hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT gives the function itself
         # Where there is nowhere to write a cache (read-only installation and home), every process compiles.
         with suppress(RuntimeError):
-            dispatcher._cache = _KernelCache(function)
+            dispatcher._cache = _KernelCache(function, compiling)
     return dispatcher
