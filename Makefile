@@ -3,7 +3,13 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint types tests bench study examples lock clean
+# `make matrix`: Pythons that are tried, and tests that need nothing beside the library and pytest.
+PYTHONS ?= 3.11 3.12 3.13
+QUICK := tests/conformance tests/test_cli_streams.py tests/test_estimators.py tests/test_expressions.py \
+	tests/test_forecast.py tests/test_gram.py tests/test_kernels.py tests/test_kinematic.py tests/test_public_api.py \
+	tests/test_records_text.py tests/test_startup.py tests/test_vb.py
+
+.PHONY: demo test lint types tests coverage matrix bench study examples lock clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -21,6 +27,29 @@ types: $(VENV)/.dev
 
 tests: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+
+# Lines and branches that the tests run; kernels are compiled, and not counted.
+coverage: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered --cov-report=html
+
+# The tests on other Pythons, where they can be had, and a quick part of them on the oldest dependencies.
+matrix: $(PYTHONS:%=$(VENV)/matrix/%) $(VENV)/matrix/oldest
+
+$(VENV)/matrix/oldest: $(VENV)/.dev FORCE
+	$(BIN)/uv venv --quiet --clear --python 3.11 $@
+	$(BIN)/uv pip compile --quiet --resolution lowest-direct --python-version 3.11 --extra parquet --extra plot \
+		pyproject.toml --output-file $@/constraints.txt
+	$(BIN)/uv pip install --quiet --python $@ --constraint $@/constraints.txt \
+		--editable '.[parquet,plot]' pytest pytest-xdist hypothesis
+	OPENBLAS_NUM_THREADS=1 $@/bin/python -m pytest -n auto $(QUICK)
+
+$(VENV)/matrix/%: $(VENV)/.dev FORCE
+	@if $(BIN)/uv venv --quiet --clear --python $* $@; then \
+		$(BIN)/uv pip install --quiet --python $@ --constraint constraints.txt --editable '.[dev]' \
+			&& OPENBLAS_NUM_THREADS=1 $@/bin/python -m pytest -n auto; \
+	else echo "Python $* cannot be had here: skipped" >&2; fi
+
+FORCE:
 
 # Fits against their peers in one run; the table goes to perf/results.
 bench: $(VENV)/.dev
@@ -57,7 +86,7 @@ lock: $(VENV)/.dev
 	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
 
 clean:
-	rm -rf $(VENV) demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) demo build dist .coverage* htmlcov .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:

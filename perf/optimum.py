@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayeq as bq
-from bayeq.inference import spike_slab_bma, spike_slab_vb
+from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import log_evidence
+from bayeq.inference.vb import spike_slab_vb
 from perf.peers import CONTESTANTS
 from perf.problems import LARGEST_CORRELATION, SYSTEMS, Data, oscillator
 

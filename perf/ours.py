@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 import bayeq as bq
 from bayeq.gram.lazy import grams_of
-from bayeq.inference import spike_slab_auto, sweep_stlsq
+from bayeq.inference.auto import spike_slab_auto
+from bayeq.inference.stlsq import sweep_stlsq
 from perf.problems import Fitted
 
 __all__ = ["BURN_IN", "SAMPLES", "auto", "bma", "gibbs", "rvm", "stlsq", "swept_stlsq", "vb"]

@@ -25,11 +25,12 @@ from numpy.typing import NDArray
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.equation.equation import Z95
 from bayeq.gram import Gram
-from bayeq.inference import Prior, spike_slab_bma, spike_slab_gibbs
 from bayeq.inference.auto import MOST_LEFT_OUT
-from bayeq.inference.bma import sample_average
+from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Draws, Posterior
+from bayeq.inference.prior import Prior
 from bayeq.study.progress import StudyProgress
 from bayeq.systems import simulate
 from studies.tally import (

@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, add_axes, new_figure, save, style
 from bayeq.gram import Gram
-from bayeq.inference import Prior, spike_slab_bma, spike_slab_vb
+from bayeq.inference.bma import spike_slab_bma
+from bayeq.inference.prior import Prior
+from bayeq.inference.vb import spike_slab_vb
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
 from bayeq.study.progress import StudyProgress
 from bayeq.systems import get_system, simulate

@@ -16,6 +16,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.cli.app import main
+from bayeq.cli.discover import COMPILING
 
 
 def bayeq(*arguments, **options):
@@ -45,7 +46,7 @@ def test_simulate_then_discover_as_json(duffing):
     (equation,) = out["equations"]
     assert equation["target"] == "a"
     assert {t["name"] for t in equation["terms"] if t["included"]} == {"x", "v", "x**3", "u"}
-    assert done.stderr == "" or done.stderr.startswith("bayeq: warning: ")
+    assert all(line == COMPILING or line.startswith("bayeq: warning: ") for line in done.stderr.splitlines())
 
 
 def test_the_installed_command_is_the_module(duffing):
@@ -169,6 +170,17 @@ def test_colour_on_a_terminal_only(duffing):
     os.close(leader)
     assert done.returncode == 0
     assert b"\x1b[1m" in shown
+
+
+def test_compiling_is_announced_in_a_pipe_too(duffing, tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bayeq", "discover", str(duffing), *OSCILLATOR],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+    )  # fmt: skip
+    assert process.stderr.readline() == f"{COMPILING}\n"
+    process.kill()  # the rest takes a minute
+    process.communicate()
 
 
 def test_a_closed_pipe_is_no_error(duffing):

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+import shlex
+import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import bayeq as bq
+from bayeq import discovery
 from bayeq.cli.app import main
+from bayeq.cli.discover import COMPILING
 
 OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x, v, x**3, u"]
 
@@ -27,7 +33,7 @@ def record(tmp_path_factory):
 def run(capsys, *arguments):
     code = main(["discover", *map(str, arguments)])
     out, err = capsys.readouterr()
-    return code, out, err
+    return code, out, err.replace(f"{COMPILING}\n", "")
 
 
 def test_scores_of_the_held_out_rows_are_shown(record, capsys):
@@ -159,3 +165,42 @@ def test_what_cannot_be_written_is_refused_before_the_work(record, tmp_path, cap
     code, out, _ = run(capsys, timeless, *OSCILLATOR)
     assert code == 0
     assert "free run" not in out
+
+
+def test_the_equation_is_printed_although_files_cannot_be_written(record, tmp_path, capsys, monkeypatch):
+    place = tmp_path / "out"
+    place.mkdir()
+    discover = discovery.discover
+
+    def removes_the_folder(*arguments, **options):
+        shutil.rmtree(place)
+        return discover(*arguments, **options)
+
+    monkeypatch.setattr(discovery, "discover", removes_the_folder)
+    outputs = {"save": "eq.json", "sensitivity": "pips.csv", "path": "path.csv", "forecast": "run.csv"}
+    files = [place / name for name in outputs.values()]
+    options = [part for option, file in zip(outputs, files, strict=True) for part in (f"--{option}", file)]
+    code, out, err = run(capsys, record, *OSCILLATOR, *options)
+    assert code == 2
+    assert "\na = " in out
+    assert err.startswith(f"bayeq: error: {files[0]}: cannot be written: No such file or directory; ")
+    assert err.count("\n") == 1
+    for file in files:
+        assert f"{file}: cannot be written: " in err
+    assert ".part" not in err
+
+
+def test_a_full_disk_costs_one_file_and_leaves_the_one_before(record, tmp_path):
+    kept, small = tmp_path / "eq.json", tmp_path / "run.csv"
+    kept.write_text("what was there before")
+    arguments = ["discover", record, *OSCILLATOR, "--save", kept, "--forecast", small, "--json"]
+    command = shlex.join([sys.executable, "-m", "bayeq", *map(str, arguments)])
+    # no file may grow beyond 512 bytes; compiled kernels are not written either
+    done = subprocess.run(["sh", "-c", f"ulimit -f 1; {command}"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert json.loads(done.stdout)["equations"][0]["target"] == "a"
+    assert done.stderr.replace(f"{COMPILING}\n", "") == (
+        f"bayeq: error: {kept}: cannot be written: File too large; {small}: cannot be written: File too large\n"
+    )
+    assert kept.read_text() == "what was there before"
+    assert list(tmp_path.iterdir()) == [kept]

@@ -18,12 +18,13 @@ from bayeq.dictionary import Variables, build_dictionary
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.gram import Gram
-from bayeq.inference import ENGINES, Prior
 from bayeq.inference.auto import spike_slab_auto
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.conditional import given_model
 from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.engines import ENGINES
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.prior import Prior
 from bayeq.inference.signs.listing import signed_neighbours
 from bayeq.inference.signs.orthant import log_orthant, orthant_moments
 from bayeq.inference.signs.truncation import signed_scores

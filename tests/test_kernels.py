@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-import bayeq
-from bayeq.kernels import announce_compiling, kernel, kernel_digest
+from bayeq.kernels import announce_compiling, kernel
 
 CALLEE = "from bayeq.kernels import kernel\n\n@kernel\ndef inner(x):\n    return x + {shift}\n"
 MIDDLE = "from bayeq.kernels import kernel\nfrom callee import inner\n\n@kernel\ndef middle(x):\n    return inner(x)\n"
@@ -84,21 +81,116 @@ def test_another_order_of_the_fields_of_a_record_recompiles(tmp_path):
     assert run(tmp_path) == (2.0, 0)
 
 
-def all_kernels():
-    for info in pkgutil.walk_packages(bayeq.__path__, "bayeq."):
-        if info.name == "bayeq.__main__":
-            continue
-        module = importlib.import_module(info.name)
-        for name, value in vars(module).items():
-            if hasattr(value, "py_func") and value.py_func.__module__ == info.name:
-                yield f"{info.name}.{name}", value
+def test_nothing_is_compiled_and_numba_not_imported_before_the_first_call(tmp_path):
+    (tmp_path / "callee.py").write_text(CALLEE.format(shift=1.0))
+    code = "import sys, bayeq.discovery, callee; {}; print('numba' in sys.modules)"
+    for call, imported in (("callee.inner", "False"), ("callee.inner(1.0)", "True")):
+        command = [sys.executable, "-c", code.format(call)]
+        out = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert out.stdout.strip() == imported
+    assert list(tmp_path.rglob("callee.inner.*.nbi"))
 
 
-@pytest.mark.parametrize(("name", "function"), list(all_kernels()), ids=lambda v: v if isinstance(v, str) else "")
-def test_every_callee_was_known_when_its_caller_was_decorated(name, function):
-    # the digest now, with all globals in place, is the one that the cache was keyed with
-    stamp = function._cache._impl.locator.get_source_stamp()
-    assert function._cache._cache_file._source_stamp == stamp == kernel_digest(function)
+MANY = """
+import sys
+import numpy as np
+from bayeq.kernels import kernel
+
+@kernel
+def solved(A, b):
+    return np.linalg.solve(A, b).copy()
+
+@kernel
+def counted(x):
+    seen = {x[0]: 0}
+    for value in x:
+        seen[value] = seen.get(value, 0) + 1
+    return len(seen)
+
+@kernel
+def drawn(rng, n):
+    return rng.normal(0.0, 1.0, n).sum()
+
+@kernel
+def refused(n):
+    if n < 0:
+        raise ValueError("negative")
+    return "even" if n % 2 == 0 else "odd"
+
+print(solved(np.array([[2.0, 1.0], [1.0, 3.0]]), np.array([3.0, 4.0])))
+print(counted(np.array([1.5, 2.5, 1.5])), drawn(np.random.default_rng(0), 5), refused(3))
+try:
+    refused(-1)
+except ValueError as error:
+    print(error)
+kernels = (solved, counted, drawn, refused)
+print(sum(sum(k.stats.cache_hits.values()) for k in kernels), "numba.np.npyimpl" in sys.modules)
+if sys.argv[1:]:
+    print(kernel(lambda x: np.sort(x)[::-1])(np.array([1.0, 2.0])))
+"""
+
+
+def test_loaded_kernels_run_without_what_compiling_needs(tmp_path):
+    (tmp_path / "many.py").write_text(MANY)
+
+    def run(*arguments):
+        command = [sys.executable, "many.py", *arguments]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.splitlines()
+
+    *compiled, how = run()
+    assert how == "0 True"
+    *loaded, how = run()
+    assert (loaded, how) == (compiled, "4 False")
+    # and something can be compiled after it
+    assert run("more")[-2:] == ["4 False", "[2. 1.]"]
+
+
+def thirds(x):
+    total = 0.0
+    for k in range(3):
+        total += x / (3 - k)
+    return total
+
+
+def load(cache_hits):
+    """Compile `thirds`, or load it from the cache, as a new process would."""
+    compiled = kernel(thirds)
+    assert compiled(6.0) == 11.0
+    assert sum(compiled.stats.cache_hits.values()) == cache_hits
+
+
+DAMAGES = {
+    "empty": lambda good: b"",
+    "garbage": lambda good: b"garbage" * 500,
+    "zeros": lambda good: bytes(len(good)),
+    "half": lambda good: good[: len(good) // 2],
+    "block": lambda good: good[: len(good) // 2] + bytes(200) + good[len(good) // 2 + 200 :],
+}
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_cache_mends_itself(tmp_path, monkeypatch, suffix, damage):
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
+    load(cache_hits=0)
+    load(cache_hits=1)
+    (file,) = tmp_path.rglob(f"*.{suffix}")
+    file.write_bytes(DAMAGES[damage](file.read_bytes()))
+    load(cache_hits=0)
+    load(cache_hits=1)
+
+
+@pytest.mark.parametrize("damage", [None, "garbage"])
+def test_a_full_disk_costs_the_cache_alone(tmp_path, damage):
+    (tmp_path / "caller.py").write_text(CALLEE.format(shift=1.0) + "print(inner(1.0))\n")
+    command = [sys.executable, "caller.py"]
+    if damage:
+        subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+        (index,) = tmp_path.rglob("*.nbi")
+        index.write_bytes(DAMAGES[damage](b""))
+    full = ["sh", "-c", 'ulimit -f 0; exec "$0" "$@"', *command]
+    out = subprocess.run(full, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert (out.stdout, out.stderr) == ("2.0\n", "")
 
 
 def test_compiling_is_announced_once(tmp_path, monkeypatch):

@@ -9,10 +9,13 @@ import bayeq as bq
 from bayeq.errors import InputError
 from bayeq.gram.gram import Gram, dense
 from bayeq.gram.lazy import LEAST_COLUMNS, LazyGram, grams_of
-from bayeq.inference import spike_slab_auto, spike_slab_bma, spike_slab_gibbs, spike_slab_vb
+from bayeq.inference.auto import spike_slab_auto
+from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem, fetch, gram_row
 from bayeq.inference.collapsed.search import best_models
+from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.prior import Prior
+from bayeq.inference.vb import spike_slab_vb
 
 TRUE = {3: 2.0, 77: -1.5, 400: 1.0}
 # so sparse that few models hold the mass: there is nothing to learn here from a long list

@@ -2,50 +2,39 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
+import tomllib
+from pathlib import Path
 
 import pytest
 
 import bayeq as bq
 
 
-def test_public_names():
-    assert set(bq.__all__) == {
-        "RVM",
-        "STLSQ",
-        "SYSTEMS",
-        "Equation",
-        "Equations",
-        "Finding",
-        "Forecast",
-        "Gram",
-        "ParsimonyPath",
-        "PhysicalParameters",
-        "Posterior",
-        "Prior",
-        "PriorSensitivity",
-        "Record",
-        "Refinement",
-        "Scores",
-        "SpikeSlabBMA",
-        "SpikeSlabGibbs",
-        "SpikeSlabVB",
-        "System",
-        "Truth",
-        "check_record",
-        "correct_delay",
-        "discover",
-        "load",
-        "read",
-        "remove_offset",
-        "simulate",
-        "write",
-    }
-    assert set(bq.__all__) <= set(dir(bq))
+def test_every_public_name_is_found():
     for name in bq.__all__:
         assert getattr(bq, name) is not None
+    assert {"discover", "read", "Record", "__version__"} <= set(dir(bq))
     with pytest.raises(AttributeError, match="nothing"):
         bq.nothing  # noqa: B018
+
+
+def test_type_checkers_see_the_names_that_the_program_sees():
+    tree = ast.parse(Path(bq.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    # only `X as X` is public to a type checker
+    assert all(alias.asname == alias.name for node in imports for alias in node.names)
+    assert {alias.name: node.module for node in imports for alias in node.names} == bq._HOME
+
+
+def test_the_version_stands_in_one_place():
+    root = Path(__file__).parents[1]
+    declared = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert bq.__version__ == declared
+    for path in (root / "src").rglob("*.py"):
+        assert f'"{declared}"' not in path.read_text(encoding="utf-8"), path
 
 
 def test_every_public_name_is_documented():

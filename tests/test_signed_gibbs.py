@@ -11,13 +11,15 @@ from scipy import integrate, special, stats
 from bayeq import SpikeSlabBMA, SpikeSlabGibbs, SpikeSlabVB
 from bayeq.errors import InputError
 from bayeq.gram import Gram
-from bayeq.inference import Prior, spike_slab_auto, spike_slab_bma, spike_slab_gibbs, spike_slab_vb
-from bayeq.inference.bma import sample_average
+from bayeq.inference.auto import spike_slab_auto
+from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
-from bayeq.inference.gibbs import sample_posterior
+from bayeq.inference.gibbs import sample_posterior, spike_slab_gibbs
+from bayeq.inference.prior import Prior
 from bayeq.inference.signs.gibbs import _rest, _scan_free, _scan_signed, doubled
 from bayeq.inference.signs.halfline import draw_beyond, log_ndtr
 from bayeq.inference.signs.truncation import signed_scores
+from bayeq.inference.vb import spike_slab_vb
 from tests import geweke, reference
 
 # p_0 and v_s of the twins

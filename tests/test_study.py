@@ -16,10 +16,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.exceptions import TyperException
+from click import ClickException
 
 from bayeq.cli.app import main
-from bayeq.cli.study import study_app
+from bayeq.cli.study import study as study_commands
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 from bayeq.study import realise as realise_module
 from bayeq.study.algorithms import ALGORITHMS
@@ -62,7 +62,7 @@ def small(tmp_path_factory):
 
 
 def command(*arguments):
-    return study_app([str(a) for a in arguments], prog_name="bayeq study", standalone_mode=False)
+    return study_commands.main([str(a) for a in arguments], prog_name="bayeq study", standalone_mode=False)
 
 
 # Realisations
@@ -376,7 +376,7 @@ def test_the_command_refuses(tmp_path, small):
         with pytest.raises(InputError):
             command(*arguments)
     for arguments in (["show", small, "--format", "html"], ["table2", "--smooth", "much"], ["show"]):
-        with pytest.raises(TyperException):
+        with pytest.raises(ClickException):
             command(*arguments)
 
 

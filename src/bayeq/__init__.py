@@ -9,98 +9,66 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
-
-if TYPE_CHECKING:
-    from bayeq.discovery import discover
-    from bayeq.equation.equation import Equation
-    from bayeq.equation.equations import Equations
-    from bayeq.equation.load import load
-    from bayeq.equation.physical import PhysicalParameters
-    from bayeq.equation.pip_curve import PriorSensitivity
-    from bayeq.equation.size_path import ParsimonyPath
-    from bayeq.estimators.regressors import RVM, STLSQ, SpikeSlabBMA, SpikeSlabGibbs, SpikeSlabVB
-    from bayeq.forecast.results import Refinement, Scores
-    from bayeq.forecast.run import Forecast
-    from bayeq.gram import Gram
-    from bayeq.inference.posterior import Posterior
-    from bayeq.inference.prior import Prior
-    from bayeq.records import Finding, Record, Truth, check_record, correct_delay, read, remove_offset, write
-    from bayeq.systems import SYSTEMS, System, simulate
-
-_HOME = {
-    "RVM": "estimators.regressors",
-    "STLSQ": "estimators.regressors",
-    "SYSTEMS": "systems",
-    "Equation": "equation.equation",
-    "Equations": "equation.equations",
-    "Finding": "records",
-    "Forecast": "forecast.run",
-    "Gram": "gram",
-    "ParsimonyPath": "equation.size_path",
-    "PhysicalParameters": "equation.physical",
-    "Posterior": "inference.posterior",
-    "Prior": "inference.prior",
-    "PriorSensitivity": "equation.pip_curve",
-    "Record": "records",
-    "Refinement": "forecast.results",
-    "Scores": "forecast.results",
-    "SpikeSlabBMA": "estimators.regressors",
-    "SpikeSlabGibbs": "estimators.regressors",
-    "SpikeSlabVB": "estimators.regressors",
-    "System": "systems",
-    "Truth": "records",
-    "check_record": "records",
-    "correct_delay": "records",
-    "discover": "discovery",
-    "load": "equation.load",
-    "read": "records",
-    "remove_offset": "records",
-    "simulate": "systems",
-    "write": "records",
+# The public names, by the module that defines them.
+_NAMES = {
+    "discovery": "discover",
+    "equation.equation": "Equation",
+    "equation.equations": "Equations",
+    "equation.load": "load",
+    "equation.physical": "PhysicalParameters",
+    "equation.pip_curve": "PriorSensitivity",
+    "equation.size_path": "ParsimonyPath",
+    "estimators.regressors": "RVM STLSQ SpikeSlabBMA SpikeSlabGibbs SpikeSlabVB",
+    "forecast.results": "Refinement Scores",
+    "forecast.run": "Forecast",
+    "gram": "Gram",
+    "inference.posterior": "Posterior",
+    "inference.prior": "Prior",
+    "records": "Finding Record Truth check_record correct_delay read remove_offset write",
+    "systems": "SYSTEMS System simulate",
 }
+_HOME = {name: f"bayeq.{module}" for module, names in _NAMES.items() for name in names.split()}
 
-__all__ = [
-    "RVM",
-    "STLSQ",
-    "SYSTEMS",
-    "Equation",
-    "Equations",
-    "Finding",
-    "Forecast",
-    "Gram",
-    "ParsimonyPath",
-    "PhysicalParameters",
-    "Posterior",
-    "Prior",
-    "PriorSensitivity",
-    "Record",
-    "Refinement",
-    "Scores",
-    "SpikeSlabBMA",
-    "SpikeSlabGibbs",
-    "SpikeSlabVB",
-    "System",
-    "Truth",
-    "check_record",
-    "correct_delay",
-    "discover",
-    "load",
-    "read",
-    "remove_offset",
-    "simulate",
-    "write",
-]
+__all__ = sorted(_HOME)
 
+if TYPE_CHECKING:  # the same names for type checkers; a test compares the two lists
+    # isort: off
+    from bayeq.discovery import discover as discover
+    from bayeq.equation.equation import Equation as Equation
+    from bayeq.equation.equations import Equations as Equations
+    from bayeq.equation.load import load as load
+    from bayeq.equation.physical import PhysicalParameters as PhysicalParameters
+    from bayeq.equation.pip_curve import PriorSensitivity as PriorSensitivity
+    from bayeq.equation.size_path import ParsimonyPath as ParsimonyPath
+    from bayeq.estimators.regressors import RVM as RVM, STLSQ as STLSQ, SpikeSlabBMA as SpikeSlabBMA
+    from bayeq.estimators.regressors import SpikeSlabGibbs as SpikeSlabGibbs, SpikeSlabVB as SpikeSlabVB
+    from bayeq.forecast.results import Refinement as Refinement, Scores as Scores
+    from bayeq.forecast.run import Forecast as Forecast
+    from bayeq.gram import Gram as Gram
+    from bayeq.inference.posterior import Posterior as Posterior
+    from bayeq.inference.prior import Prior as Prior
+    from bayeq.records import Finding as Finding, Record as Record, Truth as Truth, check_record as check_record
+    from bayeq.records import correct_delay as correct_delay, read as read, remove_offset as remove_offset
+    from bayeq.records import write as write
+    from bayeq.systems import SYSTEMS as SYSTEMS, System as System, simulate as simulate
+    # isort: on
 
-def __getattr__(name: str) -> Any:
-    """PEP 562: import the module of a public name when the name is first used."""
-    if name in _HOME:
-        value = getattr(import_module(f"bayeq.{_HOME[name]}"), name)
+    __version__: str
+else:  # hidden from type checkers, which would take every misspelt name for a public one
+
+    def __getattr__(name: str) -> Any:
+        """PEP 562: import the module of a public name when the name is first used."""
+        if name in _HOME:
+            value = getattr(import_module(_HOME[name]), name)
+        elif name == "__version__":
+            from importlib.metadata import version
+
+            value = version("bayeq")
+        else:
+            raise AttributeError(f"module 'bayeq' has no attribute {name!r}")
         globals()[name] = value
         return value
-    raise AttributeError(f"module 'bayeq' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, "__version__"})

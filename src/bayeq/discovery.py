@@ -9,7 +9,8 @@ from bayeq.equation.build import build_equations
 from bayeq.equation.equations import DataSummary, Equations
 from bayeq.equation.units import channel_units
 from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, UnknownNameError, WarningLog
-from bayeq.inference import ENGINES, Engine, Prior
+from bayeq.inference.engines import ENGINES, Engine
+from bayeq.inference.prior import Prior
 from bayeq.records import Record, check_messages, split_at_gaps
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from bayeq.gram import Gram
-from bayeq.inference import ENGINES, Prior
+from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
+from bayeq.inference.prior import Prior
 from tests import reference
 
 pytestmark = pytest.mark.parametrize("name", ENGINES)

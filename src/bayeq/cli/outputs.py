@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
+import click
 
 from bayeq.errors import InputError
 
@@ -17,32 +17,7 @@ if TYPE_CHECKING:
     from bayeq.equation.physical import PhysicalParameters
     from bayeq.records import Record
 
-__all__ = ["ForecastFile", "Outputs", "PathFile", "Physical", "Refine", "SensitivityFile"]
-
-SensitivityFile = Annotated[
-    Path | None,
-    typer.Option(help="Write the PIPs under other v_s and p_0: a table (.csv) or a figure (.png, .svg, .pdf)."),
-]
-PathFile = Annotated[
-    Path | None,
-    typer.Option(
-        help="Write the best equation of each size, with evidence and errors: a table (.csv) or a figure (.png, .svg,"
-        " .pdf)."
-    ),
-]
-ForecastFile = Annotated[
-    Path | None,
-    typer.Option(
-        help="Write the free run over the held-out rows, with its 95 % band: a table (.csv) or a figure (.png, .svg,"
-        " .pdf)."
-    ),
-]
-Refine = Annotated[
-    bool, typer.Option("--refine", help="Coefficients by output error: those whose free run is closest to the record.")
-]
-Physical = Annotated[
-    bool, typer.Option("--physical", help="Also mass, damping, stiffness ... of a second-order equation.")
-]
+__all__ = ["OUTPUTS", "Outputs"]
 
 # What a file is for, by option.
 PURPOSES = {
@@ -64,19 +39,15 @@ class Outputs:
     refine: bool
     physical: bool
 
-    def check(self, files: Sequence[Path], method: str, by_displacement: bool, chains: Sequence[str]) -> None:
+    def check(self, files: Sequence[Path], options: Mapping[str, Any]) -> None:
         """Refuse, before the work, what could not be done after it.
 
         Parameters
         ----------
         files : sequence of Path
             Records that are read.
-        method : str
-            The engine.
-        by_displacement : bool
-            Whether the chain is spelled by --disp, which is one of second order.
-        chains : sequence of str
-            Others, as they were typed.
+        options : mapping
+            Of `bayeq.discover`, as they were given.
 
         Raises
         ------
@@ -101,14 +72,14 @@ class Outputs:
         if self.sensitivity is not None:
             from bayeq.equation.pip_curve import require_spike_slab
 
-            require_spike_slab(method)
-        if self.physical and chains and not by_displacement:
+            require_spike_slab(options["method"])
+        if self.physical and options["chains"] and options["displacement"] is None:
             from bayeq.states import parse_chains
 
-            if all(chain.order != 2 for chain in parse_chains(list(chains))):
+            if all(chain.order != 2 for chain in parse_chains(list(options["chains"]))):
                 raise InputError(
                     "--physical: parameters are those of a second-order equation, such as that of --chain x:v:a or"
-                    f" x::, but there is only {', '.join(chains)}"
+                    f" x::, but there is only {', '.join(options['chains'])}"
                 )
 
     def check_records(self, records: Sequence[Record]) -> None:
@@ -120,44 +91,82 @@ class Outputs:
                 require_time(record, option)
 
     def write(self, found: Equations, records: Sequence[Record], holdout: float, as_json: bool) -> None:
-        """Write the files and print the equations."""
-        from bayeq.equation.text import render
+        """Print the equations, then write the files.
 
-        # these are about the regression
-        if self.sensitivity is not None:
-            from bayeq.figures.pip_curves import draw_pip_curves
-            from bayeq.figures.write import write_by_target
+        Each is done whatever becomes of the others: what was found is printed although a file cannot be written.
 
-            write_by_target(self.sensitivity, {one.target: one.sensitivity() for one in found}, draw_pip_curves)
-        if self.path is not None:
-            from bayeq.figures.size_path import draw_paths
-            from bayeq.figures.write import write_by_target
-
-            write_by_target(self.path, {one.target: one.path() for one in found}, draw_paths)
+        Raises
+        ------
+        InputError
+            Files that could not be written, and why.
+        """
         answer = found.refine(records, holdout=holdout) if self.refine else found
-        if self.save is not None:
-            answer.save(self.save)
-        if self.forecast is not None:
-            from bayeq.forecast.write import write_forecasts
+        try:
+            self._print(answer, as_json)
+        finally:
+            self._write_files(found, answer, records, holdout)
 
-            share = holdout if answer.data.n_held_out else 0.0
-            starts = [record.n - int(share * record.n) for record in records]
-            write_forecasts(
-                self.forecast,
-                [
-                    (record.name, answer.simulate(record, start=start if start < record.n - 1 else 0))
-                    for record, start in zip(records, starts, strict=True)
-                ],
-            )
+    def _print(self, answer: Equations, as_json: bool) -> None:
         if as_json:
             out = answer.to_dict()
             if self.physical:
                 out["physical"] = {target: _plain(parameters) for target, parameters in _physical(answer).items()}
-            typer.echo(json.dumps(out, allow_nan=False))
+            click.echo(json.dumps(out, allow_nan=False))
             return
-        typer.echo(render(answer, with_warnings=False))
+        from bayeq.equation.text import render
+
+        click.echo(render(answer, with_warnings=False))
         for target, parameters in _physical(answer).items() if self.physical else ():
-            typer.echo(f"\nphysical parameters, from the equation of {target}\n\n{parameters}")
+            click.echo(f"\nphysical parameters, from the equation of {target}\n\n{parameters}")
+
+    def _write_files(self, found: Equations, answer: Equations, records: Sequence[Record], holdout: float) -> None:
+        """Write the files that were named; sensitivity and path are about the regression, before any refinement."""
+        failures = []
+        for path, write in (
+            (self.save, answer.save),
+            (self.sensitivity, lambda file: _write_sensitivity(file, found)),
+            (self.path, lambda file: _write_path(file, found)),
+            (self.forecast, lambda file: _write_forecast(file, answer, records, holdout)),
+        ):
+            if path is None:
+                continue
+            try:
+                write(path)
+            except OSError as error:
+                failures.append(f"{path}: cannot be written: {error.strerror or error}")
+        if failures:
+            raise InputError("; ".join(failures))
+
+
+def _write_sensitivity(path: Path, found: Equations) -> None:
+    from bayeq.figures.pip_curves import draw_pip_curves
+    from bayeq.figures.write import write_by_target
+
+    write_by_target(path, {equation.target: equation.sensitivity() for equation in found}, draw_pip_curves)
+
+
+def _write_path(path: Path, found: Equations) -> None:
+    from bayeq.figures.size_path import draw_paths
+    from bayeq.figures.write import write_by_target
+
+    write_by_target(path, {equation.target: equation.path() for equation in found}, draw_paths)
+
+
+def _write_forecast(path: Path, answer: Equations, records: Sequence[Record], holdout: float) -> None:
+    """Free runs over the rows held out, or over whole records where none are."""
+    from bayeq.forecast.write import write_forecasts
+
+    share = holdout if answer.data.n_held_out else 0.0
+    starts = [record.n - int(share * record.n) for record in records]
+    runs = [
+        (record.name, answer.simulate(record, start=start if start < record.n - 1 else 0))
+        for record, start in zip(records, starts, strict=True)
+    ]
+    write_forecasts(path, runs)
+
+
+# The options that are outputs.
+OUTPUTS = tuple(field.name for field in fields(Outputs))
 
 
 def _require_place(path: Path, files: Sequence[Path]) -> None:

@@ -6,60 +6,48 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Literal, cast
 
-import typer
+import click
 
+from bayeq.cli.options import FILE, option
+from bayeq.cli.streams import say
 from bayeq.errors import InputError, InterruptedRun
 
-__all__ = ["study_app"]
+__all__ = ["study"]
 
-study_app = typer.Typer(
-    name="study",
-    help="Monte Carlo studies: the paper's tables, run and shown.",
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+SYSTEMS = "linear,duffing,quadratic,coulomb"
 
 
-class StudySmoothing(StrEnum):
-    """How states are had from the channels."""
-
-    none = "none"
-    auto = "auto"
-
-
-class TableFormat(StrEnum):
-    """How a table is written."""
-
-    text = "text"
-    markdown = "markdown"
-    csv = "csv"
-
-
-@study_app.callback(invoke_without_command=True)
-def _root(context: typer.Context) -> None:
+@click.group(invoke_without_command=True)
+@click.pass_context
+def study(context: click.Context) -> None:
+    """Monte Carlo studies: the paper's tables, run and shown."""
     if context.invoked_subcommand is None:
-        known = ", ".join(c.name or c.callback.__name__ for c in study_app.registered_commands if c.callback)
-        raise InputError(f"no command given; there are: {known} (see bayeq study --help)")
+        raise InputError(f"no command given; there are: {', '.join(study.commands)} (see bayeq study --help)")
 
 
-@study_app.command()
+@study.command()
+@option("--realisations", type=int, default=1000, help="Realisations of each system.")
+@option("--jobs", type=int, default=2, help="Worker processes; the results do not depend on it.")
+@option("--seed", type=int, default=0, help="Seed of the study.")
+@option(
+    "--store",
+    type=FILE,
+    default=Path("study.db"),
+    help="File of results; a study that was stopped continues in it.",
+)
+@option("--systems", default=SYSTEMS, help="Systems, separated by commas.")
+@option("--algorithms", default="sindy,rvm,gibbs,vb,vb-rvm", help="Algorithms, separated by commas.")
+@option(
+    "--smooth",
+    type=click.Choice(["none", "auto"]),
+    default="none",
+    help="The paper's raw noisy channels (none), or smoothed ones (auto).",
+)
 def table2(
-    realisations: Annotated[int, typer.Option(help="Realisations of each system.")] = 1000,
-    jobs: Annotated[int, typer.Option(help="Worker processes; the results do not depend on it.")] = 2,
-    seed: Annotated[int, typer.Option(help="Seed of the study.")] = 0,
-    store: Annotated[Path, typer.Option(help="File of results; a study that was stopped continues in it.")] = Path(
-        "study.db"
-    ),
-    systems: Annotated[str, typer.Option(help="Systems, separated by commas.")] = "linear,duffing,quadratic,coulomb",
-    algorithms: Annotated[str, typer.Option(help="Algorithms, separated by commas.")] = "sindy,rvm,gibbs,vb,vb-rvm",
-    smooth: Annotated[
-        StudySmoothing, typer.Option(help="The paper's raw noisy channels (none), or smoothed ones (auto).")
-    ] = StudySmoothing.none,
+    realisations: int, jobs: int, seed: int, store: Path, systems: str, algorithms: str, smooth: Literal["none", "auto"]
 ) -> None:
     """Run the Monte Carlo study of the paper's Tables 2 and 3, or what is missing of it."""
     from bayeq.study.progress import StudyProgress
@@ -77,7 +65,7 @@ def table2(
             algorithms=_names(algorithms),
             realisations=realisations,
             jobs=jobs,
-            config=StudyConfig(seed=seed, smooth=smooth.value),
+            config=StudyConfig(seed=seed, smooth=smooth),
             progress=progress,
         )
     except KeyboardInterrupt:
@@ -89,30 +77,34 @@ def table2(
         progress.close()
     if outcome.realisations:
         rate = outcome.realisations / outcome.seconds
-        typer.echo(f"{store}: {outcome.realisations} realisations in {outcome.seconds:.1f} s ({rate:.3g}/s)", err=True)
+        say(f"{store}: {outcome.realisations} realisations in {outcome.seconds:.1f} s ({rate:.3g}/s)")
     if outcome.failures:
-        typer.echo(f"bayeq: warning: {outcome.failures} runs failed, see below the table", err=True)
+        say(f"bayeq: warning: {outcome.failures} runs failed, see below the table")
     with Store.open(store) as file:
-        typer.echo(render(file))
+        click.echo(render(file))
 
 
-@study_app.command()
-def show(
-    store: Annotated[Path, typer.Argument(metavar="STORE", help="File of results.")],
-    form: Annotated[TableFormat, typer.Option("--format", help="How to write the table.")] = TableFormat.text,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
-    table: Annotated[int, typer.Option(help="The paper's table 2 (errors) or 3 (run times).")] = 2,
-) -> None:
-    """Show the results of a study beside the paper's."""
+@study.command()
+@click.argument("store", type=FILE)
+@option(
+    "--format", "form", type=click.Choice(["text", "markdown", "csv"]), default="text", help="How to write the table."
+)
+@option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+@option("--table", type=int, default=2, help="The paper's table 2 (errors) or 3 (run times).")
+def show(store: Path, form: Literal["text", "markdown", "csv"], as_json: bool, table: int) -> None:
+    """Show the results of a study beside the paper's.
+
+    STORE is its file of results.
+    """
     from bayeq.study.show import show as render
     from bayeq.study.store import Store
 
     if table not in (2, 3):
         raise InputError(f"there is no table {table}; choose --table 2 or --table 3")
-    if json and form is not TableFormat.text:
-        raise InputError(f"--json and --format {form.value} exclude each other; give one of them")
+    if as_json and form != "text":
+        raise InputError(f"--json and --format {form} exclude each other; give one of them")
     with Store.open(store) as file:
-        typer.echo(render(file, "json" if json else form.value, cast(Literal[2, 3], table)))
+        click.echo(render(file, "json" if as_json else form, cast(Literal[2, 3], table)))
 
 
 @contextmanager
@@ -131,17 +123,19 @@ def _interrupts_held() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-@study_app.command()
-def figures(
-    folder: Annotated[Path, typer.Argument(help="Folder to write to; made if it does not exist.")] = Path("figures"),
-    seed: Annotated[int, typer.Option(help="Seed of the realisation that is drawn.")] = 0,
-    systems: Annotated[str, typer.Option(help="Systems, separated by commas.")] = "linear,duffing,quadratic,coulomb",
-) -> None:
-    """Draw the paper's figures 4 and 5 from one realisation, as PNG and SVG."""
+@study.command()
+@click.argument("folder", type=FILE, default=Path("figures"))
+@option("--seed", type=int, default=0, help="Seed of the realisation that is drawn.")
+@option("--systems", default=SYSTEMS, help="Systems, separated by commas.")
+def figures(folder: Path, seed: int, systems: str) -> None:
+    """Draw the paper's figures 4 and 5 from one realisation, as PNG and SVG.
+
+    FOLDER is where they are written; it is made if it does not exist.
+    """
     from bayeq.study.figures import write_figures
 
     for path in write_figures(folder, seed=seed, systems=_names(systems)):
-        typer.echo(str(path))
+        click.echo(str(path))
 
 
 def _names(text: str) -> list[str]:

@@ -12,10 +12,11 @@ from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidua
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.results import Scores
 from bayeq.forecast.score import held_out_scores
-from bayeq.inference import ENGINES, Posterior
 from bayeq.inference.collapsed.path import partial_shares
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import neighbours
+from bayeq.inference.engines import ENGINES
+from bayeq.inference.posterior import Posterior
 from bayeq.selection.select import Selection
 
 __all__ = ["build_equations"]

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.figures.pip_curves import LABELS, draw_pip_curves
 from bayeq.gram import Gram, GramLike
-from bayeq.inference import ENGINES
 from bayeq.inference.auto import MOST_LEFT_OUT
 from bayeq.inference.bma import average_models
 from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 
 if TYPE_CHECKING:

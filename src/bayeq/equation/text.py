@@ -17,7 +17,7 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation, round_to
 from bayeq.equation.size_path import percent
 from bayeq.forecast.results import Scores, percentages
-from bayeq.inference import ENGINES
+from bayeq.inference.engines import ENGINES
 from bayeq.regression.residuals import Residuals
 from bayeq.states import rates
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-import bayeq
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Z95, Equation
 from bayeq.forecast.results import Scores
@@ -24,7 +24,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
     """The answer as plain data, every candidate term of every equation in it."""
     files = eq.data.files
     return {
-        "version": bayeq.__version__,
+        "version": version("bayeq"),
         "method": eq.method,
         "verdict": asdict(eq.verdict),
         "data": {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 __all__ = ["replacing"]
@@ -16,6 +16,11 @@ def replacing(path: Path) -> Iterator[Path]:
 
     An interrupted write leaves what was there before. What is not a regular file (a pipe, a device) is written
     directly.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written; it names `path`.
 
     Examples
     --------
@@ -34,5 +39,8 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         yield part
         os.replace(part, target)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # where nothing can be written, nothing can be removed: that is reported already
+            part.unlink()

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.gram import Gram, Standardised
-from bayeq.inference import Engine, Posterior, Prior
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.collapsed.tableau import swept
+from bayeq.inference.engines import Engine
+from bayeq.inference.posterior import Posterior
+from bayeq.inference.prior import Prior
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.covariance import propagated_covariance
 from bayeq.regression.regression import Regression
@@ -137,7 +139,7 @@ def fit_regression(
     constraints : Constraints
         Equalities are taken out before inference; signs go into the prior.
     engine : Engine
-        A row of `bayeq.inference.ENGINES`.
+        A row of `bayeq.inference.engines.ENGINES`.
     prior : Prior, optional
         On standardised columns, the target in units of the least-squares residual. By default p_0 = 0.1 and a slab
         variance v_s that maximises the evidence, at least 10.

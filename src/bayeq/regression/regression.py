@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayeq.dictionary import evaluate_terms
 from bayeq.gram import Gram
 from bayeq.gram.gram import grams_from_blocks
-from bayeq.inference import Posterior
+from bayeq.inference.posterior import Posterior
 from bayeq.regression.design import Design
 from bayeq.regression.filtered_terms import filtered_terms
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals

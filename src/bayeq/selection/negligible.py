@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.rows import Rows, divided, rows_of
 from bayeq.forecast.windows import apart, typical_period, window_runs
-from bayeq.inference import Posterior
 from bayeq.inference.collapsed.path import best_of_each_size, partial_shares
+from bayeq.inference.posterior import Posterior
 from bayeq.regression.fit import RegressionFit
 from bayeq.states import Motion
 

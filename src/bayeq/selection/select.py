@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import InputError
-from bayeq.inference import ENGINES, Posterior
 from bayeq.inference.collapsed.path import best_of_each_size, model_log_posterior, partial_shares, path_sizes
+from bayeq.inference.engines import ENGINES
+from bayeq.inference.posterior import Posterior
 from bayeq.regression.fit import RegressionFit
 from bayeq.selection.negligible import NEGLIGIBLE, FreeRuns, less_negligible, undecided_forms
 from bayeq.states import Motion

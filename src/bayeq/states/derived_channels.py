@@ -11,10 +11,10 @@ velocity it leaves next to nothing, less than that noise of the displacement.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import comb
 
 from bayeq.errors import RecordError
 from bayeq.records import Record

@@ -16,9 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.gram import Gram, Standardised
-from bayeq.inference import ENGINES, Prior, rvm, spike_slab_bma, spike_slab_gibbs, spike_slab_vb, sweep_stlsq
+from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
+from bayeq.inference.engines import ENGINES
+from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Posterior
+from bayeq.inference.prior import Prior
+from bayeq.inference.rvm import rvm
+from bayeq.inference.stlsq import sweep_stlsq
+from bayeq.inference.vb import spike_slab_vb
 from bayeq.regression.constraints import parse_constraints
 from bayeq.regression.fit import fit_regression
 from bayeq.regression.regression import Regression

@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from bayeq.expressions import parse, to_sympy
 from bayeq.figures.paper import Inclusion, JointPosterior, draw_inclusion, draw_joint
 from bayeq.figures.style import mathtext, require_matplotlib, save, style
-from bayeq.inference import Prior, spike_slab_gibbs, spike_slab_vb
+from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Posterior
+from bayeq.inference.prior import Prior
+from bayeq.inference.vb import spike_slab_vb
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig, choose
 from bayeq.study.realise import ALGORITHM_STREAM, draw
 from bayeq.systems import System, get_system

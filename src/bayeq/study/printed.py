@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from bayeq.citation import PAPER
+
 __all__ = ["CITATION", "LABELS", "PRINTED_ALGORITHMS", "RUNTIMES", "TABLE_2", "Printed"]
 
-CITATION = (
-    "R. Nayek, K. Worden, E. J. Cross, Equation discovery using an efficient variational Bayesian approach with"
-    " spike-and-slab priors, Tables 2 and 3 (averages over 1000 realisations)"
-)
+CITATION = f"{PAPER}, Tables 2 and 3 (averages over 1000 realisations)"
 
 # The order of its columns and rows.
 PRINTED_ALGORITHMS = ("sindy", "rvm", "gibbs", "vb")

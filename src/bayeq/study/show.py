@@ -6,9 +6,9 @@ import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from typing import Any, Literal
 
-import bayeq
 from bayeq.study.printed import CITATION, LABELS
 from bayeq.study.result import METRICS
 from bayeq.study.store import Store
@@ -52,7 +52,7 @@ def show(store: Store, form: Format = "text", table: Literal[2, 3] = 2) -> str:
     rows = aggregate(store.results(), store.planned())
     shown = rows if table == 2 else runtimes(rows, int(store.config.get("chains", 1)))
     if form == "json":
-        answer = {"version": bayeq.__version__, "config": store.config, "rows": shown, "failures": failures}
+        answer = {"version": version("bayeq"), "config": store.config, "rows": shown, "failures": failures}
         return json.dumps(answer, allow_nan=False)
     if form == "csv":
         return _csv(shown)

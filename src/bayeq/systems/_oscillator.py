@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from bayeq.citation import PAPER
 from bayeq.systems.system import BandLimitedForce, System
 
 __all__ = ["oscillator"]
-
-CITATION = (
-    "R. Nayek, K. Worden, E. J. Cross, Equation discovery using an efficient variational Bayesian approach "
-    "with spike-and-slab priors, section 4 and Table 1"
-)
 
 
 def oscillator(
@@ -50,5 +46,5 @@ def oscillator(
         fs=1000.0,
         noise=0.05,
         units={"x": "m", "v": "m/s", "a": "m/s^2", "u": "N"},
-        citation=CITATION,
+        citation=f"{PAPER}, section 4 and Table 1",
     )

@@ -22,7 +22,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from bayeq.inference.collapsed.problem import Bools, Columns, Floats, Ints, Problem, all_rows, fetch
 from bayeq.kernels import kernel
@@ -454,6 +453,8 @@ def residual_sum(columns: Columns, Dty: Floats, yty: float, dof: float) -> float
         return 0.0
     if terms <= SMALL:
         return float(least_squares_rss(columns.rows, Dty, yty))
+    from scipy.linalg import solve_triangular  # which takes a while to import
+
     DtD = all_rows(columns)
     try:
         half = solve_triangular(np.linalg.cholesky(DtD), Dty, lower=True, check_finite=False)

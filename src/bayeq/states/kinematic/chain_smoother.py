@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record
@@ -227,6 +226,8 @@ def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicM
     RecordError
         Uneven steps of time, records at different rates, or a signal that never comes out of its noise.
     """
+    from scipy.special import chdtri  # which takes a while to import
+
     fs, noise = _rate(series), model.noise_sd[lowest]
     if fs is None:
         if any(_rate([s]) is None for s in series):

@@ -1,0 +1,223 @@
+"""``bayeq discover``: read records, find equations, print and write them."""
+
+from __future__ import annotations
+
+import sys
+import time as clock
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bayeq.cli.options import FILE, option
+from bayeq.cli.outputs import OUTPUTS, Outputs
+from bayeq.cli.streams import say
+from bayeq.errors import FileFormatError, InputError
+from bayeq.inference.engines import ENGINES
+from bayeq.kernels import announce_compiling
+
+if TYPE_CHECKING:
+    from bayeq.records import Record
+
+__all__ = ["COMPILING", "discover"]
+
+COMPILING = "compiling, once after installation: up to a minute ..."
+
+# Work that takes longer shows its progress [s].
+PATIENCE = 1.0
+
+# Options about reading; what is neither these nor outputs goes to `bayeq.discover` as it is.
+READING = ("time", "fs", "names", "group")
+
+
+class Progress:
+    """A progress line on standard error, once the work has taken longer than `PATIENCE`."""
+
+    def __init__(self) -> None:
+        self.started = clock.monotonic()
+        self.bar: Any = None
+        self.task: Any = None
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        if self.bar is None:
+            if clock.monotonic() - self.started < PATIENCE or not sys.stderr.isatty():
+                return
+            from rich.console import Console
+            from rich.progress import Progress as Bar
+
+            self.bar = Bar(console=Console(stderr=True), transient=True)
+            self.bar.start()
+            self.task = self.bar.add_task(stage)
+        self.bar.update(self.task, description=stage, completed=done, total=total)
+
+    def close(self) -> None:
+        """Take the line away."""
+        if self.bar is not None:
+            self.bar.stop()
+
+
+@click.command()
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
+@option("--time", help="Time column [s].")
+@option("--fs", type=float, help="Sampling frequency [Hz], where there is no time column.")
+@option("--names", help="Column names, separated by commas, for a file without header.")
+@option("--group", help="Column that numbers the trials within a file.")
+@option("--disp", "displacement", help="Displacement channel.")
+@option("--vel", "velocity", help="Velocity channel.")
+@option("--acc", "acceleration", help="Acceleration channel.")
+@option("--force", help="Force channel.")
+@option(
+    "--chain",
+    "chains",
+    multiple=True,
+    help="A coordinate and its measured derivatives: x:v:a, x:: (only x measured), ::a (only a), x (first order),"
+    " x:xdot. Once per coordinate.",
+)
+@option("--input", "inputs", multiple=True, help="Input channel; once per input.")
+@option(
+    "--dictionary",
+    default="oscillator",
+    help="Candidate terms: oscillator, polynomial:3, a file of terms, or terms separated by commas.",
+)
+@option(
+    "--method",
+    type=click.Choice(list(ENGINES)),
+    default="auto",
+    help="Engine; auto: optimum by VB, probabilities by model averaging.",
+)
+@option(
+    "--smooth",
+    type=click.Choice(["auto", "none"]),
+    default="auto",
+    help="Derivatives not measured: smoothed (auto) or differences (none).",
+)
+@option(
+    "--constraint",
+    "constraints",
+    multiple=True,
+    help="What is known of coefficients, by the names of terms: 'u == 1', 'v <= 0', 'a: x*abs(x) == 0.5*x**3' (of"
+    " equation a). Once per constraint.",
+)
+@option("--holdout", type=float, default=0.2, help="Share of the rows, the last, to judge the equation by.")
+@option("--max-terms", type=int, help="Show at most this number of terms: the likeliest equation within it.")
+@option(
+    "--negligible",
+    type=float,
+    help="Terms that together explain a smaller share of the variance than this (0.00004) and make no difference to"
+    " free runs stand beside the equation; 0 keeps them in it.",
+)
+@option(
+    "--coarsen",
+    type=float,
+    default=1.0,
+    help="Power (0 to 1) of the likelihood, for models that are only nearly true.",
+)
+@option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+@option("--save", type=FILE, help="Write the equations to a JSON file, for bayeq.load.")
+@option(
+    "--sensitivity",
+    type=FILE,
+    help="Write the PIPs under other v_s and p_0: a table (.csv) or a figure (.png, .svg, .pdf).",
+)
+@option(
+    "--path",
+    type=FILE,
+    help="Write the best equation of each size, with evidence and errors: a table (.csv) or a figure (.png, .svg,"
+    " .pdf).",
+)
+@option(
+    "--forecast",
+    type=FILE,
+    help="Write the free run over the held-out rows, with its 95 % band: a table (.csv) or a figure (.png, .svg,"
+    " .pdf).",
+)
+@option("--refine", is_flag=True, help="Coefficients by output error: those whose free run is closest to the record.")
+@option("--physical", is_flag=True, help="Also mass, damping, stiffness ... of a second-order equation.")
+@option("--seed", type=int, default=0, help="Seed of methods that draw random numbers (gibbs).")
+def discover(files: tuple[Path, ...], as_json: bool, **options: Any) -> None:
+    """Find the equation of motion of a measured record.
+
+    FILE... are one or several records: CSV, TSV, text, Parquet or NPZ.
+    """
+    outputs = Outputs(**{name: options.pop(name) for name in OUTPUTS})
+    reading = {name: options.pop(name) for name in READING}
+    outputs.check(files, options)
+    for k, file in enumerate(files):
+        if file.exists() and any(other.exists() and file.samefile(other) for other in files[:k]):
+            raise InputError(f"{file}: named twice; the same rows twice are not twice the evidence")
+    options = _cleaned(options)
+    announce_compiling(lambda: say(COMPILING))
+    progress = Progress()
+    try:
+        records: list[Record] = []
+        for k, file in enumerate(files):
+            progress("reading", k, len(files))
+            records.extend(_read(file, _used(options), reading))
+        outputs.check_records(records)
+        from bayeq.discovery import discover as run  # once the files are known to be readable
+
+        answer = run(records, **options, progress=progress)
+    finally:
+        progress.close()
+    outputs.write(answer, records, options["holdout"], as_json)
+
+
+def _cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options as `bayeq.discover` takes them: channels by their names, without those that were not given."""
+    out = {name: value for name, value in options.items() if value is not None}
+    for role in ("displacement", "velocity", "acceleration", "force"):
+        if role in out:
+            out[role] = _channel(out[role])
+    out["inputs"] = [name for name in map(_channel, out["inputs"]) if name]
+    out["chains"] = list(out["chains"]) or None
+    return out
+
+
+def _channel(name: str) -> str:
+    """A channel by its name or by its header in the file, such as ``Displ. (m)``."""
+    if not name or name.isidentifier() or ":" in name:
+        return name
+    from bayeq.records import clean_name
+
+    return clean_name(name)[0]
+
+
+def _used(options: Mapping[str, Any]) -> list[str]:
+    """Channels that the options name."""
+    single = (options.get(role, "") for role in ("displacement", "velocity", "acceleration", "force"))
+    texts = (*(options["chains"] or ()), *single, *options["inputs"])
+    return [name for text in texts for name in text.split(":") if name and not name.startswith("~")]
+
+
+def _read(file: Path, used: list[str], options: Mapping[str, Any]) -> list[Record]:
+    from bayeq.records import read
+
+    names = options["names"]
+    options = {**options, "names": None if names is None else [name.strip() for name in names.split(",")]}
+    try:
+        found = read(file, **options)
+    except FileFormatError:
+        # Perhaps it is in a column that is not used, where words are welcome.
+        found = read(file, columns=used or None, **options)
+    records = found if isinstance(found, list) else [found]
+    if options["fs"] is not None:
+        for record in records:
+            for name in ("t", "time", "Time"):
+                if name in record.names:
+                    _require_rate(record, name)
+    return records
+
+
+def _require_rate(record: Record, name: str) -> None:
+    """Refuse an --fs that contradicts a column that looks like time (with --fs it is read as a channel)."""
+    import numpy as np
+
+    with np.errstate(invalid="ignore"):  # of infinite times
+        steps = np.diff(record[name])
+    step = float(np.median(steps)) if len(steps) else 0.0
+    if record.fs is not None and step > 0 and not 0.99 < record.fs * step < 1.01:
+        raise InputError(
+            f"{record.name}: --fs {record.fs:g} contradicts column {name!r}, whose median step is {step:g}; leave --fs"
+            f" out to use the column, or rename it if it is not time"
+        )

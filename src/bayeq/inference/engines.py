@@ -1,0 +1,81 @@
+"""The table of engines: from a Gram matrix to a posterior.
+
+An engine is a function ``engine(gram, prior, **options) -> Posterior``; a new one is a file and a row here. The table
+loads no engine: the command line reads names from it, and an engine is imported where it runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bayeq.inference.posterior import Posterior
+
+__all__ = ["ENGINES", "Engine"]
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """A row of the table.
+
+    Attributes
+    ----------
+    function : str
+        Module, in this folder, and name of the function, with a colon between them.
+    title : str
+        What it is, for the reader of its answer.
+    score : str
+        What stands in the column of its `pip`.
+    spike_slab : bool
+        Whether its prior is the spike-and-slab prior, under which models can be compared.
+    random : bool
+        Whether it draws random numbers: it then takes ``seed``.
+    options : mapping
+        Of the function, where they are not its defaults.
+    """
+
+    function: str
+    title: str
+    score: str = "PIP"
+    spike_slab: bool = False
+    random: bool = False
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def run(self) -> Callable[..., Posterior]:
+        """``run(gram, prior, **options) -> Posterior``."""
+        module, name = self.function.split(":")
+        return partial(getattr(import_module(f"bayeq.inference.{module}"), name), **self.options)
+
+
+# Engines that `discover` offers; all of them select the terms whose `pip` exceeds 0.5.
+ENGINES: dict[str, Engine] = {
+    "auto": Engine(
+        "auto:spike_slab_auto",
+        "auto: PIPs by model averaging, coefficients exact given the included terms, ELBO by variational Bayes;"
+        " spike-and-slab prior",
+        spike_slab=True,
+    ),
+    "vb": Engine("vb:spike_slab_vb", "variational Bayes, spike-and-slab prior", spike_slab=True),
+    "bma": Engine("bma:spike_slab_bma", "model averaging with exact weights, spike-and-slab prior", spike_slab=True),
+    "gibbs": Engine(
+        "gibbs:spike_slab_gibbs", "Gibbs sampling (MCMC), spike-and-slab prior", spike_slab=True, random=True
+    ),
+    "rvm": Engine(
+        "rvm:rvm",
+        "relevance vector machine; gamma is a relevance, not a probability",
+        score="gamma",
+        options={"least_gamma": 0.5},
+    ),
+    "stlsq": Engine(
+        "stlsq:sweep_stlsq",
+        "sequentially thresholded least squares (SINDy), threshold by the Bayesian information criterion;"
+        " no probabilities",
+        score="in",
+        options={"columns": "raw"},
+    ),
+}

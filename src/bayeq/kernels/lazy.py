@@ -1,0 +1,64 @@
+"""``kernel``: functions that numba compiles when they are first called.
+
+numba takes a while to import, a kernel to be compiled or loaded from the cache: neither happens before it is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property, update_wrapper
+from typing import Any, TypeVar, cast
+
+__all__ = ["Kernel", "announce_compiling", "kernel"]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+# Called once, before the first kernel that is not in the cache is compiled.
+_announcement: list[Callable[[], None]] = []
+
+
+def announce_compiling(tell: Callable[[], None]) -> None:
+    """Call `tell` once, before kernels are compiled: it takes a while."""
+    _announcement[:] = [tell]
+
+
+def _say_compiling() -> None:
+    if _announcement:
+        _announcement.pop()()
+
+
+class Kernel:
+    """A compiled function; it is called like the one it was made of, and kernels call each other.
+
+    Attributes
+    ----------
+    py_func : callable
+        The function itself.
+    dispatcher : numba.core.dispatcher.Dispatcher
+        Compiled, made at the first call; its attributes are the kernel's too.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        update_wrapper(self, function)
+        self.py_func = function
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        from bayeq.kernels.cache import cached_dispatcher
+
+        return cached_dispatcher(self.py_func, _say_compiling)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.dispatcher(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        # numba takes a kernel that is called by another for its dispatcher, by the attribute `_numba_type_`
+        return getattr(self.dispatcher, name)
+
+
+def kernel(function: F) -> F:
+    """Have numba compile `function` in nopython mode when it is first called, and cache it on disk.
+
+    See `bayeq.kernels.cache.cached_dispatcher`.
+    """
+    return cast(F, Kernel(function))
