@@ -10,7 +10,7 @@ from bayeq.equation.equations import DataSummary, Equations
 from bayeq.equation.units import channel_units
 from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, UnknownNameError, WarningLog
 from bayeq.inference.engines import ENGINES, Engine
-from bayeq.inference.prior import Prior
+from bayeq.inference.prior import SIGNED, Prior
 from bayeq.records import Record, check_messages, split_at_gaps
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
@@ -27,9 +27,6 @@ Progress = Callable[[str, int, int], None]
 
 # With fewer training rows there is no regression.
 LEAST_TRAINING_ROWS = 3
-
-# Methods that take signs of coefficients.
-SIGNED = ("auto", "bma", "gibbs", "vb")
 
 
 def discover(
@@ -96,7 +93,7 @@ def discover(
         those units; its v_s is used as it is.
     constraints : str or sequence of str
         What is known of the coefficients, in original units: linear equations, ``"u == 1"``,
-        ``"x*abs(x) == 0.5*x**3"``, and signs, ``"v <= 0"`` (but not by rvm and stlsq). They concern every equation,
+        ``"x*abs(x) == 0.5*x**3"``, and signs, ``"v <= 0"`` (methods auto and bma). They concern every equation,
         or with a target in front that one, ``"a: v <= 0"``.
     seed : int
         Seed of methods that draw random numbers (``"gibbs"``).

@@ -12,11 +12,11 @@ from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidua
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.results import Scores
 from bayeq.forecast.score import held_out_scores
-from bayeq.inference.collapsed.path import partial_shares
-from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.path import model_log_posterior, partial_shares
 from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
+from bayeq.regression.fit import RegressionFit
 from bayeq.selection.select import Selection
 
 __all__ = ["build_equations"]
@@ -92,7 +92,7 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
         held_out=held_out,
         residuals=replace(residuals, excess=excess),
         verdict=judge(regression.chain.target, judged, held_out is not None, noise, window),
-        runners_up=_runners_up(fit.problem, selection.shown) if ENGINES[posterior.method].spike_slab else (),
+        runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.method].spike_slab else (),
         fit=fit,
         share=partial_shares(regression.rows, shown.support),
         why=differ,
@@ -105,14 +105,13 @@ def _rule(selection: Selection, name: str) -> str:
     return selection.why.get(name) or next(iter(selection.why.values()))
 
 
-def _runners_up(problem: Problem, posterior: Posterior) -> tuple[RunnerUp, ...]:
-    if len(problem.signs):
-        from bayeq.inference.signs.listing import signed_neighbours
-
-        moves = signed_neighbours(problem, posterior.support, RUNNER_UP_WINDOW)
-    else:
-        moves = neighbours(problem, posterior.support, RUNNER_UP_WINDOW)
-    names = posterior.names
+def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:
+    problem, signs, shown, names = fit.problem, fit.prior.known_signs, posterior.support, posterior.names
+    moves = neighbours(problem, shown, RUNNER_UP_WINDOW)
+    if signs is not None:
+        own = model_log_posterior(problem, shown, signs)
+        moves = [replace(move, gain=model_log_posterior(problem, move.apply(shown), signs) - own) for move in moves]
+        moves = sorted((move for move in moves if move.gain > -RUNNER_UP_WINDOW), key=lambda move: -move.gain)
     return tuple(
         RunnerUp(
             leaves=None if move.leaves is None else names[move.leaves],
@@ -129,6 +128,12 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     if not posterior.converged:
         rhat = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
         log.warn(f"{target}: {posterior.method} not converged after {posterior.n_iter} steps{rhat}", ConvergenceWarning)
+    if posterior.contradicted:
+        log.warn(
+            f"{target}: the data contradict the known sign of {', '.join(posterior.contradicted)} (Bayes factor above 100"
+            " against it): check the directions of the channels, or drop the constraint",
+            DataWarning,
+        )
     if equation.verdict.kind == "none":
         estimated = f"; {target} is estimated, not measured" if equation.chain.measured[-1] is None else ""
         log.warn(

@@ -257,8 +257,8 @@ def prior_sensitivity(
         return Problem.of(gram, shifted)._replace(columns=used.columns)
 
     return PriorSensitivity(
-        _curve("slab_variance", gram, slabs, v_s, map(used.with_slab_variance, slabs.tolist()), tolerance),
-        _curve("prior_inclusion", gram, inclusions, p_0, map(at, inclusions.tolist()), tolerance),
+        _curve("slab_variance", gram, prior, slabs, v_s, map(used.with_slab_variance, slabs.tolist()), tolerance),
+        _curve("prior_inclusion", gram, prior, inclusions, p_0, map(at, inclusions.tolist()), tolerance),
     )
 
 
@@ -275,7 +275,7 @@ def power_sensitivity(gram: Gram, prior: Prior, powers: ArrayLike | None = None)
     values = _axis("powers", POWERS if powers is None else powers, 1.0, 1.0)
     values = values[(values == 1.0) | (values * gram.n >= LEAST_ROWS)]
     problems = (Problem.of(gram.raised(float(power)), prior) for power in values)
-    return replace(_curve("coarsen", gram, values, 1.0, problems), rows=values * gram.n)
+    return replace(_curve("coarsen", gram, prior, values, 1.0, problems), rows=values * gram.n)
 
 
 def _axis(name: str, values: ArrayLike, used: float, upper: float) -> Floats:
@@ -296,6 +296,7 @@ def _axis(name: str, values: ArrayLike, used: float, upper: float) -> Floats:
 def _curve(
     axis_name: str,
     gram: GramLike,
+    prior: Prior,
     values: Floats,
     used: float,
     problems: Iterable[Problem],
@@ -304,7 +305,7 @@ def _curve(
     """The curve of the problems that the values pose; a warning if the PIPs at the value used are not reliable."""
     pip, left_out = np.empty((len(values), len(gram.names))), np.empty(len(values))
     for k, problem in enumerate(problems):
-        found = average_models(problem, tolerance=tolerance)
+        found = average_models(problem, prior.known_signs, tolerance=tolerance)
         pip[k], left_out[k] = np.minimum(found.weights @ found.models, 1.0), found.left_out
     curve = PipCurve(axis_name, tuple(gram.names), values, pip, left_out, int(np.searchsorted(values, used)))
     if not curve.listed[curve.current]:

@@ -181,7 +181,6 @@ class SpikeSlabRegressor(SparseRegressor):
     noise_shape: float
     noise_rate: float
     inclusion_beta: tuple[float, float] | None
-    signs: ArrayLike | None
 
     def _prior(self) -> Prior:
         return Prior(
@@ -190,7 +189,6 @@ class SpikeSlabRegressor(SparseRegressor):
             self.noise_shape,
             self.noise_rate,
             self.inclusion_beta,
-            self.signs,
         )
 
     def _target(self, target: int | None) -> int:

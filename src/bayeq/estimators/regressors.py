@@ -6,6 +6,7 @@ units of D and y. The prior applies in the units of y, as in the paper.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -16,7 +17,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from bayeq.adapters.arviz import to_arviz
 from bayeq.equation.pip_curve import PriorSensitivity, prior_sensitivity
-from bayeq.errors import InputError
+from bayeq.errors import DataWarning, InputError
 from bayeq.estimators.base import Floats, Read, SparseRegressor, SpikeSlabRegressor
 from bayeq.gram import Gram, GramLike
 from bayeq.gram.lazy import LazyGram
@@ -24,6 +25,7 @@ from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Draws, Posterior
+from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm
 from bayeq.inference.stlsq import stlsq
 from bayeq.inference.vb import spike_slab_vb
@@ -44,9 +46,6 @@ class SpikeSlabVB(SpikeSlabRegressor):
         a_sigma, b_sigma of the inverse-Gamma prior of the noise variance, in squared units of y.
     inclusion_beta : (a, b), optional
         Take p_0 as unknown, Beta(a, b): a beta-binomial prior of the number of terms. (1, P) suits large dictionaries.
-    signs : (P,) array of -1, 0 and +1, optional
-        Known signs of the coefficients, 0 for unknown: given inclusion a coefficient of known sign is half normal. The
-        answer is then the likeliest model with its exact posterior (see `spike_slab_vb`), and `init` "search".
     init : "search", "greedy", "rvm" or (P,) array
         Start of the ascent: several points, keeping the highest ELBO; the paper's RVM start; or given w.
     tol : float
@@ -100,7 +99,6 @@ class SpikeSlabVB(SpikeSlabRegressor):
         noise_shape: float = 1e-4,
         noise_rate: float = 1e-4,
         inclusion_beta: tuple[float, float] | None = None,
-        signs: ArrayLike | None = None,
         init: Literal["search", "greedy", "rvm"] | Floats = "search",
         tol: float = 1e-6,
         max_iter: int = 1000,
@@ -110,7 +108,6 @@ class SpikeSlabVB(SpikeSlabRegressor):
         self.noise_shape = noise_shape
         self.noise_rate = noise_rate
         self.inclusion_beta = inclusion_beta
-        self.signs = signs
         self.init = init
         self.tol = tol
         self.max_iter = max_iter
@@ -135,7 +132,7 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
 
     Parameters
     ----------
-    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta, signs
+    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta
         The prior, as in `SpikeSlabVB`.
     chains, samples, burn_in : int
         The paper's 4 chains of 5000 samples, the first 1000 left out.
@@ -167,7 +164,6 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
         noise_shape: float = 1e-4,
         noise_rate: float = 1e-4,
         inclusion_beta: tuple[float, float] | None = None,
-        signs: ArrayLike | None = None,
         chains: int = 4,
         samples: int = 5000,
         burn_in: int = 1000,
@@ -179,7 +175,6 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
         self.noise_shape = noise_shape
         self.noise_rate = noise_rate
         self.inclusion_beta = inclusion_beta
-        self.signs = signs
         self.chains = chains
         self.samples = samples
         self.burn_in = burn_in
@@ -246,8 +241,10 @@ class SpikeSlabBMA(SpikeSlabRegressor):
 
     Parameters
     ----------
-    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta, signs
+    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta
         The prior, as in `SpikeSlabVB`.
+    signs : (P,) array of -1, 0 and +1, optional
+        Known signs of the coefficients, 0 for unknown: given inclusion a coefficient of known sign is half normal.
     tolerance : float
         Posterior mass that the search over models may leave out.
     enumerate_up_to : int
@@ -302,8 +299,19 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         self.tolerance = tolerance
         self.enumerate_up_to = enumerate_up_to
 
+    def _prior(self) -> Prior:
+        return replace(super()._prior(), signs=self.signs)
+
     def _engine(self, gram: GramLike) -> Posterior:
-        return spike_slab_bma(gram, self._prior(), tolerance=self.tolerance, enumerate_up_to=self.enumerate_up_to)
+        found = spike_slab_bma(gram, self._prior(), tolerance=self.tolerance, enumerate_up_to=self.enumerate_up_to)
+        if found.contradicted:
+            warnings.warn(
+                f"the data contradict the known sign of {', '.join(found.contradicted)} (Bayes factor above 100 against"
+                " it): check the sign, or drop it",
+                DataWarning,
+                stacklevel=4,
+            )
+        return found
 
     def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:
         super()._keep(grams, read)
@@ -322,7 +330,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         standard = grams[target].standardise()
         average = self.posteriors_[target].average
         assert average is not None
-        theta, noise, which = sample_average(Problem.of(standard.gram, prior), average, n, rng)
+        theta, noise, which = sample_average(Problem.of(standard.gram, prior), average, n, rng, prior.known_signs)
         return theta / standard.scale, noise, which
 
     def sample(self, n: int = 1000, random_state: int | Sequence[int] = 0) -> tuple[Floats, Floats]:

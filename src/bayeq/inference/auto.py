@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from bayeq.gram import GramLike
 from bayeq.inference.bma import spike_slab_bma
-from bayeq.inference.collapsed.path import model_log_posterior
-from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
@@ -48,17 +44,20 @@ def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: fl
         that model), `averaged_coef`, `averaged_sd`, `noise_variance`, `average`. From variational Bayes: `elbo`,
         `elbo_trace`, and `optimum`, the terms at its optimum. If the models listed leave out more than 2 % of the mass,
         collapsed Gibbs sampling gives what averaging would have; `average` is then None and `rhat` is not.
+
+    Notes
+    -----
+    Where signs are known the answer is that of model averaging alone, however much mass the models listed leave out:
+    variational Bayes and the sampler take no signs. `elbo` and `optimum` are then None.
     """
     bma = spike_slab_bma(gram, prior, tolerance=tolerance)
+    if prior is not None and prior.known_signs is not None:
+        return replace(bma, method="auto")
     assert bma.average is not None
     best = list(bma.average.models[:VB_STARTS])
     if bma.average.left_out > MOST_LEFT_OUT:
         samples = min(SAMPLES, max(500, SAMPLED_TERMS // len(gram.names)))
         bma = spike_slab_gibbs(gram, prior, samples=samples, burn_in=samples // 5, seed=seed, keep_draws=False)
-    if prior is not None and len(prior.sign_array(len(gram.names))):
-        # what VB would look for again
-        elbo = model_log_posterior(Problem.of(gram, prior), best[0])
-        return replace(bma, method="auto", elbo=elbo, elbo_trace=np.array([elbo]), optimum=best[0])
     vb = spike_slab_vb(gram, prior, models=best)
     return replace(
         bma,

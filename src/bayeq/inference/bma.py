@@ -6,28 +6,26 @@ to hold nearly all of the mass (`inference.models`).
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.errors import InputError
 from bayeq.gram import GramLike
 from bayeq.inference.collapsed.conditional import exact_posterior
-from bayeq.inference.collapsed.listing import ModelSet, enumerate_models, search_models
+from bayeq.inference.collapsed.listing import ENUMERATE, ModelSet, list_models
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
-from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, swept
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
-__all__ = ["average_models", "mean_noise_variance", "sample_average", "spike_slab_bma"]
+__all__ = ["average_models", "sample_average", "spike_slab_bma"]
 
-# Up to this many free terms all models are enumerated.
-ENUMERATE = 14
-
-# Models beyond this share of the mass add nothing to moments that a user could see.
+# Models beyond this share of the mass add nothing to moments that a user could see. Truncated ones take some 0.1 ms
+# each: of more than so many only those up to a larger share, still less than a listing leaves out.
 MOMENT_MASS = 1e-6
+TRUNCATED_MODELS = 1000
+TRUNCATED_MASS = 1e-3
 
 # Models in the moments of a listing that is not complete: so many, or as many as keep models times terms below this.
 MOMENT_MODELS = 100
@@ -35,6 +33,10 @@ MOMENT_WORK = 2_000_000
 
 # The covariance over all models is kept for this many terms, the likeliest.
 MOST_COVARIANCES = 1000
+
+# Draws are rejected by blocks of at least so many, and so many times: signs right in one of 10^5 draws are met.
+REJECTED = 1000
+MOST_REJECTIONS = 1000
 
 
 @kernel
@@ -73,38 +75,42 @@ def _mixture_moments(
     return mean, square, second, noise
 
 
-def average_models(problem: Problem, *, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE) -> ModelSet:
+def average_models(
+    problem: Problem, signs: Ints | None = None, *, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE
+) -> ModelSet:
     """The models to average over: all of them, or those that hold all but `tolerance` of the mass."""
-    if len(problem.signs):
-        # brings scipy.special, which takes a while to import
-        from bayeq.inference.signs.listing import list_signed
+    if signs is None:
+        return list_models(problem, tolerance, enumerate_up_to)
+    # brings scipy.special, which takes a while to import
+    from bayeq.inference.signs.listing import list_signed
 
-        return list_signed(problem, tolerance, enumerate_up_to)
-    if int(np.isfinite(problem.log_odds).sum()) <= enumerate_up_to:
-        return enumerate_models(problem)
-    return search_models(problem, best_models(problem), tolerance)
+    return list_signed(problem, signs, tolerance, enumerate_up_to)
 
 
 def _moments(
-    problem: Problem, models: Bools, weights: Floats, place: Ints, count: int
+    problem: Problem, signs: Ints | None, models: Bools, weights: Floats, place: Ints, count: int
 ) -> tuple[Floats, Floats, Floats, float]:
     """`_mixture_moments` of models some of which the signs may truncate."""
     # in the order of their bits, so that half as many flips lead from one to the next as in that of their weights
     order = np.lexsort(np.packbits(models, axis=1).T)
     models, weights = models[order], weights[order]
-    if not len(problem.signs):
+    if signs is None:
         return _mixture_moments(problem, models, weights, place, count)
-    from bayeq.inference.signs.truncation import add_truncated, certain_signs
+    from bayeq.inference.signs.truncation import truncated_models
 
-    certain = certain_signs(problem, models)
-    rest = _mixture_moments(problem, models[certain], weights[certain], place, count)
-    return add_truncated(problem, models[~certain], weights[~certain], place, rest)
-
-
-def mean_noise_variance(problem: Problem, active: Bools) -> float:
-    """Mean of sigma^2 given a model, and the signs where they are known."""
-    nowhere = np.full(len(active), -1)
-    return float(_moments(problem, active[None, :], np.ones(1), nowhere, 0)[3])
+    truncated = list(truncated_models(problem, signs, models))
+    others = np.ones(len(models), dtype=np.bool_)
+    others[[k for k, *_ in truncated]] = False
+    mean, square, second, noise = _mixture_moments(problem, models[others], weights[others], place, count)
+    for k, coef, covariance, variance in truncated:
+        kept = np.flatnonzero(models[k])
+        raw = weights[k] * (covariance + np.outer(coef[kept], coef[kept]))
+        mean += weights[k] * coef
+        square[kept] += np.diagonal(raw)
+        noise += weights[k] * variance
+        among = np.flatnonzero(place[kept] >= 0)
+        second[np.ix_(place[kept[among]], place[kept[among]])] += raw[np.ix_(among, among)]
+    return mean, square, second, noise
 
 
 def spike_slab_bma(
@@ -125,22 +131,24 @@ def spike_slab_bma(
     tolerance : float
         Posterior mass that a search may leave out.
     enumerate_up_to : int
-        Number of free terms up to which all models are enumerated instead of searched (at most 9 where the signs of
-        several coefficients are known).
+        Number of free terms up to which all models are enumerated instead of searched.
 
     Returns
     -------
     Posterior
         `pip`, `averaged_coef` and `averaged_sd` are over all models; `coef` and `covariance` those of the median
         probability model (Barbieri and Berger 2004), exact given the model. `average` lists the models with their
-        probabilities. `converged` is False if the room for models was used up before the tolerance was reached.
+        probabilities. `converged` is False if the room for models was used up before the tolerance was reached;
+        `contradicted` names terms whose known signs the data contradict.
     """
-    problem = Problem.of(gram, prior or Prior())
-    found = average_models(problem, tolerance=tolerance, enumerate_up_to=enumerate_up_to)
+    prior = prior or Prior()
+    problem, signs = Problem.of(gram, prior), prior.known_signs
+    found = average_models(problem, signs, tolerance=tolerance, enumerate_up_to=enumerate_up_to)
     weights = found.weights
     pip = np.minimum(weights @ found.models, 1.0)
     converged = found.left_out <= tolerance * (1.0 + 1e-9)
-    enough = int(np.searchsorted(np.cumsum(weights), 1.0 - MOMENT_MASS)) + 1
+    enough, most = np.searchsorted(np.cumsum(weights), (1.0 - MOMENT_MASS, 1.0 - TRUNCATED_MASS)).tolist()
+    enough = min(enough, max(most, TRUNCATED_MODELS)) + 1 if signs is not None else enough + 1
     if not converged:
         enough = min(enough, max(MOMENT_MODELS, MOMENT_WORK // len(pip)))
     share = weights[:enough] / weights[:enough].sum()
@@ -149,9 +157,9 @@ def spike_slab_bma(
         terms = np.sort(np.argsort(-pip, kind="stable")[:MOST_COVARIANCES])
     place = np.full(len(pip), -1)
     place[terms] = np.arange(len(terms))
-    mean, square, second, noise = _moments(problem, found.models[:enough], share, place, len(terms))
+    mean, square, second, noise = _moments(problem, signs, found.models[:enough], share, place, len(terms))
     support = pip > 0.5
-    coef, conditional = exact_posterior(problem, support)
+    coef, conditional = exact_posterior(problem, support, signs)
     return Posterior(
         method="bma",
         names=gram.names,
@@ -175,6 +183,7 @@ def spike_slab_bma(
             terms=terms,
             covariance=second - np.outer(mean[terms], mean[terms]),
         ),
+        contradicted=tuple(gram.names[j] for j in found.contradicted),
     )
 
 
@@ -191,25 +200,42 @@ def _draw_given_model(p: Problem, active: Bools, n: int, rng: np.random.Generato
     return theta, noise
 
 
+def _draw_given_signs(
+    p: Problem, signs: Ints, active: Bools, n: int, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """`_draw_given_model` given the signs too: draws of the wrong signs are rejected."""
+    theta, noise = np.empty((0, len(active))), np.empty(0)
+    for _ in range(MOST_REJECTIONS):
+        drawn, variance = _draw_given_model(p, active, max(n, REJECTED), rng)
+        right = (drawn * signs >= 0.0).all(axis=1)
+        theta, noise = np.concatenate([theta, drawn[right]]), np.concatenate([noise, variance[right]])
+        if len(noise) >= n:
+            return theta[:n], noise[:n]
+    raise InputError(
+        f"the known signs are too improbable to draw from the posterior: {len(noise)} of"
+        f" {MOST_REJECTIONS * max(n, REJECTED)} draws of one model have them; leave out a sign that the data contradict"
+    )
+
+
 def sample_average(
-    problem: Problem, average: ModelAverage, n: int, rng: np.random.Generator
+    problem: Problem, average: ModelAverage, n: int, rng: np.random.Generator, signs: Ints | None = None
 ) -> tuple[Floats, Floats, NDArray[np.intp]]:
     """Independent draws from the mixture: theta (n, P), sigma^2 (n,), and the model (n,) each came from.
 
     sigma^2 | z, y is inverse-Gamma(h, s/2), theta | sigma^2, z, y Gaussian, eq. (33), on the columns of `problem`.
-    Where signs are known draws are repeated until these are right; those that 50 attempts have not given are samples
-    of a chain within the model, twenty apart.
+
+    Raises
+    ------
+    InputError
+        Known signs that hardly any draw of a model has.
     """
     which = rng.choice(len(average.probability), size=n, p=average.probability)
     theta, noise = np.zeros((n, len(problem.Dty))), np.empty(n)
     for k in np.unique(which):
         rows = np.flatnonzero(which == k)
-        active = average.models[k]
-        draw = partial(_draw_given_model, problem, active, rng=rng)
-        if len(problem.signs):
-            from bayeq.inference.signs.gibbs import right_signs
-
-            theta[rows], noise[rows] = right_signs(problem, active, len(rows), draw, rng)
+        one = average.models[k]
+        if signs is None:
+            theta[rows], noise[rows] = _draw_given_model(problem, one, len(rows), rng)
         else:
-            theta[rows], noise[rows] = draw(len(rows))
+            theta[rows], noise[rows] = _draw_given_signs(problem, signs, one, len(rows), rng)
     return theta, noise, which.astype(np.intp)

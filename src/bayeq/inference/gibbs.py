@@ -14,7 +14,7 @@ import numpy as np
 
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
-from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.conditional import given_model
 from bayeq.inference.collapsed.problem import Bools, Floats, Problem
 from bayeq.inference.collapsed.search import greedy_start
 from bayeq.inference.collapsed.tableau import (
@@ -240,18 +240,8 @@ def sample_posterior(
     for k, stream in enumerate(_seed(seed).spawn(chains)):
         rng = np.random.Generator(np.random.PCG64(stream))
         variance = nominal * math.exp(0.1 * rng.standard_normal())
-        rest = variance, burn_in, exchange, rng, z[k], theta[k], noise[k]
-        if len(problem.signs):
-            # brings scipy.special, which takes a while to import
-            from bayeq.inference.signs.gibbs import doubled, sample_signed_chain
-
-            sample_signed_chain(doubled(problem), start.copy(), np.zeros(terms), *rest, pip[k])
-        else:
-            sample_chain(problem, start.copy(), *rest, levels[k], pip[k])
-    if len(problem.signs):
-        from bayeq.inference.signs.gibbs import signed_levels
-
-        levels = signed_levels(problem, z)
+        samples_of_chain = z[k], theta[k], noise[k], levels[k], pip[k]
+        sample_chain(problem, start.copy(), variance, burn_in, exchange, rng, *samples_of_chain)
     return Draws(z=z, theta=theta, noise_variance=noise, log_posterior=levels, pip=pip / kept)
 
 
@@ -311,7 +301,7 @@ def spike_slab_gibbs(
     seed: int | Sequence[int] = 0,
     keep_draws: bool = True,
 ) -> Posterior:
-    """Posterior under spike-and-slab priors by collapsed Gibbs sampling, of `signed_gibbs` where signs are known.
+    """Posterior under spike-and-slab priors by collapsed Gibbs sampling.
 
     Parameters
     ----------
@@ -334,12 +324,19 @@ def spike_slab_gibbs(
         `pip` is Rao-Blackwellised: the mean of p(z_i = 1 | z_-i, y) over the samples. Coefficients and covariance
         are those of the median probability model, exact given the model; `averaged_coef` and `averaged_sd` are
         over all samples. `converged` says whether the multivariate R-hat is below 1.1.
+
+    Raises
+    ------
+    InputError
+        Options or prior parameters out of range, or known signs.
     """
-    problem = Problem.of(gram, prior or Prior())
+    prior = prior or Prior()
+    prior.refuse_signs("gibbs")
+    problem = Problem.of(gram, prior)
     draws = sample_posterior(problem, chains=chains, samples=samples, burn_in=burn_in, exchange=exchange, seed=seed)
     pip = draws.pip.mean(axis=0)
     support = pip > 0.5
-    coef, covariance = exact_posterior(problem, support)
+    coef, covariance = given_model(problem, support)
     rhat = multivariate_rhat(draws.theta)
     return Posterior(
         method="gibbs",

@@ -145,6 +145,8 @@ class Posterior:
         The models that were averaged over.
     optimum : (P,) bool array or None
         Terms at the optimum of variational Bayes, where the support is another engine's.
+    contradicted : tuple of str
+        Terms whose known signs the data contradict.
     """
 
     method: str
@@ -168,6 +170,7 @@ class Posterior:
     draws: Draws | None = None
     average: ModelAverage | None = None
     optimum: NDArray[np.bool_] | None = None
+    contradicted: tuple[str, ...] = ()
 
     @property
     def sd(self) -> Floats:

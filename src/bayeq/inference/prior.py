@@ -10,9 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError
 
-__all__ = ["Prior"]
+__all__ = ["SIGNED", "Prior"]
 
 Floats = NDArray[np.float64]
+
+# Methods that take signs of coefficients.
+SIGNED = ("auto", "bma")
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Prior:
         included terms is then beta-binomial (Scott and Berger 2010), and the prior adapts to how many there are.
     signs : (P,) array of -1, 0 and +1, optional
         Known signs of coefficients, 0 for unknown. Given inclusion the prior of a coefficient of known sign is the half
-        normal on that side.
+        normal on that side. For model averaging (`auto`, `bma`); other methods refuse them.
 
     Notes
     -----
@@ -72,11 +75,21 @@ class Prior:
             if signs.shape != (terms,) or not bool(np.isin(signs, (-1, 0, 1)).all()):
                 raise InputError(f"signs must be -1, 0 or +1 for each of the {terms} terms, got {self.signs!r}")
 
-    def sign_array(self, terms: int) -> NDArray[np.int64]:
-        """Known signs of the terms, (P,); empty if none is known."""
-        if self.signs is None or not np.any(self.signs):
-            return np.zeros(0, dtype=np.int64)
-        return np.asarray(self.signs).astype(np.int64)
+    @property
+    def known_signs(self) -> NDArray[np.int64] | None:
+        """`signs` as integers, (P,); None if no sign is known."""
+        return np.asarray(self.signs).astype(np.int64) if self.signs is not None and np.any(self.signs) else None
+
+    def refuse_signs(self, method: str) -> None:
+        """Check that no sign is known, for engines that cannot use it.
+
+        Raises
+        ------
+        InputError
+            A sign is known.
+        """
+        if self.known_signs is not None:
+            raise InputError(f"method {method!r} takes no signs of coefficients; take one of: {', '.join(SIGNED)}")
 
     def log_odds(self, terms: int) -> Floats:
         """logit(p_0) of each of `terms` terms: +inf for a forced, -inf for a forbidden one.

@@ -138,7 +138,7 @@ def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0,
     gram : GramLike
         Sufficient statistics, standardised.
     prior : Prior, optional
-        Not used: the RVM learns its own. Accepted so that all engines are called alike.
+        Not used (the RVM learns its own), but known signs are refused. Accepted so that all engines are called alike.
     least_gamma : float
         Terms whose gamma is not above this are taken out after convergence; 0 keeps all that the RVM keeps.
     max_iter : int
@@ -150,7 +150,8 @@ def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0,
         `pip` holds gamma_i = 1 - alpha_i Sigma_ii, how well the data determine each weight: a measure of
         relevance, not a probability. The support is what is left in the machine.
     """
-    del prior
+    if prior is not None:
+        prior.refuse_signs("rvm")
     gamma, T, noise, steps, converged = rvm_ascent(
         gram_columns(gram), np.ascontiguousarray(gram.Dty), gram.yty, gram.dof, max_iter
     )

@@ -184,7 +184,8 @@ def sweep_stlsq(
     Posterior
         In the units of `gram`.
     """
-    del prior
+    if prior is not None:
+        prior.refuse_signs("stlsq")
     if columns == "standardised":
         standard = gram.standardise()
         other = None if held_out is None else standard.apply(held_out)

@@ -17,9 +17,6 @@ import numpy as np
 
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
-from bayeq.inference.bma import average_models, mean_noise_variance
-from bayeq.inference.collapsed.conditional import exact_posterior
-from bayeq.inference.collapsed.path import model_log_posterior
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem, fetch
 from bayeq.inference.collapsed.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
 from bayeq.inference.collapsed.tableau import GAIN_TOLERANCE
@@ -278,30 +275,6 @@ def _starts(
     return starts, taus, found[0]
 
 
-def _signed_optimum(gram: GramLike, problem: Problem) -> Posterior:
-    """The model of highest posterior probability under signs, with its exact posterior."""
-    found = average_models(problem)
-    best = found.models[0]
-    coef, covariance = exact_posterior(problem, best)
-    elbo = model_log_posterior(problem, best)
-    return Posterior(
-        method="vb",
-        names=gram.names,
-        pip=best.astype(np.float64),
-        support=best,
-        coef=coef,
-        covariance=covariance,
-        center=np.zeros(len(best)),
-        target_mean=0.0,
-        noise_variance=mean_noise_variance(problem, best),
-        n=round(gram.dof) + 1,
-        elbo=elbo,
-        elbo_trace=np.array([elbo]),
-        n_iter=1,
-        slab_variance=problem.slab_variance,
-    )
-
-
 def spike_slab_vb(
     gram: GramLike,
     prior: Prior | None = None,
@@ -340,20 +313,11 @@ def spike_slab_vb(
     Raises
     ------
     InputError
-        Options or prior parameters out of range, or signs with a start of one's own.
-
-    Notes
-    -----
-    Where signs of coefficients are known nothing ascends. w is restricted to 0 and 1 and q(theta, sigma^2) is the exact
-    posterior given the model and the signs, not factorised; the bound is then ln p(y, z), and its optimum the model of
-    highest posterior probability that the search of model averaging finds. Such a w holds no doubt of a term:
-    `spike_slab_bma` does.
+        Options or prior parameters out of range, or known signs.
     """
-    problem = Problem.of(gram, prior or Prior())
-    if len(problem.signs):
-        if not (isinstance(init, str) and init == "search"):
-            raise InputError(f"where signs are known vb starts from a search, init='search', not from {init!r}")
-        return _signed_optimum(gram, problem)
+    prior = prior or Prior()
+    prior.refuse_signs("vb")
+    problem = Problem.of(gram, prior)
     starts, taus, tested = _starts(problem, init, models)
     best_w, best = _best_ascent(problem, starts, taus, tolerance, max_iter)
     # every excluded term and every swap is tested again where the ascents have ended, unless the search has done so

@@ -2,7 +2,7 @@
 
 The name of a candidate term stands for its coefficient, in original units. Equalities are linear and take terms out of
 the regression before inference (`bayeq.regression.equalities`), signs are part of the prior
-(`bayeq.inference.signs.truncation`).
+(`bayeq.inference.signs`).
 """
 
 from __future__ import annotations
@@ -63,8 +63,9 @@ class Constraints:
         names, kept = self.equalities.names, self.equalities.kept
         prior.validate(len(names))
         signs = self.signs.copy()
-        for j, sign in enumerate(prior.sign_array(len(names))):
-            _note_sign(signs, j, int(sign), names, "the prior")
+        if prior.known_signs is not None:
+            for j, sign in enumerate(prior.known_signs):
+                _note_sign(signs, j, int(sign), names, "the prior")
         for e, row, value in zip(
             self.equalities.eliminated, self.equalities.slopes, self.equalities.offsets, strict=True
         ):

@@ -73,7 +73,7 @@ class RegressionFit:
         """The posterior given a model of other terms, (F,) bool, in units of `standard`; probabilities stay."""
         if bool((model == self.posterior.support).all()):
             return self.posterior
-        coef, covariance = exact_posterior(self.problem, model)
+        coef, covariance = exact_posterior(self.problem, model, self.prior.known_signs)
         s = max(float(swept(self.problem, model).diagonal[-1]), self.problem.floor)
         noise = 0.5 * s / max(self.problem.h - 1.0, 0.5)
         return replace(self.posterior, support=model, coef=coef, covariance=covariance, noise_variance=noise)

@@ -159,7 +159,7 @@ def _smaller_models(fit: RegressionFit, support: Bools, share: float) -> list[Bo
     """The best model of each size among the terms shown that explains nearly as much, the smallest first."""
     inside = fit.problem._replace(log_odds=np.where(support, fit.problem.log_odds, -math.inf))
     whole = _unexplained(fit, support)
-    found = [model for model, _ in best_of_each_size(inside, int(support.sum()), [support])]
+    found = [model for model, _ in best_of_each_size(inside, int(support.sum()), [support], fit.prior.known_signs)]
     return [model for model in found[:-1] if _unexplained(fit, model) - whole < share]
 
 

@@ -181,8 +181,9 @@ def _plausible(selection: Selection) -> Selection:
     if average is None or not len(average.models):
         return selection
     support = fit.posterior.support
-    behind = model_log_posterior(fit.problem, average.models[0]) - model_log_posterior(fit.problem, support)
-    if behind <= math.log(LEAST_PLAUSIBLE):
+    signs = fit.prior.known_signs
+    best, own = (model_log_posterior(fit.problem, model, signs) for model in (average.models[0], support))
+    if best - own <= math.log(LEAST_PLAUSIBLE):
         return selection
     near = average.models[average.probability >= average.probability[0] / HARDLY]
     holding = near[~(support & ~near).any(axis=1)]
@@ -200,5 +201,6 @@ def _limited(selection: Selection, max_terms: int | None) -> Selection:
     path_sizes(problem, max_terms)  # refuses fewer than are forced in
     if int(shown.sum()) <= max_terms:
         return selection
-    best, _ = max(best_of_each_size(problem, max_terms, [shown]), key=lambda found: found[1])
+    signs = selection.fit.prior.known_signs
+    best, _ = max(best_of_each_size(problem, max_terms, [shown], signs), key=lambda found: found[1])
     return selection.given(best, "max_terms")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayeq.inference.collapsed.problem import Bools, Floats, Problem
+from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.collapsed.tableau import active_block, swept
 
 __all__ = ["exact_posterior", "given_model"]
@@ -21,11 +21,12 @@ def given_model(problem: Problem, active: Bools) -> tuple[Floats, Floats]:
     return np.where(active, T.partial, 0.0), variance * active_block(T, np.flatnonzero(active))
 
 
-def exact_posterior(problem: Problem, active: Bools) -> tuple[Floats, Floats]:
+def exact_posterior(problem: Problem, active: Bools, signs: Ints | None = None) -> tuple[Floats, Floats]:
     """`given_model`, and given the signs where they are known."""
-    if len(problem.signs):
+    if signs is not None:
         # brings scipy.special, which takes a while to import
-        from bayeq.inference.signs.truncation import given_signs
+        from bayeq.inference.signs.truncation import truncated_models
 
-        return given_signs(problem, active) or given_model(problem, active)
+        for _, coef, covariance, _ in truncated_models(problem, signs, active[None, :]):
+            return coef, covariance
     return given_model(problem, active)

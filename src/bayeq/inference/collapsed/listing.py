@@ -18,7 +18,10 @@ from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.tableau import drifted, flip, flip_gains, renew, score, swap_gains, swept
 from bayeq.kernels import kernel
 
-__all__ = ["ModelSet", "enumerate_models", "model_scores", "search_models"]
+__all__ = ["ENUMERATE", "ModelSet", "enumerate_models", "list_models", "model_scores", "search_models"]
+
+# Up to this many free terms all models are enumerated.
+ENUMERATE = 14
 
 Words = NDArray[np.uint64]
 
@@ -57,12 +60,15 @@ class ModelSet:
         errs upwards.
     expanded : int
         Models all of whose neighbours were looked at.
+    contradicted : tuple of int
+        Terms whose known signs the data contradict.
     """
 
     models: Bools
     log_posterior: Floats
     left_out: float
     expanded: int
+    contradicted: tuple[int, ...] = ()
 
     @property
     def weights(self) -> Floats:
@@ -308,3 +314,10 @@ def search_models(
         room = min(16 * room, most)
     order = np.argsort(-scores, kind="stable")
     return ModelSet(models[order], scores[order], float(left), int(expanded))
+
+
+def list_models(problem: Problem, tolerance: float, enumerate_up_to: int = ENUMERATE) -> ModelSet:
+    """All models of few free terms, or those that hold all but `tolerance` of the posterior mass."""
+    if int(np.isfinite(problem.log_odds).sum()) <= enumerate_up_to:
+        return enumerate_models(problem)
+    return search_models(problem, tolerance=tolerance)

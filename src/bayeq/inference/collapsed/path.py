@@ -71,7 +71,7 @@ def path_sizes(problem: Problem, most: int | None = None) -> range:
 
 
 def best_of_each_size(
-    problem: Problem, most: int | None = None, starts: Iterable[Bools] = ()
+    problem: Problem, most: int | None = None, starts: Iterable[Bools] = (), signs: Ints | None = None
 ) -> list[tuple[Bools, float]]:
     """The model with the highest log posterior (34) among those of each size.
 
@@ -87,6 +87,8 @@ def best_of_each_size(
         Largest size; by default 12, or as many terms as there are.
     starts : iterable of (P,) bool arrays
         Models from which the search also starts.
+    signs : (P,) int array, optional
+        Known signs of coefficients, 0 for unknown. All models are then searched, however few terms there are.
 
     Returns
     -------
@@ -99,25 +101,25 @@ def best_of_each_size(
         `most` is less than the number of forced terms.
     """
     sizes = path_sizes(problem, most)
-    if int(np.isfinite(problem.log_odds).sum()) <= ENUMERATE and not len(problem.signs):
+    if signs is None and int(np.isfinite(problem.log_odds).sum()) <= ENUMERATE:
         found = _by_enumeration(problem, sizes)
     else:
-        found = _by_search(problem, sizes, starts)
-    return [(model, model_log_posterior(problem, model)) for model in found]
+        found = _by_search(problem, sizes, starts, signs)
+    return [(model, model_log_posterior(problem, model, signs)) for model in found]
 
 
-def model_log_posterior(problem: Problem, active: Bools) -> float:
+def model_log_posterior(problem: Problem, active: Bools, signs: Ints | None = None) -> float:
     """ln p(y, z) of one model, eq. (34) and its prior, with the signs where they are known."""
-    return float(_scores(problem, active[None, :])[0]) + log_constant(problem)
+    return float(_scores(problem, active[None, :], signs)[0]) + log_constant(problem)
 
 
-def _scores(problem: Problem, models: Bools) -> Floats:
+def _scores(problem: Problem, models: Bools, signs: Ints | None) -> Floats:
     """Log posteriors of K models up to `search.log_constant`, with the signs where they are known."""
-    if not len(problem.signs):
+    if signs is None:
         return np.array([score(problem, model, problem.slab_variance) for model in models])
     from bayeq.inference.signs.truncation import signed_scores
 
-    return signed_scores(problem, models, WINDOW)[1]
+    return signed_scores(problem, signs, models, WINDOW)[1]
 
 
 def _by_enumeration(problem: Problem, sizes: range) -> list[Bools]:
@@ -175,7 +177,7 @@ class _Pool:
         return np.frombuffer(max(self.scores, key=self.scores.__getitem__), dtype=np.bool_).copy()
 
 
-def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools]) -> list[Bools]:
+def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools], signs: Ints | None) -> list[Bools]:
     pools = {size: _Pool() for size in range(sizes.start, sizes.stop + 1)}
     forced, forbidden = problem.log_odds == math.inf, problem.log_odds == -math.inf
     optima = [model for _, model in best_models(problem)]
@@ -185,7 +187,7 @@ def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools]) -> list[
         size = int(active.sum())
         while size >= sizes.start:
             if size in pools:
-                pools[size].add(active, float(_scores(problem, active[None, :])[0]))
+                pools[size].add(active, float(_scores(problem, active[None, :], signs)[0]))
             if size == sizes.start:
                 break
             flips, _ = _neighbours(problem, active)
@@ -196,10 +198,10 @@ def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools]) -> list[
         waiting = next(((size, key) for size, pool in pools.items() for key in pool.waiting()), None)
         if waiting is None:
             return [pools[size].best() for size in sizes]
-        _expand(problem, pools, *waiting)
+        _expand(problem, signs, pools, *waiting)
 
 
-def _expand(problem: Problem, pools: dict[int, _Pool], size: int, key: bytes) -> None:
+def _expand(problem: Problem, signs: Ints | None, pools: dict[int, _Pool], size: int, key: bytes) -> None:
     """Offer the neighbours of a model to the pools of their sizes."""
     pools[size].expanded.add(key)
     active = np.frombuffer(key, dtype=np.bool_)
@@ -213,13 +215,13 @@ def _expand(problem: Problem, pools: dict[int, _Pool], size: int, key: bytes) ->
     ):
         if other not in pools:
             continue
-        leaves, enters = _largest(gains, None if len(problem.signs) else WIDTH)
+        leaves, enters = _largest(gains, WIDTH if signs is None else None)
         models = np.repeat(active[None, :], len(enters), axis=0)
         row = np.arange(len(enters))
         models[row, enters] ^= True
         if other == size:
             models[row, index[leaves]] = False
-        values = _scores(problem, models) if len(problem.signs) and len(models) else here + gains[leaves, enters]
+        values = here + gains[leaves, enters] if signs is None else _scores(problem, models, signs)
         for model, value in zip(models, values, strict=True):
             pools[other].add(model, float(value))
 

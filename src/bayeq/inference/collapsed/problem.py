@@ -122,8 +122,6 @@ class Problem(NamedTuple):
         What the number of terms in the model adds to its log prior: 0, or by a beta-binomial prior.
     inclusion_beta : (2,) array
         a and b of p_0 ~ Beta(a, b); empty where p_0 is given.
-    signs : (P,) int array
-        Known signs of coefficients, 0 for unknown; empty where none is known.
     slab_variance, noise_shape, noise_rate : float
         v_s, a_sigma, b_sigma.
     half_log_slab : float
@@ -141,7 +139,6 @@ class Problem(NamedTuple):
     log_odds: Floats
     size_prior: Floats
     inclusion_beta: Floats
-    signs: Ints
     slab_variance: float
     noise_shape: float
     noise_rate: float
@@ -168,7 +165,6 @@ class Problem(NamedTuple):
             log_odds=prior.log_odds(terms),
             size_prior=prior.size_prior(terms),
             inclusion_beta=np.array(prior.inclusion_beta or (), dtype=np.float64),
-            signs=prior.sign_array(terms),
             slab_variance=float(prior.slab_variance),
             noise_shape=float(prior.noise_shape),
             noise_rate=float(prior.noise_rate),

@@ -1,213 +1,108 @@
-"""Listing models whose coefficients have known signs.
+"""Listing models whose coefficients have known signs, their weights multiplied by the probability of right signs.
 
-As in `inference.models`, but with the factor of `inference.signs` in every weight: the models that are likely with the
-signs may be far from those that are likely without.
+Where the data agree with the signs, the models are those that are likely without them. Where the data contradict a
+sign the mass lies elsewhere, at models that may be unlikely without it: a best-first search finds them.
 """
 
 from __future__ import annotations
 
-import heapq
 import math
+from dataclasses import replace
 
 import numpy as np
+from scipy.special import logsumexp
 
-from bayeq.inference.collapsed.listing import CAUTION, KEEP, MEMORY, MOST_BYTES, MOST_MOVES, ModelSet
+from bayeq.inference.collapsed.listing import KEEP, ModelSet, list_models
 from bayeq.inference.collapsed.problem import Bools, Ints, Problem
 from bayeq.inference.collapsed.search import Move, best_models, neighbours
-from bayeq.inference.collapsed.tableau import flip_gains, swap_gains, swept
-from bayeq.inference.signs.truncation import signed_scores
-from bayeq.kernels import kernel
+from bayeq.inference.collapsed.tableau import swept
+from bayeq.inference.signs.truncation import Truncation, signed_scores
 
 __all__ = ["list_signed", "signed_neighbours"]
 
-# Enumerated models less likely than the best by more nats are dropped.
-WINDOW = 40.0
+# Room for models of the search, some two seconds; and models that it starts from.
+MOST_MODELS = 20_000
+STARTS = 100
 
-# With several signs known each model takes an integral, and at most so many free terms are enumerated.
-ENUMERATE_SEVERAL = 9
-
-# Room for models of a search: a second or so is enough where more would be needed.
-MOST_MODELS = 8192
-
-# When the best model is beaten by more nats, what the search has yielded so far was the way up.
-CLIMB = 2.0
+# The data contradict the signs if the Bayes factor against these is more than a hundred.
+CONTRADICTED = math.log(100.0)
 
 
-def list_signed(p: Problem, tolerance: float, enumerate_up_to: int) -> ModelSet:
-    """All models of few free terms, or those that hold all but `tolerance` of the posterior mass."""
-    most = enumerate_up_to if np.count_nonzero(p.signs) == 1 else min(enumerate_up_to, ENUMERATE_SEVERAL)
-    if int(np.isfinite(p.log_odds).sum()) <= most:
-        return _enumerate(p)
-    return _Search(p).run(tolerance)
+def list_signed(p: Problem, signs: Ints, tolerance: float, enumerate_up_to: int) -> ModelSet:
+    """Models that hold all but `tolerance` of the posterior mass, and whether the data contradict the signs.
 
-
-def _enumerate(p: Problem) -> ModelSet:
-    free = np.flatnonzero(np.isfinite(p.log_odds))
-    codes = np.arange(1 << len(free))
-    codes ^= codes >> 1  # Gray code: from one to the next a single term changes
-    models = np.repeat((p.log_odds == math.inf)[None, :], len(codes), axis=0)
-    models[:, free] = (codes[:, None] >> np.arange(len(free))) & 1
-    value = signed_scores(p, models, WINDOW)[1]
-    order = np.argsort(-value, kind="stable")
-    order = order[value[order] > value[order[0]] - WINDOW]
-    return ModelSet(models[order], value[order], 0.0, len(models))
-
-
-@kernel
-def _moves(p: Problem, active: Bools, least: float) -> tuple[Ints, Ints, float]:
-    """Flips and swaps that gain at least `least`, as pairs of terms to flip (the second -1 for none).
-
-    Of the other moves the sum of exp(gain - least).
+    First the models that are likely whatever the signs are listed, a constrained term with the odds of a half normal
+    slab on either side. The weight of a model with the signs is at most this one, which bounds what is left out. They
+    are the answer if the signs are right in at least half of their mass, otherwise a start of the search.
     """
-    terms = len(active)
-    r = int(active.sum())
-    one = np.empty(terms + r * (terms - r), dtype=np.int64)
-    two = np.empty_like(one)
-    T = swept(p, active)
-    gain = np.empty(terms)
-    count, rest = 0, 0.0
-    for i in range(-1, terms):
-        # i < 0: flips of single terms; otherwise swaps of the active term i
-        if i < 0:
-            flip_gains(p, T, gain)
-        elif active[i]:
-            swap_gains(p, T, i, gain)
-        else:
-            continue
-        for j in range(terms):
-            if gain[j] >= least:
-                one[count], two[count] = j, i
-                count += 1
-            elif gain[j] > -math.inf:
-                rest += math.exp(gain[j] - least)
-    return one[:count], two[:count], rest
+    either = p._replace(log_odds=p.log_odds + math.log(2.0) * np.abs(signs))
+    # half of the mass at least is kept, so that what is left out may have twice its share
+    found = list_models(either, 0.5 * tolerance, enumerate_up_to)
+    without, value = signed_scores(p, signs, found.models, KEEP)
+    order = np.argsort(-value, kind="stable")
+    right = float(np.exp(value - without[0]).sum() / np.exp(without - without[0]).sum())
+    if right >= 0.5:
+        left = found.left_out / (found.left_out + (1.0 - found.left_out) * right)
+        return ModelSet(found.models[order], value[order], left, found.expanded)
+    listed = _search(p, signs, either, [*found.models[order[:STARTS]], *_starts(either, signs)], tolerance)
+    # where its sign is not known a constrained term has the odds of any other
+    free = without - math.log(2.0) * np.count_nonzero(found.models & (signs != 0), axis=1)
+    if logsumexp(free) - logsumexp(listed.log_posterior) < CONTRADICTED:
+        return listed
+    wrong = found.weights[:STARTS] @ Truncation(p, signs, found.models[:STARTS]).wrong
+    return replace(listed, contradicted=tuple(np.flatnonzero(signs)[wrong > 0.5 * wrong.max()].tolist()))
 
 
-def _starts(p: Problem) -> Bools:
-    """Local optima of the posterior without the signs, and of those that are left when terms of the wrong sign go."""
+def _starts(p: Problem, signs: Ints) -> list[Bools]:
+    """Local optima without the signs, terms of the wrong sign taken out until there is none."""
     found: list[Bools] = []
     while True:
         optima = [model for _, model in best_models(p)]
         found += optima
-        T = swept(p, optima[0])
-        wrong = optima[0] & (p.signs * T.partial < 0.0) & np.isfinite(p.log_odds)
+        wrong = optima[0] & (signs * swept(p, optima[0]).partial < 0.0) & np.isfinite(p.log_odds)
         if not wrong.any():
-            return np.unique(np.array(found), axis=0)
+            return found
         p = p._replace(log_odds=np.where(wrong, -math.inf, p.log_odds))
 
 
-class _Search:
-    """Best-first search as in `models.search_models`. Masses are relative to the best model found so far."""
-
-    def __init__(self, p: Problem) -> None:
-        self.p = p
-        self.room = int(min(MOST_MODELS, max(1000, MOST_BYTES // len(p.Dty))))
-        self.seen: set[bytes] = set()
-        self.models: list[Bools] = []
-        self.without: list[float] = []
-        self.value: list[float] = []
-        self.heap: list[tuple[float, int]] = []
-        self.top = -math.inf
-        # of the models listed, of those not expanded, and of those too unlikely to list
-        self.total = self.frontier = self.dropped = 0.0
-        self._add(_starts(p))
-        self._start_to_count()
-
-    def run(self, tolerance: float) -> ModelSet:
-        expanded = moves = 0
-        while self.heap and len(self.models) < self.room and moves < MOST_MOVES:
-            if self._to_come() + self.dropped < tolerance * self.total:
-                break
-            item = heapq.heappop(self.heap)[1]
-            spent = math.exp(self.value[item] - self.top)
-            self.frontier -= spent
-            top, before = self.top, self.total
-            moves += self._expand(item)
-            expanded += 1
-            if self.top > top + CLIMB:
-                self._start_to_count()
-            else:
-                self._count(self.total - before * math.exp(top - self.top), spent * math.exp(top - self.top))
-        full = bool(self.heap) or len(self.models) == self.room
-        left = self.dropped + (self._to_come() if full else 0.0)
-        value = np.array(self.value)
-        order = np.argsort(-value, kind="stable")
-        models = np.array(self.models, dtype=np.bool_)
-        return ModelSet(models[order], value[order], left / (self.total + left), expanded)
-
-    def _start_to_count(self) -> None:
-        """Forget what expansions have yielded: it was the way up."""
-        self.recent_found = self.recent_spent = self.all_found = self.all_spent = 0.0
-        self.ratio = 1.0
-
-    def _count(self, found: float, spent: float) -> None:
-        """Update the mass that an expansion finds per mass that it spends."""
-        self.recent_found = MEMORY * self.recent_found + found
-        self.recent_spent = MEMORY * self.recent_spent + spent
-        self.all_found += found
-        self.all_spent += spent
-        if self.recent_spent > 0.0:
-            self.ratio = max(self.recent_found / self.recent_spent, 0.5 * self.all_found / self.all_spent, 1e-3)
-
-    def _to_come(self) -> float:
-        """What expanding the frontier is likely to bring in all."""
-        return CAUTION * max(self.frontier, 0.0) * self.ratio / (1.0 - min(self.ratio, 0.9))
-
-    def _expand(self, item: int) -> int:
-        """Look at all neighbours of a model; returns how many."""
-        active = self.models[item]
-        # the factor of a neighbour is 2 to the number of its constrained terms at most
-        most = math.log(2.0) * (1 + int(np.count_nonzero(active & (self.p.signs != 0))))
-        least = self.top - KEEP - self.without[item] - most
-        one, two, rest = _moves(self.p, active, least)
-        self.dropped += rest * math.exp(-KEEP)
-        models = np.repeat(active[None, :], len(one), axis=0)
-        row = np.arange(len(one))
-        models[row, one] ^= True
-        swap = two >= 0
-        models[row[swap], two[swap]] ^= True
-        self._add(models)
-        return len(active) * (1 + int(active.sum()))
-
-    def _add(self, models: Bools) -> None:
-        """List those models that are new and not too unlikely."""
-        new = []
-        for model in models:
-            key = model.tobytes()
-            if key not in self.seen:
-                self.seen.add(key)
-                new.append(model)
-        if not new:
-            return
-        without, value = signed_scores(self.p, np.array(new), KEEP, self.top)
-        if value.max() > self.top:
-            fall = math.exp(self.top - float(value.max()))
-            self.total, self.frontier, self.dropped = self.total * fall, self.frontier * fall, self.dropped * fall
-            self.top = float(value.max())
-        for k in np.argsort(-value, kind="stable"):
-            mass = math.exp(value[k] - self.top)
-            if value[k] < self.top - KEEP:
-                self.dropped += mass
-                continue
-            self.frontier += mass
-            if len(self.models) < self.room:
-                heapq.heappush(self.heap, (-float(value[k]), len(self.models)))
-                self.models.append(new[k])
-                self.without.append(float(without[k]))
-                self.value.append(float(value[k]))
-                self.total += mass
+def _search(p: Problem, signs: Ints, either: Problem, new: list[Bools], tolerance: float) -> ModelSet:
+    """Best-first search by the weights with the signs: half of the mass not expanded yet is expanded at a time."""
+    seen: set[bytes] = set()
+    models, waiting = np.empty((0, len(signs)), dtype=np.bool_), np.empty(0, dtype=np.bool_)
+    without, value, expanded = np.empty(0), np.empty(0), 0
+    while True:
+        unseen = {model.tobytes(): model for model in new if model.tobytes() not in seen}
+        if unseen:
+            seen.update(unseen)
+            fresh = np.array(list(unseen.values()))
+            scores = signed_scores(p, signs, fresh, KEEP, value.max(initial=-math.inf))
+            models, waiting = np.concatenate([models, fresh]), np.append(waiting, np.ones(len(fresh), dtype=np.bool_))
+            without, value = np.append(without, scores[0]), np.append(value, scores[1])
+            likely = np.flatnonzero(value > value.max() - KEEP)
+            likely = likely[np.argsort(-value[likely], kind="stable")]
+            models, waiting, without, value = models[likely], waiting[likely], without[likely], value[likely]
+        weight = np.exp(value - value[0])
+        frontier = np.flatnonzero(waiting)
+        mass = np.cumsum(weight[frontier])
+        left = float(weight[frontier].sum() / weight.sum())
+        if left <= tolerance or len(models) >= MOST_MODELS:
+            return ModelSet(models, value, left, expanded)
+        chosen = frontier[: 1 + np.searchsorted(mass, 0.5 * mass[-1])]
+        waiting[chosen] = False
+        expanded += len(chosen)
+        # a neighbour has no more weight with the signs than without
+        least = value[0] - KEEP
+        new = [move.apply(models[k]) for k in chosen for move in neighbours(either, models[k], without[k] - least)]
 
 
-def signed_neighbours(p: Problem, active: Bools, window: float) -> list[Move]:
-    """`search.neighbours` with the posterior odds that the signs leave."""
-    constrained = p.signs != 0
-    own_without, own = signed_scores(p, active[None, :], math.inf)
-    most = math.log(2.0) * (1 + int(np.count_nonzero(active & constrained)))
-    # a model gains ln of its factor less ln of the factor of `active`
-    moves = neighbours(p, active, window + most + float(own_without[0] - own[0]))
+def signed_neighbours(p: Problem, signs: Ints, active: Bools, window: float) -> list[Move]:
+    """`search.neighbours` with posterior odds that know the signs."""
+    own = signed_scores(p, signs, active[None, :])
+    most = math.log(2.0) + float(own[0][0] - own[1][0])
+    moves = neighbours(p, active, window + most)
     if not moves:
         return []
-    value = signed_scores(p, np.array([move.apply(active) for move in moves]), window, float(own[0]))[1]
-    gains = value - own[0]
+    value = signed_scores(p, signs, np.array([move.apply(active) for move in moves]), window, float(own[1][0]))[1]
+    gains = value - own[1][0]
     order = [k for k in np.argsort(-gains, kind="stable") if gains[k] > -window]
     return [Move(float(gains[k]), moves[k].leaves, moves[k].enters) for k in order]

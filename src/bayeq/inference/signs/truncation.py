@@ -1,7 +1,7 @@
 """Spike-and-slab priors with known signs: the slab of a constrained coefficient is a half normal, of twice the density.
 
 With k constrained terms in a model its evidence (34) is multiplied by 2^k P(all of them have their signs | model, y),
-the probability of an orthant under the Student t posterior of the model's coefficients (`inference.orthant`).
+the probability of an orthant under the Student t posterior of the model's coefficients (`signs.orthant`).
 """
 
 from __future__ import annotations
@@ -14,30 +14,22 @@ from scipy.special import stdtr
 
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, score, swept
-from bayeq.inference.signs.orthant import POINTS, log_orthant, orthant_moments
+from bayeq.inference.signs.orthant import POINTS, Orthants
 from bayeq.kernels import kernel
 
-__all__ = ["Truncation", "add_truncated", "certain_signs", "coarse_scores", "given_signs", "signed_scores"]
+__all__ = ["Truncation", "signed_scores", "truncated_models"]
 
-Moments = tuple[Floats, Floats, Floats, float]
+# A sign that is wrong with less than this share of the probability of all signs right takes no part in the orthant:
+# far below what the quadrature resolves.
+NEGLIGIBLE = 1e-9
 
-# Where the signs are wrong with less than this probability the truncation changes nothing that a user could see.
-CERTAIN = 1e-9
+# Numbers held at a time: models times squares of constrained terms, or times points of the quadrature.
+MANY = 1 << 21
+CHUNK = 1 << 15
 
-# Of several constrained terms one is left out of the orthant if its sign is wrong with a probability below this,
-# relative to the square of the least probability of a right one.
-NEGLIGIBLE = 1e-12
-
-# Numbers (models times squares of constrained terms) held at a time.
-CHUNK = 1 << 21
-
-# Models whose orthants are computed at a time, from the likeliest on.
-BATCH = 64
-
-# Models that cannot come within so many nats of the best, or of less weight, are worth fewer points.
+# Models that are more nats behind the best get fewer points.
 FINE = 5.0
-FINE_WEIGHT = 5e-3
-COARSE_POINTS = 128
+COARSE = 64
 
 
 @kernel
@@ -69,72 +61,99 @@ def _blocks(p: Problem, models: Bools, terms: Ints) -> tuple[Floats, Floats, Flo
 
 
 class Truncation:
-    """What the signs do to each of K models.
+    """What known signs do to each of K models.
 
     Attributes
     ----------
+    terms : (Q,) int array
+        The constrained terms.
     scores : (K,) array
-        Log posteriors without the signs, up to `search.log_constant`.
-    certain : (K,) bool array
-        The signs are right without being asked for: the factor is 2^k and the moments are as ever.
-    bound : (K,) array
-        ln of the factor, or a bound of it from above.
+        Log posteriors up to `search.log_constant`, with 2^k but without the probability of right signs.
+    wrong : (K, Q) array
+        Probability that each coefficient has the wrong sign, without what is known of the signs; 0 for a term not in.
+    needed : (K, Q) bool array
+        Signs in doubt. If there is none the truncation changes nothing.
+    log_right : (K,) array
+        ln P(all signs right), or a bound of it from above.
     exact : (K,) bool array
-        Where `bound` is the factor itself.
+        Where it is no bound.
     """
 
-    def __init__(self, p: Problem, models: Bools) -> None:
-        self._models, self._h = models, p.h
-        self._terms = np.flatnonzero(p.signs)
-        self._sign = p.signs[self._terms].astype(np.float64)
-        mean, spread, self._rate, self.scores = _blocks(p, models, self._terms)
+    def __init__(self, p: Problem, signs: Ints, models: Bools) -> None:
+        self._h, self.terms = p.h, np.flatnonzero(signs)
+        sign = signs[self.terms].astype(np.float64)
+        mean, spread, self._s, self.scores = _blocks(p, models, self.terms)
         # as if all signs were +
-        self._mean, self._spread = mean * self._sign, spread * np.outer(self._sign, self._sign)
-        active = models[:, self._terms]
-        scale = np.sqrt(np.diagonal(spread, axis1=1, axis2=2) * (self._rate / (2.0 * p.h))[:, None])
-        t = np.where(active, self._mean / np.where(active, scale, 1.0), math.inf)
-        wrong, right = stdtr(2.0 * p.h, -t), stdtr(2.0 * p.h, t)
-        worst = right.min(axis=1)
-        self.certain = wrong.sum(axis=1) < CERTAIN
-        self._needed = active & (wrong > NEGLIGIBLE * worst[:, None] ** 2)
-        self._doubled = math.log(2.0) * active.sum(axis=1)
+        self._mean, self._V = mean * sign, spread * np.outer(sign, sign)
+        active = models[:, self.terms]
+        self.scores += math.log(2.0) * active.sum(axis=1)
+        sd = np.sqrt(np.diagonal(spread, axis1=1, axis2=2) * (self._s / (2.0 * p.h))[:, None])
+        t = np.where(active, self._mean / np.where(active, sd, 1.0), math.inf)
+        self.wrong, right = stdtr(2.0 * p.h, -t), stdtr(2.0 * p.h, t)
+        self.needed = active & (self.wrong > NEGLIGIBLE * right.prod(axis=1, keepdims=True))
         with np.errstate(divide="ignore"):
-            least = np.where(self.certain, 0.0, np.log(worst))
-        # P(all right) <= P(one right); far out in a tail the latter is too small to be a number
-        beyond = np.isinf(least)
-        self.bound = self._doubled + np.where(beyond, 0.0, least)
-        self.exact = self.certain | ((self._needed.sum(axis=1) == 1) & ~beyond)
+            # far out in a tail the probability is too small to be a number
+            least = np.log(right.min(axis=1, where=self.needed, initial=1.0))
+        self.exact = (self.needed.sum(axis=1) <= 1) & np.isfinite(least)
+        self.log_right = np.where(np.isfinite(least), least, 0.0)
 
-    def _groups(self, rows: Ints) -> Iterator[tuple[Ints, Ints, tuple[Floats, Floats, Floats, float]]]:
-        """Models with equally many terms to truncate: places in `rows`, these terms, what `inference.orthant` takes."""
-        sizes = self._needed[rows].sum(axis=1)
-        for size in np.unique(sizes[sizes > 0]):
-            same = np.flatnonzero(sizes == size)
-            chosen = np.argsort(~self._needed[rows[same]], axis=1, kind="stable")[:, :size]
-            k = rows[same, None]
-            V = self._spread[k[:, :, None], chosen[:, :, None], chosen[:, None, :]]
-            yield same, chosen, (self._mean[k, chosen], V, self._rate[rows[same]], self._h)
+    def orthants(self, rows: Ints, points: int = POINTS) -> Iterator[tuple[Ints, Ints, Orthants]]:
+        """Orthants of some models, by their number of doubtful signs: the models, places in `terms` of the signs."""
+        count = self.needed[rows].sum(axis=1)
+        for size in np.unique(count):
+            k = rows[count == size]
+            places = np.argsort(~self.needed[k], axis=1, kind="stable")[:, :size]
+            V = self._V[k[:, None, None], places[:, :, None], places[:, None, :]]
+            yield k, places, Orthants(self._mean[k[:, None], places], V, self._s[k], self._h, points)
 
-    def log_factors(self, rows: Ints, points: int) -> Floats:
-        """ln of the factors of some of the models, by so many points."""
-        out = self._doubled[rows]
-        for same, _, arguments in self._groups(rows):
-            out[same] += log_orthant(*arguments, points)
-        return np.asarray(out)
 
-    def moments(self, p: Problem, rows: Ints, points: int) -> Iterator[tuple[int, Floats, Floats, float]]:
-        """Models that are not `certain`, each with mean (P,) and covariance (r, r) of theta and mean of sigma^2."""
-        for same, chosen, arguments in self._groups(rows):
-            mean, covariance, variance = orthant_moments(*arguments, points)
-            for a, k in enumerate(rows[same]):
-                sign = self._sign[chosen[a]]
-                shift = sign * (mean[a] - self._mean[k, chosen[a]])
-                moved = covariance[a] * np.outer(sign, sign)
-                yield int(k), *_carried(p, self._models[k], self._terms[chosen[a]], shift, moved, float(variance[a]))
+def _parts(models: Bools, signs: Ints) -> Iterator[slice]:
+    """Parts of many models whose covariances find room."""
+    size = max(1, MANY // int(np.count_nonzero(signs)) ** 2)
+    return (slice(start, start + size) for start in range(0, len(models), size))
+
+
+def signed_scores(
+    p: Problem, signs: Ints, models: Bools, window: float = math.inf, top: float = -math.inf
+) -> tuple[Floats, Floats]:
+    """Log posteriors of K models, up to `search.log_constant`, without the probability of right signs and with it.
+
+    Of a model that does not come within `window` nats of the best of them, or of `top`, the second is a bound from
+    above.
+    """
+    without, value = np.empty(len(models)), np.empty(len(models))
+    for part in _parts(models, signs):
+        found = Truncation(p, signs, models[part])
+        values = found.scores + found.log_right
+        top = max(top, float(values[found.exact].max(initial=-math.inf)))
+        left = np.flatnonzero(~found.exact)
+        left = left[np.argsort(-values[left], kind="stable")]
+        while len(left) and values[left[0]] >= top - window:
+            points = POINTS if values[left[0]] > top - FINE else COARSE
+            rows, left = np.split(left, [CHUNK // points])
+            for k, _, orthants in found.orthants(rows, points):
+                values[k] = found.scores[k] + orthants.log_probability
+            top = max(top, float(values[rows].max()))
+        without[part], value[part] = found.scores, values
+    return without, value
+
+
+def truncated_models(p: Problem, signs: Ints, models: Bools) -> Iterator[tuple[int, Floats, Floats, float]]:
+    """Those of K models whose signs are in doubt: number, mean (P,) and covariance (r, r) of theta, mean of sigma^2."""
+    for part in _parts(models, signs):
+        found = Truncation(p, signs, models[part])
+        doubtful = np.flatnonzero(found.needed.any(axis=1))
+        for start in range(0, len(doubtful), CHUNK // POINTS):
+            for rows, places, orthants in found.orthants(doubtful[start : start + CHUNK // POINTS]):
+                mean, covariance, variance = orthants.moments()
+                for a, k in enumerate(rows):
+                    terms = found.terms[places[a]]
+                    moments = signs[terms] * mean[a], np.outer(signs[terms], signs[terms]) * covariance[a]
+                    yield part.start + int(k), *_carried(p, models[part][k], terms, *moments, float(variance[a]))
 
 
 def _carried(
-    p: Problem, active: Bools, truncated: Ints, shift: Floats, covariance: Floats, variance: float
+    p: Problem, active: Bools, truncated: Ints, mean: Floats, covariance: Floats, variance: float
 ) -> tuple[Floats, Floats, float]:
     """Moments of all coefficients of a model from those of the truncated ones.
 
@@ -149,84 +168,6 @@ def _carried(
     rest = V - slope @ V[among]
     rest[among], rest[:, among] = 0.0, 0.0
     coef = np.zeros(len(active))
-    coef[kept] = T.partial[kept] + slope @ shift
+    coef[kept] = T.partial[kept] + slope @ (mean - T.partial[truncated])
     total = variance * rest + slope @ covariance @ slope.T
     return coef, 0.5 * (total + total.T), variance
-
-
-def _chunks(p: Problem, count: int) -> list[slice]:
-    """Parts of so many models that their covariances find room."""
-    size = max(1, CHUNK // max(1, int(np.count_nonzero(p.signs))) ** 2)
-    return [slice(start, start + size) for start in range(0, count, size)]
-
-
-def signed_scores(p: Problem, models: Bools, window: float, top: float = -math.inf) -> tuple[Floats, Floats]:
-    """Log posteriors of K models without and with the signs, up to `search.log_constant`.
-
-    Of a model that cannot come within `window` nats of the best of them, or of `top`, the second is a bound from above.
-    """
-    without, value = np.empty(len(models)), np.empty(len(models))
-    for part in _chunks(p, len(models)):
-        truncation = Truncation(p, models[part])
-        values = truncation.scores + truncation.bound
-        top = max(top, float(values[truncation.exact].max(initial=-math.inf)))
-        left = np.flatnonzero(~truncation.exact)
-        left = left[np.argsort(-values[left], kind="stable")]
-        for first in range(0, len(left), BATCH):
-            rows = left[first : first + BATCH]
-            rows = rows[values[rows] > top - window]
-            if not len(rows):
-                break
-            points = POINTS if values[rows[0]] > top - FINE else COARSE_POINTS
-            values[rows] = truncation.scores[rows] + truncation.log_factors(rows, points)
-            top = max(top, float(values[rows].max()))
-        without[part], value[part] = truncation.scores, values
-    return without, value
-
-
-def coarse_scores(p: Problem, models: Bools) -> Floats:
-    """Log posteriors of K models with the signs, up to `search.log_constant`, none of them a bound, by few points."""
-    out = np.empty(len(models))
-    for part in _chunks(p, len(models)):
-        truncation = Truncation(p, models[part])
-        values, left = truncation.scores + truncation.bound, np.flatnonzero(~truncation.exact)
-        values[left] = truncation.scores[left] + truncation.log_factors(left, COARSE_POINTS)
-        out[part] = values
-    return out
-
-
-def given_signs(p: Problem, active: Bools) -> tuple[Floats, Floats] | None:
-    """Mean (P,) and covariance (r, r) of theta given a model and the signs.
-
-    None where the signs are certain: `conditional.given_model` then says it all.
-    """
-    truncation = Truncation(p, active[None, :])
-    for _, coef, covariance, _ in truncation.moments(p, np.flatnonzero(~truncation.certain), POINTS):
-        return coef, covariance
-    return None
-
-
-def certain_signs(p: Problem, models: Bools) -> Bools:
-    """Whether the signs of each of K models are certain, so that its moments are as ever."""
-    return np.concatenate([Truncation(p, models[part]).certain for part in _chunks(p, len(models))])
-
-
-def add_truncated(p: Problem, models: Bools, weights: Floats, place: Ints, moments: Moments) -> Moments:
-    """Moments of a mixture (see `bma`) with those of weighted models added whose signs are not certain."""
-    mean, square, second, noise = moments
-    for part in _chunks(p, len(models)):
-        truncation, weight = Truncation(p, models[part]), weights[part]
-        for rows, points in (
-            (np.flatnonzero(weight >= FINE_WEIGHT), POINTS),
-            (np.flatnonzero(weight < FINE_WEIGHT), COARSE_POINTS),
-        ):
-            for k, coef, covariance, variance in truncation.moments(p, rows, points):
-                kept = np.flatnonzero(models[part][k])
-                raw = weight[k] * (covariance + np.outer(coef[kept], coef[kept]))
-                mean[kept] += weight[k] * coef[kept]
-                square[kept] += np.diagonal(raw)
-                noise += weight[k] * variance
-                among = np.flatnonzero(place[kept] >= 0)
-                at = place[kept[among]]
-                second[np.ix_(at, at)] += raw[np.ix_(among, among)]
-    return mean, square, second, noise
