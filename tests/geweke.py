@@ -15,7 +15,6 @@ from bayeq.gram import Gram
 from bayeq.inference.collapsed.problem import Bools, Floats, Problem
 from bayeq.inference.gibbs import sample_chain
 from bayeq.inference.prior import Prior
-from bayeq.inference.signs.gibbs import doubled, sample_signed_chain
 from bayeq.kernels import kernel
 
 N, P = 12, 3
@@ -35,7 +34,6 @@ def _with_data(p: Problem, D: Floats, theta: Floats, variance: float, rng: np.ra
         p.log_odds,
         p.size_prior,
         p.inclusion_beta,
-        p.signs,
         p.slab_variance,
         p.noise_shape,
         p.noise_rate,
@@ -62,37 +60,19 @@ def _visit(p: Problem, D: Floats, exchange: bool, rng: np.random.Generator, z: B
         visited[t, 2 * terms] = math.log(variance)
 
 
-@kernel
-def _visit_signed(p: Problem, D: Floats, exchange: bool, rng: np.random.Generator, z: Bools, visited: Floats) -> None:
-    terms = D.shape[1]
-    theta, variance = np.zeros(terms), 1.5
-    zs, thetas, noises = np.empty((1, terms), dtype=np.bool_), np.empty((1, terms)), np.empty(1)
-    for t in range(len(visited)):
-        q = _with_data(p, D, theta, variance, rng)
-        sample_signed_chain(q, z, theta, variance, 0, exchange, rng, zs, thetas, noises, np.zeros(terms))
-        variance = noises[0]
-        for j in range(terms):
-            visited[t, j], visited[t, terms + j] = z[j], theta[j]
-        visited[t, 2 * terms] = math.log(variance)
-
-
-def scores(exchange, signs=None, sweeps=40_000):
-    """Standardised differences of moments from those of the prior, and all theta visited."""
+def scores(exchange, sweeps=40_000):
+    """Standardised differences of moments from those of the prior."""
     rng = np.random.default_rng(11)
     D = rng.normal(size=(N, P)) + 0.8 * rng.normal(size=(N, 1))
     D -= D.mean(axis=0)
     # a prior that can be drawn from; its floor is 2 b_sigma whatever y, which is small here
-    blank = Problem.of(Gram.from_data(D, np.zeros(N)), Prior(2.0, 0.4, 3.0, 3.0, signs=signs))
+    blank = Problem.of(Gram.from_data(D, np.zeros(N)), Prior(2.0, 0.4, 3.0, 3.0))
     visited = np.empty((sweeps, 2 * P + 1))
-    visit, p = (_visit, blank) if signs is None else (_visit_signed, doubled(blank))
-    visit(p, np.ascontiguousarray(D), exchange, rng, rng.random(P) < 0.4, visited)
+    _visit(blank, np.ascontiguousarray(D), exchange, rng, rng.random(P) < 0.4, visited)
     z, theta = visited[:, :P], visited[:, P : 2 * P]
-    # E|theta| of a (half) normal, with E sigma = sqrt(3) Gamma(2.5)/Gamma(3)
-    half = 0.4 * math.sqrt(2.0 * 2.0 / math.pi) * math.sqrt(3.0) * math.gamma(2.5) / math.gamma(3.0)
     samples = np.column_stack([visited, theta**2, z.sum(axis=1) ** 2])
     log_noise = float(stats.invgamma(3.0, scale=3.0).expect(np.log))
     # E theta^2 = p_0 v_s E sigma^2; the number of terms is binomial
-    mean = half * np.asarray(signs or [0] * P)
-    expected = [*[0.4] * P, *mean, log_noise, *[0.4 * 2.0 * 1.5] * P, 3 * 0.4 * 0.6 + 1.44]
+    expected = [*[0.4] * P, *[0.0] * P, log_noise, *[0.4 * 2.0 * 1.5] * P, 3 * 0.4 * 0.6 + 1.44]
     batches = samples.reshape(50, -1, samples.shape[1]).mean(axis=1)
-    return (batches.mean(axis=0) - expected) / (batches.std(axis=0, ddof=1) / math.sqrt(50)), theta
+    return (batches.mean(axis=0) - expected) / (batches.std(axis=0, ddof=1) / math.sqrt(50))

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import integrate, stats
 
 import bayeq as bq
 from bayeq.cli.app import main
@@ -18,20 +17,12 @@ from bayeq.dictionary import Variables, build_dictionary
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.gram import Gram
-from bayeq.inference.auto import spike_slab_auto
 from bayeq.inference.bma import spike_slab_bma
-from bayeq.inference.collapsed.conditional import given_model
-from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.prior import Prior
-from bayeq.inference.signs.listing import signed_neighbours
-from bayeq.inference.signs.orthant import log_orthant, orthant_moments
-from bayeq.inference.signs.truncation import signed_scores
-from bayeq.inference.vb import spike_slab_vb
 from bayeq.regression.constraints import parse_constraints
 from bayeq.regression.equalities import Equalities
-from tests import reference
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 TERMS = tuple(parse(text) for text in ("x", "v", "x*v", "x**3", "abs(x)/v", "u"))
@@ -309,274 +300,6 @@ def test_columns_that_cancel_are_columns_of_zeros():
     assert Equalities.solving(("x", "v"), []).reduce(gram) is gram
 
 
-# --------------------------------------------------------------------------------------------------------------- signs
-
-
-def multivariate_t(seed, k):
-    rng = np.random.default_rng(seed)
-    A = rng.normal(size=(k, k + 1))
-    V = A @ A.T
-    return (rng.normal(size=k) + 0.5) * np.sqrt(np.diagonal(V)), V
-
-
-@pytest.mark.parametrize("k", [1, 2, 3, 5])
-@pytest.mark.parametrize("h", [2.0, 40.0])
-def test_orthants_are_those_of_scipy(k, h):
-    for seed in range(4):
-        m, V = multivariate_t(seed, k)
-        s = 3.0
-        found = float(np.exp(log_orthant(m[None], V[None], np.array([s]), h)[0]))
-        expected = stats.multivariate_t.cdf(
-            m, np.zeros(k), V * s / (2 * h), df=2 * h, maxpts=20_000 * k, random_state=0
-        )
-        assert found == pytest.approx(float(expected), abs=2e-3)
-
-
-@pytest.mark.parametrize(("h", "t"), [(h, t) for h in (3.0, 500.0) for t in (3.0, -0.5, -8.0, -30.0)])
-def test_one_truncated_student_t_in_closed_form(h, t):
-    # theta = sqrt(s/2h) (t + T), T a Student t; partial moments of T beyond a = -t by integrating its density by parts
-    nu, a, s = 2 * h, -t, 2.0
-    beyond = stats.t.sf(a, nu)
-    first = stats.t.pdf(a, nu) * (nu + a * a) / (nu - 1) / beyond
-    second = nu * ((nu - 1) / (nu - 2) * stats.t.sf(a * math.sqrt((nu - 2) / nu), nu - 2) / beyond - 1)
-    scale = math.sqrt(s / nu)
-    arguments = np.array([[scale * t]]), np.ones((1, 1, 1)), np.array([s]), h
-    assert log_orthant(*arguments)[0] == pytest.approx(math.log(beyond), abs=1e-3)
-    mean, covariance, _ = orthant_moments(*arguments)
-    assert mean[0, 0] == pytest.approx(scale * (t + first), rel=5e-3)
-    # with few degrees of freedom rare large values make up much of the variance
-    assert covariance[0, 0, 0] == pytest.approx(scale**2 * (second - first**2), rel=4e-2 if h < 10 else 1e-3)
-
-
-@pytest.mark.parametrize("far", [0.0, -8.0, -25.0])
-@pytest.mark.parametrize("correlation", [-0.9, 0.3, 0.95])
-def test_two_coefficients_far_out_by_quadrature(far, correlation):
-    # the first is t, and given it the second is t with a degree of freedom more
-    h, s = 14.0, 28.0
-    nu, m = 2 * h, np.array([1.0, far])
-    V = np.array([[1.0, correlation], [correlation, 1.0]])
-    x = np.linspace(0.0, 200.0, 100_001)
-    rest = (1 - correlation**2) * (nu + (x - m[0]) ** 2) / (nu + 1)
-    density = stats.t.pdf(x, nu, m[0], 1.0)
-    expected = integrate.simpson(density * stats.t.cdf((m[1] + correlation * (x - m[0])) / np.sqrt(rest), nu + 1), x=x)
-    found = log_orthant(m[None], V[None], np.array([s]), h)[0]
-    assert found == pytest.approx(math.log(expected), abs=5e-3)
-
-
-def by_sampling(D, y, prior, draws, rng):
-    """Posterior under signs: every model's own draws, those of the wrong signs thrown away.
-
-    The models' weights must not hang on signs that are right too rarely to be sampled.
-
-    Returns PIPs, mean and covariance of theta, mean of sigma^2, models with probabilities and mean of theta.
-    """
-    v, a, b = prior.slab_variance, prior.noise_shape, prior.noise_rate
-    N, P = len(y) - 1, D.shape[1]
-    models, logs, _, _ = reference.enumerate_models(D, y, v_s=v, p0=prior.prior_inclusion, a=a, b=b, N=N)
-    weight, first, second, noise = np.zeros(len(models)), np.zeros((len(models), P)), [], np.zeros(len(models))
-    for k, z in enumerate(models):
-        V = np.linalg.inv(D[:, z].T @ D[:, z] + np.eye(z.sum()) / v)
-        m = V @ D[:, z].T @ y
-        s = 2 * b + y @ y - m @ D[:, z].T @ y
-        variance = 0.5 * s / rng.gamma(a + 0.5 * N, size=draws)
-        theta = np.zeros((draws, P))
-        theta[:, z] = m + np.sqrt(variance)[:, None] * (rng.normal(size=(draws, z.sum())) @ np.linalg.cholesky(V).T)
-        right = (prior.signs * theta >= 0).all(axis=1)
-        assert right.sum() > 100 or math.exp(logs[k] - logs.max()) < 0.1
-        weight[k] = math.exp(logs[k] - logs.max()) * 2.0 ** np.count_nonzero(z & (prior.signs != 0)) * right.mean()
-        kept = theta[right] if right.any() else np.zeros((1, P))
-        first[k], noise[k] = kept.mean(axis=0), variance[right].mean() if right.any() else 0.0
-        second.append(kept.T @ kept / len(kept))
-    weight /= weight.sum()
-    mean = weight @ first
-    return (
-        weight @ models,
-        mean,
-        np.tensordot(weight, second, 1) - np.outer(mean, mean),
-        weight @ noise,
-        models,
-        weight,
-        first,
-    )
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_signs_against_draws_of_every_model(seed):
-    rng = np.random.default_rng(seed)
-    P = int(rng.integers(3, 6))
-    D, y, _ = reference.random_problem(rng, n=12, P=P, rho=0.8, noise=5.0, active=0.5)
-    prior = Prior(5.0, 0.3, 2.0, 2.0, signs=rng.choice([-1, 0, 1], size=P, p=[0.4, 0.2, 0.4]))
-    sampled = by_sampling(D, y, prior, 60_000, rng)
-    for most in (14, 0):
-        fit = spike_slab_bma(Gram.from_data(D, y), prior, enumerate_up_to=most, tolerance=1e-4)
-        assert_as_sampled(fit, prior, *sampled)
-
-
-def assert_as_sampled(fit, prior, pip, mean, covariance, noise, models, weight, first):
-    scale = np.sqrt(np.diagonal(covariance)).max()
-    np.testing.assert_allclose(fit.pip, pip, atol=5e-3)
-    np.testing.assert_allclose(fit.averaged_coef, mean, atol=0.02 * scale)
-    np.testing.assert_allclose(fit.averaged_sd, np.sqrt(np.diagonal(covariance)), atol=0.02 * scale)
-    listed = np.ix_(fit.average.terms, fit.average.terms)
-    np.testing.assert_allclose(fit.average.covariance, covariance[listed], atol=0.03 * scale**2)
-    assert fit.noise_variance == pytest.approx(noise, rel=0.01)
-    probability = {m.tobytes(): w for m, w in zip(fit.average.models, fit.average.probability, strict=True)}
-    for model, w in zip(models, weight, strict=True):
-        assert probability.get(model.tobytes(), 0.0) == pytest.approx(w, abs=5e-3)
-    chosen = (models == fit.support).all(axis=1)
-    np.testing.assert_allclose(fit.coef, first[chosen][0], atol=0.03 * scale)
-    assert (fit.coef * prior.signs >= 0).all()
-
-
-def agreeing(seed, P=6, n=400):
-    rng = np.random.default_rng(seed)
-    D = rng.normal(size=(n, P)) + 0.5 * rng.normal(size=(n, 1))
-    theta = np.zeros(P)
-    theta[:3] = [1.0, -2.0, 0.05]
-    return Gram.from_data(D, D @ theta + 0.5 * rng.normal(size=n)), np.sign(theta) * [1, 1, 0, 0, 0, 0]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_signs_that_the_data_leave_no_doubt_of_double_the_odds_and_change_nothing_else(seed):
-    gram, signs = agreeing(seed)
-    free, known = spike_slab_bma(gram), spike_slab_bma(gram, Prior(signs=signs))
-    # terms 0 and 1 are in every model: what is common to all cancels
-    np.testing.assert_allclose(known.pip, free.pip, atol=1e-12)
-    assert known.coef.tobytes() == free.coef.tobytes()
-    assert known.covariance.tobytes() == free.covariance.tobytes()
-    np.testing.assert_allclose(known.averaged_sd, free.averaged_sd, rtol=1e-9)
-    assert known.noise_variance == pytest.approx(free.noise_variance, rel=1e-9)
-    problem = Problem.of(gram, Prior(signs=signs))
-    models = np.array([[0, 0, 1, 0, 0, 0], [1, 0, 1, 0, 0, 0], [1, 1, 0, 1, 0, 0]], dtype=bool)
-    without, value = signed_scores(problem, models, math.inf)
-    np.testing.assert_allclose(value - without, math.log(2.0) * np.array([0, 1, 2]), atol=1e-8)
-
-
-def test_odds_of_a_single_term_in_closed_form():
-    rng = np.random.default_rng(4)
-    D = rng.normal(size=(30, 1))
-    D = (D - D.mean()) / D.std()
-    y = 0.2 * D[:, 0] + rng.normal(size=30)
-    gram = Gram.from_data(D, y)
-    free = spike_slab_bma(gram).pip[0]
-    A = 30 + 1 / 10
-    m, s = gram.Dty[0] / A, gram.yty + 2e-4 - gram.Dty[0] ** 2 / A
-    dof = 29 + 2e-4
-    for sign in (1, -1):
-        right = stats.t.cdf(sign * m / math.sqrt(s / A / dof), dof)
-        pip = spike_slab_bma(gram, Prior(signs=[sign])).pip[0]
-        assert pip / (1 - pip) == pytest.approx(free / (1 - free) * 2 * right, rel=1e-9)
-
-
-@pytest.mark.parametrize("P", [8, 18])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_sign_that_the_data_refute_takes_the_term_out(seed, P):
-    rng = np.random.default_rng(seed)
-    D = rng.normal(size=(300, P)) + 0.7 * rng.normal(size=(300, 1))
-    y = D[:, 0] - D[:, 1] + 0.3 * D[:, 2] + 0.5 * rng.normal(size=300)
-    gram = Gram.from_data(D, y)
-    signs, p0 = np.zeros(P), np.full(P, 0.1)
-    signs[0], p0[0] = -1, 0.0
-    wrong = spike_slab_bma(gram, Prior(signs=signs), tolerance=1e-4)
-    without = spike_slab_bma(gram, Prior(prior_inclusion=p0), tolerance=1e-4)
-    assert wrong.pip[0] < 1e-3
-    np.testing.assert_allclose(wrong.pip, without.pip, atol=2e-3)
-    np.testing.assert_allclose(wrong.coef, without.coef, rtol=1e-6)
-    assert wrong.average.left_out < 1.1e-4
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_a_search_lists_what_enumeration_does(seed):
-    rng = np.random.default_rng(seed)
-    D, y, _ = reference.random_problem(rng, n=60, P=11, rho=0.8, noise=float(rng.choice([0.3, 1.0, 3.0])), active=0.4)
-    signs = np.zeros(11)
-    known = int(rng.integers(1, 5))
-    signs[rng.choice(11, known, replace=False)] = rng.choice([-1, 1], known)
-    problem = Problem.of(Gram.from_data(D, y), Prior(signs=signs))
-    models = (np.arange(1 << 11)[:, None] >> np.arange(11) & 1).astype(bool)
-    value = signed_scores(problem, models, 25.0)[1]
-    weight = np.exp(value - value.max())
-    weight /= weight.sum()
-    fit = spike_slab_bma(Gram.from_data(D, y), Prior(signs=signs), enumerate_up_to=0)
-    listed = {model.tobytes() for model in fit.average.models}
-    outside = sum(w for w, model in zip(weight, models, strict=True) if model.tobytes() not in listed)
-    assert outside <= fit.average.left_out <= 5e-3
-    np.testing.assert_allclose(fit.pip, weight @ models, atol=3e-3)
-    # and the odds of the runners-up are those of the models
-    best = fit.average.models[0]
-    level = float(value[(models == best).all(axis=1)][0])
-    for move in signed_neighbours(problem, best, 8.0)[:20]:
-        neighbour = (models == move.apply(best)).all(axis=1)
-        assert move.gain == pytest.approx(float(value[neighbour][0]) - level, abs=0.05)
-    gains = [move.gain for move in signed_neighbours(problem, best, 8.0)]
-    assert gains == sorted(gains, reverse=True)
-
-
-def test_a_forced_term_keeps_to_its_side_however_wrong():
-    rng = np.random.default_rng(0)
-    D = rng.normal(size=(2000, 3))
-    y = 5.0 * D[:, 0] + D[:, 1] + 0.1 * rng.normal(size=2000)
-    fit = spike_slab_bma(Gram.from_data(D, y), Prior(prior_inclusion=[1.0, 0.1, 0.1], signs=[-1, 0, 0]))
-    assert fit.pip[0] == pytest.approx(1.0)
-    # half normal at its edge: the mean is sd/45, with the 45 sd that the least-squares value is off
-    assert -5e-3 < fit.coef[0] < 0.0
-    without = spike_slab_bma(Gram.from_data(D, y), Prior(prior_inclusion=[0.0, 0.1, 0.1]))
-    np.testing.assert_allclose(fit.coef[1:], without.coef[1:], rtol=1e-3)
-
-
-def test_degenerate_problems_end():
-    rng = np.random.default_rng(0)
-    D = rng.normal(size=(30, 4))
-    for design, y in [
-        (D, np.zeros(30)),
-        (D, D[:, 0]),
-        (np.column_stack([D, np.ones(30)]), rng.normal(size=30)),
-        (np.column_stack([D, D]), D[:, 1] + 0.1 * rng.normal(size=30)),
-        (rng.normal(size=(10, 15)), rng.normal(size=10)),
-        (D[:3, :1], np.array([1.0, 2.0, 4.0])),
-    ]:
-        signs = np.resize([-1, 1, 0], design.shape[1])
-        fit = spike_slab_bma(Gram.from_data(design, y), Prior(signs=signs))
-        assert np.isfinite(fit.pip).all()
-        assert np.isfinite(fit.covariance).all()
-        assert np.isfinite(fit.averaged_sd).all()
-        assert (fit.coef * signs >= 0).all()
-        np.testing.assert_array_equal(fit.support, fit.pip > 0.5)
-
-
-def test_signs_and_order_are_symmetries():
-    rng = np.random.default_rng(3)
-    D, y, _ = reference.random_problem(rng, n=40, P=5, rho=0.7, noise=2.0, active=0.5)
-    signs, order = np.array([1, -1, 0, 1, 0]), np.array([3, 0, 4, 1, 2])
-    plain = spike_slab_bma(Gram.from_data(D, y), Prior(signs=signs))
-    turned = spike_slab_bma(Gram.from_data(-D, y), Prior(signs=-signs))
-    mixed = spike_slab_bma(Gram.from_data(D[:, order], y), Prior(signs=signs[order]))
-    np.testing.assert_allclose(turned.pip, plain.pip, atol=1e-9)
-    np.testing.assert_allclose(turned.coef, -plain.coef, atol=1e-9)
-    np.testing.assert_allclose(mixed.pip, plain.pip[order], atol=3e-3)
-    again = spike_slab_bma(Gram.from_data(D, y), Prior(signs=signs))
-    assert again.averaged_sd.tobytes() == plain.averaged_sd.tobytes()
-
-
-def test_no_signs_are_no_signs():
-    gram, _ = agreeing(0)
-    assert spike_slab_bma(gram, Prior(signs=np.zeros(6))).pip.tobytes() == spike_slab_bma(gram).pip.tobytes()
-
-
-def test_who_takes_signs():
-    gram, signs = agreeing(0)
-    prior = Prior(signs=signs)
-    auto, bma = spike_slab_auto(gram, prior), spike_slab_bma(gram, prior)
-    assert auto.method == "auto"
-    np.testing.assert_array_equal(auto.pip, bma.pip)
-    # signs that the data leave no doubt of change nothing; those that they do in test_signed_gibbs.py
-    for engine in (spike_slab_vb, spike_slab_gibbs):
-        np.testing.assert_allclose(engine(gram, prior).coef, engine(gram).coef, rtol=1e-12)
-    for bad in ([1, -1], np.full(6, 2), np.full(6, 0.5), 1):
-        with pytest.raises(InputError, match="signs must be"):
-            spike_slab_bma(gram, Prior(signs=bad))
-
-
 # ---------------------------------------------------------------------------------------------- discover, command line
 
 
@@ -613,9 +336,45 @@ def test_what_hangs_on_an_answer_works_with_constraints(tmp_path):
     assert "u" in fewer.shown
     assert len(set(fewer.shown) - {"u", "x**5"}) == 2  # the limit counts what is left to find
     assert "constraints" not in quietly(rec).to_dict()["diagnostics"]
-    for engine, text in (("rvm", "v <= 0"), ("stlsq", "v < 0")):
-        with pytest.raises(InputError, match=f"method '{engine}' takes no signs"):
-            quietly(rec, method=engine, constraints=text)
+    for engine in set(ENGINES) - {"auto", "bma"}:
+        with pytest.raises(
+            InputError, match=f"method '{engine}' takes no signs of coefficients; take one of: auto, bma"
+        ):
+            quietly(rec, method=engine, constraints="v <= 0")
+
+
+def test_a_sign_that_the_data_contradict_is_reported():
+    rec = bq.simulate("duffing", n=1000, seed=1)
+    with pytest.warns(bq.errors.DataWarning, match="a: the data contradict the known sign of v, u "):
+        eq = bq.discover(rec, **OSCILLATOR, dictionary="x, v, x**3, u", constraints=["x <= 0", "v >= 0", "u <= 0"])
+    assert any("contradict" in message for message in eq.warnings)
+    assert not {"v", "u"} & set(eq[0].included)
+    assert not any("contradict" in message for message in quietly(rec, constraints=["x <= 0", "v <= 0"]).warnings)
+
+
+def test_runners_up_know_the_signs():
+    rec = bq.simulate("linear", n=300, seed=2)
+    terms = ["x", "v", "x*abs(x)", "v*abs(v)", "u"]
+    eq = quietly(rec, dictionary=terms, constraints=["x*abs(x) >= 0", "v*abs(v) <= 0", "v <= 0"])[0]
+    average = eq.posterior.average
+    probability = {model.tobytes(): p for model, p in zip(average.models, average.probability, strict=True)}
+    odds = {}
+    for j in range(5):
+        for i in [None, *np.flatnonzero(eq.posterior.support)]:
+            other = eq.posterior.support.copy()
+            other[j] ^= True
+            if i is not None:
+                other[i] ^= True
+            if i != j and (i is None or not eq.posterior.support[j]):
+                enters = None if eq.posterior.support[j] else terms[j]
+                leaves = terms[j] if i is None and enters is None else None if i is None else terms[i]
+                odds[leaves, enters] = (
+                    probability.get(other.tobytes(), 0.0) / probability[eq.posterior.support.tobytes()]
+                )
+    assert len(eq.runners_up) == 5
+    assert [(r.leaves, r.enters) for r in eq.runners_up] == sorted(odds, key=lambda move: -odds[move])[:5]
+    for r in eq.runners_up:
+        assert math.exp(r.log_odds) == pytest.approx(odds[r.leaves, r.enters], rel=1e-6)
 
 
 def test_equations_of_a_system_share_constraints_or_have_their_own():
@@ -669,7 +428,7 @@ def test_through_the_command(duffing, tmp_path, capsys):
         ["--constraint", "0 == 1"],
         ["--constraint", "u == 1", "--constraint", "u == 2"],
         ["--constraint", "v <= 0", "--constraint", "v >= 0"],
-        ["--constraint", "v <= 0", "--method", "stlsq"],
+        ["--constraint", "v <= 0", "--method", "vb"],
         ["--constraint", "open('x') == 1"],
         ["--constraint", ""],
     ],
@@ -680,9 +439,3 @@ def test_wrong_text_ends_in_one_line(duffing, arguments, capsys):
     assert captured.out == ""
     assert captured.err.startswith("bayeq: error: ")
     assert captured.err.count("\n") == 1
-
-
-def test_given_model_is_the_truncated_one_only_where_it_matters():
-    gram, signs = agreeing(1)
-    certain = spike_slab_bma(gram, Prior(signs=signs))
-    np.testing.assert_array_equal(certain.coef, given_model(Problem.of(gram, Prior()), certain.support)[0])

@@ -116,7 +116,7 @@ class Replay:
 
 @BOTH
 def test_geweke_joint_distribution(exchange):
-    scores, _ = geweke.scores(exchange)
+    scores = geweke.scores(exchange)
     # eleven tests of a t-distribution of 49 degrees of freedom: 4.2 is a family-wise error of one in a thousand
     assert np.max(np.abs(scores)) < 4.2
 

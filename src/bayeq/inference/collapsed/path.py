@@ -177,7 +177,7 @@ class _Pool:
         return np.frombuffer(max(self.scores, key=self.scores.__getitem__), dtype=np.bool_).copy()
 
 
-def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools], signs: Ints | None) -> list[Bools]:
+def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools], signs: Ints | None = None) -> list[Bools]:
     pools = {size: _Pool() for size in range(sizes.start, sizes.stop + 1)}
     forced, forbidden = problem.log_odds == math.inf, problem.log_odds == -math.inf
     optima = [model for _, model in best_models(problem)]

@@ -14,11 +14,11 @@ from scipy.special import logsumexp
 
 from bayeq.inference.collapsed.listing import KEEP, ModelSet, list_models
 from bayeq.inference.collapsed.problem import Bools, Ints, Problem
-from bayeq.inference.collapsed.search import Move, best_models, neighbours
+from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.collapsed.tableau import swept
 from bayeq.inference.signs.truncation import Truncation, signed_scores
 
-__all__ = ["list_signed", "signed_neighbours"]
+__all__ = ["list_signed"]
 
 # Room for models of the search, some two seconds; and models that it starts from.
 MOST_MODELS = 20_000
@@ -93,16 +93,3 @@ def _search(p: Problem, signs: Ints, either: Problem, new: list[Bools], toleranc
         # a neighbour has no more weight with the signs than without
         least = value[0] - KEEP
         new = [move.apply(models[k]) for k in chosen for move in neighbours(either, models[k], without[k] - least)]
-
-
-def signed_neighbours(p: Problem, signs: Ints, active: Bools, window: float) -> list[Move]:
-    """`search.neighbours` with posterior odds that know the signs."""
-    own = signed_scores(p, signs, active[None, :])
-    most = math.log(2.0) + float(own[0][0] - own[1][0])
-    moves = neighbours(p, active, window + most)
-    if not moves:
-        return []
-    value = signed_scores(p, signs, np.array([move.apply(active) for move in moves]), window, float(own[1][0]))[1]
-    gains = value - own[1][0]
-    order = [k for k in np.argsort(-gains, kind="stable") if gains[k] > -window]
-    return [Move(float(gains[k]), moves[k].leaves, moves[k].enters) for k in order]

@@ -20,8 +20,8 @@ __all__ = ["POINTS", "Orthants"]
 
 Floats = NDArray[np.float64]
 
-# Points of the quadrature: PIPs are off by some 1e-5, standard deviations by some 1e-4 of themselves.
-POINTS = 512
+# Points of the quadrature: PIPs are off by less than 1e-4, standard deviations by some 1e-4 of themselves.
+POINTS = 256
 
 # Sweeps of the projection onto the orthant. It need not be exact: it only says where sigma^2 is to be sampled.
 SWEEPS = 10
@@ -31,30 +31,19 @@ LEAST_SHARE = 1e-12
 
 
 @lru_cache(maxsize=64)
-def _uniforms(count: int, points: int) -> Floats:
-    """ln u of `count` variables at the quadrature points, (count, points): Richtmyer's lattice, folded."""
+def _uniforms(count: int) -> Floats:
+    """ln u of `count` variables at the quadrature points, (count, POINTS): Richtmyer's lattice, folded."""
     primes = [k for k in range(2, 20 * count + 20) if all(k % d for d in range(2, math.isqrt(k) + 1))][:count]
-    turns = np.outer(np.sqrt(np.array(primes, dtype=np.float64)), np.arange(points) + 0.5) % 1.0
+    turns = np.outer(np.sqrt(np.array(primes, dtype=np.float64)), np.arange(POINTS) + 0.5) % 1.0
     # the tent map makes the integrand periodic, for which a lattice converges faster
     folded: Floats = np.log(np.maximum(1.0 - np.abs(2.0 * turns - 1.0), 1e-300))
     return folded
 
 
 @lru_cache(maxsize=64)
-def _gammas(h: float, points: int) -> Floats:
-    """Equally probable values of a Gamma(h, 1) variable, (points,)."""
-    return np.maximum(gammaincinv(h, (np.arange(points) + 0.5) / points), 1e-300)
-
-
-def _cholesky(V: Floats) -> Floats:
-    """Lower Cholesky factors of (B, k, k) matrices; rounding may have made them singular."""
-    L = np.zeros_like(V)
-    for j in range(V.shape[1]):
-        rest = V[:, j, j] - np.sum(L[:, j, :j] ** 2, axis=1)
-        L[:, j, j] = np.sqrt(np.maximum(rest, LEAST_SHARE * V[:, j, j]))
-        below = V[:, j + 1 :, j] - np.einsum("bil,bl->bi", L[:, j + 1 :, :j], L[:, j, :j])
-        L[:, j + 1 :, j] = below / L[:, j, j, None]
-    return L
+def _gammas(h: float) -> Floats:
+    """Equally probable values of a Gamma(h, 1) variable, (POINTS,)."""
+    return np.maximum(gammaincinv(h, (np.arange(POINTS) + 0.5) / POINTS), 1e-300)
 
 
 def _distance(m: Floats, V: Floats) -> Floats:
@@ -77,8 +66,6 @@ class Orthants:
         theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2).
     h : float
         The same for all.
-    points : int
-        Of the quadrature.
 
     Attributes
     ----------
@@ -86,7 +73,7 @@ class Orthants:
         ln P(theta > 0).
     """
 
-    def __init__(self, m: Floats, V: Floats, s: Floats, h: float, points: int = POINTS) -> None:
+    def __init__(self, m: Floats, V: Floats, s: Floats, h: float) -> None:
         k = m.shape[1]
         # the coefficient least likely to have its sign comes first: the others then vary less
         spread = np.sqrt(np.diagonal(V, axis1=1, axis2=2))
@@ -94,9 +81,10 @@ class Orthants:
         self.m = np.take_along_axis(m, self.order, axis=1)
         V = np.take_along_axis(V, self.order[:, :, None], axis=1)
         V = np.take_along_axis(V, self.order[:, None, :], axis=2)
-        self.L = L = _cholesky(V)
+        # rounding may have made V singular
+        self.L = L = np.linalg.cholesky(V * (1.0 + LEAST_SHARE * np.eye(k)))
         # 1/sigma^2 is sampled where the orthant puts it; the ratio of the densities goes into the weights
-        q, gammas, uniforms = _distance(self.m, V), _gammas(h, points), _uniforms(k, points)
+        q, gammas, uniforms = _distance(self.m, V), _gammas(h), _uniforms(k)
         root = np.sqrt(2.0 * gammas / (s + q)[:, None])
         self.sigma = 1.0 / root
         log_weight = h * np.log(s / (s + q))[:, None] + gammas * (q / (s + q))[:, None]
@@ -113,7 +101,7 @@ class Orthants:
         top = log_weight.max(axis=1, keepdims=True)
         weight = np.exp(log_weight - top)
         total = weight.sum(axis=1, keepdims=True)
-        self.log_probability = np.minimum((top + np.log(total))[:, 0] - math.log(points), 0.0)
+        self.log_probability = np.minimum((top + np.log(total))[:, 0] - math.log(POINTS), 0.0)
         self.weight, self.bound, self.inside = weight / total, bound, inside
 
     def moments(self) -> tuple[Floats, Floats, Floats]:

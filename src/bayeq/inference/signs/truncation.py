@@ -14,7 +14,7 @@ from scipy.special import stdtr
 
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, score, swept
-from bayeq.inference.signs.orthant import POINTS, Orthants
+from bayeq.inference.signs.orthant import Orthants
 from bayeq.kernels import kernel
 
 __all__ = ["Truncation", "signed_scores", "truncated_models"]
@@ -23,13 +23,9 @@ __all__ = ["Truncation", "signed_scores", "truncated_models"]
 # far below what the quadrature resolves.
 NEGLIGIBLE = 1e-9
 
-# Numbers held at a time: models times squares of constrained terms, or times points of the quadrature.
-MANY = 1 << 21
-CHUNK = 1 << 15
-
-# Models that are more nats behind the best get fewer points.
-FINE = 5.0
-COARSE = 64
+# Numbers (models times squares of constrained terms) held at a time, and models whose orthants are computed at a time.
+CHUNK = 1 << 21
+BATCH = 256
 
 
 @kernel
@@ -97,19 +93,19 @@ class Truncation:
         self.exact = (self.needed.sum(axis=1) <= 1) & np.isfinite(least)
         self.log_right = np.where(np.isfinite(least), least, 0.0)
 
-    def orthants(self, rows: Ints, points: int = POINTS) -> Iterator[tuple[Ints, Ints, Orthants]]:
+    def orthants(self, rows: Ints) -> Iterator[tuple[Ints, Ints, Orthants]]:
         """Orthants of some models, by their number of doubtful signs: the models, places in `terms` of the signs."""
         count = self.needed[rows].sum(axis=1)
         for size in np.unique(count):
             k = rows[count == size]
             places = np.argsort(~self.needed[k], axis=1, kind="stable")[:, :size]
             V = self._V[k[:, None, None], places[:, :, None], places[:, None, :]]
-            yield k, places, Orthants(self._mean[k[:, None], places], V, self._s[k], self._h, points)
+            yield k, places, Orthants(self._mean[k[:, None], places], V, self._s[k], self._h)
 
 
 def _parts(models: Bools, signs: Ints) -> Iterator[slice]:
     """Parts of many models whose covariances find room."""
-    size = max(1, MANY // int(np.count_nonzero(signs)) ** 2)
+    size = max(1, CHUNK // int(np.count_nonzero(signs)) ** 2)
     return (slice(start, start + size) for start in range(0, len(models), size))
 
 
@@ -129,9 +125,8 @@ def signed_scores(
         left = np.flatnonzero(~found.exact)
         left = left[np.argsort(-values[left], kind="stable")]
         while len(left) and values[left[0]] >= top - window:
-            points = POINTS if values[left[0]] > top - FINE else COARSE
-            rows, left = np.split(left, [CHUNK // points])
-            for k, _, orthants in found.orthants(rows, points):
+            rows, left = np.split(left, [BATCH])
+            for k, _, orthants in found.orthants(rows):
                 values[k] = found.scores[k] + orthants.log_probability
             top = max(top, float(values[rows].max()))
         without[part], value[part] = found.scores, values
@@ -143,8 +138,8 @@ def truncated_models(p: Problem, signs: Ints, models: Bools) -> Iterator[tuple[i
     for part in _parts(models, signs):
         found = Truncation(p, signs, models[part])
         doubtful = np.flatnonzero(found.needed.any(axis=1))
-        for start in range(0, len(doubtful), CHUNK // POINTS):
-            for rows, places, orthants in found.orthants(doubtful[start : start + CHUNK // POINTS]):
+        for start in range(0, len(doubtful), BATCH):
+            for rows, places, orthants in found.orthants(doubtful[start : start + BATCH]):
                 mean, covariance, variance = orthants.moments()
                 for a, k in enumerate(rows):
                     terms = found.terms[places[a]]
