@@ -146,7 +146,7 @@ def test_the_mass_moves_to_models_that_are_hopeless_without_the_sign(seed):
     y -= y.mean()
     signs = np.array([1, 0, 0, -1, 0, 0, 0, 0])
     fit, free = (spike_slab_bma(Gram.from_data(D, y), Prior(signs=s), enumerate_up_to=0) for s in (signs, None))
-    assert fit.contradicted == ("x0",)
+    assert "x0" in fit.contradicted
     assert not (free.average.models == fit.average.models[0]).all(axis=1).any()
     assert_as_enumerated(D, y, signs, fit)
 
@@ -281,7 +281,9 @@ def test_who_takes_signs():
     gram, signs = agreeing(0)
     prior = Prior(signs=signs)
     for name in set(ENGINES) - set(SIGNED):
-        with pytest.raises(InputError, match=f"method '{name}' takes no signs of coefficients; take one of: auto, bma"):
+        with pytest.raises(
+            InputError, match=f"method '{name}' takes no signs of coefficients; choose one of: auto, bma"
+        ):
             ENGINES[name].run(gram, prior)
     for bad in ([1, -1], np.full(6, 2), np.full(6, 0.5), 1):
         with pytest.raises(InputError, match="signs must be"):

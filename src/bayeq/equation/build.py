@@ -130,8 +130,8 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
         log.warn(f"{target}: {posterior.method} not converged after {posterior.n_iter} steps{rhat}", ConvergenceWarning)
     if posterior.contradicted:
         log.warn(
-            f"{target}: the data contradict the known sign of {', '.join(posterior.contradicted)} (Bayes factor above 100"
-            " against it): check the directions of the channels, or drop the constraint",
+            f"{target}: the data contradict the known sign of {', '.join(posterior.contradicted)} (Bayes factor above"
+            " 100 against it): check the directions of the channels, or drop the constraint",
             DataWarning,
         )
     if equation.verdict.kind == "none":

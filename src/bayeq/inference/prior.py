@@ -89,7 +89,7 @@ class Prior:
             A sign is known.
         """
         if self.known_signs is not None:
-            raise InputError(f"method {method!r} takes no signs of coefficients; take one of: {', '.join(SIGNED)}")
+            raise InputError(f"method {method!r} takes no signs of coefficients; choose one of: {', '.join(SIGNED)}")
 
     def log_odds(self, terms: int) -> Floats:
         """logit(p_0) of each of `terms` terms: +inf for a forced, -inf for a forbidden one.

@@ -92,12 +92,22 @@ class RegressionFit:
         if self.regression.band is None:
             return found, None
         excess = None
-        if found.support.any() and not self.constraints.signs.any():
+        if found.support.any() and not self._truncated(posterior.support):
             found, excess = self._propagated(found)
             if self._inputs_of_unknown_noise(found):
                 # it is in the residual too
                 excess = None
         return replace(found, noise_variance=self.regression.noise_variance(found)), excess
+
+    def _truncated(self, model: Bools) -> bool:
+        """Whether known signs change the posterior given a model: they do unless the data leave no doubt of them."""
+        signs = self.prior.known_signs
+        if signs is None:
+            return False
+        # brings scipy.special, which takes a while to import
+        from bayeq.inference.signs.truncation import Truncation
+
+        return bool(Truncation(self.problem, signs, model[None, :]).needed.any())
 
     def _inputs_of_unknown_noise(self, posterior: Posterior) -> set[str]:
         """Inputs in the terms of a posterior whose noise could not be read from their spectrum."""
