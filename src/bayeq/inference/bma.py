@@ -1,7 +1,7 @@
 """Bayesian model averaging on the collapsed marginal likelihood (34): exact weights, no sampling.
 
 A few terms are averaged over all models by Gray-code enumeration, more over the models that a best-first search finds
-to hold nearly all of the mass (`inference.models`).
+to hold nearly all of the mass (`inference.collapsed.listing`).
 """
 
 from __future__ import annotations

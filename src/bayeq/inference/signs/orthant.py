@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv, log_ndtr, ndtri_exp
 
-__all__ = ["POINTS", "Orthants"]
+__all__ = ["Orthants"]
 
 Floats = NDArray[np.float64]
 
@@ -44,6 +44,17 @@ def _uniforms(count: int) -> Floats:
 def _gammas(h: float) -> Floats:
     """Equally probable values of a Gamma(h, 1) variable, (POINTS,)."""
     return np.maximum(gammaincinv(h, (np.arange(POINTS) + 0.5) / POINTS), 1e-300)
+
+
+def _cholesky(V: Floats) -> Floats:
+    """Lower Cholesky factors of (B, k, k) matrices; rounding may have made them singular or indefinite."""
+    L = np.zeros_like(V)
+    for j in range(V.shape[1]):
+        rest = V[:, j, j] - np.sum(L[:, j, :j] ** 2, axis=1)
+        L[:, j, j] = np.sqrt(np.maximum(rest, LEAST_SHARE * V[:, j, j]))
+        below = V[:, j + 1 :, j] - np.einsum("bil,bl->bi", L[:, j + 1 :, :j], L[:, j, :j])
+        L[:, j + 1 :, j] = below / L[:, j, j, None]
+    return L
 
 
 def _distance(m: Floats, V: Floats) -> Floats:
@@ -81,8 +92,7 @@ class Orthants:
         self.m = np.take_along_axis(m, self.order, axis=1)
         V = np.take_along_axis(V, self.order[:, :, None], axis=1)
         V = np.take_along_axis(V, self.order[:, None, :], axis=2)
-        # rounding may have made V singular
-        self.L = L = np.linalg.cholesky(V * (1.0 + LEAST_SHARE * np.eye(k)))
+        self.L = L = _cholesky(V)
         # 1/sigma^2 is sampled where the orthant puts it; the ratio of the densities goes into the weights
         q, gammas, uniforms = _distance(self.m, V), _gammas(h), _uniforms(k)
         root = np.sqrt(2.0 * gammas / (s + q)[:, None])
