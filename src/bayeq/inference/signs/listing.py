@@ -49,8 +49,9 @@ def list_signed(p: Problem, signs: Ints, tolerance: float, enumerate_up_to: int)
     free = without - math.log(2.0) * np.count_nonzero(found.models & (signs != 0), axis=1)
     if logsumexp(free) - logsumexp(listed.log_posterior) < CONTRADICTED:
         return listed
-    wrong = found.weights[:STARTS] @ Truncation(p, signs, found.models[:STARTS]).wrong
-    return replace(listed, contradicted=tuple(np.flatnonzero(signs)[wrong > 0.5 * wrong.max()].tolist()))
+    truncation, wrong = Truncation(p, signs, found.models[:STARTS]), np.zeros(len(signs))
+    np.add.at(wrong, truncation.terms, found.weights[:STARTS, None] * truncation.wrong)
+    return replace(listed, contradicted=tuple(np.flatnonzero(wrong > 0.5 * wrong.max()).tolist()))
 
 
 def _starts(p: Problem, signs: Ints) -> list[Bools]:

@@ -29,10 +29,12 @@ BATCH = 256
 
 
 @kernel
-def _blocks(p: Problem, models: Bools, terms: Ints) -> tuple[Floats, Floats, Floats, Floats]:
-    """Of each model: mean (K, Q) and covariance over sigma^2 (K, Q, Q) of the `terms` that are in, s, and the score."""
-    count, chosen = len(models), len(terms)
-    mean, spread = np.zeros((count, chosen)), np.zeros((count, chosen, chosen))
+def _blocks(p: Problem, signs: Ints, models: Bools, most: int) -> tuple[Ints, Floats, Floats, Floats, Floats]:
+    """Of each model: its constrained terms (K, Q), -1 where there are fewer, with the mean (K, Q) and covariance over
+    sigma^2 (K, Q, Q) of their coefficients, as if all signs were +; s; and the score. Q = `most`."""
+    count = len(models)
+    terms = np.full((count, most), -1)
+    mean, spread = np.zeros((count, most)), np.zeros((count, most, most))
     rate, scores = np.empty(count), np.empty(count)
     current = np.zeros(models.shape[1], dtype=np.bool_)
     T = swept(p, current)
@@ -45,15 +47,18 @@ def _blocks(p: Problem, models: Bools, terms: Ints) -> tuple[Floats, Floats, Flo
             renew(p, T, current)
         rate[k] = max(T.diagonal[-1], p.floor)
         scores[k] = score(p, current, p.slab_variance)
-        for a in range(chosen):
-            row = T.row[terms[a]]
-            if row < 0:
-                continue
-            mean[k, a] = T.partial[terms[a]]
-            for b in range(chosen):
-                if T.row[terms[b]] >= 0:
-                    spread[k, a, b] = -T.rows[row, terms[b]]
-    return mean, spread, rate, scores
+        size = 0
+        for j in range(len(current)):
+            if current[j] and signs[j] != 0:
+                terms[k, size] = j
+                size += 1
+        for a in range(size):
+            i = terms[k, a]
+            mean[k, a] = signs[i] * T.partial[i]
+            for b in range(size):
+                j = terms[k, b]
+                spread[k, a, b] = -signs[i] * signs[j] * T.rows[T.row[i], j]
+    return terms, mean, spread, rate, scores
 
 
 class Truncation:
@@ -61,12 +66,12 @@ class Truncation:
 
     Attributes
     ----------
-    terms : (Q,) int array
-        The constrained terms.
+    terms : (K, Q) int array
+        The constrained terms of each model, followed by -1 where there are fewer.
     scores : (K,) array
         Log posteriors up to `search.log_constant`, with 2^k but without the probability of right signs.
     wrong : (K, Q) array
-        Probability that each coefficient has the wrong sign, without what is known of the signs; 0 for a term not in.
+        Probability that each coefficient has the wrong sign if the sign is not known; 0 at the end of `terms`.
     needed : (K, Q) bool array
         Signs in doubt. If there is none the truncation changes nothing.
     log_right : (K,) array
@@ -76,14 +81,11 @@ class Truncation:
     """
 
     def __init__(self, p: Problem, signs: Ints, models: Bools) -> None:
-        self._h, self.terms = p.h, np.flatnonzero(signs)
-        sign = signs[self.terms].astype(np.float64)
-        mean, spread, self._s, self.scores = _blocks(p, models, self.terms)
-        # as if all signs were +
-        self._mean, self._V = mean * sign, spread * np.outer(sign, sign)
-        active = models[:, self.terms]
+        self._h = p.h
+        self.terms, self._mean, self._V, self._s, self.scores = _blocks(p, signs, models, _most(signs, models))
+        active = self.terms >= 0
         self.scores += math.log(2.0) * active.sum(axis=1)
-        sd = np.sqrt(np.diagonal(spread, axis1=1, axis2=2) * (self._s / (2.0 * p.h))[:, None])
+        sd = np.sqrt(np.diagonal(self._V, axis1=1, axis2=2) * (self._s / (2.0 * p.h))[:, None])
         t = np.where(active, self._mean / np.where(active, sd, 1.0), math.inf)
         self.wrong, right = stdtr(2.0 * p.h, -t), stdtr(2.0 * p.h, t)
         self.needed = active & (self.wrong > NEGLIGIBLE * right.prod(axis=1, keepdims=True))
@@ -103,9 +105,14 @@ class Truncation:
             yield k, places, Orthants(self._mean[k[:, None], places], V, self._s[k], self._h)
 
 
-def _parts(models: Bools, signs: Ints) -> Iterator[slice]:
+def _most(signs: Ints, models: Bools) -> int:
+    """Number of constrained terms in the model that has most of them."""
+    return int(np.count_nonzero(models[:, signs != 0], axis=1).max(initial=0))
+
+
+def _parts(signs: Ints, models: Bools) -> Iterator[slice]:
     """Parts of many models whose covariances find room."""
-    size = max(1, CHUNK // int(np.count_nonzero(signs)) ** 2)
+    size = max(1, CHUNK // max(1, _most(signs, models)) ** 2)
     return (slice(start, start + size) for start in range(0, len(models), size))
 
 
@@ -118,7 +125,7 @@ def signed_scores(
     above.
     """
     without, value = np.empty(len(models)), np.empty(len(models))
-    for part in _parts(models, signs):
+    for part in _parts(signs, models):
         found = Truncation(p, signs, models[part])
         values = found.scores + found.log_right
         top = max(top, float(values[found.exact].max(initial=-math.inf)))
@@ -135,14 +142,14 @@ def signed_scores(
 
 def truncated_models(p: Problem, signs: Ints, models: Bools) -> Iterator[tuple[int, Floats, Floats, float]]:
     """Those of K models whose signs are in doubt: number, mean (P,) and covariance (r, r) of theta, mean of sigma^2."""
-    for part in _parts(models, signs):
+    for part in _parts(signs, models):
         found = Truncation(p, signs, models[part])
         doubtful = np.flatnonzero(found.needed.any(axis=1))
         for start in range(0, len(doubtful), BATCH):
             for rows, places, orthants in found.orthants(doubtful[start : start + BATCH]):
                 mean, covariance, variance = orthants.moments()
                 for a, k in enumerate(rows):
-                    terms = found.terms[places[a]]
+                    terms = found.terms[k, places[a]]
                     moments = signs[terms] * mean[a], np.outer(signs[terms], signs[terms]) * covariance[a]
                     yield part.start + int(k), *_carried(p, models[part][k], terms, *moments, float(variance[a]))
 
