@@ -15,18 +15,22 @@ from studies.refinement import CASES, draw_record, measure_case, measure_record
 
 import bayeq as bq
 from bayeq.errors import BayeqWarning, ConvergenceWarning, InputError, RecordError
-from bayeq.expressions import FUNCTIONS, Tape, parse, run_tape
-from bayeq.ode.rk4 import Drive, interpolant
-from bayeq.ode.tangents import shoot
-from bayeq.refine.innovations import filter_run, predict_run
+from bayeq.expressions import FUNCTIONS, Tape, parse
+from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.rows import rows_of
+from bayeq.forecast.windows import typical_period, window_runs
+from bayeq.ode.rk4 import interpolant
+from bayeq.ode.tangents import run_tangents, shoot
+from bayeq.refine import refine as refining
 from bayeq.refine.measured import Measured, Piece
-from bayeq.refine.noise import Noise
-from bayeq.refine.output_error import Unrefined, _as_well_known, output_error
+from bayeq.refine.output_error import _excess, output_error
 from bayeq.refine.shooting import Segments, minimise
+from bayeq.states import derive_all
 from tests.data import measured
-from tests.test_forecast import FS, RECORD, coarse
+from tests.simulated import coarse
 
 NOISE = {"x": 0.05, "v": 0.05, "a": 0.05}
+TRUTH = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}
 
 
 def discover(record, **arguments):
@@ -42,9 +46,15 @@ def duffing(record, **arguments):
     )
 
 
+def with_coef(eq, coef):
+    """Equations of which the first has other coefficients."""
+    return replace(eq, equations=(replace(eq[0], posterior=replace(eq[0].posterior, coef=coef)), *eq.equations[1:]))
+
+
 def problem(eq, record, rows=slice(None), names=("x", "v", "a"), intercepts=None):
     """What free runs of an equation are fitted to, sampling intervals as steps of integration."""
-    dynamics = eq.dynamics(intercepts)
+    posteriors = [e.posterior for e in eq]
+    dynamics = Dynamics.of(eq.chains, eq.inputs, posteriors, [e.terms for e in eq], intercepts)
     time = record.time[rows]
     piece = Piece(
         time,
@@ -52,12 +62,18 @@ def problem(eq, record, rows=slice(None), names=("x", "v", "a"), intercepts=None
         np.column_stack([record["x"][rows], record["v"][rows]]),
         np.column_stack([record[name][rows] for name in names]),
     )
-    channels = np.array([{"x": 0, "v": 1, "a": 2}[name] for name in names], dtype=np.uint32)
     wide = np.full(2, 1e6)
-    return Measured(dynamics, [piece], channels, 1.0 / record.fs, -wide, wide), dynamics.mean
+    return Measured(dynamics, [piece], names, 1.0 / record.fs, -wide, wide), dynamics.means(posteriors)
 
 
-EQ = duffing(RECORD)
+@pytest.fixture(scope="module")
+def record():
+    return coarse("duffing", 600, 4, {"x": 0.02, "v": 0.02, "a": 0.02})
+
+
+@pytest.fixture(scope="module")
+def eq(record):
+    return duffing(record)
 
 
 # --- derivatives -----------------------------------------------------------------------------------------------------
@@ -72,11 +88,11 @@ def test_tangents_are_the_derivatives(text):
     tape = Tape.compile([parse(text)], ["x", "y"])
     rng = np.random.default_rng(0)
     for x, y in rng.uniform(0.2, 1.5, (5, 2)):
-        program = tape.program([x, y])
-        tangents = np.zeros((len(program.registers), 2))
+        registers = tape.registers([x, y])
+        tangents = np.zeros((len(registers), 2))
         tangents[0, 0] = tangents[1, 1] = 1.0
-        run_tape(program, tangents)
-        assert program.registers[tape.outputs[0]] == tape([x, y])[0]
+        run_tangents(tape.code, registers, tangents)
+        assert registers[tape.outputs[0]] == tape([x, y])[0]
         h = 1e-6
         twin = [
             (tape([x + h, y])[0] - tape([x - h, y])[0]) / (2 * h),
@@ -88,21 +104,23 @@ def test_tangents_are_the_derivatives(text):
 def test_tangents_at_zero():
     # powers of zero, and what has no slope there
     tape = Tape.compile([parse("x**2"), parse("x**0.5*0"), parse("sign(x)"), parse("abs(x)")], ["x"])
-    program = tape.program([0.0])
-    tangents = np.zeros((len(program.registers), 1))
-    run_tape(program, tangents)
+    registers = tape.registers([0.0])
+    tangents = np.zeros((len(registers), 1))
+    run_tangents(tape.code, registers, tangents)
     assert tangents[tape.outputs].tolist() == [[0.0]] * 4
 
 
-def test_sensitivities_of_a_run_are_those_by_differences():
-    m, theta = problem(EQ, RECORD, slice(0, 80))
-    piece = m.pieces[0]
-    drive = Drive.over(piece.time, piece.inputs, m.low, m.high)._replace(step=m.step / 3)
+def test_sensitivities_of_a_run_are_those_by_differences(eq, record):
+    m, theta = problem(eq, record, slice(0, 80))
+    tape, piece = m.dynamics.tape, m.pieces[0]
     start = np.array([0.02, -0.4])
 
     def run(start, theta):
         values, jacobian = np.empty((80, 3)), np.empty((80, 3, 7))
-        done = shoot(m.dynamics.program(), drive, theta, start, m.channels, values, jacobian)
+        done = shoot(
+            tape.code, tape.outputs, tape.registers(), theta, start, piece.inputs, piece.time, m.step / 3,
+            m.low, m.high, m.channels, values, jacobian,
+        )  # fmt: skip
         assert done == 80
         return values, jacobian
 
@@ -118,35 +136,32 @@ def test_sensitivities_of_a_run_are_those_by_differences():
         np.testing.assert_allclose(jacobian[:, :, j] / scale, twin / scale, rtol=0, atol=1e-6)
 
 
-def test_a_run_out_of_range_has_no_derivatives():
-    m, theta = problem(EQ, RECORD, slice(0, 80))
+def test_a_run_out_of_range_has_no_derivatives(eq, record):
+    m, theta = problem(eq, record, slice(0, 80))
     narrow = replace(m, low=np.full(2, -1e-3), high=np.full(2, 1e-3))
     segments = Segments(narrow, 80)
     start = np.array([[0.02, 0.0]])
-    assert segments.free(np.ones(3))(theta, start) is None
-    assert minimise(segments.free(np.ones(3)), theta, start, 1e-6) is None
-    run, cost = segments.led(theta, start, Noise(np.ones(3), np.ones(1)))
-    assert cost == math.inf
-    assert run(theta, start) is None
+    assert segments.runs(theta, start, np.ones(3)) is None
+    assert minimise(segments, np.ones(3), theta, start, 1e-6) is None
 
 
 # --- least squares ---------------------------------------------------------------------------------------------------
 
 
-def test_segments_divide_records_evenly():
-    m, _ = problem(EQ, RECORD)
+def test_segments_divide_records_evenly(eq, record):
+    m, _ = problem(eq, record)
     assert [(a, e) for _, a, e in Segments(m, 150.0).bounds] == [(0, 150), (150, 300), (300, 450), (450, 600)]
     assert Segments(m, 1e9).count == 1
-    two = replace(m, pieces=[m.pieces[0], problem(EQ, RECORD, slice(0, 150))[0].pieces[0]])
+    two = replace(m, pieces=[m.pieces[0], problem(eq, record, slice(0, 150))[0].pieces[0]])
     assert Segments(two, 150.0).count == 5
     assert two.rows == 750
     np.testing.assert_array_equal(two.samples, [750, 750, 750])
-    assert Segments(m, 150.0).starts()[1].tolist() == [RECORD["x"][150], RECORD["v"][150]]
+    assert Segments(m, 150.0).starts()[1].tolist() == [record["x"][150], record["v"][150]]
 
 
 @pytest.mark.parametrize("missing", [False, True])
-def test_the_minimum_is_that_of_a_general_solver(missing):
-    m, theta = problem(EQ, RECORD, slice(0, 60))
+def test_the_minimum_is_that_of_a_general_solver(missing, eq, record):
+    m, theta = problem(eq, record, slice(0, 60))
     if missing:
         channels = m.pieces[0].channels.copy()
         channels[5:20, 0] = np.nan
@@ -154,17 +169,13 @@ def test_the_minimum_is_that_of_a_general_solver(missing):
         m = replace(m, pieces=[replace(m.pieces[0], channels=channels)])
     weights = 1.0 / m.spread
     segments = Segments(m, 20.0)
-    found = minimise(segments.free(weights), theta, segments.starts(), 1e-12)
+    found = minimise(segments, weights, theta, segments.starts(), 1e-12)
     time, y = m.pieces[0].time, m.pieces[0].channels
     c = m.pieces[0].inputs
 
-    def between(u, w):
-        return (1 - w) * u[0] + w * u[1] + w * (1 - w) * (u[2] + w * u[3])
-
     def force(t, last):
         k = min(int(np.searchsorted(time, t, side="right")) - 1, last)
-        w = (t - time[k]) / (time[k + 1] - time[k])
-        return between(c[k, 0], w)
+        return np.polyval(c[k, 0, ::-1], t - time[k])
 
     def residuals(unknown):
         b, k, cc, k3, g = unknown[:5]
@@ -181,7 +192,7 @@ def test_the_minimum_is_that_of_a_general_solver(missing):
             for i in range(rows.start, rows.stop - 1):
                 t, h = time[i], time[i + 1] - time[i]
                 k1 = np.array(law(t, z[-1]))
-                u_mid = [between(c[i, 0], w) for w in (0.5, 1.0)]
+                u_mid = [np.polyval(c[i, 0, ::-1], tau) for tau in (0.5 * h, h)]
                 f = lambda w, u: np.array([w[1], b + k * w[0] + cc * w[1] + k3 * w[0] ** 3 + g * u])  # noqa: E731
                 k2 = f(z[-1] + 0.5 * h * k1, u_mid[0])
                 k3_ = f(z[-1] + 0.5 * h * k2, u_mid[0])
@@ -201,157 +212,114 @@ def test_the_minimum_is_that_of_a_general_solver(missing):
     np.testing.assert_allclose(found.starts.ravel(), twin.x[5:], rtol=1e-3, atol=1e-5)
 
 
-def test_initial_states_alone():
-    m, theta = problem(EQ, RECORD, slice(0, 100))
-    segments = Segments(m, 50.0)
-    found = minimise(segments.free(1.0 / m.spread), theta, segments.starts(), 1e-12, fixed=True)
-    np.testing.assert_array_equal(found.parameters, theta)
-    for run in found.runs:  # the gradient by the initial state is zero
-        flat = run.reshape(-1, run.shape[2])
-        gradient = flat[:, 1:3].T @ flat[:, 0]
-        assert np.abs(gradient / np.linalg.norm(flat[:, 1:3], axis=0)).max() < 1e-4
+# --- whether the covariance holds -------------------------------------------------------------------------------------
 
 
-# --- innovations -----------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("decaying", [False, True])
+def test_independent_noise_passes_and_noise_with_a_memory_does_not(decaying):
+    rng = np.random.default_rng(0)
+    t = np.arange(800) / 50.0
+    size = np.exp(-t / 4.0) if decaying else np.ones(800)  # has its information in its first rows
+    J = (size[:, None] * np.column_stack([np.sin(t), np.cos(t), np.sin(0.4 * t)]))[:, None, :]
+
+    def excess(noise):
+        return _excess(J, (noise - J[:, 0] @ np.linalg.lstsq(J[:, 0], noise)[0])[:, None])
+
+    independent = [excess(rng.normal(size=800)) for _ in range(500)]
+    # at a level of 1 %; the share of 500 has a standard error of 0.45 %
+    assert np.mean(np.array(independent) > 0) < 0.025
+    correlated = []
+    for _ in range(50):
+        e = np.zeros(820)
+        for i, shock in enumerate(rng.normal(size=819)):
+            e[i + 1] = 0.8 * e[i] + shock
+        correlated.append(excess(e[20:] * math.sqrt(1 - 0.8**2)))
+    assert np.mean(np.array(correlated) > 0) == 1.0
+    # (1 + 0.8)/(1 - 0.8) = 9, the ratio of variances of slow averages
+    assert np.mean(correlated) == pytest.approx(9.0, rel=0.35)
 
 
-def filtered(m, theta, start, noise):
-    """What the filter leaves for one piece: its arrays, and -2 log likelihood."""
-    tape, piece = m.dynamics.tape, m.pieces[0]
-    samples = piece.channels
-    arrays = np.zeros((*samples.shape, 3)), np.zeros((*samples.shape, 3)), np.ones(samples.shape)
-    total = filter_run(
-        tape.code, tape.outputs, m.dynamics.registers(theta), start, piece.inputs, piece.time, m.step, m.low, m.high,
-        m.channels, samples, noise.channels, m.last, noise.unseen, *arrays,
-    )  # fmt: skip
-    return arrays, total
+@pytest.mark.parametrize("case", [3, 4])
+def test_noise_in_the_force_is_refused(case):
+    # intervals that take the force as exact cover in 10 to 40 % of such records
+    found, _ = draw_record("duffing", CASES[case], 0)
+    names = ("x", "v", "a") if case == 3 else ("x",)
+    seen = bq.Record.from_arrays({name: found[name] for name in (*names, "u")}, time=found.time)
+    eq = discover(seen, chains=[CASES[case].chain], inputs=["u"])
+    with pytest.warns(ConvergenceWarning, match="not refined: what free runs leave .* correlated in time") as caught:
+        assert eq.refine(seen) is eq
+    assert len(caught) == 1
 
 
-def innovations(m, theta, start, arrays):
-    tape, piece = m.dynamics.tape, m.pieces[0]
-    out = np.empty((*piece.channels.shape, 1 + len(start) + len(theta)))
-    done = predict_run(
-        tape.code, tape.outputs, m.dynamics.registers(), theta, start, piece.inputs, piece.time, m.step, m.low, m.high,
-        m.channels, piece.channels, m.last, *arrays, out,
-    )  # fmt: skip
-    assert done == len(piece.time)
-    return out
-
-
-@pytest.mark.parametrize("missing", [False, True])
-def test_the_filter_s_likelihood_is_that_of_the_whole_covariance(missing):
-    linear = replace(EQ, equations=(EQ[0].with_posterior(without(EQ[0].posterior, 2)),))
-    m, theta = problem(linear, RECORD, slice(0, 40))
-    if missing:
-        channels = m.pieces[0].channels.copy()
-        channels[3, 0] = channels[9] = np.nan
-        m = replace(m, pieces=[replace(m.pieces[0], channels=channels)])
-    start = m.pieces[0].states[0]
-    noise = Noise(np.array([1e-6, 1e-2, 4.0]), np.array([9.0]))
-    _, total = filtered(m, theta, start, noise)
-    # residuals of a linear system: unseen samples f, straight between rows, and white noise
-    free = innovations(m, theta, start, (np.zeros((40, 3, 3)), np.zeros((40, 3, 3)), np.ones((40, 3))))[:, :, 0]
-    n, dt = 40, 1.0 / FS
-    A = np.array([[0.0, 1.0], theta[1:3]])
-    over = np.eye(2) + A * m.step + (A * m.step) @ (A * m.step) / 2
-    over += np.linalg.matrix_power(A * m.step, 3) / 6 + np.linalg.matrix_power(A * m.step, 4) / 24
-    assert m.step == dt
-    response = np.zeros((n, 2, n))
-    half = np.array([0.0, 0.5 * dt])
-    for j in range(n):
-        e = np.zeros(2)
-        for i in range(n):
-            if i > 0:
-                e = over @ (e + half * (i - 1 == j)) + half * (i == j)
-            response[i, :, j] = e
-    third = np.einsum("s,isj->ij", A[1], response) + np.eye(n)
-    L = np.concatenate([response, third[:, None]], axis=1).reshape(3 * n, n)
-    covariance = 9.0 * L @ L.T + np.diag(np.tile(noise.channels, n))
-    kept = np.isfinite(m.pieces[0].channels).ravel()
-    r, covariance = free.ravel()[kept], covariance[np.ix_(kept, kept)]
-    twin = np.linalg.slogdet(covariance)[1] + r @ np.linalg.solve(covariance, r)
-    assert total == pytest.approx(twin, rel=1e-9)
-
-
-def without(posterior, term):
-    """A posterior that lacks one of its terms."""
-    support = posterior.support.copy()
-    support[term] = False
-    kept = posterior.support & support
-    coef = np.where(support, posterior.coef, 0.0)
-    inside = support[posterior.support]
-    return replace(posterior, support=kept, coef=coef, covariance=posterior.covariance[np.ix_(inside, inside)])
-
-
-def test_innovations_have_the_derivatives_by_differences():
-    m, theta = problem(EQ, RECORD, slice(0, 60))
-    channels = m.pieces[0].channels.copy()
-    channels[7, 1] = np.nan
-    m = replace(m, pieces=[replace(m.pieces[0], channels=channels)])
-    start = m.pieces[0].states[0]
-    arrays, total = filtered(m, theta, start, Noise(np.array([1e-6, 1e-2, 4.0]), np.array([9.0])))
-    out = innovations(m, theta, start, arrays)
-    # the filter's own innovations, which its likelihood sums up
-    whole = np.sum(out[:, :, 0] ** 2) + 2 * np.sum(np.log(arrays[2][np.isfinite(channels)]))
-    assert whole == pytest.approx(total, rel=1e-9)
-    assert (out[7, 1] == 0).all()
-    both = np.concatenate([start, theta])
-    for j, size in enumerate(np.maximum(np.abs(both), 1e-3)):
-        h = 1e-5 * size * (np.arange(7) == j)
-        above, below = (innovations(m, (both + s * h)[2:], (both + s * h)[:2], arrays)[:, :, 0] for s in (1, -1))
-        twin = (below - above) / (2 * h[j])  # innovations fall as predictions rise
-        np.testing.assert_allclose(out[:, :, 1 + j], twin, rtol=0, atol=1e-6 * np.abs(twin).max())
+def test_errors_of_the_runs_themselves_are_no_forces():
+    # without noise what is left comes from the interpolated input, correlated and a ten thousandth of the motion
+    record = bq.simulate("duffing", n=2000, seed=0, noise=0.0)
+    seen = bq.Record.from_arrays(x=record["x"], u=record["u"], time=record.time)
+    eq = duffing(seen, chains=["x::"], dictionary=["x", "dx", "x**3", "u"])
+    after = eq.refine(seen)
+    for name, value in {**TRUTH, "dx": -2.0}.items():
+        if name != "v":
+            assert after[0].coef[name] == pytest.approx(value, rel=3e-4)
+            sd = after[0].posterior.sd[list(after[0].posterior.names).index(name)]
+            assert abs(after[0].coef[name] - value) < 4.0 * sd
+    assert after.score(seen).free_run["x"] < 0.01 * eq.score(seen).free_run["x"]
 
 
 # --- recovery --------------------------------------------------------------------------------------------------------
 
 
 def test_truth_is_recovered_within_its_errors():
-    truth = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}
     z = []
     for seed in range(6):
-        record = coarse("duffing", 600, seed, NOISE)
+        record = coarse("duffing", 500, seed, NOISE)
         eq = duffing(record).refine(record)
         found = eq[0]
         assert eq.refined.converged
         # all that the runs leave is the noise of each channel
         for name, sd in eq.refined.noise_sd.items():
-            assert sd == pytest.approx(record.truth.noise_sd[name], rel=0.1)
+            assert sd == pytest.approx(record.truth.noise_sd[name], rel=0.12)
         sd = dict(zip([t.text for t in found.terms], found.posterior.sd, strict=True))
-        z += [(found.coef[name] - value) / sd[name] for name, value in truth.items()]
+        z += [(found.coef[name] - value) / sd[name] for name, value in TRUTH.items()]
     # 24 values of which 23 should lie within two standard deviations
     assert np.mean(np.square(z)) < 2.0
     assert np.sum(np.abs(z) > 1.96) <= 4
 
 
-def test_noise_in_the_force_is_reckoned_with():
-    truth = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}
-    z, levels = [], []
-    for seed in range(4):
-        record = coarse("duffing", 700, seed, {**NOISE, "u": 0.05})
-        eq = duffing(record).refine(record)
-        true = record.truth.noise_sd
-        levels.append([eq.refined.noise_sd[c] / true[c] for c in "xva"] + [eq.refined.unseen_sd["a"] / true["u"]])
-        sd = dict(zip([t.text for t in eq[0].terms], eq[0].posterior.sd, strict=True))
-        z += [(eq[0].coef[name] - value) / sd[name] for name, value in truth.items()]
-    # output error that takes the force as exact has a mean square of about 20
-    assert np.mean(np.square(z)) < 3.0
-    np.testing.assert_allclose(np.mean(levels, axis=0), 1.0, atol=0.12)
+def test_chaotic_motion_is_followed_in_segments():
+    whole = bq.simulate("lorenz", n=1500, seed=0, noise=0.03)
+    record = bq.Record.from_arrays({name: whole[name] for name in "xyz"}, time=whole.time)
+    eq = discover(record, chains=["x", "y", "z"], dictionary="polynomial:2")
+    after = eq.refine(record)
+    assert after.refined.segments > 4
+    assert after["dy"].coef["x"] == pytest.approx(28.0, rel=0.01)
+    for state, error in after.score(record).free_run.items():
+        assert error < 0.7 * eq.score(record).free_run[state]
+
+
+def test_inputs_are_interpolated_as_runs_follow_better():
+    # corners between samples, where a spline overshoots
+    time = np.arange(400) / 20.0
+    u = np.repeat(np.random.default_rng(0).normal(size=100), 4)
+    states = solve_ivp(
+        lambda t, s: [s[1], -9.0 * s[0] - 0.4 * s[1] + np.interp(t, time, u)], (0, time[-1]), [0.0, 0.0],
+        t_eval=time, rtol=1e-8, atol=1e-10, max_step=0.05,
+    ).y  # fmt: skip
+    record = bq.Record.from_arrays(x=states[0], v=states[1], u=u, time=time)
+    eq = discover(record, chains=["x:v:"], inputs=["u"], dictionary=["x", "v", "u"], smooth="none")
+    after = eq.refine(record)
+    assert after.refined.interpolation == "linear"
+    assert after[0].coef["x"] == pytest.approx(-9.0, rel=1e-4)
+    # a spline makes forces that there were not
+    with pytest.warns(ConvergenceWarning, match="correlated in time"):
+        assert eq.refine(record, interpolation="cubic") is eq
 
 
 def test_free_runs_come_closer_on_unseen_rows():
-    case = CASES[0]
-    lines = [measure_record(system, case, seed) for system in ("linear", "duffing") for seed in range(2)]
+    lines = [measure_record("duffing", CASES[0], seed) for seed in range(2)]
     assert np.median([line["after"] / line["before"] for line in lines]) < 0.7
     # derivatives by differences have no chance at 10 to 20 samples per period
     naive = measure_record("linear", CASES[2], 0)
     assert naive["after"] < 0.05 * naive["before"]
-
-
-def test_where_unseen_forces_drive_the_runs_little_gain_is_no_reason():
-    # 5 % noise on the force, too, and hardly smaller errors of the coefficients; with an exact force they count
-    assert measure_record("linear", CASES[3], 0)["refined"] == 0
-    assert measure_record("linear", CASES[0], 0)["refined"] == 1
 
 
 def test_a_start_that_loses_its_way_is_led_back():
@@ -369,8 +337,7 @@ def test_a_start_that_loses_its_way_is_led_back():
     )
     eq = discover(record, chains=["x:v:a"], dictionary=["x", "v"], smooth="none")
     assert eq[0].included == ("x", "v")
-    off = eq[0].posterior.coef * [0.98, 1.5]
-    wrong = replace(eq, equations=(eq[0].with_posterior(replace(eq[0].posterior, coef=off)),))
+    wrong = with_coef(eq, eq[0].posterior.coef * [0.98, 1.5])
     assert wrong.score(record).free_run["x"] > 0.5
     found = wrong.refine(record)
     assert found.refined.segments == 1
@@ -386,10 +353,10 @@ def test_several_records_and_dropped_samples():
     together = eq.refine(pieces)
     assert together.refined.n == 640
     gaps = eq.refine([pieces[0], pieces[1].take(kept)])
-    # the force in the gaps is interpolated
+    # the force in the gaps is that of a spline
     for name, value in together[0].coef.items():
         assert gaps[0].coef[name] == pytest.approx(value, rel=0.02)
-        assert value == pytest.approx({"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}[name], rel=0.02)
+        assert value == pytest.approx(TRUTH[name], rel=0.02)
 
 
 def test_rows_held_out_are_not_used():
@@ -403,19 +370,78 @@ def test_rows_held_out_are_not_used():
     assert eq.refine(record, holdout=0.0).refined.n == 600
 
 
-def test_segments_of_a_given_length():
-    record = coarse("duffing", 600, 5, NOISE)
-    eq = duffing(record).refine(record, segment=60)
-    assert eq.refined.longest == 60
-    assert eq.refined.segments == 8
+# --- whether runs are better -----------------------------------------------------------------------------------------
 
 
-# --- what stays, and what is told ------------------------------------------------------------------------------------
+def training_windows(eq, record):
+    """Free runs over ten periods of the rows that are not held out."""
+    posteriors = [e.posterior for e in eq]
+    dynamics = Dynamics.of(eq.chains, eq.inputs, posteriors, [e.terms for e in eq])
+    (states,) = derive_all([record], eq.chains, eq.inputs, eq.smooth, 0.2)
+    rows = rows_of(record, states, eq.chains, eq.inputs, "a test")
+    train = [rows.part(slice(0, rows.n - int(0.2 * rows.n)))]
+    return window_runs(dynamics, dynamics.means(posteriors), train, 10.0 * typical_period(dynamics, train))
+
+
+def test_runs_over_the_rows_used_do_not_get_worse():
+    # 5 % noise on the force: refined coefficients once ran worse over 11 of 12 windows, by half in the median
+    found, _ = draw_record("duffing", CASES[3], 11)
+    seen = bq.Record.from_arrays({name: found[name] for name in "xvau"}, time=found.time)
+    eq = discover(seen, chains=["x:v:a"], inputs=["u"])
+    with pytest.warns(ConvergenceWarning):
+        after = eq.refine(seen)
+    assert not refining.runs_are_worse(training_windows(eq, seen), training_windows(after, seen))
+
+
+def test_coefficients_whose_runs_are_worse_are_refused(eq, record, monkeypatch):
+    assert eq.refine(record).refined is not None
+
+    def spoilt(candidates, parameters):
+        found = output_error(candidates, parameters)
+        return replace(found, parameters=1.02 * found.parameters)
+
+    monkeypatch.setattr(refining, "output_error", spoilt)
+    message = r"not refined: free runs over windows of the rows used would err by [\d.]+ % instead of [\d.]+ %"
+    with pytest.warns(ConvergenceWarning, match=message):
+        assert eq.refine(record) is eq
+
+
+def test_runs_that_are_worse_on_the_rows_held_out_are_reported():
+    rng = np.random.default_rng(1)
+    t = np.arange(400) / 50.0
+
+    def decay(k):
+        w = math.sqrt(k - 0.25)
+        x = np.exp(-0.5 * t) * np.cos(w * t)
+        v = -0.5 * x - w * np.exp(-0.5 * t) * np.sin(w * t)
+        return {"x": x, "v": v, "a": -k * x - v}
+
+    # stiffer from row 400 on, where 80 % of the rows end
+    first, second = decay(100.0), decay(110.0)
+    both = {name: np.concatenate([first[name], second[name][:100]]) for name in "xva"}
+    noisy = {name: values + 0.02 * values.std() * rng.normal(size=500) for name, values in both.items()}
+    record = bq.Record.from_arrays(noisy, time=np.arange(500) / 50.0)
+    eq = discover(record, chains=["x:v:a"], dictionary=["x", "v"], smooth="none", negligible=0)
+    stiff = with_coef(eq, np.array([-110.0, -1.0]))
+    with pytest.warns(ConvergenceWarning, match="over the rows held out err more") as caught:
+        after = stiff.refine(record)
+    assert after[0].coef["x"] == pytest.approx(-100.0, rel=0.01)
+    assert after.warnings[-1] == str(caught[0].message)
+    figures = [100.0 * one.score(record).free_run["x"] for one in (after, stiff)]
+    assert f"x {figures[0]:.0f} %, v " in after.warnings[-1]
+    assert f"before x {figures[1]:.2g} %, v " in after.warnings[-1]
+    # with the coefficients of the rows used there is nothing to warn of
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert with_coef(eq, np.array([-100.0, -1.0])).refine(record).refined is not None
+
+
+# --- what stays, and what is reported --------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def refined():
-    record = coarse("duffing", 800, 7, NOISE)
+    record = coarse("duffing", 600, 8, NOISE)
     before = discover(record, chains=["x:v:a"], inputs=["u"], smooth="none")
     return record, before, before.refine(record)
 
@@ -427,38 +453,36 @@ def test_selection_stays_and_coefficients_change(refined):
     assert after[0].runners_up == before[0].runners_up
     assert after[0].coef != before[0].coef
     assert before.refined is None
-    assert "refined by output error: one run of up to 640 rows" in str(after)
+    assert "refined by output error: one run of up to 480 rows" in str(after)
     assert "refined" not in str(before)
     assert (after[0].ci95[after[0].posterior.support, 0] < after[0].ci95[after[0].posterior.support, 1]).all()
 
 
 def test_an_intercept_that_does_not_matter_is_none(refined):
-    record, before, after = refined
+    _, before, after = refined
     assert not before[0].intercept_matters
     assert after[0].posterior.intercept == 0.0
     assert after[0].posterior.intercept_sd < 1e-100
-    assert "| none" in str(after).replace("  ", " ") or "none" in str(after)
+    assert "none" in str(after)
     # the equation that is written is the one that runs
     assert after[0].evaluate({"x": 0.0, "v": 0.0, "u": 0.0}) == 0.0
-    estimated = before.refine(record, intercept=True)
-    assert estimated[0].posterior.intercept != 0.0
-    assert abs(estimated[0].posterior.intercept) < 4 * estimated[0].posterior.intercept_sd
 
 
 def test_the_covariance_with_the_intercept_is_kept():
-    record = coarse("duffing", 600, 8, NOISE)
+    record = coarse("duffing", 500, 8, NOISE)
+    record = record.with_channels({"u": record["u"] - 20.0})  # a constant load that is not recorded
     eq = duffing(record)
-    after = eq.refine(record, intercept=True)
-    # a single free run from the refined coefficients ends where it was
-    m, refined = problem(after, record, slice(0, 480))
+    assert eq[0].intercept_matters
+    after = eq.refine(record)
     p = after[0].posterior
-    whole = m.dynamics.covariance
+    assert p.intercept == pytest.approx(20.0, abs=4 * p.intercept_sd)
+    m, theta = problem(after, record, slice(0, 400))
+    whole = m.dynamics.covariance([p])
     assert whole[0, 0] == pytest.approx(p.intercept_sd**2)
-    before = eq.dynamics()
-    found = output_error(replace(m, step=m.step / 8), before.mean, before.covariance)
-    assert not isinstance(found, Unrefined)
-    np.testing.assert_allclose(found.parameters, refined, rtol=1e-3, atol=0.01 * p.intercept_sd)
-    np.testing.assert_allclose(found.covariance / whole, 1.0, rtol=0.3)
+    # a single free run from the refined coefficients ends where it was
+    found = output_error([replace(m, step=m.step / 8)], theta)
+    np.testing.assert_allclose(found.parameters, theta, rtol=1e-3, atol=0.01 * p.intercept_sd)
+    np.testing.assert_allclose(found.covariance / whole, 1.0, rtol=0.1)
     assert np.all(np.linalg.eigvalsh(whole / np.outer(*[np.sqrt(np.diagonal(whole))] * 2)) > 0)
 
 
@@ -472,8 +496,11 @@ def test_files_keep_the_refinement(refined, tmp_path):
     first, second = (eq.simulate(record, draws=5, rows=50) for eq in (after, again))
     np.testing.assert_array_equal(first.low["x"], second.low["x"])
     assert json.loads((tmp_path / "eq.json").read_text())["diagnostics"]["refined"]["segments"] == 1
-    # files from before there was any refinement
+    # files of earlier versions: with unseen forces, and from before there was any refinement
     content = json.loads((tmp_path / "eq.json").read_text())
+    content["diagnostics"]["refined"]["unseen_sd"] = {"a": 0.5}
+    (tmp_path / "old.json").write_text(json.dumps(content))
+    assert bq.load(tmp_path / "old.json").refined == after.refined
     del content["diagnostics"]["refined"]
     (tmp_path / "old.json").write_text(json.dumps(content))
     assert bq.load(tmp_path / "old.json").refined is None
@@ -482,78 +509,63 @@ def test_files_keep_the_refinement(refined, tmp_path):
 def test_a_refined_equation_does_what_equations_do(refined):
     record, before, after = refined
     assert after.to_sympy().rhs != before.to_sympy().rhs
-    assert after.predict(record).shape == (800,)
+    assert after.predict(record).shape == (600,)
     assert len(after.table()) == 36
-    assert after.to_dict()["diagnostics"]["refined"]["n"] == 640
-    assert after[0].train.n == 640
-    assert after[0].held_out.n == 160
-    assert after[0].residuals.n == 640
-    with pytest.warns(ConvergenceWarning, match="no better than is known already"):
-        assert after.refine(record) is after
+    assert after.to_dict()["diagnostics"]["refined"]["n"] == 480
+    assert after[0].train.n == 480
+    assert after[0].held_out.n == 120
+    assert after[0].residuals.n == 480
 
 
-def test_when_output_error_is_of_use():
-    theta, spread = np.array([1.0, -2.0]), np.array([[0.04, 0.01], [0.01, 0.09]])
-    assert _as_well_known(theta + 0.1, spread, theta, spread, 0.97)
-    # errors of 1/0.8 of the standard deviations have 1.56 times the variance
-    assert not _as_well_known(theta + 0.1, spread / 1.3, theta, spread, 0.97)
-    assert _as_well_known(theta + 0.1, spread / 1.3, theta, spread, 0.8)
-    assert not _as_well_known(theta + 0.1, spread / 1.7, theta, spread, 0.8)
-    assert not _as_well_known(theta + 2.0, spread, theta, spread, 0.97)
-    # a regression that seems to be precise is believed unless it is contradicted
-    assert _as_well_known(theta + 0.1, 9.0 * spread, theta, spread, 0.97)
-    # one direction that is known badly counts, whatever the others
-    assert not _as_well_known(theta, spread, theta, spread @ np.diag([1.0, 0.0]) + 4.0 * np.diag(np.diag(spread)), 0.97)
+def test_what_is_refined_already_hardly_changes(refined):
+    record, _, after = refined
+    again = after.refine(record)
+    change = again[0].posterior.coef - after[0].posterior.coef
+    assert np.abs(change[after[0].posterior.support] / after[0].posterior.sd[after[0].posterior.support]).max() < 0.02
 
 
-def test_a_start_that_follows_nothing_is_returned():
-    record = coarse("duffing", 300, 0, NOISE)
-    eq = duffing(record)
-    p = eq[0].posterior
-    absurd = replace(eq, equations=(eq[0].with_posterior(replace(p, coef=-300.0 * p.coef)),))
+def test_a_start_that_follows_nothing_is_returned(eq, record):
+    absurd = with_coef(eq, -300.0 * eq[0].posterior.coef)
     with pytest.warns(ConvergenceWarning, match="no free run follows"):
         assert absurd.refine(record) is absurd
 
 
-def test_a_limit_of_turns_is_told(monkeypatch):
-    record = coarse("duffing", 300, 0, NOISE)
-    monkeypatch.setattr("bayeq.refine.output_error.ROUNDS_OF_NOISE", 1)
-    monkeypatch.setattr("bayeq.refine.output_error.SAME_ESTIMATE", 0.0)
+def test_a_limit_of_weightings_is_reported(eq, record, monkeypatch):
+    monkeypatch.setattr("bayeq.refine.output_error.SAME_WEIGHT", 0.0)
     with pytest.warns(ConvergenceWarning, match="did not converge"):
-        eq = duffing(record).refine(record)
-    assert not eq.refined.converged
-    assert "did not converge" in eq.warnings[-1]
+        after = eq.refine(record)
+    assert not after.refined.converged
+    assert "did not converge" in after.warnings[-1]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"holdout": 1.0}, "holdout"),
-        ({"segment": 3}, "at least 8"),
         ({"interpolation": "zero"}, "cubic, linear, hold"),
     ],
 )
-def test_bad_arguments(arguments, message):
+def test_bad_arguments(arguments, message, eq, record):
     with pytest.raises(InputError, match=message):
-        EQ.refine(RECORD, **arguments)
+        eq.refine(record, **arguments)
 
 
-def test_bad_records():
+def test_bad_records(eq, record):
     with pytest.raises(InputError, match="Record"):
-        EQ.refine([])
-    known = replace(EQ, constraints=("u == 1",))
+        eq.refine([])
+    known = replace(eq, constraints=("u == 1",))
     with pytest.raises(InputError, match="cannot keep to what is known of coefficients: u == 1"):
-        known.refine(RECORD)
+        known.refine(record)
     with pytest.raises(RecordError, match="time column"):
-        EQ.refine(bq.Record.from_arrays(dict(RECORD.channels)))
+        eq.refine(bq.Record.from_arrays(dict(record.channels)))
     with pytest.raises(RecordError, match="5 rows are too few"):
-        EQ.refine(RECORD.slice(0, 5))
+        eq.refine(record.slice(0, 5))
     with pytest.raises(InputError, match="channel"):
-        EQ.refine(bq.Record.from_arrays(x=RECORD["x"], time=RECORD.time))
-    p = EQ[0].posterior
+        eq.refine(bq.Record.from_arrays(x=record["x"], time=record.time))
+    p = eq[0].posterior
     nothing = replace(p, support=np.zeros_like(p.support), coef=0.0 * p.coef, covariance=np.empty((0, 0)))
-    with pytest.raises(InputError, match="no terms to refine"):
-        replace(EQ, equations=(EQ[0].with_posterior(nothing),)).refine(RECORD)
+    with pytest.raises(InputError, match="no terms are included"):
+        replace(eq, equations=(replace(eq[0], posterior=nothing),)).refine(record)
 
 
 # --- measured records ------------------------------------------------------------------------------------------------
@@ -573,16 +585,16 @@ def test_lynx_and_hare():
     assert found.simulate(record, draws=0).nrmse["H"] < 0.5 * eq.simulate(record, draws=0).nrmse["H"]
 
 
-def test_the_measured_oscillator():
+def test_the_measured_oscillator_is_left_as_it_is():
+    # tracking errors with a memory: intervals of output error would be half as wide as they should be
     path = measured("schmidt_lipson/real_linear_a_1.txt")
     whole = bq.read(path)
     record = bq.Record.from_arrays({name: whole[name] for name in "xva"}, time=whole.time)
     eq = discover(record, chains=["x:v:a"], dictionary=["x", "v", "sign(v)"])
     # (2 pi / period)^2 from the zero crossings of x
-    assert eq.refine(record)[0].coef["x"] == pytest.approx(-6.222, rel=1e-3)
-    raw = discover(record, chains=["x:v:a"], dictionary=["x", "v", "sign(v)"], smooth="none")
-    before, after = (e.score(record).free_run["x"] for e in (raw, raw.refine(record)))
-    assert after < 0.5 * before
+    assert eq[0].coef["x"] == pytest.approx(-6.222, rel=1e-3)
+    with pytest.warns(ConvergenceWarning, match="correlated in time"):
+        assert eq.refine(record) is eq
 
 
 # --- the study -------------------------------------------------------------------------------------------------------

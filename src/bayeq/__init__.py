@@ -19,7 +19,8 @@ _NAMES = {
     "equation.pip_curve": "PriorSensitivity",
     "equation.size_path": "ParsimonyPath",
     "estimators.regressors": "RVM STLSQ SpikeSlabBMA SpikeSlabGibbs SpikeSlabVB",
-    "forecast.results": "Refinement Scores",
+    "forecast.results": "Scores",
+    "refine.results": "Refinement",
     "forecast.run": "Forecast",
     "gram": "Gram",
     "inference.posterior": "Posterior",
@@ -42,7 +43,8 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.equation.size_path import ParsimonyPath as ParsimonyPath
     from bayeq.estimators.regressors import RVM as RVM, STLSQ as STLSQ, SpikeSlabBMA as SpikeSlabBMA
     from bayeq.estimators.regressors import SpikeSlabGibbs as SpikeSlabGibbs, SpikeSlabVB as SpikeSlabVB
-    from bayeq.forecast.results import Refinement as Refinement, Scores as Scores
+    from bayeq.forecast.results import Scores as Scores
+    from bayeq.refine.results import Refinement as Refinement
     from bayeq.forecast.run import Forecast as Forecast
     from bayeq.gram import Gram as Gram
     from bayeq.inference.posterior import Posterior as Posterior

@@ -8,8 +8,9 @@ from typing import Protocol, Self
 
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict
-from bayeq.forecast.results import Refinement, Scores
+from bayeq.forecast.results import Scores
 from bayeq.records import Record
+from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.states import Chain, Motion, Smooth
 

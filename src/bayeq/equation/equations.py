@@ -16,9 +16,10 @@ from bayeq.equation.answer import DataSummary
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import ConvergenceWarning, InputError, UnknownNameError
-from bayeq.forecast.results import Refinement, Scores
+from bayeq.forecast.results import Scores
 from bayeq.records import Record
 from bayeq.records.atomic import replacing
+from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.states import Chain, Roles, Smooth, estimate_motion, rates
 
@@ -303,32 +304,28 @@ class Equations:
         self,
         records: Record | Sequence[Record],
         *,
-        segment: int | None = None,
         holdout: float = 0.2,
-        intercept: bool | None = None,
         interpolation: Interpolation | None = None,
     ) -> Self:
         """The same terms with coefficients by output error: those whose free run comes closest to what was measured.
 
         Multiple shooting (Bock 1981): a record is divided into segments, each a free run from an initial state of its
         own, fitted with the coefficients and intercepts of all equations to every measured channel. Segments get longer
-        from fit to fit, up to the whole record, while their runs follow it. The noise of the channels, and forces that
-        the record does not show (noise in a measured one), are then estimated with the coefficients: a Kalman filter
-        leads the runs along the record where such forces drive it away.
+        from fit to fit, up to the whole record, while their runs follow it. An intercept is set to zero unless its
+        interval excludes that.
 
         Output error needs no derivatives. It gains most where these were not measured, or samples are few per period.
-        Where it knows no more than the regression does, the equations are returned as they were.
+        It takes the inputs as exact and the terms as complete: where what the runs leave is correlated in time, the
+        equations are returned as they were, since forces that the record does not show (noise of a measured one, a
+        missing term) make intervals too narrow. So they are where free runs over windows of the rows used are worse
+        than before.
 
         Parameters
         ----------
         records : Record or sequence of Record
             With the channels that the equations were found from, and time.
-        segment : int, optional
-            Rows of a segment, instead of the longest with which runs follow the record.
         holdout : float
             Share of the rows, the last of each record, that is not used.
-        intercept : bool, optional
-            Estimate the intercepts, or set them to zero; by default each is zero unless its interval excludes that.
         interpolation : "cubic", "linear" or "hold", optional
             See `simulate`; by default a cubic spline or straight lines, whichever runs follow better.
 
@@ -346,28 +343,27 @@ class Equations:
         Warns
         -----
         ConvergenceWarning
-            Nothing better was found, and why.
+            Nothing better was found, and why; free runs over the rows held out are worse than before; the fit did not
+            converge.
         """
-        from bayeq.forecast.rows import check_interpolation, whole_number
+        from bayeq.forecast.rows import check_interpolation
         from bayeq.refine.output_error import Unrefined
-        from bayeq.refine.refine import LEAST_ROWS, refine
+        from bayeq.refine.refine import refine
 
         pieces = _as_list(records, "refine")
         check_interpolation(interpolation)
         if not 0 <= holdout < 1:
             raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
-        if segment is not None:
-            whole_number("segment, a number of rows,", segment, LEAST_ROWS)
         if self.constraints:
             raise InputError(f"refine cannot keep to what is known of coefficients: {'; '.join(self.constraints)}")
         for equation in self.equations:
             if not equation.shown:
                 raise InputError(f"{equation.target}: there are no terms to refine")
         found = refine(
-            self.dynamics([e.intercept_matters if intercept is None else intercept for e in self.equations]),
+            self.dynamics(),
+            self.dynamics([equation.intercept_matters for equation in self.equations]),
             pieces,
             smooth=self.smooth,
-            segment=segment,
             holdout=holdout,
             interpolation=interpolation,
         )
@@ -375,17 +371,15 @@ class Equations:
             message = f"not refined: {found.reason}; the equations are returned as they were"
             warnings.warn(message, ConvergenceWarning, stacklevel=2)
             return self
-        notes = self.warnings
-        if not found.summary.converged:
-            notes = (*notes, "the output-error estimate did not converge: its steps ended at their limit")
-            warnings.warn(notes[-1], ConvergenceWarning, stacklevel=2)
+        for note in found.warnings:
+            warnings.warn(note, ConvergenceWarning, stacklevel=2)
         return replace(
             self,
             equations=tuple(
                 old.with_posterior(new.posterior, train=new.train, held_out=new.held_out, residuals=new.residuals)
                 for old, new in zip(self.equations, found.equations, strict=True)
             ),
-            warnings=notes,
+            warnings=(*self.warnings, *found.warnings),
             scores=found.scores,
             refined=found.summary,
         )

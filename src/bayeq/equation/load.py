@@ -18,8 +18,9 @@ from bayeq.equation.to_json import FORMAT
 from bayeq.equation.verdict import Verdict
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.expressions import parse
-from bayeq.forecast.results import Refinement, Scores
+from bayeq.forecast.results import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
+from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Residuals
 from bayeq.selection.select import LeftOut
@@ -132,7 +133,6 @@ def _restored_refinement(saved: Mapping[str, Any] | None) -> Refinement | None:
         segments=int(saved["segments"]),
         longest=int(saved["longest"]),
         noise_sd={str(name): float(sd) for name, sd in saved["noise_sd"].items()},
-        unseen_sd={str(name): float(sd) for name, sd in saved["unseen_sd"].items()},
         interpolation=saved["interpolation"],
         converged=bool(saved["converged"]),
     )

@@ -1,12 +1,11 @@
-"""What equations keep of having been run: `Scores` and `Refinement`."""
+"""What equations keep of having been run: `Scores`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
-__all__ = ["Refinement", "Scores", "percentages"]
+__all__ = ["Scores", "percentages"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,45 +56,3 @@ def percentages(errors: Mapping[str, float]) -> str:
 
 def _percent(error: float) -> str:
     return f"{error:.0f}" if error >= 10 else f"{error:.2g}"
-
-
-@dataclass(frozen=True, slots=True)
-class Refinement:
-    """How equations were refined.
-
-    Attributes
-    ----------
-    files : tuple of str
-        Names of the records.
-    n : int
-        Rows used.
-    segments, longest : int
-        Free runs, and the rows of the longest.
-    noise_sd : mapping of str to float
-        For each measured channel the standard deviation of its noise.
-    unseen_sd : mapping of str to float
-        For each equation the standard deviation of forces that the record does not show (noise in a measured force,
-        what the terms lack), as noise in samples of the target.
-    interpolation : "cubic", "linear" or "hold"
-        Of the inputs between their samples.
-    converged : bool
-        Whether the fit ended by itself.
-    """
-
-    files: tuple[str, ...]
-    n: int
-    segments: int
-    longest: int
-    noise_sd: Mapping[str, float]
-    unseen_sd: Mapping[str, float]
-    interpolation: Literal["cubic", "linear", "hold"]
-    converged: bool
-
-    def __str__(self) -> str:
-        """In a line."""
-        runs = "one run" if self.segments == 1 else f"{self.segments} runs"
-        noise, unseen = (
-            ", ".join(f"{name} {sd:.3g}" for name, sd in levels.items()) for levels in (self.noise_sd, self.unseen_sd)
-        )
-        how = f"{runs} of up to {self.longest} rows"
-        return f"coefficients refined by output error: {how}, noise sd {noise}, unseen forces sd {unseen}"

@@ -32,7 +32,9 @@ def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
     return min(periods)
 
 
-def window_runs(dynamics: Dynamics, pieces: Sequence[Rows], duration: float) -> list[tuple[Floats, Floats]]:
+def window_runs(
+    dynamics: Dynamics, pieces: Sequence[Rows], duration: float, parameters: Floats | None = None
+) -> list[tuple[Floats, Floats]]:
     """Free runs over windows of some seconds, and the states that they are to follow, in units of their spread.
 
     Each starts at the states of its first row. Windows are at most half a record, and overlap where it is short; there
@@ -41,12 +43,15 @@ def window_runs(dynamics: Dynamics, pieces: Sequence[Rows], duration: float) -> 
     Parameters
     ----------
     dynamics : Dynamics
-        The equations, with their posterior means.
+        The equations.
     pieces : sequence of Rows
         Records, even or uneven steps of time.
     duration : float
         [s].
+    parameters : (p,) array, optional
+        Of the equations; by default their posterior means.
     """
+    theta = dynamics.mean if parameters is None else parameters
     states = [rows.stack(dynamics.states) for rows in pieces]
     whole = np.concatenate(states)
     spread = whole.std(axis=0)
@@ -61,7 +66,7 @@ def window_runs(dynamics: Dynamics, pieces: Sequence[Rows], duration: float) -> 
         count = max(1, round(WINDOWS * rows.n / len(whole)))
         for first in np.linspace(0, rows.n - length, count).astype(int):
             end = first + length
-            run, _, _ = mean_run(dynamics, dynamics.mean, known[first], drive.part(first, end))
+            run, _, _ = mean_run(dynamics, theta, known[first], drive.part(first, end))
             out.append((run / scale, known[first:end] / scale))
     return out
 

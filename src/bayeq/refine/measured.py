@@ -48,8 +48,8 @@ class Measured:
     dynamics : Dynamics
     pieces : sequence of Piece
         One per record.
-    channels : (m,) uint32 array
-        What the pieces' channels are: state i is i, target k is d + k.
+    names : tuple of str
+        States and targets that the pieces' channels are.
     step : float
         Longest step of integration [s].
     low, high : (d,) arrays
@@ -58,10 +58,18 @@ class Measured:
 
     dynamics: Dynamics
     pieces: Sequence[Piece]
-    channels: IndexArray
+    names: tuple[str, ...]
     step: float
     low: Floats
     high: Floats
+
+    @cached_property
+    def channels(self) -> IndexArray:
+        """The channels as numbers, (m,): state i is i, target k is d + k."""
+        states = self.dynamics.states
+        places = {name: i for i, name in enumerate(states)}
+        places |= {target: len(states) + k for k, target in enumerate(self.dynamics.targets)}
+        return np.array([places[name] for name in self.names], dtype=np.uint32)
 
     @cached_property
     def longest(self) -> int:
@@ -72,16 +80,6 @@ class Measured:
     def rows(self) -> int:
         """Rows of all pieces."""
         return sum(len(piece.time) for piece in self.pieces)
-
-    @cached_property
-    def interval(self) -> float:
-        """Between two samples, as a rule [s]."""
-        return float(np.median(np.concatenate([np.diff(piece.time) for piece in self.pieces])))
-
-    @cached_property
-    def last(self) -> IndexArray:
-        """The highest state of each chain."""
-        return np.cumsum([chain.order for chain in self.dynamics.chains]).astype(np.uint32) - np.uint32(1)
 
     @cached_property
     def samples(self) -> NDArray[np.intp]:

@@ -2,13 +2,16 @@
 
 The segments of multiple shooting set how long a run is free. Short ones are easy to fit from any start; long ones need
 fewer initial states and say more about the parameters. So segments are made longer from fit to fit while their runs
-follow the record. What then drives the runs away unseen (noise in a measured force, a model that is only nearly true)
-is estimated together with the noise of the channels, and residuals are weighted accordingly (`innovations`).
+follow the record.
+
+The covariance takes what the runs leave as noise of the channels, independent from sample to sample. Forces that the
+record does not show (noise in a measured one, terms that are missing) drive the true motion away from the run, and what
+is left then has the memory of the system: intervals would be far too narrow, and the parameters no better than those of
+a regression. Whether it is so is tested (White 1982), and such an estimate refused.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,55 +19,56 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.refine.measured import Measured
-from bayeq.refine.noise import Noise, likeliest_noise
-from bayeq.refine.shooting import Runs, Segments, Solution, minimise
-from bayeq.regression.residuals import inspect_residuals
+from bayeq.refine.shooting import Segments, Solution, minimise
 
-__all__ = ["OutputError", "Unrefined", "follows_better", "output_error"]
+__all__ = ["OutputError", "Unrefined", "output_error"]
 
 Floats = NDArray[np.float64]
 
-# A run follows the record while its residuals exceed those of the shortest segments by less than this share of every
-# channel's standard deviation, and are themselves below this one.
-FOLLOWS = 0.2
-LOST = 0.5
-
-# Segments at first, fewer where they would have fewer rows than SHORTEST; how much longer they are from fit to fit.
+# Segments at first, in the longest record: short enough for the errors of a regression to matter little within one.
+# Where runs leave the record within a segment all the same it is halved, down to these rows: an initial state of two
+# and the parameters need more samples than there are unknowns.
 FIRST = 16
 SHORTEST = 8
+
+# How much longer segments are from fit to fit: a frequency fitted over a segment errs by less than its noise over its
+# length, so that a run four times as long is still in step with the record.
 LONGER = 4
 
-# Channels are weighted by the inverse of their residuals' rms, but as if that were at least this share of their spread.
-LEAST_NOISE = 1e-8
+# A run is lost where it leaves more than this share of a channel's spread, a quarter of its variance: it is out of step
+# somewhere, and least squares ends in a minimum of no meaning.
+LOST = 0.5
 
-# Relative decrease of the cost at which a fit is done: while the length of segments is looked for, and in the end.
-ROUGHLY, FINELY = 1e-4, 1e-8
+# A longer run, too, where it leaves this share more than the first fit did: noise is the same at any length. Noise of a
+# force adds a few per cent, which the test of the covariance sees; chaotic motion out of step adds half of the spread.
+FOLLOWS = 0.2
 
-# How often weights, and levels of noise, are estimated anew at most; that is enough when it changes no weight by this
-# share, or no parameter by this share of its standard deviation.
-ROUNDS, ROUNDS_OF_NOISE = 4, 8
+# Noise of a channel at least, as a share of its spread: runs err by 1e-4 to 1e-3 themselves, since inputs are
+# interpolated between samples (measured on simulated records without noise). Less is correlated without any force.
+LEAST_NOISE = 1e-3
+
+# Other inputs are taken where they make 2 log likelihood greater by this, very strong evidence (Kass and Raftery 1995):
+# by chance, against the truth, less often than once in a thousand records.
+CLOSER = 10.0
+
+# Relative decrease of the sum of squares at which a fit is done: far below 1/n, that of one standard deviation.
+TOLERANCE = 1e-7
+
+# How often channels are weighted again at most; that is enough when it changes no weight by this share.
+ROUNDS = 5
 SAME_WEIGHT = 1e-2
-SAME_ESTIMATE = 0.05
 
-# Blocks of the sandwich covariance at least, and the rows that a block must have.
+# Blocks of rows that the covariance is tested with: enough for a variance of some certainty, and yet long against the
+# memory of the noise; fewer where one would have fewer rows than this.
 BLOCKS = 16
 BLOCK_ROWS = 8
 
-# Parameters are not told apart where the condition number of their scaled information exceeds this.
+# The covariance is refused where independent noise fails it with this probability.
+CHANCE = 0.01
+
+# Parameters are not told apart where the condition number of their scaled information exceeds this: three digits are
+# left of sixteen.
 SINGULAR = 1e13
-
-# Other inputs are taken where they make 2 log likelihood greater by this.
-CLOSER = 20.0
-
-# Output error is of use where its errors make runs err less, by this factor, than those of the regression do, or
-# contradicts the regression at this level.
-PRECISER = 0.97
-PRECISER_DISTURBED = 0.8
-CONTRADICTED = 0.99
-
-# Unseen forces disturb runs above this share of the spread of the targets: free runs over other rows then err by these
-# forces, which better coefficients hardly change.
-TRIFLE = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,26 +77,26 @@ class OutputError:
 
     Attributes
     ----------
+    measured : Measured
+        What they were fitted to, of the candidates given.
     parameters : (p,) array
         As in `Dynamics`.
     covariance : (p, p) array
-        Initial states eliminated; a block sandwich, where innovations are correlated in time.
+        Inverse of the Gauss-Newton Hessian, initial states eliminated.
     noise_sd : (m,) array
         Standard deviation of each channel's noise.
-    unseen_sd : (K,) array
-        Standard deviation of the unseen force in each of K equations, as noise in samples of the target.
     segments : int
         Free runs; one per record where they are longest.
     longest : int
         Rows of the longest.
     converged : bool
-        False if the last fit, or its turns with the levels of noise, ended at their limit.
+        False if the last fit ended at a limit of steps or of weightings.
     """
 
+    measured: Measured
     parameters: Floats
     covariance: Floats
     noise_sd: Floats
-    unseen_sd: Floats
     segments: int
     longest: int
     converged: bool
@@ -105,171 +109,116 @@ class Unrefined:
     reason: str
 
 
-def output_error(
-    measured: Measured, parameters: Floats, covariance: Floats, length: int | None = None
-) -> OutputError | Unrefined:
-    """Parameters by output error, starting from those of a regression.
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A fit, and the root mean square (m,) of what it leaves of each channel."""
 
-    Noise is estimated by turns with the fit: the maximum likelihood of Gaussian noise of unknown levels.
+    segments: Segments
+    solution: Solution
+    rms: Floats
+
+    @property
+    def deviance(self) -> float:
+        """-2 log likelihood up to a constant, each channel's noise at its likeliest level."""
+        measured = self.segments.measured
+        return float(2.0 * measured.samples @ np.log(np.maximum(self.rms, LEAST_NOISE * measured.spread)))
+
+
+def output_error(candidates: Sequence[Measured], parameters: Floats) -> OutputError | Unrefined:
+    """Parameters by output error, starting from those of a regression.
 
     Parameters
     ----------
-    measured : Measured
-        Records and the model.
-    parameters, covariance : (p,) and (p, p) arrays
+    candidates : sequence of Measured
+        The records and the model with inputs interpolated in one way or another. The first is taken, unless others are
+        much likelier.
+    parameters : (p,) array
         Of the regression.
-    length : int, optional
-        Rows of a segment; by default the longest with which runs follow the records.
 
     Returns
     -------
     OutputError or Unrefined
     """
-    rough = _longest_fit(measured, parameters, float(measured.longest if length is None else length))
-    if rough is None:
+    first = _longest_fit(candidates[0], parameters)
+    if first is None:
         return Unrefined("no free run follows the records")
-    segments = rough[0]
-    fine = _likeliest(segments, rough[1], rough[2])
-    if fine is None:
+    others = [_fit(other, first.solution.parameters, first.segments.length, first.rms) for other in candidates[1:]]
+    better = [other for other in others if other is not None and other.deviance < first.deviance - CLOSER]
+    best = min(better, key=lambda fit: fit.deviance, default=first)
+    J, residuals = _sensitivity(best.solution)
+    covariance = _inverse(np.einsum("nmp,nmq->pq", J, J))
+    if covariance is None:
         return Unrefined("the records do not determine all coefficients in a free run")
-    found, spread, noise = fine
-    least = PRECISER_DISTURBED if _disturbed(measured, noise.unseen) else PRECISER
-    if length is None and _as_well_known(found.parameters, spread, parameters, covariance, least):
-        return Unrefined("free runs determine the coefficients no better than is known already")
+    excess = _excess(J, residuals)
+    if excess:
+        return Unrefined(
+            "what free runs leave of the channels is correlated in time, as noise of a measured force or a missing term"
+            f" makes it: the variance of the coefficients would be {excess:.2g} times that of their intervals"
+        )
+    measured = best.segments.measured
+    samples, unknowns = int(measured.samples.sum()), len(parameters) + best.solution.starts.size
+    factor = samples / max(samples - unknowns, 1)
     return OutputError(
-        parameters=found.parameters,
-        covariance=spread,
-        noise_sd=np.sqrt(noise.channels),
-        unseen_sd=np.sqrt(noise.unseen),
-        segments=segments.count,
-        longest=segments.longest,
-        converged=found.converged,
+        measured=measured,
+        parameters=best.solution.parameters,
+        covariance=factor * covariance,
+        noise_sd=np.sqrt(factor) * best.rms,
+        segments=best.segments.count,
+        longest=best.segments.longest,
+        converged=best.solution.converged,
     )
 
 
-def follows_better(other: Measured, measured: Measured, parameters: Floats, length: int | None) -> bool:
-    """Whether free runs come closer to the records with other inputs than with the given ones."""
-    rough = _longest_fit(measured, parameters, float(measured.longest if length is None else length))
-    if rough is None:
-        return False
-    again = _fit(other, rough[1].parameters, rough[0].length)
-    if again is None:
-        return False
-    return bool(2.0 * measured.samples @ np.log(rough[2][0] / again[2]) > CLOSER)
-
-
-def _longest_fit(
-    measured: Measured, parameters: Floats, limit: float
-) -> tuple[Segments, Solution, tuple[Floats, Floats]] | None:
-    """The fit of the longest segments, up to a limit, whose runs follow the records; what it and the first leave."""
-    rows = min(max(measured.longest / FIRST, SHORTEST), limit)
-    best = _fit(measured, parameters, rows)
+def _longest_fit(measured: Measured, parameters: Floats) -> _Fit | None:
+    """The fit of the longest segments whose runs follow the records."""
+    rows = min(max(measured.longest / FIRST, SHORTEST), measured.longest)
+    best = _fit(measured, parameters, rows, measured.spread)
     while best is None and rows >= 2 * SHORTEST:  # the regression follows for a shorter time only
         rows /= 2
-        best = _fit(measured, parameters, rows)
+        best = _fit(measured, parameters, rows, measured.spread)
     if best is None:
         return None
-    first = best[2]
-    while rows < limit:
-        rows = min(LONGER * rows, limit)
-        longer = _fit(measured, best[1].parameters, rows)
-        if longer is None or (longer[2] ** 2 > first**2 + (FOLLOWS * measured.spread) ** 2).any():
+    most = best.rms**2 + (FOLLOWS * measured.spread) ** 2
+    while rows < measured.longest:
+        rows = min(LONGER * rows, measured.longest)
+        longer = _fit(measured, best.solution.parameters, rows, best.rms)
+        if longer is None or (longer.rms**2 > most).any():
             break
         best = longer
-    return best[0], best[1], (best[2], first)
+    return best
 
 
-def _fit(measured: Measured, parameters: Floats, length: float) -> tuple[Segments, Solution, Floats] | None:
-    """Output error with channels weighted by what the fit leaves of them; also the rms of that."""
+def _fit(measured: Measured, parameters: Floats, length: float, rms: Floats) -> _Fit | None:
+    """Output error, channels weighted by the inverse of what it leaves (at first of `rms`); None if a run is lost."""
     segments = Segments(measured, length)
-    rms = measured.spread
-    found = Solution(parameters, segments.starts(), [], 0, True)
+    found = Solution(parameters, segments.starts(), [], True)
     for _ in range(ROUNDS):
         weights = 1.0 / np.maximum(rms, LEAST_NOISE * measured.spread)
-        again = minimise(segments.free(weights), found.parameters, found.starts, ROUGHLY)
+        again = minimise(segments, weights, found.parameters, found.starts, TOLERANCE)
         if again is None:
             return None
         found = again
-        former, rms = rms, segments.rms(found.runs) / weights
-        if (np.abs(rms - former) <= SAME_WEIGHT * former).all():
+        former, rms = 1.0 / weights, segments.rms(found.runs) / weights
+        if (np.abs(np.maximum(rms, LEAST_NOISE * measured.spread) - former) <= SAME_WEIGHT * former).all():
             break
-    return None if (rms > LOST * measured.spread).any() else (segments, found, rms)
-
-
-def _likeliest(segments: Segments, found: Solution, left: Sequence[Floats]) -> tuple[Solution, Floats, Noise] | None:
-    """The estimate with noise and unseen forces at their likeliest levels, and its covariance.
-
-    None if parameters cannot be told apart.
-    """
-    measured = segments.measured
-    states = np.std(np.concatenate([piece.states for piece in measured.pieces]), axis=0)
-    # none moves a state by more than its spread in an interval
-    largest = states[measured.last] / measured.interval
-    floor = LEAST_NOISE * measured.spread
-    noise: Noise | None = None
-    spread: Floats | None = None
-    for _ in range(ROUNDS_OF_NOISE):
-        parameters, starts = found.parameters, found.starts
-
-        def cost(levels: Noise, parameters: Floats = parameters, starts: Floats = starts) -> float:
-            return segments.led(parameters, starts, levels)[1]
-
-        noise = likeliest_noise(cost, left, floor, largest, int(measured.samples.sum()), noise)
-        again = minimise(segments.led(parameters, starts, noise)[0], parameters, starts, FINELY)
-        if again is None:
-            return None
-        found, spread = again, _covariance(segments, again)
-        if spread is None:
-            return None
-        if (np.abs(found.parameters - parameters) <= SAME_ESTIMATE * np.sqrt(np.diagonal(spread))).all():
-            break
+    else:
         found = replace(found, converged=False)
-    assert spread is not None
-    assert noise is not None
-    return found, spread, noise
+    return None if (rms > LOST * measured.spread).any() else _Fit(segments, found, rms)
 
 
-def _disturbed(measured: Measured, unseen: Floats) -> bool:
-    """Whether unseen forces of these variances are more than a trifle beside the targets."""
-    for k, state in enumerate(measured.last):
-        rates = [np.diff(piece.states[:, state]) / np.diff(piece.time) for piece in measured.pieces]
-        if math.sqrt(unseen[k]) > TRIFLE * float(np.nanstd(np.concatenate(rates))):
-            return True
-    return False
-
-
-def _as_well_known(found: Floats, ours: Floats, parameters: Floats, covariance: Floats, least: float) -> bool:
-    """Whether runs with the regression's coefficients err about as little, and it is not contradicted (Hausman 1978).
-
-    What errors of the coefficients do to runs over the rows is their mean square in the metric of the output error's
-    information, the inverse of its covariance: p for its own errors, tr(information x covariance) for the regression's.
-    """
-    from scipy.stats import chi2
-
-    change = found - parameters
-    contradicted = change @ np.linalg.solve(ours + covariance, change) > chi2.ppf(CONTRADICTED, len(change))
-    excess = float(np.trace(np.linalg.solve(ours, covariance))) / len(change)
-    return bool(excess < least**-2 and not contradicted)
-
-
-def _covariance(segments: Segments, found: Solution) -> Floats | None:
-    """Covariance of the parameters, initial states eliminated; None if they cannot be told apart.
-
-    Innovations that are correlated in time make (J'J)^-1 too small: between two of them stands the sum over blocks of
-    the outer products of J'r, for blocks that are longer than the correlation.
-    """
-    measured, even = segments.measured, found.runs
+def _sensitivity(found: Solution) -> tuple[Floats, Floats]:
+    """Derivatives of all runs by the parameters, initial states eliminated, (n, m, p), and the residuals, (n, m)."""
     d, p = found.starts.shape[1], len(found.parameters)
-    per_segment = max(1, math.ceil(BLOCKS / segments.count))
-    information, scores, squares = np.zeros((p, p)), [], 0.0
-    for run in even:
+    out = []
+    for run in found.runs:
         J = run[:, :, 1:].reshape(-1, d + p)
         J = J[:, d:] - J[:, :d] @ np.linalg.lstsq(J[:, :d], J[:, d:])[0]
-        information += J.T @ J
-        squares += float(np.sum(run[:, :, 0] ** 2))
-        gradient = np.einsum("nmp,nm->np", J.reshape(*run.shape[:2], p), run[:, :, 0])
-        edges = np.linspace(0, len(run), per_segment + 1)[:-1].round().astype(np.intp)
-        scores.append(np.add.reduceat(gradient, np.unique(edges), axis=0))
+        out.append(J.reshape(*run.shape[:2], p))
+    return np.concatenate(out), np.concatenate([run[:, :, 0] for run in found.runs])
+
+
+def _inverse(information: Floats) -> Floats | None:
+    """Covariance of the parameters; None if they cannot be told apart."""
     diagonal = np.diagonal(information)
     if not (np.isfinite(information).all() and (diagonal > 0).all()):
         return None
@@ -277,16 +226,29 @@ def _covariance(segments: Segments, found: Solution) -> Floats | None:
     scaled = information * np.outer(scale, scale)
     if np.linalg.cond(scaled) > SINGULAR:
         return None
-    inverse = np.linalg.inv(scaled)
-    samples = int(measured.samples.sum())
-    factor = max(squares, samples) / max(samples - p - found.starts.size, 1)
-    if measured.rows >= BLOCKS * BLOCK_ROWS and _correlated(even):
-        blocks = np.concatenate(scores) * scale
-        factor = len(blocks) / max(len(blocks) - p, 1)
-        inverse = inverse @ (blocks.T @ blocks) @ inverse
-    covariance = factor * inverse * np.outer(scale, scale)
+    covariance = np.linalg.inv(scaled) * np.outer(scale, scale)
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def _correlated(even: Runs) -> bool:
-    return any(inspect_residuals([run[:, c, 0] for run in even]).correlated for c in range(even[0].shape[1]))
+def _excess(J: Floats, residuals: Floats) -> float:
+    """Variance of the parameters over that by (J'J)^-1, as parts of the record show it; 0 where it is no larger.
+
+    With orthonormal Q for J, Q'r of a block of rows has the covariance A = Q'Q of the block if the noise is
+    independent, less what the minimum takes: all blocks together add up to zero. The sum of their squares is then
+    nearly a multiple of chi-squared, of the same mean and variance (Satterthwaite 1946). Noise with a memory makes it
+    larger.
+    """
+    from scipy.linalg import block_diag
+    from scipy.special import chdtri
+
+    p = J.shape[2]
+    blocks = max(min(BLOCKS, len(J) // BLOCK_ROWS), 2)
+    Q = np.linalg.qr(J.reshape(-1, p))[0].reshape(J.shape)
+    # of like information, not length: a decay has next to none in its last rows
+    edges = np.searchsorted(np.cumsum(np.sum(Q**2, axis=(1, 2))), p * np.arange(1, blocks) / blocks)
+    parts, left = (np.split(whole, edges) for whole in (Q, residuals))
+    A = [part.reshape(-1, p).T @ part.reshape(-1, p) for part in parts]
+    spread = block_diag(*A) - np.concatenate(A) @ np.concatenate(A).T
+    mean, scale = float(np.trace(spread)), float(np.sum(spread**2) / np.trace(spread))
+    squares = sum(float(np.sum(np.einsum("nmp,nm->p", part, e) ** 2)) for part, e in zip(parts, left, strict=True))
+    return squares / mean if squares > scale * chdtri(mean / scale, CHANCE) else 0.0

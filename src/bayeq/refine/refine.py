@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,24 +13,40 @@ from bayeq.errors import RecordError
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.free_run import state_range
-from bayeq.forecast.results import Refinement, Scores
+from bayeq.forecast.results import Scores, percentages
 from bayeq.forecast.rows import Rows, predicted_target, rows_of
 from bayeq.forecast.score import score_rows
+from bayeq.forecast.windows import apart, typical_period, window_runs
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Drive, Interpolation
 from bayeq.records import Record
 from bayeq.refine.measured import Measured, Piece
-from bayeq.refine.output_error import OutputError, Unrefined, follows_better, output_error
+from bayeq.refine.output_error import OutputError, Unrefined, output_error
+from bayeq.refine.results import Refinement
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
-from bayeq.states import Chain, Roles, Smooth, estimate_motion
+from bayeq.states import Smooth, estimate_motion
 from bayeq.states.motion import held_out_share
 
-__all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "refine"]
+__all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "refine", "runs_are_worse"]
 
 Floats = NDArray[np.float64]
 
 # With fewer rows there is no free run to speak of.
 LEAST_ROWS = 8
+
+# Length of the windows that runs are compared over: long enough for an error of the stiffness to add up, and several of
+# them in a record.
+PERIODS = 10.0
+
+# Runs are worse where they are so over more windows than would be by chance with this probability: each starts from a
+# noisy state, so that where both are close to the truth the better coefficients, too, run worse over half of them.
+CHANCE = 0.025
+
+# Errors that differ by less than this share are the same: it is what a run's own errors may do.
+SAME = 0.01
+
+# Over the rows held out, where errors are greater by this many standard errors: as improbable.
+SURE = 2.0
 
 # Rows that stand for an intercept without error.
 MOST_ROWS = 1e300
@@ -48,19 +64,20 @@ class RefinedEquation:
 
 @dataclass(frozen=True, eq=False)
 class RefinedEquations:
-    """The equations in their order, how they were refined, and how they do on the rows held out."""
+    """The equations in their order, how they were refined, how they do on the rows held out, and what to beware of."""
 
     equations: tuple[RefinedEquation, ...]
     summary: Refinement
     scores: Scores | None
+    warnings: tuple[str, ...]
 
 
 def refine(
+    before: Dynamics,
     dynamics: Dynamics,
     records: Sequence[Record],
     *,
     smooth: Smooth,
-    segment: int | None,
     holdout: float,
     interpolation: Interpolation | None,
 ) -> RefinedEquations | Unrefined:
@@ -68,97 +85,139 @@ def refine(
 
     Parameters
     ----------
+    before : Dynamics
+        The equations by regression, with all intercepts.
     dynamics : Dynamics
-        The equations, by regression; an intercept that they lack is zero.
+        The same with the intercepts that are estimated; the others are set to zero.
     records : sequence of Record
         With the channels that the equations were found from.
     smooth
         As `discover` takes it.
-    segment, holdout, interpolation
+    holdout, interpolation
         See `bayeq.Equations.refine`.
+
+    Returns
+    -------
+    RefinedEquations or Unrefined
+        Free runs over windows of the rows used are no worse than before; see `runs_are_worse`.
 
     Raises
     ------
     InputError
         Channels that are missing, no time, too few rows.
     """
-    chains, inputs, means = dynamics.chains, dynamics.inputs, dynamics.mean
-    names = [name for chain in chains for name in chain.measured if name is not None]
-    rows = _rows(chains, inputs, records, smooth, holdout, interpolation or "cubic")
-    measured = _measured(dynamics, means, rows, names)
-    if interpolation is None and inputs:
-        straight = [(whole.interpolated(inputs, "linear"), cut) for whole, cut in rows]
-        other = _measured(dynamics, means, straight, names)
-        interpolation = "linear" if follows_better(other, measured, means, segment) else "cubic"
-        rows, measured = (straight, other) if interpolation == "linear" else (rows, measured)
-    found = output_error(measured, means, dynamics.covariance, segment)
+    kinds: list[Interpolation] = ["cubic", "linear"] if dynamics.inputs else ["cubic"]
+    if interpolation is not None:
+        kinds = [interpolation]
+    rows = _rows(dynamics, records, smooth, holdout)
+    whole = {kind: [(r.interpolated(dynamics.inputs, kind), cut) for r, cut in rows] for kind in kinds}
+    means = dynamics.mean
+    measured = {kind: _measured(dynamics, means, whole[kind]) for kind in kinds}
+    found = output_error(list(measured.values()), means)
     if isinstance(found, Unrefined):
         return found
-    train = [whole.part(slice(0, cut)) for whole, cut in rows]
-    held_out = [whole.part(slice(cut, whole.n)) for whole, cut in rows if cut < whole.n]
-    refined = []
-    for k, block in enumerate(dynamics.blocks()):
-        parameters, covariance = found.parameters[block], found.covariance[block, block]
-        residuals = [_residual(chains[k].target, dynamics.terms[k], parameters, rows) for rows in train]
-        noise = sum(float(e @ e) for e in residuals) / max(sum(map(len, residuals)) - len(parameters), 1)
-        channels = {name: [rows.columns[name] for rows in train] for name in (*inputs, *chains[k].states)}
-        fits = [_fit(chains[k].target, dynamics.terms[k], parameters, part) for part in (train, held_out)]
-        assert fits[0] is not None
-        refined.append(
-            RefinedEquation(
-                _posterior(dynamics.laws[k].posterior, parameters, covariance, noise),
-                fits[0],
-                fits[1],
-                inspect_residuals(residuals, channels),
-            )
-        )
-    return RefinedEquations(
-        tuple(refined),
-        _summary(found, chains, records, measured.rows, names, interpolation or "cubic"),
-        score_rows(dynamics, found.parameters, held_out) if held_out else None,
+    kind = next(kind for kind in kinds if measured[kind] is found.measured)
+    train = [each.part(slice(0, cut)) for each, cut in whole[kind]]
+    held_out = [each.part(slice(cut, each.n)) for each, cut in whole[kind] if cut < each.n]
+    duration = PERIODS * typical_period(dynamics, train)
+    runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
+    if runs_are_worse(*runs):
+        former, now = (f"{100.0 * apart(pairs):.3g} %" for pairs in runs)
+        return Unrefined(f"free runs over windows of the rows used would err by {now} instead of {former}")
+    scores, notes = None, []
+    if held_out:
+        scores = score_rows(dynamics, found.parameters, held_out)
+        notes = _worse_scores(score_rows(before, before.mean, held_out), scores)
+    if not found.converged:
+        notes.append("the output-error estimate did not converge: its steps ended at their limit")
+    refined = [_refined(dynamics, k, block, found, (train, held_out)) for k, block in enumerate(dynamics.blocks())]
+    return RefinedEquations(tuple(refined), _summary(found, records, kind), scores, tuple(notes))
+
+
+def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tuple[Floats, Floats]]) -> bool:
+    """Whether free runs over the same windows err more than before, by a sign test, or blow up where none did.
+
+    Parameters
+    ----------
+    before, after : iterables of (run, states)
+        From `bayeq.forecast.windows.window_runs`.
+
+    Examples
+    --------
+    >>> exact, off, further = (np.full((10, 1), error) for error in (0.0, 1.0, 2.0))
+    >>> runs_are_worse([(off, exact)] * 12, [(further, exact)] * 12)
+    True
+    >>> runs_are_worse([(off, exact)] * 12, [(further, exact)] * 8 + [(exact, exact)] * 4)
+    False
+    >>> runs_are_worse([(off, exact)] * 12, [(exact, exact)] * 11 + [(exact + np.nan, exact)])
+    True
+    """
+    errors = [(apart([one]), apart([other])) for one, other in zip(before, after, strict=True)]
+    if any(math.isinf(now) and not math.isinf(former) for former, now in errors):
+        return True
+    more = sum(now > (1.0 + SAME) * former for former, now in errors)
+    n = more + sum(former > (1.0 + SAME) * now for former, now in errors)
+    return sum(math.comb(n, k) for k in range(more, n + 1)) < CHANCE * 2**n
+
+
+def _worse_scores(before: Scores, after: Scores) -> list[str]:
+    """A note on states whose free run over the rows held out is worse, by more than the noise of their samples does."""
+    more = 1.0 + SURE / math.sqrt(2 * after.rows)  # the standard error of a root mean square
+    worse = [name for name, error in after.free_run.items() if error > more * before.free_run[name]]
+    if not worse:
+        return []
+    former, now = (percentages({name: one.free_run[name] for name in worse}) for one in (before, after))
+    return [f"free runs over the rows held out err more than before refining: {now}, before {former}"]
+
+
+def _refined(
+    dynamics: Dynamics,
+    k: int,
+    block: slice,
+    found: OutputError,
+    parts: tuple[Sequence[Rows], Sequence[Rows]],
+) -> RefinedEquation:
+    """The k-th equation, its residuals on the rows used and on those held out."""
+    train, held_out = parts
+    target, terms = dynamics.targets[k], dynamics.terms[k]
+    parameters, covariance = found.parameters[block], found.covariance[block, block]
+    residuals = [_residual(target, terms, parameters, rows) for rows in train]
+    noise = sum(float(e @ e) for e in residuals) / max(sum(map(len, residuals)) - len(parameters), 1)
+    names = (*dynamics.inputs, *dynamics.chains[k].states)
+    return RefinedEquation(
+        _posterior(dynamics.laws[k].posterior, parameters, covariance, noise),
+        _fit(target, terms, parameters, train),
+        _fit(target, terms, parameters, held_out) if held_out else None,
+        inspect_residuals(residuals, {name: [rows.columns[name] for rows in train] for name in names}),
     )
 
 
-def _summary(
-    found: OutputError,
-    chains: Sequence[Chain],
-    pieces: Sequence[Record],
-    rows: int,
-    names: Sequence[str],
-    interpolation: Interpolation,
-) -> Refinement:
+def _summary(found: OutputError, pieces: Sequence[Record], interpolation: Interpolation) -> Refinement:
     return Refinement(
         files=tuple(piece.name for piece in pieces),
-        n=rows,
+        n=found.measured.rows,
         segments=found.segments,
         longest=found.longest,
-        noise_sd=dict(zip(names, found.noise_sd.tolist(), strict=True)),
-        unseen_sd=dict(zip((chain.target for chain in chains), found.unseen_sd.tolist(), strict=True)),
+        noise_sd=dict(zip(found.measured.names, found.noise_sd.tolist(), strict=True)),
         interpolation=interpolation,
         converged=found.converged,
     )
 
 
-def _rows(
-    chains: Sequence[Chain],
-    inputs: Sequence[str],
-    pieces: Sequence[Record],
-    smooth: Smooth,
-    holdout: float,
-    interpolation: Interpolation,
-) -> list[tuple[Rows, int]]:
+def _rows(dynamics: Dynamics, pieces: Sequence[Record], smooth: Smooth, holdout: float) -> list[tuple[Rows, int]]:
     """Rows of each record, with the states as `discover` has them, and the first of those that are held out."""
     share = held_out_share(holdout, sum(piece.n for piece in pieces))
-    motion = estimate_motion(pieces, Roles(tuple(chains), tuple(inputs)), smooth, share)
+    motion = estimate_motion(pieces, dynamics.roles, smooth, share)
     out = []
-    for piece, rows, cut in zip(pieces, rows_of(motion, "refine", interpolation), motion.cuts, strict=True):
+    for piece, rows, cut in zip(pieces, rows_of(motion, "refine"), motion.cuts, strict=True):
         if cut < LEAST_ROWS:
             raise RecordError(f"{piece.name or 'record'}: {cut} rows are too few to refine on (at least {LEAST_ROWS})")
         out.append((rows, cut))
     return out
 
 
-def _measured(dynamics: Dynamics, means: Floats, whole: Sequence[tuple[Rows, int]], names: Sequence[str]) -> Measured:
+def _measured(dynamics: Dynamics, means: Floats, whole: Sequence[tuple[Rows, int]]) -> Measured:
+    names = tuple(name for chain in dynamics.chains for name in chain.measured if name is not None)
     pieces = [
         Piece(
             rows.time,
@@ -168,19 +227,9 @@ def _measured(dynamics: Dynamics, means: Floats, whole: Sequence[tuple[Rows, int
         )
         for rows in (each.part(slice(0, cut)) for each, cut in whole)
     ]
-    size = len(dynamics.states)
-    places = {
-        **{name: i for i, name in enumerate(dynamics.states)},
-        **{target: size + k for k, target in enumerate(dynamics.targets)},
-    }
     limits = state_range(np.concatenate([piece.states for piece in pieces]))
-    return Measured(
-        dynamics,
-        pieces,
-        np.array([places[name] for name in names], dtype=np.uint32),
-        min(finest_step(dynamics, means, p.states, Drive.over(p.time, p.inputs, *limits)) for p in pieces),
-        *limits,
-    )
+    step = min(finest_step(dynamics, means, p.states, Drive.over(p.time, p.inputs, *limits)) for p in pieces)
+    return Measured(dynamics, pieces, names, step, *limits)
 
 
 def _posterior(before: Posterior, parameters: Floats, covariance: Floats, noise: float) -> Posterior:
@@ -216,9 +265,7 @@ def _residual(target: str, terms: Sequence[Expression], parameters: Floats, rows
     return np.asarray(rows.columns[target] - predicted_target(terms, parameters, rows.columns))
 
 
-def _fit(target: str, terms: Sequence[Expression], parameters: Floats, pieces: Sequence[Rows]) -> Fit | None:
-    if not pieces:
-        return None
+def _fit(target: str, terms: Sequence[Expression], parameters: Floats, pieces: Sequence[Rows]) -> Fit:
     whole = np.concatenate([rows.columns[target] for rows in pieces])
     residual = np.concatenate([_residual(target, terms, parameters, rows) for rows in pieces])
     variance = float(whole.var())

@@ -8,7 +8,6 @@ cost is linear in the number of rows, where a general solver's grows with the cu
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
@@ -18,20 +17,15 @@ from numpy.typing import NDArray
 
 from bayeq.ode.rk4 import Drive
 from bayeq.ode.tangents import shoot
-from bayeq.refine.innovations import filter_run, predict_run
 from bayeq.refine.measured import Measured, Piece
-from bayeq.refine.noise import Noise
 
 __all__ = ["Segments", "Solution", "minimise"]
 
 Floats = NDArray[np.float64]
 
-# Of each segment (n, m, 1 + d + p): residuals of the channels and the derivatives of what is predicted of them by the
-# initial state and the parameters, over the residuals' standard deviations; 0 where a sample is missing.
+# Of each segment (n, m, 1 + d + p): residuals of the channels, and the derivatives of the run by the initial state and
+# the parameters, both weighted; 0 where a sample is missing.
 Runs: TypeAlias = list[Floats]
-
-# Runs of all segments from parameters (p,) and initial states (K, d); None if one leaves the range.
-Runner: TypeAlias = Callable[[Floats, Floats], Runs | None]
 
 # Derivatives beyond this have no square in floating point.
 LARGEST = 1e140
@@ -79,55 +73,22 @@ class Segments:
         """Initial states as the pieces have them, (K, d)."""
         return np.array([piece.states[a] for piece, a, _ in self.bounds])
 
-    def free(self, weights: Floats) -> Runner:
-        """Free runs, residuals multiplied by the weights (m,) of their channels."""
+    def runs(self, parameters: Floats, starts: Floats, weights: Floats) -> Runs | None:
+        """Runs from initial states (K, d), residuals times the channels' weights (m,); None if one leaves the range."""
         m = self.measured
         program = m.dynamics.program()
-
-        def run(parameters: Floats, starts: Floats) -> Runs | None:
-            out = []
-            for (piece, a, e), start in zip(self.bounds, starts, strict=True):
-                samples = piece.channels[a:e]
-                values = np.empty(samples.shape)
-                jacobian = np.empty((*samples.shape, len(start) + len(parameters)))
-                drive = Drive(piece.inputs[a:e], np.diff(piece.time[a:e]), m.step, m.low, m.high)
-                done = shoot(program, drive, parameters, start, m.channels, values, jacobian)
-                if done < e - a or not (np.abs(jacobian) < LARGEST).all():
-                    return None
-                whole = np.concatenate([(samples - values)[:, :, None], jacobian], axis=2) * weights[:, None]
-                out.append(np.where(np.isnan(samples)[:, :, None], 0.0, whole))
-            return out
-
-        return run
-
-    def led(self, parameters: Floats, starts: Floats, noise: Noise) -> tuple[Runner, float]:
-        """Runs that are led along the records by the gains at given parameters, and -2 log likelihood of these."""
-        m = self.measured
-        tape, registers, total, filters = m.dynamics.tape, m.dynamics.registers(parameters), 0.0, []
+        out = []
         for (piece, a, e), start in zip(self.bounds, starts, strict=True):
             samples = piece.channels[a:e]
-            slopes, gains = np.zeros((2, *samples.shape, len(start) + len(m.last)))
-            scale = np.ones(samples.shape)
-            total += filter_run(
-                tape.code, tape.outputs, registers, start, piece.inputs[a:e], piece.time[a:e], m.step, m.low, m.high,
-                m.channels, samples, noise.channels, m.last, noise.unseen, slopes, gains, scale,
-            )  # fmt: skip
-            filters.append((slopes, gains, scale))
-
-        def run(parameters: Floats, starts: Floats) -> Runs | None:
-            out = []
-            for (piece, a, e), start, filtered in zip(self.bounds, starts, filters, strict=True):
-                errors = np.empty((*filtered[2].shape, 1 + len(start) + len(parameters)))
-                done = predict_run(
-                    tape.code, tape.outputs, registers, parameters, start, piece.inputs[a:e], piece.time[a:e], m.step,
-                    m.low, m.high, m.channels, piece.channels[a:e], m.last, *filtered, errors,
-                )  # fmt: skip
-                if done < e - a or not (np.abs(errors) < LARGEST).all():
-                    return None
-                out.append(errors)
-            return out
-
-        return run, total
+            values = np.empty(samples.shape)
+            jacobian = np.empty((*samples.shape, len(start) + len(parameters)))
+            drive = Drive(piece.inputs[a:e], np.diff(piece.time[a:e]), m.step, m.low, m.high)
+            done = shoot(program, drive, parameters, start, m.channels, values, jacobian)
+            if done < e - a or not (np.abs(jacobian) < LARGEST).all():
+                return None
+            whole = np.concatenate([(samples - values)[:, :, None], jacobian], axis=2) * weights[:, None]
+            out.append(np.where(np.isnan(samples)[:, :, None], 0.0, whole))
+        return out
 
     def rms(self, runs: Runs) -> Floats:
         """Root mean square of each channel's residuals, (m,)."""
@@ -145,8 +106,6 @@ class Solution:
         At the minimum.
     runs : list of (n, m, 1 + d + p) arrays
         Residuals and derivatives of the segments there.
-    steps : int
-        Steps taken.
     converged : bool
         False if it stopped at their limit.
     """
@@ -154,49 +113,50 @@ class Solution:
     parameters: Floats
     starts: Floats
     runs: Runs
-    steps: int
     converged: bool
 
 
-def minimise(run: Runner, parameters: Floats, starts: Floats, tolerance: float, fixed: bool = False) -> Solution | None:
+def minimise(
+    segments: Segments, weights: Floats, parameters: Floats, starts: Floats, tolerance: float
+) -> Solution | None:
     """Least squares over parameters and initial states, by Levenberg-Marquardt.
 
     Parameters
     ----------
-    run : callable
-        Residuals and derivatives of all segments: `Segments.free` or `Segments.led`.
+    segments : Segments
+        What is run.
+    weights : (m,) array
+        Of the channels' residuals.
     parameters, starts : (p,) and (K, d) arrays
         Where to start.
     tolerance : float
         Relative decrease of the sum of squares at which to stop.
-    fixed : bool
-        Keep the parameters: initial states only.
 
     Returns
     -------
     Solution or None
         None if the first run already leaves the range.
     """
-    runs = run(parameters, starts)
+    runs = segments.runs(parameters, starts, weights)
     if runs is None:
         return None
     damping, steps, converged, cost = 1e-4, 0, False, _cost(runs)
     while steps < MOST_STEPS and not converged:
         H, g = _normal(runs)
         while True:
-            change = _step(H, g, damping, starts.shape[1], fixed)
+            change = _step(H, g, damping, starts.shape[1])
             if change is not None:
-                trial = run(parameters + change[0], starts + change[1])
+                trial = segments.runs(parameters + change[0], starts + change[1], weights)
                 if trial is not None and (new := _cost(trial)) <= cost:
                     break
             damping *= 8.0
             if damping > MOST_DAMPING:  # no step makes it better: a minimum, to rounding
-                return Solution(parameters, starts, runs, steps, True)
+                return Solution(parameters, starts, runs, True)
         converged = cost - new <= tolerance * cost
         parameters, starts, runs, cost = parameters + change[0], starts + change[1], trial, new
         damping = max(damping / 8.0, LEAST_DAMPING)
         steps += 1
-    return Solution(parameters, starts, runs, steps, converged)
+    return Solution(parameters, starts, runs, converged)
 
 
 def _cost(runs: Runs) -> float:
@@ -213,21 +173,19 @@ def _normal(runs: Runs) -> tuple[Floats, Floats]:
     return np.array(H), np.array(g)
 
 
-def _step(H: Floats, g: Floats, damping: float, d: int, fixed: bool) -> tuple[Floats, Floats] | None:
+def _step(H: Floats, g: Floats, damping: float, d: int) -> tuple[Floats, Floats] | None:
     """Change of the parameters and of the initial states; None where the damped matrix is singular."""
     A, B, C = H[:, :d, :d].copy(), H[:, :d, d:], H[:, d:, d:].sum(axis=0)
     index = np.arange(d)
     A[:, index, index] *= 1.0 + damping
-    change = np.zeros(B.shape[2])
     try:
         solved = np.linalg.solve(A, np.concatenate([B, g[:, :d, None]], axis=2))
-        if not fixed:
-            C[np.diag_indices_from(C)] *= 1.0 + damping
-            S = C - np.einsum("kdp,kdq->pq", B, solved[:, :, :-1])
-            rest = g[:, d:].sum(axis=0) - np.einsum("kdp,kd->p", B, solved[:, :, -1])
-            # a parameter that nothing depends on makes the matrix singular whatever its scale
-            scale = 1.0 / np.sqrt(np.maximum(np.diagonal(C), np.finfo(float).tiny))
-            change = scale * np.linalg.solve(S * np.outer(scale, scale), scale * rest)
+        C[np.diag_indices_from(C)] *= 1.0 + damping
+        S = C - np.einsum("kdp,kdq->pq", B, solved[:, :, :-1])
+        rest = g[:, d:].sum(axis=0) - np.einsum("kdp,kd->p", B, solved[:, :, -1])
+        # a parameter that nothing depends on makes the matrix singular whatever its scale
+        scale = 1.0 / np.sqrt(np.maximum(np.diagonal(C), np.finfo(float).tiny))
+        change = scale * np.linalg.solve(S * np.outer(scale, scale), scale * rest)
     except np.linalg.LinAlgError:
         return None
     moved = solved[:, :, -1] - solved[:, :, :-1] @ change
