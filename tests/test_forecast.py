@@ -17,19 +17,7 @@ from bayeq.errors import BayeqWarning, InputError, MissingExtraError, RecordErro
 from bayeq.expressions import Tape, parse
 from bayeq.forecast.dynamics import finest_step, normal_draws
 from bayeq.ode.rk4 import Drive, free_runs, interpolant
-
-# 13 samples per natural period, where whole sampling intervals would be coarse steps.
-FS, FINE = 65.0, 15
-
-
-def coarse(system, n, seed, noise, fs=FS):
-    """A record decimated from a simulation at a finer rate."""
-    known = bq.SYSTEMS[system]
-    force = replace(known.force, band=(0.0, fs / 4), std=known.force.std * math.sqrt(fs / 400))
-    return bq.simulate(replace(known, force=force), n=n * FINE, fs=fs * FINE, seed=seed, noise=noise).slice(
-        0, None, FINE
-    )
-
+from tests.simulated import FS, coarse
 
 RECORD = coarse("duffing", 600, 3, {"x": 0.02, "v": 0.02, "a": 0.02})
 EQ = bq.discover(RECORD, displacement="x", velocity="v", acceleration="a", force="u", smooth="none")

@@ -15,17 +15,16 @@ from studies.refinement import CASES, draw_record, measure_case, measure_record
 
 import bayeq as bq
 from bayeq.errors import BayeqWarning, ConvergenceWarning, InputError, RecordError
-from bayeq.expressions import FUNCTIONS, Tape, parse
-from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.rows import rows_of
+from bayeq.expressions import FUNCTIONS, Tape, parse, run_tape
+from bayeq.forecast.rows import divided, rows_of
 from bayeq.forecast.windows import typical_period, window_runs
-from bayeq.ode.rk4 import interpolant
-from bayeq.ode.tangents import run_tangents, shoot
+from bayeq.ode.rk4 import Drive, interpolant
+from bayeq.ode.tangents import shoot
 from bayeq.refine import refine as refining
 from bayeq.refine.measured import Measured, Piece
 from bayeq.refine.output_error import _excess, output_error
 from bayeq.refine.shooting import Segments, minimise
-from bayeq.states import derive_all
+from bayeq.states import estimate_motion
 from tests.data import measured
 from tests.simulated import coarse
 
@@ -48,13 +47,12 @@ def duffing(record, **arguments):
 
 def with_coef(eq, coef):
     """Equations of which the first has other coefficients."""
-    return replace(eq, equations=(replace(eq[0], posterior=replace(eq[0].posterior, coef=coef)), *eq.equations[1:]))
+    return replace(eq, equations=(eq[0].with_posterior(replace(eq[0].posterior, coef=coef)), *eq.equations[1:]))
 
 
 def problem(eq, record, rows=slice(None), names=("x", "v", "a"), intercepts=None):
     """What free runs of an equation are fitted to, sampling intervals as steps of integration."""
-    posteriors = [e.posterior for e in eq]
-    dynamics = Dynamics.of(eq.chains, eq.inputs, posteriors, [e.terms for e in eq], intercepts)
+    dynamics = eq.dynamics(intercepts)
     time = record.time[rows]
     piece = Piece(
         time,
@@ -63,7 +61,7 @@ def problem(eq, record, rows=slice(None), names=("x", "v", "a"), intercepts=None
         np.column_stack([record[name][rows] for name in names]),
     )
     wide = np.full(2, 1e6)
-    return Measured(dynamics, [piece], names, 1.0 / record.fs, -wide, wide), dynamics.means(posteriors)
+    return Measured(dynamics, [piece], names, 1.0 / record.fs, -wide, wide), dynamics.mean
 
 
 @pytest.fixture(scope="module")
@@ -88,11 +86,11 @@ def test_tangents_are_the_derivatives(text):
     tape = Tape.compile([parse(text)], ["x", "y"])
     rng = np.random.default_rng(0)
     for x, y in rng.uniform(0.2, 1.5, (5, 2)):
-        registers = tape.registers([x, y])
-        tangents = np.zeros((len(registers), 2))
+        program = tape.program([x, y])
+        tangents = np.zeros((len(program.registers), 2))
         tangents[0, 0] = tangents[1, 1] = 1.0
-        run_tangents(tape.code, registers, tangents)
-        assert registers[tape.outputs[0]] == tape([x, y])[0]
+        run_tape(program, tangents)
+        assert program.registers[tape.outputs[0]] == tape([x, y])[0]
         h = 1e-6
         twin = [
             (tape([x + h, y])[0] - tape([x - h, y])[0]) / (2 * h),
@@ -104,23 +102,21 @@ def test_tangents_are_the_derivatives(text):
 def test_tangents_at_zero():
     # powers of zero, and what has no slope there
     tape = Tape.compile([parse("x**2"), parse("x**0.5*0"), parse("sign(x)"), parse("abs(x)")], ["x"])
-    registers = tape.registers([0.0])
-    tangents = np.zeros((len(registers), 1))
-    run_tangents(tape.code, registers, tangents)
+    program = tape.program([0.0])
+    tangents = np.zeros((len(program.registers), 1))
+    run_tape(program, tangents)
     assert tangents[tape.outputs].tolist() == [[0.0]] * 4
 
 
 def test_sensitivities_of_a_run_are_those_by_differences(eq, record):
     m, theta = problem(eq, record, slice(0, 80))
-    tape, piece = m.dynamics.tape, m.pieces[0]
+    piece = m.pieces[0]
+    drive = Drive.over(piece.time, piece.inputs, m.low, m.high)._replace(step=m.step / 3)
     start = np.array([0.02, -0.4])
 
     def run(start, theta):
         values, jacobian = np.empty((80, 3)), np.empty((80, 3, 7))
-        done = shoot(
-            tape.code, tape.outputs, tape.registers(), theta, start, piece.inputs, piece.time, m.step / 3,
-            m.low, m.high, m.channels, values, jacobian,
-        )  # fmt: skip
+        done = shoot(m.dynamics.program(), drive, theta, start, m.channels, values, jacobian)
         assert done == 80
         return values, jacobian
 
@@ -375,12 +371,10 @@ def test_rows_held_out_are_not_used():
 
 def training_windows(eq, record):
     """Free runs over ten periods of the rows that are not held out."""
-    posteriors = [e.posterior for e in eq]
-    dynamics = Dynamics.of(eq.chains, eq.inputs, posteriors, [e.terms for e in eq])
-    (states,) = derive_all([record], eq.chains, eq.inputs, eq.smooth, 0.2)
-    rows = rows_of(record, states, eq.chains, eq.inputs, "a test")
-    train = [rows.part(slice(0, rows.n - int(0.2 * rows.n)))]
-    return window_runs(dynamics, dynamics.means(posteriors), train, 10.0 * typical_period(dynamics, train))
+    dynamics = eq.dynamics()
+    motion = estimate_motion([record], eq.roles, eq.smooth, 0.2)
+    train, _ = divided(motion, rows_of(motion, "a test"))
+    return window_runs(dynamics, train, 10.0 * typical_period(dynamics, train))
 
 
 def test_runs_over_the_rows_used_do_not_get_worse():
@@ -565,7 +559,7 @@ def test_bad_records(eq, record):
     p = eq[0].posterior
     nothing = replace(p, support=np.zeros_like(p.support), coef=0.0 * p.coef, covariance=np.empty((0, 0)))
     with pytest.raises(InputError, match="no terms are included"):
-        replace(eq, equations=(replace(eq[0], posterior=nothing),)).refine(record)
+        replace(eq, equations=(eq[0].with_posterior(nothing),)).refine(record)
 
 
 # --- measured records ------------------------------------------------------------------------------------------------
