@@ -60,7 +60,7 @@ def window_runs(
     out = []
     for rows, known in zip(pieces, states, strict=True):
         drive = rows.drive(*limits)
-        length = min(round(duration / drive.step) + 1, rows.n // 2)
+        length = int(min(duration / drive.step + 1.0, rows.n // 2))
         if length < LEAST_ROWS:
             continue
         count = max(1, round(WINDOWS * rows.n / len(whole)))
