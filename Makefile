@@ -40,7 +40,7 @@ $(VENV)/matrix/oldest: $(VENV)/.dev FORCE
 	$(BIN)/uv pip compile --quiet --resolution lowest-direct --python-version 3.11 --extra parquet --extra plot \
 		pyproject.toml --output-file $@/constraints.txt
 	$(BIN)/uv pip install --quiet --python $@ --constraint $@/constraints.txt \
-		--editable '.[parquet,plot]' pytest pytest-xdist hypothesis
+		--editable '.[parquet,plot]' 'pytest<9' pytest-xdist hypothesis  # scikit-learn 1.6 brings tests for pytest 8
 	OPENBLAS_NUM_THREADS=1 $@/bin/python -m pytest -n auto $(QUICK)
 
 $(VENV)/matrix/%: $(VENV)/.dev FORCE

@@ -10,7 +10,7 @@ import click
 __all__ = ["FILE", "option"]
 
 
-class _File(click.ParamType[Path]):
+class _File(click.ParamType):  # type: ignore[type-arg]  # generic in the latest click only
     """The path of a file; whether it is there is checked where it is read or written."""
 
     name = "file"
