@@ -139,6 +139,7 @@ def test_prior_given_by_the_user():
     assert eq[0].posterior.slab_variance == 100.0
 
 
+@pytest.mark.filterwarnings("ignore::bayeq.errors.CorrelatedResidualsWarning")
 def test_warnings_in_plain_words():
     rec = bq.simulate("duffing", n=300, seed=1)
     with pytest.warns(TermWarning, match=r"terms left out: abs\(x\*x\) \(a copy of x\*\*2"):

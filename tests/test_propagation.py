@@ -13,12 +13,19 @@ from bayeq.states.kinematic.chain_smoother import smooth_chain
 
 
 def test_a_floor_is_found_under_a_known_shape():
-    rng = np.random.default_rng(3)
     shape = 1.0 / (0.01 + np.linspace(0.0, 1.0, 2000) ** 2)
-    # a periodogram's bins are exponential about the density; the floor's standard error is near 3 %
-    power = (shape + 2.0) * rng.exponential(size=2000)
-    assert added_floor(power, shape, np.full(2000, 2.0)) == pytest.approx(2.0, rel=0.45)  # levels are sqrt(2) apart
-    assert added_floor(shape * rng.exponential(size=2000), shape, np.full(2000, 2.0)) < 0.2
+    count, found, absent = np.full(2000, 2.0), [], []
+    for seed in range(40):
+        # a periodogram's bins are exponential about the density
+        noise = np.random.default_rng(seed).exponential(size=2000)
+        found.append(added_floor((shape + 2.0) * noise, shape, count))
+        absent.append(added_floor(shape * noise, shape, count))
+    # Fisher information of a floor f: sum 1/(shape + f)^2. Standard errors 5.6 % of 2, and 0.05 where there is none.
+    error, least = (1.0 / np.sqrt(np.sum((shape + f) ** -2.0)) for f in (2.0, 0.0))
+    assert np.mean(found) == pytest.approx(2.0, abs=3 * error / np.sqrt(40))
+    # the spread of 40 numbers has a standard error of 11 %
+    assert np.std(found) == pytest.approx(error, rel=0.35)
+    assert max(absent) < 4 * least
 
 
 def test_a_known_shape_keeps_what_is_narrower_than_the_average():
