@@ -9,7 +9,7 @@ QUICK := tests/conformance tests/test_cli_streams.py tests/test_estimators.py te
 	tests/test_forecast.py tests/test_gram.py tests/test_kernels.py tests/test_kinematic.py tests/test_public_api.py \
 	tests/test_records_text.py tests/test_startup.py tests/test_vb.py
 
-.PHONY: demo test lint types tests coverage matrix bench study examples lock clean
+.PHONY: demo test lint types tests statistics coverage matrix bench study examples lock clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -27,6 +27,10 @@ types: $(VENV)/.dev
 
 tests: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+
+# Rates, coverage and calibration over the full number of records; `make tests` draws fewer.
+statistics: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto tests/statistical --full-statistics
 
 # Lines and branches that the tests run; kernels are compiled, and not counted.
 coverage: $(VENV)/.dev

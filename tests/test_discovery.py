@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,48 +23,13 @@ from bayeq.regression.residuals import inspect_residuals
 from tests.data import measured, pendulum_record
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
-TRUE = {
-    "linear": {"x", "v", "u"},
-    "duffing": {"x", "v", "x**3", "u"},
-    "quadratic": {"x", "v", "v*abs(v)", "u"},
-    "coulomb": {"x", "v", "sign(v)", "u"},
-}
+TRUE = {"linear": {"x", "v", "u"}, "duffing": {"x", "v", "x**3", "u"}}
 
 
 def quietly(records, **options):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return bq.discover(records, **options)
-
-
-@pytest.mark.parametrize(("system", "least"), [("linear", 23), ("duffing", 21), ("quadratic", 23), ("coulomb", 23)])
-def test_the_paper_s_oscillators_at_five_per_cent_noise(system, least):
-    # nominal parameters, seeds 0..24. Of seeds 0..49 all are exact but 2 of the Duffing oscillator; at rates of 0.99
-    # and 0.96 other draws of the noise would fall below these limits with probabilities of 0.002 and 0.004. Without
-    # smoothing the rates are 0.75 to 0.9 for the nonlinear ones (docs/reproduction.md).
-    exact = sum(
-        set(quietly(bq.simulate(system, seed=seed), **OSCILLATOR)[0].included) == TRUE[system] for seed in range(25)
-    )
-    assert exact >= least
-
-
-@pytest.mark.parametrize(("noise", "seeds"), [(0.05, 40), (0.01, 30), (0.001, 30)])
-def test_clean_states_at_any_noise_of_the_acceleration(noise, seeds):
-    # All of 80 seeds are exact; at a rate of 0.995 two misses are exceeded with a probability of 0.001 in 40 draws and
-    # less in 30. With v_s fixed at 10 the rate is 0.9 at 1 % noise and 0.58 at 0.1 %, where 28 of 30 are never reached.
-    exact, ratios, hits = 0, [], []
-    for seed in range(seeds):
-        rec = bq.simulate("duffing", seed=seed, noise={"a": noise})
-        eq = quietly(rec, **OSCILLATOR)[0]
-        exact += set(eq.included) == TRUE["duffing"]
-        ratios.append(eq.noise_sd / rec.truth.noise_sd["a"])
-        ci = dict(zip([t.text for t in eq.terms], eq.ci95, strict=True))
-        hits += [ci[t][0] <= value <= ci[t][1] for t, value in rec.truth.coefficients["a"].items()]
-        hits.append(eq.intercept_ci95[0] <= 0 <= eq.intercept_ci95[1])
-    assert exact >= seeds - 2
-    assert np.all(np.abs(np.array(ratios) - 1) < 0.05)
-    # 95 % of the intervals, and 3.5 standard deviations of a binomial: a probability of 0.001
-    assert abs(np.mean(hits) - 0.95) < 3.5 * np.sqrt(0.95 * 0.05 / len(hits))
 
 
 def test_noise_free_motion_gives_the_law_to_many_digits():
@@ -74,27 +40,29 @@ def test_noise_free_motion_gives_the_law_to_many_digits():
         assert eq.coef[term] == pytest.approx(value, rel=1e-6)
 
 
-DUFFING = bq.simulate("duffing", n=1500, seed=5, noise={"a": 0.02, "x": 0.005})
-NOISY = bq.simulate("duffing", n=1500, seed=5, noise=0.03)
-REFERENCE = {smooth: quietly(DUFFING, **OSCILLATOR, smooth=smooth) for smooth in ("auto", "none")}
-NOISY_REFERENCE = quietly(NOISY, **OSCILLATOR)
+@cache
+def in_plain_units(noisy, smooth):
+    """A record, and the answer that it must give in other units too."""
+    rec = bq.simulate("duffing", n=1500, seed=5, noise=0.03 if noisy else {"a": 0.02, "x": 0.005})
+    return rec, quietly(rec, **OSCILLATOR, smooth=smooth)
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(exponents=st.lists(st.floats(-9, 9), min_size=4, max_size=4))
 def test_units_of_the_channels_do_not_matter(exponents):
-    assert_same_in_units(DUFFING, exponents, REFERENCE["none"], smooth="none")
+    assert_same_in_units(False, exponents, smooth="none")
 
 
 @settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(exponents=st.lists(st.integers(-9, 9), min_size=4, max_size=4))
 def test_decimal_units_of_smoothed_channels_do_not_matter(exponents):
     # the smoother relates channels to each other, whose units need not belong together: mm beside m/s
-    assert_same_in_units(NOISY, exponents, NOISY_REFERENCE, smooth="auto", pip=1e-2, coef=1e-3)
-    assert_same_in_units(DUFFING, exponents, REFERENCE["auto"], smooth="auto")
+    assert_same_in_units(True, exponents, smooth="auto", pip=1e-2, coef=1e-3)
+    assert_same_in_units(False, exponents, smooth="auto")
 
 
-def assert_same_in_units(record, exponents, reference, smooth, pip=1e-6, coef=1e-5):
+def assert_same_in_units(noisy, exponents, smooth, pip=1e-6, coef=1e-5):
+    record, reference = in_plain_units(noisy, smooth)
     scale = dict(zip("xvau", (10.0**e for e in exponents), strict=True))
     rescaled = bq.Record.from_arrays({name: record[name] * scale[name] for name in "xvau"}, time=record.time)
     eq = quietly(rescaled, **OSCILLATOR, smooth=smooth)
@@ -171,6 +139,7 @@ def test_prior_given_by_the_user():
     assert eq[0].posterior.slab_variance == 100.0
 
 
+@pytest.mark.filterwarnings("ignore::bayeq.errors.CorrelatedResidualsWarning")
 def test_warnings_in_plain_words():
     rec = bq.simulate("duffing", n=300, seed=1)
     with pytest.warns(TermWarning, match=r"terms left out: abs\(x\*x\) \(a copy of x\*\*2"):

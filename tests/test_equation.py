@@ -15,14 +15,29 @@ import bayeq as bq
 from bayeq.equation.equation import RunnerUp, round_to
 from bayeq.errors import CorrelatedResidualsWarning, FileFormatError, InputError
 
-RECORD = bq.simulate("duffing", seed=3, noise={"a": 0.02})
-EQ = bq.discover(RECORD, displacement="x", velocity="v", acceleration="a", force="u")
-LORENZ = bq.simulate("lorenz", seed=0, noise=0.0)
-FLOW = bq.Record.from_arrays({**LORENZ.channels, **{k: LORENZ.truth.clean[k] for k in ("dx", "dz")}}, fs=100)
-with warnings.catch_warnings():
-    # without noise the residuals are rounding, and correlated
-    warnings.simplefilter("ignore", CorrelatedResidualsWarning)
-    PAIR = bq.discover(FLOW, chains=["x:dx", "z:dz"], inputs=["y"], dictionary=["x", "y", "z", "x*y"])
+
+@pytest.fixture(scope="module")
+def record():
+    return bq.simulate("duffing", seed=3, noise={"a": 0.02})
+
+
+@pytest.fixture(scope="module")
+def eq(record):
+    return bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u")
+
+
+@pytest.fixture(scope="module")
+def flow():
+    lorenz = bq.simulate("lorenz", seed=0, noise=0.0)
+    return bq.Record.from_arrays({**lorenz.channels, **{k: lorenz.truth.clean[k] for k in ("dx", "dz")}}, fs=100)
+
+
+@pytest.fixture(scope="module")
+def pair(flow):
+    with warnings.catch_warnings():
+        # without noise the residuals are rounding, and correlated
+        warnings.simplefilter("ignore", CorrelatedResidualsWarning)
+        return bq.discover(flow, chains=["x:dx", "z:dz"], inputs=["y"], dictionary=["x", "y", "z", "x*y"])
 
 
 @pytest.mark.parametrize(
@@ -42,8 +57,8 @@ def test_numbers_to_a_tenth_of_their_standard_deviation(value, sd, text):
     assert abs(float(round_to(value, sd)) - value) <= max(0.05 * sd, 1e-11 * abs(value)) or abs(value) < sd
 
 
-def test_table_lists_every_candidate():
-    table = EQ.table()
+def test_table_lists_every_candidate(eq):
+    table = eq.table()
     assert list(table.columns) == [
         "target",
         "term",
@@ -69,27 +84,27 @@ def test_table_lists_every_candidate():
     assert not table[~table.included][["coef", "sd", "ci_low", "ci_high"]].to_numpy().any()
 
 
-def test_sympy_and_text_are_the_same_equation():
-    equation = EQ.to_sympy()
+def test_sympy_and_text_are_the_same_equation(eq, pair):
+    equation = eq.to_sympy()
     x, v, u = sympy.symbols("x v u")
     assert equation.lhs == sympy.Symbol("a")
     values = {x: 0.02, v: -0.3, u: 4.0}
-    exact = sum(c * float(sympy.sympify(t).subs(values)) for t, c in EQ[0].coef.items())
+    exact = sum(c * float(sympy.sympify(t).subs(values)) for t, c in eq[0].coef.items())
     assert float(equation.rhs.subs(values)) == pytest.approx(
-        exact + (EQ[0].posterior.intercept if EQ[0].intercept_matters else 0)
+        exact + (eq[0].posterior.intercept if eq[0].intercept_matters else 0)
     )
-    left, right = EQ[0].text.split(" = ")
+    left, right = eq[0].text.split(" = ")
     assert left == "a"
     assert float(sympy.sympify(right).subs(values)) == pytest.approx(exact, rel=1e-2)
-    assert isinstance(PAIR.to_sympy(), list)
+    assert isinstance(pair.to_sympy(), list)
 
 
-def test_latex_writes_derivatives_as_dots():
-    latex = EQ.to_latex()
+def test_latex_writes_derivatives_as_dots(eq, pair):
+    latex = eq.to_latex()
     assert latex.startswith(r"\ddot{x} = ")
     assert r"\dot{x}" in latex
     assert "x^{3}" in latex
-    assert PAIR.to_latex().count("\n") == 1
+    assert pair.to_latex().count("\n") == 1
 
 
 def test_terms_that_are_sums_are_put_in_parentheses():
@@ -103,55 +118,55 @@ def test_terms_that_are_sums_are_put_in_parentheses():
     assert value == pytest.approx(float(eq[0].evaluate({"x": 0.5, "u": -1.0})), rel=1e-2)
 
 
-def test_rhs_is_what_a_solver_takes():
-    assert EQ.states == ("x", "v")
-    clean = RECORD.truth.clean
-    dx, dv = EQ.rhs(0.0, [clean["x"][100], clean["v"][100]], clean["u"][100])
+def test_rhs_is_what_a_solver_takes(record, eq):
+    assert eq.states == ("x", "v")
+    clean = record.truth.clean
+    dx, dv = eq.rhs(0.0, [clean["x"][100], clean["v"][100]], clean["u"][100])
     assert dx == clean["v"][100]
     assert dv == pytest.approx(clean["a"][100], abs=0.05 * np.std(clean["a"]))
-    solution = solve_ivp(lambda t, s: EQ.rhs(t, s, 0.0), (0, 0.5), [0.02, 0.0], rtol=1e-8)
+    solution = solve_ivp(lambda t, s: eq.rhs(t, s, 0.0), (0, 0.5), [0.02, 0.0], rtol=1e-8)
     assert solution.success
     # a free oscillation at about sqrt(k/m) rad/s, damped by exp(-c t/2m)
     envelope = np.abs(solution.y[0][solution.t > 0.3]).max()
     assert 0.5 * 0.02 < envelope < 0.02 * np.exp(-0.3) * 1.1
     with pytest.raises(InputError, match="2 entries"):
-        EQ.rhs(0.0, [1.0], 0.0)
+        eq.rhs(0.0, [1.0], 0.0)
     with pytest.raises(InputError, match="input"):
-        EQ.rhs(0.0, [1.0, 2.0])
+        eq.rhs(0.0, [1.0, 2.0])
 
 
-def test_prediction_of_a_record():
-    mean, sd = EQ.predict(RECORD, return_std=True)
-    np.testing.assert_allclose(mean, EQ[0].evaluate(RECORD.channels), rtol=1e-10)
-    inside = np.mean(np.abs(RECORD["a"] - mean) < 1.96 * sd)
+def test_prediction_of_a_record(record, eq, pair, flow):
+    mean, sd = eq.predict(record, return_std=True)
+    np.testing.assert_allclose(mean, eq[0].evaluate(record.channels), rtol=1e-10)
+    inside = np.mean(np.abs(record["a"] - mean) < 1.96 * sd)
     assert 0.93 < inside < 0.97
-    both, spread = PAIR.predict(FLOW, return_std=True)
-    assert both.shape == spread.shape == (LORENZ.n, 2)
+    both, spread = pair.predict(flow, return_std=True)
+    assert both.shape == spread.shape == (flow.n, 2)
 
 
-def test_indexing_by_position_and_target():
-    assert PAIR["dz"] is PAIR[1]
-    assert len(PAIR) == len(list(PAIR)) == 2
+def test_indexing_by_position_and_target(pair):
+    assert pair["dz"] is pair[1]
+    assert len(pair) == len(list(pair)) == 2
     with pytest.raises(KeyError):
-        PAIR["dy"]
+        pair["dy"]
 
 
-def test_plain_text_for_a_pipe_and_style_for_a_terminal(monkeypatch):
-    plain = str(EQ)
+def test_plain_text_for_a_pipe_and_style_for_a_terminal(monkeypatch, eq):
+    plain = str(eq)
     assert plain.isascii()
-    assert plain.splitlines()[0] == f"verdict: {EQ.verdict}"
-    assert plain.splitlines()[2] == EQ[0].text
+    assert plain.splitlines()[0] == f"verdict: {eq.verdict}"
+    assert plain.splitlines()[2] == eq[0].text
     assert "| x**3 " in plain
     assert "held-out rows (800)" in plain
     assert "\x1b" not in plain
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    assert "\x1b[1m" in str(EQ)
-    assert EQ[0].text in repr(EQ)
+    assert "\x1b[1m" in str(eq)
+    assert eq[0].text in repr(eq)
 
 
 @pytest.mark.filterwarnings("ignore::bayeq.errors.CorrelatedResidualsWarning")
-def test_markup_in_names_is_not_interpreted():
-    rec = bq.Record.from_arrays(x=RECORD["x"], v=RECORD["v"], a=RECORD["a"], fs=1000, name="[red]run[/red].csv")
+def test_markup_in_names_is_not_interpreted(record):
+    rec = bq.Record.from_arrays(x=record["x"], v=record["v"], a=record["a"], fs=1000, name="[red]run[/red].csv")
     assert "[red]run[/red].csv" in str(bq.discover(rec, chains="x:v:a", dictionary="x,v", holdout=0.0))
 
 
@@ -173,8 +188,9 @@ def test_runners_up_in_words(runner_up, text, odds):
 # Files --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("eq", [EQ, PAIR], ids=["one", "two"])
-def test_saved_and_loaded(eq, tmp_path):
+@pytest.mark.parametrize("answer", ["eq", "pair"], ids=["one", "two"])
+def test_saved_and_loaded(answer, tmp_path, record, request):
+    eq = request.getfixturevalue(answer)
     path = tmp_path / "eq.json"
     eq.save(path)
     again = bq.load(path)
@@ -183,15 +199,15 @@ def test_saved_and_loaded(eq, tmp_path):
     state = np.full(len(eq.states), 0.1)
     u = np.full(len(eq.inputs), 0.2)
     np.testing.assert_array_equal(again.rhs(0, state, u), eq.rhs(0, state, u))
-    if eq is EQ:
-        for a, b in zip(again.predict(RECORD, True), eq.predict(RECORD, True), strict=True):
+    if answer == "eq":
+        for a, b in zip(again.predict(record, True), eq.predict(record, True), strict=True):
             np.testing.assert_array_equal(a, b)
     again.save(tmp_path / "twice.json")
     assert (tmp_path / "twice.json").read_bytes() == path.read_bytes()
 
 
-def test_json_has_the_shape_of_the_contract():
-    out = EQ.to_dict()
+def test_json_has_the_shape_of_the_contract(eq):
+    out = eq.to_dict()
     json.dumps(out, allow_nan=False)
     assert list(out) == ["version", "method", "verdict", "data", "equations", "diagnostics"]
     assert {"file", "n"} <= set(out["data"])
@@ -206,16 +222,16 @@ def test_json_has_the_shape_of_the_contract():
         assert term["included"] == (term["pip"] > 0.5)
         assert term["shown"] == term["included"]
         assert term["why"] is None
-    assert out["verdict"] == equation["verdict"] == {"kind": "found", "reason": EQ.verdict.reason}
+    assert out["verdict"] == equation["verdict"] == {"kind": "found", "reason": eq.verdict.reason}
     assert isinstance(equation["intercept"], float)
     assert equation["intercept_sd"] > 0
     low, high = equation["intercept_ci95"]
     assert low < equation["intercept"] < high
 
 
-def test_damaged_files_are_refused(tmp_path):
+def test_damaged_files_are_refused(tmp_path, eq):
     path = tmp_path / "eq.json"
-    EQ.save(path)
+    eq.save(path)
     good = json.loads(path.read_text())
     with pytest.raises(FileFormatError):
         bq.load(tmp_path / "missing.json")

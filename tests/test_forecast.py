@@ -19,12 +19,26 @@ from bayeq.forecast.dynamics import finest_step, normal_draws
 from bayeq.ode.rk4 import Drive, free_runs, interpolant
 from tests.simulated import FS, coarse
 
-RECORD = coarse("duffing", 600, 3, {"x": 0.02, "v": 0.02, "a": 0.02})
-EQ = bq.discover(RECORD, displacement="x", velocity="v", acceleration="a", force="u", smooth="none")
-LORENZ = bq.simulate("lorenz", n=2000, seed=0, noise=0.0)
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", BayeqWarning)
-    FLOW = bq.discover(LORENZ, chains=["x", "y", "z"], dictionary="polynomial:2", smooth="none")
+@pytest.fixture(scope="module")
+def record():
+    return coarse("duffing", 600, 3, {"x": 0.02, "v": 0.02, "a": 0.02})
+
+
+@pytest.fixture(scope="module")
+def found(record):
+    return bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", smooth="none")
+
+
+@pytest.fixture(scope="module")
+def lorenz():
+    return bq.simulate("lorenz", n=2000, seed=0, noise=0.0)
+
+
+@pytest.fixture(scope="module")
+def flow(lorenz):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BayeqWarning)
+        return bq.discover(lorenz, chains=["x", "y", "z"], dictionary="polynomial:2", smooth="none")
 
 
 def law(eq, time, inputs=None):
@@ -35,23 +49,25 @@ def law(eq, time, inputs=None):
 
 
 @pytest.mark.parametrize("kind", ["cubic", "linear"])
-def test_the_free_run_agrees_with_an_adaptive_integrator(kind):
-    first = {name: float(RECORD[name][100]) for name in "xv"}
-    run = EQ.simulate(RECORD, draws=0, start=100, rows=100, interpolation=kind, initial=first)
-    time, u = RECORD.time[100:200], RECORD["u"][100:200]
+def test_the_free_run_agrees_with_an_adaptive_integrator(kind, record, found):
+    first = {name: float(record[name][100]) for name in "xv"}
+    run = found.simulate(record, draws=0, start=100, rows=100, interpolation=kind, initial=first)
+    time, u = record.time[100:200], record["u"][100:200]
     # the spline knows what was before and comes after
-    between = CubicSpline(RECORD.time, RECORD["u"]) if kind == "cubic" else lambda t: np.interp(t, time, u)
-    start = [RECORD["x"][100], RECORD["v"][100]]
-    twin = solve_ivp(law(EQ, time, between), time[[0, -1]], start, t_eval=time, rtol=1e-9, atol=1e-12, max_step=1 / FS)
+    between = CubicSpline(record.time, record["u"]) if kind == "cubic" else lambda t: np.interp(t, time, u)
+    start = [record["x"][100], record["v"][100]]
+    twin = solve_ivp(
+        law(found, time, between), time[[0, -1]], start, t_eval=time, rtol=1e-9, atol=1e-12, max_step=1 / FS
+    )
     for name, theirs in zip("xv", twin.y, strict=True):
         np.testing.assert_allclose(run.mean[name], theirs, rtol=0, atol=1e-4 * theirs.std())
 
 
-def test_equations_without_inputs_run_together():
-    start = [LORENZ[name][0] for name in "xyz"]
-    run = FLOW.simulate(LORENZ, draws=0, rows=150, initial=dict(zip("xyz", start, strict=True)))
-    time = LORENZ.time[:150]
-    twin = solve_ivp(law(FLOW, time), time[[0, -1]], start, t_eval=time, rtol=1e-10, atol=1e-10)
+def test_equations_without_inputs_run_together(lorenz, flow):
+    start = [lorenz[name][0] for name in "xyz"]
+    run = flow.simulate(lorenz, draws=0, rows=150, initial=dict(zip("xyz", start, strict=True)))
+    time = lorenz.time[:150]
+    twin = solve_ivp(law(flow, time), time[[0, -1]], start, t_eval=time, rtol=1e-10, atol=1e-10)
     for name, theirs in zip("xyz", twin.y, strict=True):
         np.testing.assert_allclose(run.mean[name], theirs, rtol=0, atol=1e-3 * theirs.std())
 
@@ -85,17 +101,17 @@ def test_terms_that_jump():
     np.testing.assert_allclose(x[[10_000, 20_000, 30_000]], [-0.8, 0.6, -0.4], atol=1e-3)
 
 
-def test_nothing_is_compiled_or_executed_for_an_equation(monkeypatch):
-    EQ.simulate(RECORD, draws=2, rows=20)
+def test_nothing_is_compiled_or_executed_for_an_equation(monkeypatch, record, found):
+    found.simulate(record, draws=2, rows=20)
     compiled = len(free_runs.signatures)
-    other = replace(EQ, equations=(replace(EQ[0], terms=tuple(parse(f"tanh({t})") for t in EQ[0].terms)),))
+    other = replace(found, equations=(replace(found[0], terms=tuple(parse(f"tanh({t})") for t in found[0].terms)),))
 
     def spy(*_, **__):
         raise AssertionError("text is executed")
 
     for name in ("exec", "eval", "compile"):
         monkeypatch.setattr(f"builtins.{name}", spy)
-    run = other.simulate(RECORD, draws=2, rows=20)
+    run = other.simulate(record, draws=2, rows=20)
     assert np.isfinite(run.mean["x"]).all()
     assert len(free_runs.signatures) == compiled
 
@@ -140,61 +156,63 @@ def test_inputs_between_their_samples():
     assert interpolant(time[:1], samples[:1, None], "cubic").tolist() == [[[1.0, 1.0, 0.0, 0.0]]]
 
 
-def test_steps_follow_the_sampling():
-    def step(record):
-        d = EQ.dynamics()
-        states = np.column_stack([record["x"], record["v"]])
+def test_steps_follow_the_sampling(record, found):
+    def step(rec):
+        d = found.dynamics()
+        states = np.column_stack([rec["x"], rec["v"]])
         wide = np.full(2, np.inf)
-        return finest_step(d, d.mean, states, Drive.over(record.time, np.zeros((record.n, 1, 4)), -wide, wide))
+        return finest_step(d, d.mean, states, Drive.over(rec.time, np.zeros((rec.n, 1, 4)), -wide, wide))
 
-    assert step(RECORD) < 0.3 / FS
+    assert step(record) < 0.3 / FS
     fast = bq.simulate("duffing", seed=0, noise=0.0)
     assert step(fast) == pytest.approx(1e-3)
 
 
-def test_the_same_seed_gives_the_same_bands():
-    first, again = (EQ.simulate(RECORD, draws=20, seed=5, rows=100) for _ in range(2))
-    other = EQ.simulate(RECORD, draws=20, seed=6, rows=100)
+def test_the_same_seed_gives_the_same_bands(record, found):
+    first, again = (found.simulate(record, draws=20, seed=5, rows=100) for _ in range(2))
+    other = found.simulate(record, draws=20, seed=6, rows=100)
     for name in "xv":
         assert first.low[name].tobytes() == again.low[name].tobytes()
         assert first.high[name].tobytes() == again.high[name].tobytes()
         assert first.mean[name].tobytes() == other.mean[name].tobytes()
         assert not np.array_equal(first.low[name], other.low[name])
-    without = EQ.simulate(RECORD, draws=0, rows=100)
+    without = found.simulate(record, draws=0, rows=100)
     assert without.draws == 0
     assert not without.low
     assert not without.high
 
 
 @pytest.mark.parametrize("block", [None, 400])
-def test_bands_are_order_statistics_of_single_runs(block, monkeypatch):
+def test_bands_are_order_statistics_of_single_runs(block, monkeypatch, record, found):
     if block is not None:
         monkeypatch.setattr("bayeq.forecast.free_run.BLOCK", block)
-    first = {name: float(RECORD[name][50]) for name in "xv"}
-    run = EQ.simulate(RECORD, draws=41, seed=2, start=50, rows=80, initial=first)
-    drawn = EQ.dynamics().draw(41, np.random.default_rng(2))
+    first = {name: float(record[name][50]) for name in "xv"}
+    run = found.simulate(record, draws=41, seed=2, start=50, rows=80, initial=first)
+    drawn = found.dynamics().draw(41, np.random.default_rng(2))
     runs = []
     for theta in drawn:
         # an equation whose posterior mean is the draw
-        p = EQ[0].posterior
+        p = found[0].posterior
         coef = p.coef.copy()
         coef[p.support] = theta[1:]
         one = replace(p, coef=coef, target_mean=theta[0] + float(p.center @ coef))
-        single = replace(EQ, equations=(EQ[0].with_posterior(one),))
-        runs.append(single.simulate(RECORD, draws=0, start=50, rows=80, initial=first).mean["x"])
+        single = replace(found, equations=(found[0].with_posterior(one),))
+        runs.append(single.simulate(record, draws=0, start=50, rows=80, initial=first).mean["x"])
     ordered = np.sort(runs, axis=0)
     # of 41 draws the second and the last but one: 2.5 % of 40 steps from one to the next
     np.testing.assert_allclose(run.low["x"], ordered[1], rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(run.high["x"], ordered[39], rtol=1e-7, atol=1e-12)
 
 
-def test_draws_have_the_moments_of_the_posterior():
-    p = EQ[0].posterior
-    drawn = EQ.dynamics().draw(200_000, np.random.default_rng(0))
+def test_draws_have_the_moments_of_the_posterior(found):
+    p = found[0].posterior
+    drawn = found.dynamics().draw(200_000, np.random.default_rng(0))
     assert drawn[:, 0].std() == pytest.approx(p.intercept_sd, rel=0.01)
     np.testing.assert_allclose(drawn[:, 1:].std(axis=0), p.sd[p.support], rtol=0.01)
     # standard error of a mean of 200,000
-    np.testing.assert_allclose(drawn.mean(axis=0), EQ.dynamics().mean, atol=5e-3 * drawn.std(axis=0).max(), rtol=1e-4)
+    np.testing.assert_allclose(
+        drawn.mean(axis=0), found.dynamics().mean, atol=5e-3 * drawn.std(axis=0).max(), rtol=1e-4
+    )
     # the intercept plus center'theta is the mean of the target, which is independent of the coefficients
     level = drawn[:, 0] + drawn[:, 1:] @ p.center[p.support]
     assert level.std() == pytest.approx(math.sqrt(p.noise_variance / p.n), rel=0.01)
@@ -264,32 +282,32 @@ def test_no_range_is_needed_for_a_run_to_stop(explosive):
 # --- initial states, rows, arguments ---------------------------------------------------------------------------------
 
 
-def test_a_new_input_with_an_initial_state_of_its_own():
+def test_a_new_input_with_an_initial_state_of_its_own(found):
     time = np.arange(200) / FS
     u = 30 * np.sin(20 * time)
-    run = EQ.simulate(bq.Record.from_arrays(u=u, time=time), initial={"x": 0.01, "v": -0.5}, draws=10)
+    run = found.simulate(bq.Record.from_arrays(u=u, time=time), initial={"x": 0.01, "v": -0.5}, draws=10)
     between = CubicSpline(time, u)
-    twin = solve_ivp(law(EQ, time, between), time[[0, -1]], [0.01, -0.5], t_eval=time, rtol=1e-9, atol=1e-12)
+    twin = solve_ivp(law(found, time, between), time[[0, -1]], [0.01, -0.5], t_eval=time, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(run.mean["x"], twin.y[0], rtol=0, atol=1e-4 * twin.y[0].std())
     assert not run.nrmse
     assert not run.measured
 
 
-def test_some_states_may_be_given_and_others_taken():
-    run = EQ.simulate(RECORD, initial={"v": 0.0}, draws=0, start=7, rows=5)
-    assert run.mean["x"][0] == RECORD["x"][7]
+def test_some_states_may_be_given_and_others_taken(record, found):
+    run = found.simulate(record, initial={"v": 0.0}, draws=0, start=7, rows=5)
+    assert run.mean["x"][0] == record["x"][7]
     assert run.mean["v"][0] == 0.0
-    assert run.time.tolist() == RECORD.time[7:12].tolist()
+    assert run.time.tolist() == record.time[7:12].tolist()
 
 
-def test_estimated_states_are_taken_as_discover_estimates_them():
-    shown = bq.Record.from_arrays(x=RECORD["x"], u=RECORD["u"], time=RECORD.time)
+def test_estimated_states_are_taken_as_discover_estimates_them(record):
+    shown = bq.Record.from_arrays(x=record["x"], u=record["u"], time=record.time)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)
         eq = bq.discover(shown, chains=["x::"], inputs=["u"], dictionary=["x", "dx", "x**3", "u"], smooth="none")
     run = eq.simulate(shown, draws=0, start=20, rows=50)
     # looked for from the difference quotient
-    read = np.gradient(RECORD["x"], RECORD.time)
+    read = np.gradient(record["x"], record.time)
     assert run.mean["dx"][0] == pytest.approx(read[20], abs=0.25 * read.std())
     assert list(run.nrmse) == ["x"]
 
@@ -309,36 +327,36 @@ def test_a_run_starts_where_it_follows_the_first_period_best():
     assert np.std(fitted) < 0.02 * np.std(clean)
 
 
-def test_a_start_that_cannot_be_fitted_is_the_one_read_off():
+def test_a_start_that_cannot_be_fitted_is_the_one_read_off(record, found):
     # two rows, and a law that leaves every range at once
-    short = RECORD.slice(0, 2)
-    run = EQ.simulate(short, draws=0, start=0, rows=2)
+    short = record.slice(0, 2)
+    run = found.simulate(short, draws=0, start=0, rows=2)
     assert run.mean["x"][0] == short["x"][0]
 
 
-def test_samples_that_were_dropped_do_not_change_the_run():
-    kept = np.flatnonzero(np.random.default_rng(0).random(RECORD.n) > 0.1)
-    run = EQ.simulate(RECORD.take(kept), initial={"x": 0.0, "v": 0.0}, draws=0)
+def test_samples_that_were_dropped_do_not_change_the_run(record, found):
+    kept = np.flatnonzero(np.random.default_rng(0).random(record.n) > 0.1)
+    run = found.simulate(record.take(kept), initial={"x": 0.0, "v": 0.0}, draws=0)
     # the force is what it was, but for its gaps
-    whole = EQ.simulate(RECORD, initial={"x": 0.0, "v": 0.0}, draws=0)
+    whole = found.simulate(record, initial={"x": 0.0, "v": 0.0}, draws=0)
     difference = run.mean["x"] - whole.mean["x"][kept]
     assert np.sqrt(np.mean(difference**2)) < 0.15 * whole.mean["x"].std()
     assert len(run.time) == len(kept)
 
 
-def test_errors_are_normalised_by_the_channel():
-    run = EQ.simulate(RECORD, draws=0)
+def test_errors_are_normalised_by_the_channel(record, found):
+    run = found.simulate(record, draws=0)
     for name in "xv":
-        error = run.mean[name] - RECORD[name]
-        assert run.nrmse[name] == pytest.approx(math.sqrt(np.mean(error**2)) / RECORD[name].std())
+        error = run.mean[name] - record[name]
+        assert run.nrmse[name] == pytest.approx(math.sqrt(np.mean(error**2)) / record[name].std())
     assert run.nrmse["x"] < 0.2
     assert "normalised RMS error" in str(run)
 
 
-def test_missing_samples_are_not_judged():
-    gaps = RECORD["x"].copy()
+def test_missing_samples_are_not_judged(record, found):
+    gaps = record["x"].copy()
     gaps[40:60] = np.nan
-    run = EQ.simulate(RECORD.with_channels({"x": gaps}), initial={"x": 0.0, "v": 0.0}, draws=0)
+    run = found.simulate(record.with_channels({"x": gaps}), initial={"x": 0.0, "v": 0.0}, draws=0)
     assert math.isfinite(run.nrmse["x"])
 
 
@@ -356,58 +374,58 @@ def test_missing_samples_are_not_judged():
         ({"interpolation": "spline"}, "cubic, linear, hold"),
     ],
 )
-def test_bad_arguments(arguments, message):
+def test_bad_arguments(arguments, message, record, found):
     with pytest.raises(InputError, match=message):
-        EQ.simulate(RECORD, **arguments)
+        found.simulate(record, **arguments)
 
 
-def test_bad_records():
+def test_bad_records(record, found):
     with pytest.raises(UnknownNameError, match="state named 'w'"):
-        EQ.simulate(RECORD, initial={"w": 1.0})
+        found.simulate(record, initial={"w": 1.0})
     with pytest.raises(InputError, match="initial 'v' is not measured: give initial="):
-        EQ.simulate(bq.Record.from_arrays(x=RECORD["x"], u=RECORD["u"], time=RECORD.time))
+        found.simulate(bq.Record.from_arrays(x=record["x"], u=record["u"], time=record.time))
     with pytest.raises(UnknownNameError, match="'u'"):
-        EQ.simulate(bq.Record.from_arrays(x=RECORD["x"], v=RECORD["v"], time=RECORD.time))
+        found.simulate(bq.Record.from_arrays(x=record["x"], v=record["v"], time=record.time))
     with pytest.raises(RecordError, match="time column"):
-        EQ.simulate(bq.Record.from_arrays(dict(RECORD.channels)))
-    force = RECORD["u"].copy()
+        found.simulate(bq.Record.from_arrays(dict(record.channels)))
+    force = record["u"].copy()
     force[5] = np.nan
     with pytest.raises(RecordError, match="NaN"):
-        EQ.simulate(RECORD.with_channels({"u": force}))
+        found.simulate(record.with_channels({"u": force}))
 
 
 # --- scores and figures ----------------------------------------------------------------------------------------------
 
 
-def test_scores_are_of_the_rows_held_out():
-    scores = EQ.score(RECORD)
+def test_scores_are_of_the_rows_held_out(record, found):
+    scores = found.score(record)
     assert scores.rows == 120
     # the same rows and the same error as the fit's own judgement
-    assert scores.one_step["a"] == pytest.approx(EQ[0].held_out.nrmse, rel=1e-6)
-    assert scores.free_run == EQ.simulate(RECORD, draws=0, start=480).nrmse
-    assert EQ.score(RECORD, start=10, rows=90).rows == 90
+    assert scores.one_step["a"] == pytest.approx(found[0].held_out.nrmse, rel=1e-6)
+    assert scores.free_run == found.simulate(record, draws=0, start=480).nrmse
+    assert found.score(record, start=10, rows=90).rows == 90
     assert "one step: a" in str(scores)
 
 
-def test_scores_without_held_out_rows():
-    eq = bq.discover(RECORD, displacement="x", velocity="v", acceleration="a", force="u", smooth="none", holdout=0.0)
+def test_scores_without_held_out_rows(record):
+    eq = bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", smooth="none", holdout=0.0)
     assert eq.scores is None
-    assert eq.score(RECORD) == eq.score(RECORD, start=480)
+    assert eq.score(record) == eq.score(record, start=480)
 
 
-def test_figure():
-    run = EQ.simulate(RECORD, draws=20)
+def test_figure(record, found):
+    run = found.simulate(record, draws=20)
     axes = run.plot().axes
     assert [ax.get_ylabel() for ax in axes] == ["x [m]", "v [m/s]"]
     assert axes[1].get_xlabel() == "time [s]"
     # band, measured, run
     assert len(axes[0].collections) == 1
     assert len(axes[0].lines) == 2
-    assert len(EQ.simulate(RECORD, draws=0).plot().axes[0].collections) == 0
+    assert len(found.simulate(record, draws=0).plot().axes[0].collections) == 0
 
 
-def test_figure_without_matplotlib(monkeypatch):
-    run = EQ.simulate(RECORD, draws=0, rows=10)
+def test_figure_without_matplotlib(monkeypatch, record, found):
+    run = found.simulate(record, draws=0, rows=10)
     for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -415,19 +433,19 @@ def test_figure_without_matplotlib(monkeypatch):
         run.plot()
 
 
-def test_the_speed_promised():
+def test_the_speed_promised(found):
     # 1,000 steps per millisecond (perf/forecast.py measures 3,000); a tenth of it on a busy machine
     import time
 
     record = bq.simulate("duffing", n=100_000, seed=0)
-    EQ.simulate(record, initial={"x": 0.0, "v": 0.0}, draws=0, rows=100)
+    found.simulate(record, initial={"x": 0.0, "v": 0.0}, draws=0, rows=100)
     begin = time.perf_counter()
-    EQ.simulate(record, initial={"x": 0.0, "v": 0.0}, draws=0)
+    found.simulate(record, initial={"x": 0.0, "v": 0.0}, draws=0)
     assert time.perf_counter() - begin < 1.0
 
 
-def test_states_go_by_their_names():
+def test_states_go_by_their_names(record, found):
     with pytest.raises(InputError, match=r"initial: states go by their names, initial="):
-        EQ.simulate(RECORD, initial=[0.0, 0.0])
+        found.simulate(record, initial=[0.0, 0.0])
     with pytest.raises(InputError, match=r"predict needs a Record .*, not str"):
-        EQ.predict("run.csv")
+        found.predict("run.csv")

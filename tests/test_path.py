@@ -24,9 +24,21 @@ from bayeq.inference.prior import Prior
 from tests import reference
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "smooth": "none"}
-RECORD = bq.simulate("duffing", seed=1)
-EQ = bq.discover(RECORD, **OSCILLATOR)
-PATH = EQ[0].path()
+
+
+@pytest.fixture(scope="module")
+def record():
+    return bq.simulate("duffing", seed=1)
+
+
+@pytest.fixture(scope="module")
+def eq(record):
+    return bq.discover(record, **OSCILLATOR)
+
+
+@pytest.fixture(scope="module")
+def sizes(eq):
+    return eq[0].path()
 
 
 def discover(records, **options):
@@ -76,8 +88,8 @@ def test_the_search_misses_hardly_any_of_them():
     assert missed <= 2
 
 
-def test_no_term_more_less_or_other_improves_on_the_path_of_a_large_dictionary():
-    p = Problem.of(EQ[0].fit.standard.gram, EQ[0].fit.prior)
+def test_no_term_more_less_or_other_improves_on_the_path_of_a_large_dictionary(eq):
+    p = Problem.of(eq[0].fit.standard.gram, eq[0].fit.prior)
     found = best_of_each_size(p, 9)
     best = dict(enumerate(value for _, value in found))
     for size, (model, value) in enumerate(found):
@@ -166,66 +178,66 @@ def test_terms_that_depend_on_each_other_and_a_constant_target_explain_nothing()
     assert np.isnan(partial_shares(Gram.from_data(D, y), np.zeros(3, dtype=bool))).all()
 
 
-def test_shares_in_the_answer():
-    share = dict(zip([t.text for t in EQ[0].terms], EQ[0].share, strict=True))
-    columns = {"x": RECORD["x"], "v": RECORD["v"], "x**3": RECORD["x"] ** 3, "u": RECORD["u"]}
-    D, y = np.column_stack(list(columns.values()))[:3200], RECORD["a"][:3200]
+def test_shares_in_the_answer(record, eq):
+    share = dict(zip([t.text for t in eq[0].terms], eq[0].share, strict=True))
+    columns = {"x": record["x"], "v": record["v"], "x**3": record["x"] ** 3, "u": record["u"]}
+    D, y = np.column_stack(list(columns.values()))[:3200], record["a"][:3200]
     for j, name in enumerate(columns):
         assert share[name] == pytest.approx(r2(D, y) - r2(np.delete(D, j, axis=1), y), rel=1e-6)
     # the force drives it, the damping hardly shows: why a least share is no default
     assert share["u"] > 0.2
     assert 1e-3 < share["v"] < 3e-3
     assert np.isnan(share["x**2"])
-    for term in EQ.to_dict()["equations"][0]["terms"]:
+    for term in eq.to_dict()["equations"][0]["terms"]:
         assert (term["share"] is None) == (not term["included"])
-    assert "| share |" in re.sub(" +", " ", str(EQ))
+    assert "| share |" in re.sub(" +", " ", str(eq))
 
 
 # --- the path of an equation -----------------------------------------------------------------------------------------
 
 
-def test_the_path_shows_the_equation_and_its_fit():
-    chosen = np.flatnonzero(PATH.is_chosen)
-    assert [int(PATH.size[k]) for k in chosen] == [4]
-    assert PATH.target == "a"
-    assert (PATH.size == np.arange(13)).all()
-    assert np.argmax(PATH.log_evidence) == 4
+def test_the_path_shows_the_equation_and_its_fit(eq, sizes):
+    chosen = np.flatnonzero(sizes.is_chosen)
+    assert [int(sizes.size[k]) for k in chosen] == [4]
+    assert sizes.target == "a"
+    assert (sizes.size == np.arange(13)).all()
+    assert np.argmax(sizes.log_evidence) == 4
     k = int(chosen[0])
-    assert PATH.log_evidence[k] == pytest.approx(PATH.chosen_log_evidence, abs=1e-6)
-    assert PATH.r2[k] == pytest.approx(EQ[0].train.r2, abs=1e-12)
-    assert PATH.held_out_r2[k] == pytest.approx(EQ[0].held_out.r2, abs=1e-12)
-    np.testing.assert_allclose(PATH.coef[k], EQ[0].posterior.coef, rtol=1e-10)
-    assert PATH.intercept[k] == pytest.approx(EQ[0].posterior.intercept, abs=1e-10)
-    np.testing.assert_allclose(PATH.share, EQ[0].share, rtol=1e-12)
+    assert sizes.log_evidence[k] == pytest.approx(sizes.chosen_log_evidence, abs=1e-6)
+    assert sizes.r2[k] == pytest.approx(eq[0].train.r2, abs=1e-12)
+    assert sizes.held_out_r2[k] == pytest.approx(eq[0].held_out.r2, abs=1e-12)
+    np.testing.assert_allclose(sizes.coef[k], eq[0].posterior.coef, rtol=1e-10)
+    assert sizes.intercept[k] == pytest.approx(eq[0].posterior.intercept, abs=1e-10)
+    np.testing.assert_allclose(sizes.share, eq[0].share, rtol=1e-12)
 
 
-def test_each_model_is_what_discover_gives_when_told_its_terms():
-    table = PATH.table()
+def test_each_model_is_what_discover_gives_when_told_its_terms(record, eq, sizes):
+    table = sizes.table()
     for k in (1, 3, 6):
-        terms = [name for name, kept in zip(PATH.names, PATH.models[k], strict=True) if kept]
-        told = bq.Prior(prior_inclusion=np.ones(k), slab_variance=EQ[0].fit.prior.slab_variance)
-        one = discover(RECORD, **OSCILLATOR, dictionary=terms, prior=told)[0]
+        terms = [name for name, kept in zip(sizes.names, sizes.models[k], strict=True) if kept]
+        told = bq.Prior(prior_inclusion=np.ones(k), slab_variance=eq[0].fit.prior.slab_variance)
+        one = discover(record, **OSCILLATOR, dictionary=terms, prior=told)[0]
         assert table.nrmse[k] == pytest.approx(one.train.nrmse, rel=1e-4)
         assert table.held_out_nrmse[k] == pytest.approx(one.held_out.nrmse, rel=1e-4)
 
 
-def test_evidence_is_in_units_of_the_target():
-    mm = discover(RECORD.with_channels({"a": 1e3 * RECORD["a"]}), **OSCILLATOR)[0].path()
-    dof = EQ[0].train.n - 1
-    np.testing.assert_allclose(PATH.log_evidence - mm.log_evidence, dof * math.log(1e3), rtol=1e-9)
+def test_evidence_is_in_units_of_the_target(record, eq, sizes):
+    mm = discover(record.with_channels({"a": 1e3 * record["a"]}), **OSCILLATOR)[0].path()
+    dof = eq[0].train.n - 1
+    np.testing.assert_allclose(sizes.log_evidence - mm.log_evidence, dof * math.log(1e3), rtol=1e-9)
 
 
-def test_the_table_says_what_each_size_changes():
-    table = PATH.table()
+def test_the_table_says_what_each_size_changes(record, sizes):
+    table = sizes.table()
     assert list(table.columns) == [
         "size", "added", "removed", "log_evidence", "r2", "nrmse", "held_out_r2", "held_out_nrmse", "chosen",
     ]  # fmt: skip
     members: set[str] = set()
     for k, row in enumerate(table.itertuples()):
         members = (members - set(filter(None, row.removed.split(", ")))) | set(filter(None, row.added.split(", ")))
-        assert members == {name for name, kept in zip(PATH.names, PATH.models[k], strict=True) if kept}
+        assert members == {name for name, kept in zip(sizes.names, sizes.models[k], strict=True) if kept}
     assert table.chosen.tolist() == [size == 4 for size in table["size"]]
-    nothing_held_out = discover(RECORD, **OSCILLATOR, holdout=0.0)[0].path(3)
+    nothing_held_out = discover(record, **OSCILLATOR, holdout=0.0)[0].path(3)
     assert len(nothing_held_out.models) == 4
     assert nothing_held_out.table().held_out_nrmse.isna().all()
     assert [t.get_text() for t in nothing_held_out.plot().legends[0].get_texts()] == [
@@ -234,8 +246,8 @@ def test_the_table_says_what_each_size_changes():
     assert "->" in str(nothing_held_out)
 
 
-def test_the_elbow_in_print():
-    lines = str(PATH).splitlines()
+def test_the_elbow_in_print(sizes):
+    lines = str(sizes).splitlines()
     assert len(lines) == 2 + 13 + 2
     (marked,) = [line for line in lines if line.startswith("->")]
     assert marked.split()[1:3] == ["4", "0.0"]
@@ -243,32 +255,32 @@ def test_the_elbow_in_print():
     assert lines[-1].startswith("variance that the fit loses without a term: u 26 %")
 
 
-def test_an_equation_off_its_path_is_shown_beside_it():
+def test_an_equation_off_its_path_is_shown_beside_it(record, eq, sizes):
     # the best two terms are x*abs(x) and u
-    off = parsimony_path(EQ[0].fit, np.array([name in ("x", "u") for name in PATH.names]))
+    off = parsimony_path(eq[0].fit, np.array([name in ("x", "u") for name in sizes.names]))
     assert not off.is_chosen.any()
     assert off.chosen_log_evidence < off.log_evidence[2]
-    assert off.chosen_r2 == pytest.approx(r2(np.column_stack([RECORD["x"], RECORD["u"]])[:3200], RECORD["a"][:3200]))
+    assert off.chosen_r2 == pytest.approx(r2(np.column_stack([record["x"], record["u"]])[:3200], record["a"][:3200]))
     line = [row for row in str(off).splitlines() if row.startswith("->")]
     assert [row.split("  ")[-1] for row in line] == ["the equation: x, u"]
     rings = off.plot().axes[0].lines[-1].get_xydata()
     np.testing.assert_allclose(rings, [[2.0, off.chosen_log_evidence - off.log_evidence.max()]])
 
 
-def test_a_length_that_makes_no_sense():
+def test_a_length_that_makes_no_sense(eq):
     for most, match in ((2.5, "whole number"), ("3", "whole number"), (-1, "negative")):
         with pytest.raises(InputError, match=match):
-            EQ[0].path(most)
-    assert len(EQ[0].path(0).models) == 1
-    assert len(EQ[0].path(100).models) == 37
+            eq[0].path(most)
+    assert len(eq[0].path(0).models) == 1
+    assert len(eq[0].path(100).models) == 37
 
 
 @pytest.mark.parametrize("smooth", ["auto", "none"])
-def test_known_coefficients_leave_the_errors_what_they_are(smooth):
+def test_known_coefficients_leave_the_errors_what_they_are(smooth, record):
     # u is given, so the regression is of a - u; its errors are still shares of a
     options = {**OSCILLATOR, "smooth": smooth}
-    known = discover(RECORD, **options, constraints=["u == 1"])[0]
-    free = discover(RECORD, **options)[0]
+    known = discover(record, **options, constraints=["u == 1"])[0]
+    free = discover(record, **options)[0]
     path = known.path(4)
     assert path.names == tuple(t.text for t in known.terms if t.text != "u")
     k = int(np.flatnonzero(path.is_chosen)[0])
@@ -281,20 +293,20 @@ def test_known_coefficients_leave_the_errors_what_they_are(smooth):
     assert known.path(1).chosen_r2 == pytest.approx(known.train.r2, abs=1e-12)
 
 
-def test_a_loaded_equation_has_no_path(tmp_path):
-    EQ.save(tmp_path / "eq.json")
+def test_a_loaded_equation_has_no_path(tmp_path, eq):
+    eq.save(tmp_path / "eq.json")
     with pytest.raises(InputError, match="run discover again"):
         bq.load(tmp_path / "eq.json")[0].path()
 
 
-def test_the_figure():
-    figure = PATH.plot()
+def test_the_figure(sizes):
+    figure = sizes.plot()
     left, right = figure.axes
     evidence = left.lines[0].get_xydata()
-    np.testing.assert_array_equal(evidence[:, 0], PATH.size)
-    np.testing.assert_allclose(evidence[:, 1], PATH.log_evidence - PATH.log_evidence.max())
-    np.testing.assert_allclose(right.lines[0].get_ydata(), np.sqrt(1 - PATH.r2))
-    np.testing.assert_allclose(right.lines[1].get_ydata(), np.sqrt(1 - PATH.held_out_r2))
+    np.testing.assert_array_equal(evidence[:, 0], sizes.size)
+    np.testing.assert_allclose(evidence[:, 1], sizes.log_evidence - sizes.log_evidence.max())
+    np.testing.assert_allclose(right.lines[0].get_ydata(), np.sqrt(1 - sizes.r2))
+    np.testing.assert_allclose(right.lines[1].get_ydata(), np.sqrt(1 - sizes.held_out_r2))
     for ax in (left, right):
         rings = ax.lines[-1].get_xydata()
         assert (rings[:, 0] == 4).all()
@@ -310,20 +322,20 @@ def test_the_figure():
 # --- units -----------------------------------------------------------------------------------------------------------
 
 
-def test_units_reach_the_coefficients(tmp_path):
-    assert EQ[0].units == {"x": "m", "v": "m/s", "a": "m/s^2", "u": "N"}
-    units = dict(zip([t.text for t in EQ[0].terms], EQ[0].coef_units, strict=True))
+def test_units_reach_the_coefficients(tmp_path, record, eq):
+    assert eq[0].units == {"x": "m", "v": "m/s", "a": "m/s^2", "u": "N"}
+    units = dict(zip([t.text for t in eq[0].terms], eq[0].coef_units, strict=True))
     assert units["x"] == "1/s^2"
     assert units["v"] == "1/s"
     assert units["x**3"] == "1/m^2/s^2"
     assert units["u"] == "m/s^2/N"
     assert units["v*abs(v)"] == "1/m"
     mm = bq.Record(
-        {"x": 1e3 * RECORD["x"], **{c: RECORD[c] for c in "vau"}}, RECORD.time, units={"x": "mm", "a": "m/s2"}
+        {"x": 1e3 * record["x"], **{c: record[c] for c in "vau"}}, record.time, units={"x": "mm", "a": "m/s2"}
     )
     found = discover(mm, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
     assert found[0].coef_units == ("m/s^2/mm", None, "m/s^2/mm^3", None)
-    assert found[0].coef["x"] == pytest.approx(1e-3 * EQ[0].coef["x"], rel=1e-2)
+    assert found[0].coef["x"] == pytest.approx(1e-3 * eq[0].coef["x"], rel=1e-2)
     found.save(tmp_path / "mm.json")
     assert bq.load(tmp_path / "mm.json").to_dict() == found.to_dict()
     assert [t["unit"] for t in found.to_dict()["equations"][0]["terms"]] == ["m/s^2/mm", None, "m/s^2/mm^3", None]
@@ -331,11 +343,11 @@ def test_units_reach_the_coefficients(tmp_path):
     assert estimated[0].units == {"x": "mm", "ddx": "mm/s^2"}
 
 
-def test_records_in_different_units_are_told_of():
+def test_records_in_different_units_are_told_of(record):
     other = bq.simulate("duffing", seed=2)
     mixed = bq.Record(other.channels, other.time, units={"x": "mm"})
     with pytest.warns(DataWarning, match="x is in m and in mm, depending on the record"):
-        found = bq.discover([RECORD, mixed], **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
+        found = bq.discover([record, mixed], **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
     assert "x" not in found[0].units
 
 
@@ -343,9 +355,9 @@ def test_records_in_different_units_are_told_of():
 
 
 @pytest.fixture(scope="module")
-def duffing(tmp_path_factory):
+def duffing(tmp_path_factory, record):
     file = tmp_path_factory.mktemp("path") / "duffing.csv"
-    bq.write(RECORD, file)
+    bq.write(record, file)
     return [str(file), "--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--smooth", "none"]
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,15 +13,15 @@ from bayeq.gram import Gram
 from bayeq.inference.stlsq import least_squares, stlsq, sweep_stlsq
 from tests import reference
 
-DUFFING = bq.simulate("duffing", seed=0)
-LORENZ = bq.simulate("lorenz", seed=0, noise=0.01)
 
-
+@cache
 def matrices(name):
     if name == "duffing":
-        terms, rec, y = build_dictionary("oscillator", Variables(("x", "v"), ("u",))), DUFFING, DUFFING["a"]
+        rec = bq.simulate("duffing", seed=0)
+        terms, y = build_dictionary("oscillator", Variables(("x", "v"), ("u",))), rec["a"]
     else:
-        terms, rec, y = build_dictionary("polynomial:3", Variables(("x", "y", "z"))), LORENZ, LORENZ.truth.clean["dy"]
+        rec = bq.simulate("lorenz", seed=0, noise=0.01)
+        terms, y = build_dictionary("polynomial:3", Variables(("x", "y", "z"))), rec.truth.clean["dy"]
     return evaluate_terms(terms, rec.channels), np.array(y)
 
 
