@@ -169,6 +169,9 @@ def test_the_minimum_is_that_of_a_general_solver(missing, eq, record):
     time, y = m.pieces[0].time, m.pieces[0].channels
     c = m.pieces[0].inputs
 
+    def between(u, w):
+        return (1 - w) * u[0] + w * u[1] + w * (1 - w) * (u[2] + w * u[3])
+
     def force(t, last):
         k = min(int(np.searchsorted(time, t, side="right")) - 1, last)
         w = (t - time[k]) / (time[k + 1] - time[k])
