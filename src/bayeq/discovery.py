@@ -78,9 +78,9 @@ def discover(
     max_terms : int, optional
         Largest number of terms that are shown: the likeliest such model where the method includes more. The path of
         each equation (`Equation.path`) tells what each further term brings. Probabilities and the included terms stay;
-        what is left out is listed beside the equation.
+        what is left out is listed after the equation.
     negligible : float
-        Terms that are certain and yet make no practical difference are listed beside the equation: those that together
+        Terms that are certain and yet make no practical difference are listed after the equation: those that together
         explain a smaller share of the target's variance than this, and without which free runs over the training rows
         are hardly worse (`bayeq.selection.negligible`). 0 shows them.
     coarsen : float

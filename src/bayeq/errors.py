@@ -63,7 +63,7 @@ class RecordError(InputError):
 
 
 class ChainError(InputError):
-    """A kinematic chain that cannot be read, or whose derivatives cannot be had from the data."""
+    """A kinematic chain that cannot be read, or whose derivatives cannot be estimated from the data."""
 
 
 class ExpressionError(InputError):

@@ -105,7 +105,7 @@ class Progress:
     "--negligible",
     type=float,
     help="Terms that together explain a smaller share of the variance than this (0.00004) and make no difference to"
-    " free runs stand beside the equation; 0 keeps them in it.",
+    " free runs are listed after the equation; 0 keeps them in it.",
 )
 @option(
     "--coarsen",

@@ -22,7 +22,7 @@ from bayeq.selection.select import Selection
 __all__ = ["build_equations"]
 
 # The residual of an adequate model has 0.9 to 1.3 times the power that the noise of the channels explains; a multiple
-# above this one is warned of.
+# above this one is reported in a warning.
 INADEQUATE = 1.75
 
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.

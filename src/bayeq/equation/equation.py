@@ -59,7 +59,7 @@ class RunnerUp:
 
     @property
     def odds(self) -> str:
-        """The odds as a person says them: ``1:7`` against, ``2:1`` for."""
+        """The odds as text: ``1:7`` against, ``2:1`` for."""
         ratio = exp(min(abs(self.log_odds), 700.0))
         number = f"{ratio:.1f}" if ratio < 9.95 else f"{ratio:.0f}" if ratio < 1e6 else f"{ratio:.0e}"
         return f"1:{number}" if self.log_odds <= 0 else f"{number}:1"

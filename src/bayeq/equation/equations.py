@@ -443,7 +443,7 @@ class Equations:
             part.write_text(text, encoding="utf-8")
 
     def __str__(self) -> str:
-        """The answer as a person reads it: in colour on a terminal, plain (Markdown) elsewhere."""
+        """The answer as text: in colour on a terminal, plain (Markdown) elsewhere."""
         from bayeq.equation.text import render
 
         return render(self)

@@ -1,4 +1,4 @@
-"""The answer as a person reads it."""
+"""The answer as text."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NOTHING = 1e-100
 # A term of a higher PIP is called certain.
 CERTAIN = 0.99
 
-# What is told of residuals, if it had a smaller probability by chance.
+# What is said of residuals, if it had a smaller probability by chance.
 DOUBTFUL = 1e-3
 
 

@@ -318,7 +318,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         self.averaged_coef_ = read("averaged_coef")
         self.averaged_sd_ = read("averaged_sd")
         self.average_ = read("average", listed=True)
-        # what `sample` draws from: parameters may be set anew, and arrays written to, before the next fit
+        # what `sample` draws from: parameters may be set again, and arrays written to, before the next fit
         prior = self._prior()
         inclusion = np.array(prior.prior_inclusion, dtype=np.float64)
         signs = None if prior.signs is None else np.array(prior.signs)

@@ -60,7 +60,7 @@ class Symbol(_Hashed):
     def __hash__(self) -> int:
         return self._hash
 
-    # Hashes of strings differ between processes: a pickled node is built anew (here and below).
+    # Hashes of strings differ between processes: a pickled node is built again (here and below).
     def __reduce__(self) -> tuple[Any, ...]:
         return Symbol, (self.name,)
 

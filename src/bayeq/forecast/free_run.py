@@ -14,7 +14,7 @@ __all__ = ["ANYWHERE", "GENEROUS", "mean_run", "run_bands", "state_range"]
 
 Floats = NDArray[np.float64]
 
-# A run has blown up where a state is further from its measured range than so many times the range.
+# A run has blown up where a state is further from its measured range than this many times the range.
 GENEROUS = 1e3
 
 # The range of a state of which nothing is known: what can be squared.

@@ -44,7 +44,7 @@ class Scores:
 
 
 def percentages(errors: Mapping[str, float]) -> str:
-    """Errors as a person reads them.
+    """Errors as text.
 
     Examples
     --------

@@ -26,8 +26,8 @@ __all__ = ["Band", "added_floor", "band_gram", "noise_floor", "periodogram", "re
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-# Share of a record that is tapered at either end, and the least number of rows; so many times the inverse of the band's
-# width, since that is how far a smoother's errors at the ends reach; and not more than this share.
+# Share of a record that is tapered at either end, and the least number of rows; this many times the inverse of the
+# band's width, since that is how far a smoother's errors at the ends reach; and not more than this share.
 TAPERED = 1 / 40
 LEAST_TAPER = 16
 MEMORY = 4.0

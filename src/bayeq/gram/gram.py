@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 # Rows that are centred and multiplied at a time: large enough for BLAS, small enough for the cache.
 BLOCK_ROWS = 8192
 
-# Up to this many columns the product Z'Z is our own kernel, above it is BLAS. The kernel centres so many
+# Up to this many columns the product Z'Z is our own kernel, above it is BLAS. The kernel centres this many
 # rows at a time, few enough for the cache; a multiple of 4.
 SMALL = 96
 CACHED_ROWS = 64
@@ -204,7 +204,7 @@ class Gram:
         return max(float(centred), 0.0) + offset
 
     def raised(self, power: float) -> Gram:
-        """The statistics of a likelihood raised to a power of at most 1: as if of so many fewer rows.
+        """The statistics of a likelihood raised to a power of at most 1: as if of fewer rows.
 
         Parameters
         ----------

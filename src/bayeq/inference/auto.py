@@ -13,11 +13,11 @@ from bayeq.inference.vb import spike_slab_vb
 
 __all__ = ["spike_slab_auto"]
 
-# The ascent of VB also starts from so many of the best models.
+# The ascent of VB also starts from this many of the best models.
 VB_STARTS = 3
 
-# If the models listed leave out more than this share of the mass, chains of so many samples say more; fewer samples for
-# many terms.
+# If the models listed leave out more than this share of the mass, chains of this many samples say more; fewer samples
+# for many terms.
 MOST_LEFT_OUT = 0.02
 SAMPLES = 5000
 SAMPLED_TERMS = 10_000_000

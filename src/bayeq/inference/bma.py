@@ -22,19 +22,19 @@ from bayeq.kernels import kernel
 __all__ = ["average_models", "sample_average", "spike_slab_bma"]
 
 # Models beyond this share of the mass add nothing to moments that a user could see. Truncated ones take some 0.1 ms
-# each: of more than so many only those up to a larger share, still less than a listing leaves out.
+# each: of more than this many only those up to a larger share, still less than a listing leaves out.
 MOMENT_MASS = 1e-6
 TRUNCATED_MODELS = 1000
 TRUNCATED_MASS = 1e-3
 
-# Models in the moments of a listing that is not complete: so many, or as many as keep models times terms below this.
+# Models in the moments of a listing that is not complete: this many, or as many as keep models times terms below this.
 MOMENT_MODELS = 100
 MOMENT_WORK = 2_000_000
 
 # The covariance over all models is kept for this many terms, the likeliest.
 MOST_COVARIANCES = 1000
 
-# Draws are rejected by blocks of at least so many, and so many times: signs right in one of 10^5 draws are met.
+# Draws are rejected by blocks of at least this many, and this many times: signs right in one of 10^5 draws are met.
 REJECTED = 1000
 MOST_REJECTIONS = 1000
 

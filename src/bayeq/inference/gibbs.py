@@ -104,7 +104,7 @@ def _scan(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, inclu
 
 @kernel
 def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, weight: Floats) -> int:
-    """Draw anew which term stands in the place of a random active one; returns the number of flips.
+    """Draw which term replaces a random active one; returns the number of flips.
 
     The model without term i is kept, and the term that completes it is drawn from its conditional among i and all
     inactive ones. i is drawn uniformly from the active terms, whose number stays the same, so that the step is

@@ -69,7 +69,7 @@ class ModelAverage:
         return np.asarray(weighted.T @ self.models.astype(np.float64))
 
     def credible_groups(self, least: float = 0.05) -> list[tuple[tuple[int, ...], float]]:
-        """Terms that stand in for each other: undecided, and rarely in together.
+        """Terms that replace each other: undecided, and rarely in together.
 
         Two terms are linked if each has a PIP between `least` and 1 - `least` and they are in together less than half
         as often as if they were independent; groups are what links connect.

@@ -36,7 +36,7 @@ WINDOW = (10 / 32, -15 / 32, 6 / 32, -1 / 32)
 SHORTEST, LONGEST = 64, 8192
 PART = 8
 
-# Frames start so many to a frame's length; fewer than the least of them tell nothing, more are not needed.
+# Frames start this many to a frame's length; fewer than the least of them tell nothing, more are not needed.
 OVERLAP = 4
 LEAST_FRAMES = 12
 MOST_FRAMES = 128
@@ -62,7 +62,7 @@ NEWTON = 20
 # Coherence squared is taken to be at most this, so that a few noise-free bins do not stand for all.
 MOST_COHERENT = 0.9999
 
-# Delays are looked for up to so many samples, at so many steps each.
+# Delays are looked for up to this many samples, at this many steps each.
 MOST_DELAY = 32
 STEPS = 4
 

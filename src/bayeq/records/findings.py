@@ -23,12 +23,12 @@ __all__ = ["Finding", "check_messages", "check_record"]
 Floats = NDArray[np.float64]
 
 # An offset, or half the change by drift over the record, counts from this share of the channel's standard deviation,
-# a delay from so many samples, a gain from this ratio.
+# a delay from this many samples, a gain from this ratio.
 LEAST_OFFSET = 0.01
 LEAST_DELAY = 0.2
 LEAST_GAIN = 1.03
 
-# ... and if it is so many standard errors from nothing.
+# ... and if it is this many standard errors from nothing.
 SIGNIFICANT = 4.0
 
 # If sign and delay explain a smaller share of the coherent signal, two channels are not what they are said to be.
@@ -43,9 +43,9 @@ UNIT_GAINS = (
 )
 NEAR = 0.02
 
-# Clipping: a run of so many equal samples at an extreme, in a channel whose samples are equal nowhere else; or so many
-# samples at the extreme, and so many times as many as at any of the next levels. A channel of few levels, or one that
-# rests at the extreme for most of the time, is switched and not clipped.
+# Clipping: a run of this many equal samples at an extreme, in a channel whose samples are equal nowhere else; or this
+# many samples at the extreme, and this many times as many as at any of the next levels. A channel of few levels, or
+# one that rests at the extreme for most of the time, is switched and not clipped.
 LEAST_RUN = 3
 LEAST_CLIPPED = 10
 TIMES_NEXT = 5
@@ -53,8 +53,9 @@ NEXT_LEVELS = 5
 LEAST_LEVELS = 20
 MOST_AT_REST = 0.5
 
-# Dropped samples: steps of time that are multiples of the median within this share. Repeated ones: so many places, in a
-# channel whose usual steps are so many levels; one that repeats more than this share of its samples is held on purpose.
+# Dropped samples: steps of time that are multiples of the median within this share. Repeated ones: this many places,
+# in a channel whose usual steps are this many levels; one that repeats more than this share of its samples is held on
+# purpose.
 NEAR_MULTIPLE = 0.1
 LEAST_REPEATS = 3
 LEVELS_PER_STEP = 8.0

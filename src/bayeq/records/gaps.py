@@ -20,15 +20,15 @@ Floats = NDArray[np.float64]
 LONGEST_GAP = 0.5
 POWER = 0.99
 
-# The least level of so many bands of a spectrum is taken for white noise, which is no power of the signal. In more of
+# The least level of this many bands of a spectrum is taken for white noise, which is no power of the signal. In more of
 # them, shorter ones, chance makes the least too low: noise of 20 % of the signal would count as motion.
 BANDS = 4
 
-# A gap of more than one sample is a step of time longer than so many usual ones; single samples are always bridged.
+# A gap of more than one sample is a step of time longer than this many usual ones; single samples are always bridged.
 GAP = 2.5
 
-# Spectra are those of the stretches between gaps longer than so many usual steps: across them it would be the spectrum
-# of a straight line.
+# Spectra are those of the stretches between gaps longer than this many usual steps: across them it would be the
+# spectrum of a straight line.
 LONG_GAP = 20.0
 
 # Shorter pieces are left out: nothing tells noise from motion in them.

@@ -160,7 +160,7 @@ def parse_constraints(
                 _note_sign(signs[t], *_sign(difference, relation, where), names, where)
     found = tuple(Constraints(Equalities.solving(names, equations[t]), signs[t]) for t in targets)
     for constraints in found:
-        constraints.prior(Prior())  # contradictions are told at once
+        constraints.prior(Prior())  # contradictions are reported at once
     return found
 
 

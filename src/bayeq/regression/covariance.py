@@ -32,12 +32,12 @@ Complexes = NDArray[np.complex128]
 PROJECTIONS = 200
 
 # Weighting makes the residual nearly white, so that projections of stretches of it count as independent: of at least so
-# many rows, and of so many times those in which the filter that weights has this share of its energy.
+# many rows, and of this many times those in which the filter that weights has this share of its energy.
 STRETCH = 256
 MEMORIES = 8
 ENERGY = 0.9
 
-# The noise's power in a bin is an average of at least so many drawn periodograms, which errs by 1/4 in one bin.
+# The noise's power in a bin is an average of at least this many drawn periodograms, which errs by 1/4 in one bin.
 LEAST_AVERAGED = 16
 
 

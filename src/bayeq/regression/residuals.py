@@ -23,7 +23,7 @@ CHANCE = 1e-4
 # ... and so large that it matters.
 LEAST_CORRELATION = 0.1
 
-# Cross-correlations are looked at up to so many lags, and up to this share of the longest piece.
+# Cross-correlations are looked at up to this many lags, and up to this share of the longest piece.
 MOST_LAGS = 100
 SHARE_OF_LAGS = 0.25
 
@@ -108,7 +108,7 @@ class Residuals:
 
     @property
     def excess_text(self) -> str:
-        """The excess as a person says it."""
+        """The excess as text."""
         if self.excess is None:
             return "unknown"
         return f"{self.excess:.2g}" if self.excess < 10 else f"{self.excess:,.0f}"

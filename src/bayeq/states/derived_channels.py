@@ -2,7 +2,7 @@
 
 A velocity may be a sensor's, or somebody differentiated and smoothed the displacement. The second kind tells nothing
 that the displacement does not, and its errors are the displacement's, filtered: to fuse both as if their errors were
-independent counts the same noise twice, and the filter's gain, below 1, is taken for the motion. The two are told apart
+independent counts the same noise twice, and the filter's gain, below 1, is taken for the motion. They are distinguished
 by a filter of the lower channel fitted to the higher one. Of a sensor's velocity it leaves the sensor's noise and,
 besides, the displacement's own noise, which the filter lets through and the velocity does not have. Of a computed
 velocity it leaves next to nothing, less than that noise of the displacement.
@@ -88,7 +88,7 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int
     """Orders of the derivatives that were computed from the lowest measured one."""
     names = [name for name in chain.measured if name is not None]
     if not all(name in record.channels and usable(record[name]) for record in records for name in names):
-        # told of where channels are checked
+        # reported where channels are checked
         return []
     even = [on_grid(record, names, ()) for record in records]
     if not all(record.is_uniform() for record in even):

@@ -23,7 +23,7 @@ __all__ = ["bridged", "rates", "unit_gains"]
 Floats = NDArray[np.float64]
 
 # An estimate is made from the strongest lines of the spectra: those above this share of the largest, but at most this
-# share of the rows, and at least so many. They show one motion if one channel tells more than a share COHERENT of the
+# share of the rows, and at least this many. They show one motion if one channel tells more than a share COHERENT of the
 # other's power: where a channel is proportional to the other instead of its derivative, white spectra give 5/9.
 STRONG = 0.1
 SHARE_OF_LINES = 1 / 100
@@ -33,8 +33,8 @@ COHERENT = 0.7
 # Independent lines among those of a Hann window's transform.
 INDEPENDENT = 2 / 3
 
-# Errors that count: so many standard errors; what calibration and filters leave of the best estimate; and in records of
-# n rows, without any noise, this over n for the ends of the window.
+# Errors that count: this many standard errors; what calibration and filters leave of the best estimate; and in
+# records of n rows, without any noise, this over n for the ends of the window.
 SIGNIFICANT = 4.0
 LEAST_ERROR = 0.005
 ENDS = 2.0

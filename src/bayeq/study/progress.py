@@ -8,7 +8,7 @@ from typing import Any
 
 __all__ = ["StudyProgress"]
 
-# Lines where there is no terminal: one in so many seconds.
+# Lines where there is no terminal: one in this many seconds.
 LINE_EVERY = 10.0
 
 

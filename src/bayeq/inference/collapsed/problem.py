@@ -21,7 +21,7 @@ Ints = NDArray[np.int64]
 NOTHING = np.empty((0, 0))
 
 # Rows of D'D computed one by one, which is bound by memory, take about as long as this many times as many in blocks of
-# so many.
+# this many.
 WHOLE_AFTER = 20
 BLOCK = 256
 

@@ -54,14 +54,14 @@ __all__ = [
 GAIN_TOLERANCE = 1e-8
 
 # A tableau has drifted if what it keeps is this far from what its rows and the Gram give: s and Schur complements in
-# their own units, M_jy in those of a t-value. Looked for after so many steps of engines that go from model to model.
+# their own units, M_jy in those of a t-value. Looked for after this many steps of engines that go from model to model.
 DRIFT = 1e-6
 LOOK = 16
 
 # A column whose variance left by earlier ones is a smaller share of its own depends on them.
 DEPENDENT = 1e-13
 
-# Up to this many terms the residual sum of squares is had by our own kernel, above by LAPACK.
+# Up to this many terms the residual sum of squares is computed by our own kernel, above by LAPACK.
 SMALL = 128
 
 # Most terms that a model may hold.
@@ -212,7 +212,7 @@ def swept(p: Problem, active: Bools) -> Tableau:
 
 @kernel
 def renew(p: Problem, T: Tableau, active: Bools) -> None:
-    """Sweep the tableau of a model anew, in place."""
+    """Sweep the tableau of a model again, in place."""
     for j in range(len(active)):
         T.row[j] = -1
         T.diagonal[j] = p.columns.diagonal[j] + 1.0 / p.slab_variance
@@ -226,7 +226,7 @@ def renew(p: Problem, T: Tableau, active: Bools) -> None:
 
 @kernel
 def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: float, T: Tableau) -> bool:
-    """Whether rounding has spoilt a tableau that was led from model to model, so that it is to be swept anew.
+    """Whether rounding has spoilt a tableau that was led from model to model, so that it must be swept again.
 
     Each time that a column enters which the model nearly spans, what earlier flips left of rounding is magnified by its
     variance inflation. So M_yy, M_jy and M_jj are compared to what they are by definition given the active rows,

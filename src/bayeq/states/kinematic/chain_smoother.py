@@ -22,10 +22,10 @@ Floats = NDArray[np.float64]
 # The smoother is trusted to follow the motion where its gain exceeds this.
 LEAST_GAIN = 0.9
 
-# A smoother's filter reaches over so many times as many samples as the inverse of its band's width.
+# A smoother's filter reaches over this many times as many samples as the inverse of its band's width.
 REACH = 4.0
 
-# A signal comes out of its noise where its density, averaged over so many bins on either side (at most this share of
+# A signal comes out of its noise where its density, averaged over this many bins on either side (at most this share of
 # them), exceeds that of the noise by this factor, and by what chance exceeds with this probability.
 LOW_SMOOTHING = 8
 SHARE_OF_BINS = 1 / 16

@@ -37,8 +37,8 @@ BANDS, BINS = 16, 8
 # The share of its variance where there are too few samples for a spectrum.
 FALLBACK = 0.01
 
-# More rows than MANY are not used; USED of them in so many STRETCHES are. Rows that gains cannot settle on are slower:
-# the fewer are used where there are more than one in SPARSE of them.
+# More rows than MANY are not used; USED of them in this many STRETCHES are. Rows that gains cannot settle on are
+# slower: the fewer are used where there are more than one in SPARSE of them.
 MANY, USED, STRETCHES = 50_000, 40_000, 8
 SLOWER, SPARSE = 5, 300
 

@@ -41,7 +41,7 @@ Floats = NDArray[np.float64]
 # A covariance has settled when a step changes its square root by less, relative to the standard deviations.
 SETTLED = 1e-12
 # A state that is this many noise levels wide after a gap longer than this [regular steps] holds no digit of what was
-# known before: it starts anew.
+# known before: it starts again.
 WIDE, LONG_GAP = 1e8, 20.0
 # The same as SETTLED for the information that the score carries backwards: a sum over rows needs no more.
 SETTLED_SCORE = 1e-8
@@ -217,7 +217,7 @@ def filter_gains(
     index : (n,) array, filled
         Entry of each row in the tables below.
     anew : (n,) array, filled
-        Whether the state starts anew in the row, as it does after a gap so long that nothing is left to be known.
+        Whether the state starts again in the row, as it does after a gap so long that nothing is left to be known.
     gains, inverse, roots : (n, c, m), (n, c) and (n or 0, m, m) arrays, filled
         For each entry the gain of each channel and one over its innovation's variance (both 0 where missing)
         and a root of the filtered covariance (only where there is room).

@@ -143,7 +143,7 @@ class KinematicModel:
 
 
 def check_order(order: int, derivatives: int) -> None:
-    """Raise an InputError unless a chain of so many derivatives, q included, can have this order."""
+    """Raise an InputError unless a chain of this many derivatives, q included, can have this order."""
     if not derivatives <= order < derivatives + MOST_EXTRA:
         raise InputError(
             f"a chain of {derivatives - 1} derivatives has an order from {derivatives} to"

@@ -68,7 +68,7 @@ def smooth_kinematic(series: ChainSeries, model: KinematicModel) -> SmoothedStat
     A derivative below all that are measured (the displacement, where only the acceleration is) is known up to a
     polynomial of the record's time, and its standard deviation says so. After a gap of more than 20 median steps in
     which the lowest measured derivative spreads beyond 1e8 noise levels and beyond `KinematicModel.initial_sd`, the
-    state starts anew from the latter: rounding would have left nothing of what was known.
+    state starts again from the latter: rounding would have left nothing of what was known.
 
     Parameters
     ----------
