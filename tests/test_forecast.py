@@ -19,6 +19,7 @@ from bayeq.forecast.dynamics import finest_step, normal_draws
 from bayeq.ode.rk4 import Drive, free_runs, interpolant
 from tests.simulated import FS, coarse
 
+
 @pytest.fixture(scope="module")
 def record():
     return coarse("duffing", 600, 3, {"x": 0.02, "v": 0.02, "a": 0.02})
