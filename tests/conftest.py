@@ -7,13 +7,18 @@ run on few records unless `--full-statistics` asks for all.
 from __future__ import annotations
 
 import os
+import sys
 
 import pytest
 from hypothesis import settings
 
+from bayeq.kernels import Kernel
+
 settings.register_profile("ci", derandomize=True, deadline=None)
 if os.environ.get("CI"):
     settings.load_profile("ci")
+
+RAN_AT_COLLECTION = pytest.StashKey[list[str]]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -25,3 +30,14 @@ def number(request: pytest.FixtureRequest) -> int:
     """How many records, problems or sweeps a test marked `statistical(short=..., full=...)` is to draw."""
     marker = request.node.get_closest_marker("statistical")
     return int(marker.kwargs["full" if request.config.getoption("--full-statistics") else "short"])
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Note the kernels that ran by now, for `test_collection.py`."""
+    session.config.stash[RAN_AT_COLLECTION] = [
+        f"{name}.{kernel.__name__}"
+        for name, module in list(sys.modules.items())
+        if name.split(".")[0] in ("bayeq", "tests")
+        for kernel in vars(module).values()
+        if isinstance(kernel, Kernel) and "dispatcher" in vars(kernel) and kernel.dispatcher.overloads
+    ]
