@@ -30,11 +30,6 @@ from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
 from bayeq.study.realise import draw
 
 
-@pytest.fixture(scope="module")
-def small_study():
-    return joined([calibrate_one("correlated", 20, (5, 0, k)) for k in range(600)])
-
-
 def toy_ranks(spread, problems=4000):
     """Ranks of mu ~ N(0, 1), seen as y ~ N(mu, 1), among draws from N(y/2, spread/2): right with spread 1."""
     rng = np.random.default_rng(3)
@@ -65,42 +60,6 @@ def bins(true, stated=None, variance=None, terms=1000):
         slowest=3.0,
         rhat=1.01,
     )
-
-
-def test_probabilities_are_right_on_problems_drawn_from_the_prior(small_study):
-    """A small run of the study, one family of tests at 0.1 %."""
-    tested = [p for p in bin_p(small_study) if p is not None]
-    assert tested
-    p = [uniform_p(counts) for counts in small_study.ranks] + tested
-    assert holm(p).min() > 0.001
-    assert small_study.problems == small_study.ranks.sum(axis=1).max() == 600
-    assert small_study.terms.sum() == 6000
-    # 4 standard deviations of 600 intervals
-    inner = small_study.ranks[:, TAIL : DRAWS + 1 - TAIL].sum(axis=1) / 600
-    assert np.abs(inner - 0.95).max() < 0.036
-    assert small_study.enclosed / 600 >= inner[0]
-
-
-def test_the_posterior_s_variance_of_a_bin_is_that_of_its_errors(small_study):
-    # two sums of the same expectation over 600 problems
-    assert 0.7 < small_study.squared.sum() / small_study.variance.sum() < 1.4
-
-
-def test_a_wrong_posterior_is_seen(small_study, monkeypatch):
-    right = calibration._posterior
-
-    def overconfident(*arguments):
-        # PIPs pushed towards 0, and a noise variance of twice its size
-        fit, theta, noise = right(*arguments)
-        return replace(fit, pip=np.where(fit.pip < 0.5, fit.pip**2, fit.pip)), theta, 2.0 * noise
-
-    monkeypatch.setattr(calibration, "_posterior", overconfident)
-    wrong = joined([calibrate_one("correlated", 20, (5, 0, k)) for k in range(600)])
-    noise = QUANTITIES.index("noise")
-    assert (wrong.true[0] - wrong.stated[0]) / np.sqrt(wrong.squared[0]) > 4.0
-    assert bin_p(wrong)[0] < 1e-4
-    assert uniform_p(wrong.ranks[noise]) < 1e-6
-    assert uniform_p(small_study.ranks[noise]) > 1e-4
 
 
 def test_ranks_of_a_right_posterior_are_uniform_and_those_of_a_wrong_one_are_not():

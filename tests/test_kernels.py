@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from bayeq.inference.collapsed.tableau import score
 from bayeq.kernels import announce_compiling, kernel
 
 CALLEE = "from bayeq.kernels import kernel\n\n@kernel\ndef inner(x):\n    return x + {shift}\n"
@@ -157,6 +159,10 @@ def load(cache_hits):
     compiled = kernel(thirds)
     assert compiled(6.0) == 11.0
     assert sum(compiled.stats.cache_hits.values()) == cache_hits
+
+
+def test_kernels_travel_to_other_processes_by_name():
+    assert pickle.loads(pickle.dumps(score)) is score  # noqa: S301
 
 
 DAMAGES = {

@@ -51,6 +51,10 @@ class Kernel:
     def __call__(self, *arguments: Any) -> Any:
         return self.dispatcher(*arguments)
 
+    def __reduce__(self) -> str:
+        # pickled by its name, as functions are
+        return self.py_func.__qualname__
+
     def __getattr__(self, name: str) -> Any:
         # numba takes a kernel that is called by another for its dispatcher, by the attribute `_numba_type_`
         return getattr(self.dispatcher, name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from bayeq.gram import Gram
@@ -60,7 +61,7 @@ def _visit(p: Problem, D: Floats, exchange: bool, rng: np.random.Generator, z: B
         visited[t, 2 * terms] = math.log(variance)
 
 
-def scores(exchange, sweeps=40_000):
+def scores(exchange, sweeps):
     """Standardised differences of moments from those of the prior."""
     rng = np.random.default_rng(11)
     D = rng.normal(size=(N, P)) + 0.8 * rng.normal(size=(N, 1))
@@ -76,3 +77,10 @@ def scores(exchange, sweeps=40_000):
     expected = [*[0.4] * P, *[0.0] * P, log_noise, *[0.4 * 2.0 * 1.5] * P, 3 * 0.4 * 0.6 + 1.44]
     batches = samples.reshape(50, -1, samples.shape[1]).mean(axis=1)
     return (batches.mean(axis=0) - expected) / (batches.std(axis=0, ddof=1) / math.sqrt(50))
+
+
+@pytest.mark.statistical(short=10_000, full=200_000)
+@pytest.mark.parametrize("exchange", [False, True], ids=["paper", "exchange"])
+def test_the_joint_distribution_is_visited(exchange, number):
+    # eleven tests of a t-distribution of 49 degrees of freedom: 4.2 is a family-wise error of one in a thousand
+    assert np.max(np.abs(scores(exchange, number))) < 4.2
