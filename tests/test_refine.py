@@ -192,7 +192,7 @@ def test_the_minimum_is_that_of_a_general_solver(missing, eq, record):
             for i in range(rows.start, rows.stop - 1):
                 t, h = time[i], time[i + 1] - time[i]
                 k1 = np.array(law(t, z[-1]))
-                u_mid = [np.polyval(c[i, 0, ::-1], tau) for tau in (0.5 * h, h)]
+                u_mid = [between(c[i, 0], w) for w in (0.5, 1.0)]
                 f = lambda w, u: np.array([w[1], b + k * w[0] + cc * w[1] + k3 * w[0] ** 3 + g * u])  # noqa: E731
                 k2 = f(z[-1] + 0.5 * h * k1, u_mid[0])
                 k3_ = f(z[-1] + 0.5 * h * k2, u_mid[0])

@@ -7,6 +7,7 @@ import pytest
 from studies.channels import draw_record
 
 import bayeq as bq
+from bayeq.inference.bma import spike_slab_bma
 from bayeq.study.config import StudyConfig
 from bayeq.study.realise import draw
 from tests.statistical.limits import assert_coverage, fewest
@@ -56,7 +57,7 @@ def test_smoothing_restores_what_noise_takes_in_the_paper_s_protocol(number):
     for smooth in exact:
         for index in range(number):
             data = draw(StudyConfig(smooth=smooth), "coulomb", index)
-            found = bq.inference.spike_slab_bma(data.train.standardise().gram).support
+            found = spike_slab_bma(data.train.standardise().gram).support
             exact[smooth] += bool((found == (data.truth != 0)).all())
     assert exact["auto"] >= fewest(number, 0.98)
     # the study is about records that noise spoils: raw, not all are exact (all of 10 at 0.75: 6 %; of 40: 1e-5)

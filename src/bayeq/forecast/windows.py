@@ -60,7 +60,8 @@ def window_runs(
     out = []
     for rows, known in zip(pieces, states, strict=True):
         drive = rows.drive(*limits)
-        length = int(min(duration / drive.step + 1.0, rows.n // 2))
+        intervals = duration / drive.step
+        length = min(round(intervals) + 1 if math.isfinite(intervals) else rows.n, rows.n // 2)
         if length < LEAST_ROWS:
             continue
         count = max(1, round(WINDOWS * rows.n / len(whole)))
