@@ -29,6 +29,7 @@ Progress = Callable[[str, int, int], None]
 LEAST_TRAINING_ROWS = 3
 
 
+# The parameters are those of the public contract; all but the records have defaults.
 def discover(
     records: Record | Sequence[Record],
     *,

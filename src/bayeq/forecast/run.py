@@ -128,6 +128,7 @@ class Forecast:
         return "\n".join(lines)
 
 
+# The parameters are those of `Equations.simulate`, which users call by name.
 def forecast(
     dynamics: Dynamics,
     record: Record,

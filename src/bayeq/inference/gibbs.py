@@ -146,6 +146,7 @@ def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generat
     return 0
 
 
+# A chain in one kernel: its state, and the arrays that it fills, are all passed in.
 @kernel
 def sample_chain(
     p: Problem,

@@ -144,6 +144,7 @@ def _pop(heap: Ints, size: int, scores: Floats) -> int:
     return top
 
 
+# One loop whose state (heap, table of models, tableau) would have to be passed on by every part of it.
 @kernel
 def _search(
     p: Problem, starts: Bools, start_scores: Floats, zobrist: Words, room: int, tolerance: float, keep: float
