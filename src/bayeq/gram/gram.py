@@ -289,7 +289,9 @@ def _column_means(D: Floats, y: Floats) -> Floats:
             mean[j] += D[i, j]
         for j in range(y.shape[1]):
             mean[p + j] += y[i, j]
-    return mean / n
+    for j in range(len(mean)):
+        mean[j] /= n
+    return mean
 
 
 @kernel
@@ -333,12 +335,15 @@ def _add_cross(z: Floats, cross: Floats) -> None:
 
 
 @kernel
-def _narrow_cross(D: Floats, y: Floats, mean: Floats) -> tuple[Floats, Floats]:
-    """z'z and the sums of z = [D y] - mean, which is formed a few rows at a time and so never leaves the cache.
+def _narrow_cross(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """The mean of [D y], and z'z and the sums of z = [D y] - mean.
+
+    z is formed a few rows at a time and so never leaves the cache.
 
     For narrow matrices faster than BLAS, and unlike it the same to the last bit for any number of threads (and
     not slowed down when other processes hold the cores that a threaded BLAS waits for).
     """
+    mean = _column_means(D, y)
     n, columns = len(D), len(mean)
     rest, cross = np.zeros(columns), np.zeros((columns, columns))
     z = np.empty((CACHED_ROWS, columns))
@@ -350,14 +355,15 @@ def _narrow_cross(D: Floats, y: Floats, mean: Floats) -> tuple[Floats, Floats]:
     for a in range(columns):
         for b in range(a):
             cross[b, a] = cross[a, b]
-    return cross, rest
+    return mean, cross, rest
 
 
-def _wide_cross(D: Floats, y: Floats, mean: Floats) -> tuple[Floats, Floats]:
+def _wide_cross(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
     """`_narrow_cross` of many columns, by BLAS."""
+    mean = _column_means(D, y)
     z, rest = np.empty((len(D), len(mean))), np.zeros(len(mean))
     _centre(D, y, mean, z, rest)
-    return z.T @ z, rest
+    return mean, z.T @ z, rest
 
 
 def _block_moments(D: Floats, Y: Floats) -> _Moments:
@@ -365,9 +371,9 @@ def _block_moments(D: Floats, Y: Floats) -> _Moments:
     n = len(D)
     D = np.ascontiguousarray(D)
     Y = np.ascontiguousarray(Y)
-    mean = _column_means(D, Y)
+    columns = D.shape[1] + Y.shape[1]
     with np.errstate(over="ignore", invalid="ignore"):
-        cross, rest = (_narrow_cross if len(mean) <= SMALL else _wide_cross)(D, Y, mean)
+        mean, cross, rest = (_narrow_cross if columns <= SMALL else _wide_cross)(D, Y)
         cross -= rest[:, None] * (rest / n)
     return _Moments(n, mean + rest / n, cross)
 

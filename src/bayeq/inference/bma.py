@@ -50,7 +50,7 @@ def _mixture_moments(
     """
     terms = len(p.Dty)
     mean, square, second, noise = np.zeros(terms), np.zeros(terms), np.zeros((count, count)), 0.0
-    current = np.zeros(terms, dtype=np.bool_)
+    current = np.zeros(terms, np.bool_)
     T = swept(p, current)
     for k in range(len(models)):
         for j in range(terms):

@@ -69,8 +69,10 @@ def _best_action(T: Tableau, lam: Floats, beta: float) -> tuple[int, float, floa
 def _shift_ridge(T: Tableau, j: int, delta: float) -> None:
     """Add `delta` to the ridge of active term j: one rank-one update of the swept tableau."""
     kappa = delta / (1.0 - delta * T.diagonal[j])
-    column = T.rows[T.row[j]].copy()
-    p = len(T.partial)
+    p, own = len(T.partial), T.rows[T.row[j]]
+    column = np.empty(p + 1)
+    for k in range(p + 1):
+        column[k] = own[k]
     for a in range(T.size[0]):
         factor = kappa * column[T.term[a]]
         row = T.rows[a]
@@ -83,6 +85,15 @@ def _shift_ridge(T: Tableau, j: int, delta: float) -> None:
 
 
 @kernel
+def _astray(columns: Columns, Dty: Floats, yty: float, lam: Floats, floor: float, T: Tableau) -> bool:
+    """Whether the tableau has `strayed`."""
+    ridges = np.empty(len(lam))
+    for j in range(len(lam)):
+        ridges[j] = lam[j] if lam[j] < math.inf else 0.0
+    return strayed(columns, Dty, yty, ridges, floor, T)
+
+
+@kernel
 def rvm_ascent(
     columns: Columns, Dty: Floats, yty: float, dof: float, max_iter: int
 ) -> tuple[Floats, Tableau, float, int, bool]:
@@ -92,7 +103,9 @@ def rvm_ascent(
     """
     p = len(Dty)
     T = build(columns, Dty, yty, 0.0)
-    lam = np.full(p, math.inf)
+    lam = np.empty(p)
+    for j in range(p):
+        lam[j] = math.inf
     floor = max(1e-14 * yty, 1e-300)
     steps, converged = 0, False
     while steps < max_iter:
@@ -112,13 +125,14 @@ def rvm_ascent(
         else:
             _shift_ridge(T, j, new - lam[j])
         lam[j] = new
-        if steps % LOOK == 0 and strayed(columns, Dty, yty, np.where(np.isinf(lam), 0.0, lam), floor, T):
+        if steps % LOOK == 0 and _astray(columns, Dty, yty, lam, floor, T):
             T = build(columns, Dty, yty, 0.0)
             for k in range(p):
                 if lam[k] < math.inf:
                     enter(columns, Dty, T, k, lam[k])
-    gamma = np.zeros(p)
+    gamma = np.empty(p)
     for j in range(p):
+        gamma[j] = 0.0
         if lam[j] < math.inf:
             gamma[j] = min(max(1.0 + lam[j] * T.diagonal[j], 1e-300), 1.0)
     return gamma, T, max(T.diagonal[p], floor) / dof, steps, converged

@@ -59,7 +59,9 @@ def _factorise(A: Floats, C: Floats) -> float:
             for k in range(i, r):
                 row[k] -= factor * own[k]
     # C = U'^-1
-    C[:] = 0.0
+    for i in range(r):
+        for j in range(r):
+            C[i, j] = 0.0
     for i in range(r):
         row, pivot = C[i], A[i, i]
         for k in range(i):
@@ -70,7 +72,9 @@ def _factorise(A: Floats, C: Floats) -> float:
             row[j] /= pivot
         row[i] = 1.0 / pivot
     # A^-1 = C'C
-    A[:] = 0.0
+    for i in range(r):
+        for j in range(r):
+            A[i, j] = 0.0
     for k in range(r):
         other = C[k]
         for i in range(k + 1):
@@ -152,8 +156,10 @@ def _update_indicators(
     p: Problem, log_odds: Floats, w: Floats, index: Ints, mu: Floats, C: Floats, tau_old: float, tau: float
 ) -> None:
     """Eqs. (25)-(26) for each term in turn, with the newest w of the others."""
-    position = np.full(len(w), -1)
+    position = np.empty(len(w), np.int64)
     rows, slot = p.columns.rows, p.columns.slot
+    for i in range(len(w)):
+        position[i] = -1
     for a in range(len(index)):
         position[index[a]] = a
     for i in range(len(w)):
@@ -189,12 +195,17 @@ def vb_ascent(p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int
             w[i] = 1.0
         elif p.log_odds[i] == -math.inf:
             w[i] = 0.0
-    log_odds = p.log_odds.copy()
+    log_odds, index = np.empty(terms), np.empty(terms, np.int64)
+    for i in range(terms):
+        log_odds[i] = p.log_odds[i]
     rows, slot = p.columns.rows, p.columns.slot
     while True:
-        index = np.flatnonzero(w > 0.0)
-        r = len(index)
-        A, C, mu = np.empty((r, r)), np.empty((r, r)), np.zeros(r)
+        r = 0
+        for i in range(terms):
+            if w[i] > 0.0:
+                index[r] = i
+                r += 1
+        A, C, mu = np.empty((r, r)), np.empty((r, r)), np.empty(r)
         for a in range(r):
             i = index[a]
             if slot[i] < 0:
@@ -206,9 +217,10 @@ def vb_ascent(p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int
             A[a, a] = w[i] * own[i] + 1.0 / p.slab_variance
         logdet = _factorise(A, C)
         if math.isnan(logdet):
-            return np.zeros(terms), C, index, shape, math.nan, trace[:0]
+            return log_odds, C, index[:r], shape, math.nan, trace[:0]
         explained = 0.0
         for a in range(r):
+            mu[a] = 0.0
             for b in range(r):
                 mu[a] += C[a, b] * w[index[b]] * p.Dty[index[b]]
             explained += mu[a] * w[index[a]] * p.Dty[index[a]]
@@ -230,12 +242,16 @@ def vb_ascent(p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int
         done = steps > 1 and elbo - trace[steps - 2] < tolerance
         if done or steps == max_iter:
             break
-        _update_indicators(p, log_odds, w, index, mu, C, tau, tau_new)
+        _update_indicators(p, log_odds, w, index[:r], mu, C, tau, tau_new)
         tau = tau_new
-    full = np.zeros(terms)
+    full = np.empty(terms)
+    for i in range(terms):
+        full[i] = 0.0
     for a in range(r):
         full[index[a]] = mu[a]
-    return full, C / tau, index, shape, rate, trace[:steps]
+        for b in range(r):
+            C[a, b] /= tau
+    return full, C, index[:r], shape, rate, trace[:steps]
 
 
 @kernel
@@ -247,7 +263,7 @@ def _best_ascent(p: Problem, starts: Floats, taus: Floats, tolerance: float, max
         run = vb_ascent(p, starts[k], taus[k], tolerance, max_iter)
         if len(run[5]) > 0 and (len(best_run[5]) == 0 or run[5][-1] > best_run[5][-1]):
             best, best_run = k, run
-    return starts[best].copy(), best_run
+    return starts[best], best_run
 
 
 def _starts(
@@ -266,9 +282,10 @@ def _starts(
         return greedy_model(problem).astype(np.float64)[None], np.zeros(1), None
     if init != "search":
         raise InputError(f"init must be 'search', 'greedy', 'rvm' or an array of inclusion probabilities, got {init!r}")
-    gamma = rvm_gamma(problem) if terms <= RVM_START_TERMS else None
-    found = candidate_models(problem, default_starts(problem, gamma))
-    starts = np.array([*found, *models] if gamma is None else [*found, *models, gamma], dtype=np.float64)
+    gamma = rvm_gamma(problem) if not models and terms <= RVM_START_TERMS else None
+    climbing = list(models) or default_starts(problem)
+    found = candidate_models(problem, climbing if gamma is None else [*climbing, gamma > 0.0])
+    starts = np.array([*found, *models] if gamma is None else [*found, gamma], dtype=np.float64)
     taus = np.zeros(len(starts))
     if gamma is not None:
         taus[-1] = RVM_PRECISION
@@ -299,7 +316,7 @@ def spike_slab_vb(
         collapsed tableau, and keeps the highest ELBO; "greedy" from the one model that adding and dropping single
         terms leads to; an array gives w itself.
     models : sequence of (P,) bool arrays
-        Further models to start from, with "search".
+        With "search", the models to start from, and those near them, instead of the RVM and the empty model.
     tolerance : float
         Stop when the ELBO rises by less, eq. (27).
     max_iter : int

@@ -19,10 +19,11 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, TypeGuard
 
-import numba
 import numpy as np
 from numba.core import caching
 from numba.core.runtime import rtsys
+
+from bayeq.kernels.compiler import entry_dispatcher
 
 __all__ = ["cached_dispatcher", "kernel_digest"]
 
@@ -142,10 +143,8 @@ def cached_dispatcher(function: Callable[..., Any], compiling: Callable[[], None
     """numba's dispatcher of a function: it compiles for the types that it is called with, or loads from the cache.
 
     `compiling` is called before it compiles.
-
-    The GIL is released while it runs; floating-point semantics stay strict (no ``fastmath``: NaN checks must work).
     """
-    dispatcher = numba.njit(nogil=True, error_model="numpy")(function)
+    dispatcher = entry_dispatcher(function)
     if hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT gives the function itself
         # Where there is nowhere to write a cache (read-only installation and home), every process compiles.
         with suppress(RuntimeError):

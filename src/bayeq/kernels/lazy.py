@@ -36,6 +36,8 @@ class Kernel:
         The function itself.
     dispatcher : numba.core.dispatcher.Dispatcher
         Compiled, made at the first call; its attributes are the kernel's too.
+    inner : numba.core.dispatcher.Dispatcher
+        The same for kernels that call this one.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -48,6 +50,17 @@ class Kernel:
 
         return cached_dispatcher(self.py_func, _say_compiling)
 
+    @cached_property
+    def inner(self) -> Any:
+        from bayeq.kernels.compiler import inner_dispatcher
+
+        return inner_dispatcher(self.py_func)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What numba takes this kernel for where another one calls it."""
+        return self.inner._numba_type_
+
     def __call__(self, *arguments: Any) -> Any:
         return self.dispatcher(*arguments)
 
@@ -56,7 +69,6 @@ class Kernel:
         return self.py_func.__qualname__
 
     def __getattr__(self, name: str) -> Any:
-        # numba takes a kernel that is called by another for its dispatcher, by the attribute `_numba_type_`
         return getattr(self.dispatcher, name)
 
 

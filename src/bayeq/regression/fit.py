@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.gram import Gram, Standardised
-from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.conditional import exact_posterior, noise_given_model
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
-from bayeq.inference.collapsed.tableau import swept
 from bayeq.inference.engines import Engine
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
@@ -74,8 +73,7 @@ class RegressionFit:
         if bool((model == self.posterior.support).all()):
             return self.posterior
         coef, covariance = exact_posterior(self.problem, model, self.prior.known_signs)
-        s = max(float(swept(self.problem, model).diagonal[-1]), self.problem.floor)
-        noise = 0.5 * s / max(self.problem.h - 1.0, 0.5)
+        noise = noise_given_model(self.problem, model)
         return replace(self.posterior, support=model, coef=coef, covariance=covariance, noise_variance=noise)
 
     def expanded(self, posterior: Posterior) -> Posterior:

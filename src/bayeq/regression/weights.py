@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from bayeq.gram import Gram
 from bayeq.gram.band import Band, added_floor, band_gram, noise_floor, periodogram, residual_spectrum, to_band
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
@@ -82,7 +84,8 @@ def _pilot(gram: Gram) -> Posterior:
     standard = gram.standardise(residual_scale(gram))
     prior = Prior()
     prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
-    return spike_slab_vb(standard.gram, prior).rescaled(standard)
+    best = [model for _, model in best_models(Problem.of(standard.gram, prior))]
+    return spike_slab_vb(standard.gram, prior, models=best).rescaled(standard)
 
 
 def gains_of(y: Floats, smoothing: ChainSmoothing) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
-from bayeq.inference.collapsed.search import best_models
+from bayeq.inference.collapsed.search import STAY, best_models, explore
 from bayeq.inference.collapsed.tableau import drifted, flip, flip_gains, renew, score, swap_gains, swept
 from bayeq.kernels import kernel
 
@@ -151,15 +151,16 @@ def _search(
 ) -> tuple[Bools, Floats, float, int]:
     """Best-first search; returns models, scores, the estimate of the mass left out, and the number expanded."""
     terms = len(p.Dty)
-    models = np.zeros((room, terms), dtype=np.bool_)
+    models = np.empty((room, terms), np.bool_)
     scores = np.empty(room)
-    keys = np.empty(room, dtype=np.uint64)
+    keys = np.empty(room, np.uint64)
     slots = 1
     while slots < 2 * room:
         slots *= 2
-    table = np.full(slots, -1)
-    heap = np.empty(room, dtype=np.int64)
-    count = size = 0
+    table, heap = np.empty(slots, np.int64), np.empty(room, np.int64)
+    for slot in range(slots):
+        table[slot] = -1
+    count = size = np.int64(0)  # as literal zeros they would make numba compile the heap for literals too
     top = start_scores[0]
     for k in range(len(starts)):
         key = np.uint64(0)
@@ -169,7 +170,8 @@ def _search(
         slot = _find(table, keys, key)
         if table[slot] < 0:
             table[slot] = count
-            models[count] = starts[k]
+            for j in range(terms):
+                models[count, j] = starts[k, j]
             scores[count] = start_scores[k]
             keys[count] = key
             _push(heap, size, scores, count)
@@ -183,7 +185,9 @@ def _search(
         total += math.exp(scores[k] - reference)
     frontier = total
     recent_found = recent_spent = all_found = all_spent = 0.0
-    current = starts[0].copy()
+    current = np.empty(terms, np.bool_)
+    for j in range(terms):
+        current[j] = starts[0, j]
     T = swept(p, current)
     expanded = moves = 0
     gains = np.empty(terms)
@@ -231,7 +235,8 @@ def _search(
                     frontier += mass
                     continue
                 table[slot] = count
-                models[count] = current
+                for k in range(terms):
+                    models[count, k] = current[k]
                 models[count, j] = not current[j]
                 if i >= 0:
                     models[count, i] = False
@@ -262,9 +267,8 @@ def _too_many(problem: Problem, best: Bools, tolerance: float) -> bool:
     Around the best model terms come in, about independently, with the odds of their flips: their number is about
     Poisson, and k of them make m^k/k! models, where m = exp(entropy of the odds) is the effective number of such terms.
     """
-    gains = np.empty(len(best))
-    flip_gains(problem, swept(problem, best), gains)
-    odds = np.exp(np.minimum(gains[~best], 0.0))
+    _, (out, into, gains) = explore(problem, best[None, :].copy(), STAY, math.inf)
+    odds = np.exp(np.minimum(gains[(out < 0) & (into >= 0)], 0.0))
     expected = float(odds.sum())
     if expected < 1e-3:
         return False

@@ -16,8 +16,8 @@ from bayeq.errors import InputError
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.listing import model_scores
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
-from bayeq.inference.collapsed.search import best_models, log_constant
-from bayeq.inference.collapsed.tableau import MOST_ACTIVE, flip_gains, score, swap_gains, swept
+from bayeq.inference.collapsed.search import best_models, log_constant, scores_of
+from bayeq.inference.collapsed.tableau import MOST_ACTIVE, flip_gains, swap_gains, swept
 from bayeq.kernels import kernel
 
 __all__ = [
@@ -116,7 +116,7 @@ def model_log_posterior(problem: Problem, active: Bools, signs: Ints | None = No
 def _scores(problem: Problem, models: Bools, signs: Ints | None) -> Floats:
     """Log posteriors of K models up to `search.log_constant`, with the signs where they are known."""
     if signs is None:
-        return np.array([score(problem, model, problem.slab_variance) for model in models])
+        return scores_of(problem, models)
     from bayeq.inference.signs.truncation import signed_scores
 
     return signed_scores(problem, signs, models, WINDOW)[1]

@@ -12,7 +12,18 @@ from bayeq.gram.gram import GramLike, dense
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
-__all__ = ["Bools", "Columns", "Floats", "Ints", "Problem", "all_rows", "fetch", "gram_columns", "gram_row"]
+__all__ = [
+    "Bools",
+    "Columns",
+    "Floats",
+    "Ints",
+    "Problem",
+    "all_rows",
+    "fetch",
+    "gram_block",
+    "gram_columns",
+    "gram_row",
+]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -58,24 +69,30 @@ class Columns(NamedTuple):
 @kernel
 def fetch(columns: Columns, j: int) -> None:
     """Compute row j of D'D, which is not there yet; and all the others once single rows have cost as much as these."""
-    k = columns.used[0]
-    columns.rows[k] = np.dot(columns.data[:, j].copy(), columns.data)
-    columns.slot[j] = k
-    columns.used[0] = k + 1
-    terms = len(columns.slot)
-    if columns.used[0] < max(terms // WHOLE_AFTER, BLOCK):
-        return
-    missing = np.flatnonzero(columns.slot < 0)
-    for start in range(0, len(missing), BLOCK):
-        block = missing[start : start + BLOCK]
-        chosen = np.empty((len(block), len(columns.data)))
-        for a in range(len(block)):
-            chosen[a] = columns.data[:, block[a]]
-        k = columns.used[0]
-        columns.rows[k : k + len(block)] = np.dot(chosen, columns.data)
-        for a in range(len(block)):
-            columns.slot[block[a]] = k + a
-        columns.used[0] = k + len(block)
+    data, slot, terms = columns.data, columns.slot, len(columns.slot)
+    used = columns.used[0]
+    row = columns.rows[used]
+    for k in range(terms):
+        row[k] = 0.0
+    for i in range(len(data)):
+        own = data[i]
+        for k in range(terms):
+            row[k] += own[j] * own[k]
+    slot[j] = used
+    used += 1
+    if used >= max(terms // WHOLE_AFTER, BLOCK):
+        chosen = np.empty((BLOCK, len(data)))
+        first = used
+        for k in range(terms):
+            if slot[k] < 0:
+                for i in range(len(data)):
+                    chosen[used - first, i] = data[i, k]
+                slot[k] = used
+                used += 1
+            if used - first == BLOCK or k == terms - 1:
+                np.dot(chosen[: used - first], data, columns.rows[first:used])
+                first = used
+    columns.used[0] = used
 
 
 def gram_row(columns: Columns, j: int) -> Floats:
@@ -91,6 +108,14 @@ def all_rows(columns: Columns) -> Floats:
     for j in np.flatnonzero(columns.slot < 0):
         fetch(columns, int(j))
     return columns.rows[columns.slot]
+
+
+def gram_block(columns: Columns, index: Ints) -> Floats:
+    """D'D of some terms, (r, r)."""
+    out = np.empty((len(index), len(index)))
+    for a, j in enumerate(index):
+        out[a] = gram_row(columns, int(j))[index]
+    return out
 
 
 def gram_columns(gram: GramLike) -> Columns:

@@ -12,26 +12,27 @@ from bayeq.inference.collapsed.tableau import climb, flip, flip_gains, score, sw
 from bayeq.inference.rvm import rvm_gamma
 from bayeq.kernels import kernel
 
-__all__ = ["Move", "best_models", "candidate_models", "greedy_model", "greedy_start", "log_evidence", "neighbours"]
+__all__ = [
+    "STAY",
+    "Move",
+    "best_models",
+    "candidate_models",
+    "explore",
+    "greedy_model",
+    "greedy_start",
+    "log_evidence",
+    "neighbours",
+    "scores_of",
+]
 
-# Up to this many terms a climb also starts from the full model (its cost grows as P^3), and from the support of the
-# RVM, which may be large.
+# Up to this many terms a climb also starts from the full model (its cost grows as P^3), above from the support of the
+# RVM, up to the second number.
 FULL_START_TERMS = 128
 RVM_START_TERMS = 500
 
 
-@kernel
-def _climb_all(p: Problem, models: Bools, swaps: bool) -> Floats:
-    """Climb from each row of `models`, in place; returns their final scores."""
-    scores = np.empty(len(models))
-    for k in range(len(models)):
-        active = models[k]
-        for j in range(len(active)):
-            if math.isinf(p.log_odds[j]):
-                active[j] = p.log_odds[j] > 0.0
-        climb(p, swept(p, active), active, swaps)
-        scores[k] = score(p, active, p.slab_variance)
-    return scores
+# What becomes of the models that are given to `explore`.
+STAY, FLIP, SWAP = 0, 1, 2
 
 
 @kernel
@@ -39,10 +40,8 @@ def _moves(p: Problem, active: Bools, window: float) -> tuple[Ints, Ints, Floats
     """Flips and swaps from `active` within `window` of its score: terms out, terms in (-1 for none), gains."""
     terms = len(active)
     T = swept(p, active)
-    r = int(active.sum())
-    out = np.empty(terms + r * (terms - r), dtype=np.int64)
-    into = np.empty_like(out)
-    gains = np.empty(len(out))
+    most = terms + T.size[0] * (terms - T.size[0])
+    out, into, gains = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
     count = 0
     gain = np.empty(terms)
     flip_gains(p, T, gain)
@@ -62,10 +61,29 @@ def _moves(p: Problem, active: Bools, window: float) -> tuple[Ints, Ints, Floats
 
 
 @kernel
-def _climb_and_look(p: Problem, models: Bools, window: float) -> tuple[Floats, tuple[Ints, Ints, Floats]]:
-    """`_climb_all` with swaps, and then `_moves` from the best model."""
-    scores = _climb_all(p, models, True)
-    return scores, _moves(p, models[np.argmax(scores)], window)
+def explore(p: Problem, models: Bools, way: int, window: float) -> tuple[Floats, tuple[Ints, Ints, Floats]]:
+    """Scores of models, and `_moves` from the best one.
+
+    Each model first climbs, in place, by flips (`way` is FLIP), by flips and swaps (SWAP), or not at all (STAY). One
+    kernel does it all: each takes its time to compile and to load.
+    """
+    scores, best = np.empty(len(models)), 0
+    for k in range(len(models)):
+        active = models[k]
+        if way != STAY:
+            for j in range(len(active)):
+                if math.isinf(p.log_odds[j]):
+                    active[j] = p.log_odds[j] > 0.0
+            climb(p, swept(p, active), active, way == SWAP)
+        scores[k] = score(p, active, p.slab_variance)
+        if scores[k] > scores[best]:
+            best = k
+    return scores, _moves(p, models[best], window)
+
+
+def scores_of(problem: Problem, models: Bools) -> Floats:
+    """Log posteriors (K,) of models (K, P) up to `log_constant`, each from scratch."""
+    return explore(problem, np.array(models), STAY, -math.inf)[0]
 
 
 def log_constant(problem: Problem) -> float:
@@ -83,7 +101,7 @@ def log_constant(problem: Problem) -> float:
 
 def log_evidence(problem: Problem, active: Bools) -> float:
     """ln p(y, z) of one model: eq. (34) plus the log prior of z."""
-    return score(problem, active, problem.slab_variance) + log_constant(problem)
+    return float(scores_of(problem, active[None, :])[0]) + log_constant(problem)
 
 
 def best_models(problem: Problem, starts: list[Bools] | None = None) -> list[tuple[float, Bools]]:
@@ -104,7 +122,7 @@ def best_models(problem: Problem, starts: list[Bools] | None = None) -> list[tup
     if starts is None:
         starts = default_starts(problem)
     models = np.array(starts, dtype=np.bool_)
-    return _ranked(_climb_all(problem, models, True), models)
+    return _ranked(explore(problem, models, SWAP, -math.inf)[0], models)
 
 
 def _ranked(scores: Floats, models: Bools) -> list[tuple[float, Bools]]:
@@ -135,7 +153,7 @@ class Move:
 
 def neighbours(problem: Problem, active: Bools, window: float = math.inf) -> list[Move]:
     """Flips and swaps from a model whose log posterior lies within `window` nats of it, best first."""
-    return _listed(*_moves(problem, active, window))
+    return _listed(*explore(problem, active[None, :].copy(), STAY, window)[1])
 
 
 def _listed(out: Ints, into: Ints, gains: Floats) -> list[Move]:
@@ -174,24 +192,21 @@ def greedy_start(p: Problem, size: int) -> Bools:
 def greedy_model(problem: Problem) -> Bools:
     """The local optimum that adding and dropping single terms reaches from the empty model: no swaps."""
     models = np.zeros((1, len(problem.Dty)), dtype=np.bool_)
-    _climb_all(problem, models, False)
+    explore(problem, models, FLIP, -math.inf)
     return models[0]
 
 
-def default_starts(problem: Problem, gamma: Floats | None = None) -> list[Bools]:
-    """Where a search climbs from: the empty model and, unless the dictionary is large, the RVM's support and all terms.
+def default_starts(problem: Problem) -> list[Bools]:
+    """Where a search climbs from: the empty model, and all terms or, where these are many, the RVM's support.
 
-    `gamma` is the RVM's, if it has been run already.
+    From all terms and from the RVM's support the same model is reached as good as always.
     """
-    p = problem
-    terms = len(p.Dty)
+    terms = len(problem.Dty)
     starts = [np.zeros(terms, dtype=np.bool_)]
-    if gamma is None and terms <= RVM_START_TERMS:
-        gamma = rvm_gamma(p)
-    if gamma is not None:
-        starts.append(gamma > 0.0)
     if terms <= FULL_START_TERMS:
         starts.append(np.ones(terms, dtype=np.bool_))
+    elif terms <= RVM_START_TERMS:
+        starts.append(rvm_gamma(problem) > 0.0)
     return starts
 
 
@@ -204,7 +219,7 @@ def candidate_models(
     may belong to a model slightly below the best one.
     """
     climbed = np.array(default_starts(problem) if starts is None else starts, dtype=np.bool_)
-    scores, moves = _climb_and_look(problem, climbed, window)
+    scores, moves = explore(problem, climbed, SWAP, window)
     found = _ranked(scores, climbed)
     top, best = found[0]
     pool = [(value - top, model) for value, model in found[1:] if value > top - window]

@@ -40,7 +40,6 @@ __all__ = [
     "flip_gain",
     "flip_gains",
     "leave",
-    "least_squares_rss",
     "renew",
     "residual_sum",
     "score",
@@ -61,9 +60,6 @@ LOOK = 16
 # A column whose variance left by earlier ones is a smaller share of its own depends on them.
 DEPENDENT = 1e-13
 
-# Up to this many terms the residual sum of squares is computed by our own kernel, above by LAPACK.
-SMALL = 128
-
 # Most terms that a model may hold.
 MOST_ACTIVE = 2048
 
@@ -76,7 +72,7 @@ class Tableau(NamedTuple):
     rows : (R, P+1) array
         The first r rows are M_i. of the active terms i; the last column is that of y.
     row, term : (P,), (R,) int arrays
-        Row of each term (-1 for an inactive one) and term of each row.
+        Row of each term (-1 for an inactive one) and term of each of the first r rows.
     size : (1,) int array
         r.
     diagonal : (P+1,) array
@@ -98,18 +94,14 @@ def build(columns: Columns, Dty: Floats, yty: float, ridge: float) -> Tableau:
     """Unswept tableau, of the empty model; `ridge` is 1/v_s, `yty` holds 2 b_sigma already."""
     p = len(Dty)
     most = min(p, MOST_ACTIVE)
-    diagonal = np.empty(p + 1)
+    diagonal, partial, row, size = np.empty(p + 1), np.empty(p), np.empty(p, np.int64), np.empty(1, np.int64)
     for j in range(p):
+        row[j] = -1
         diagonal[j] = columns.diagonal[j] + ridge
+        partial[j] = Dty[j]
     diagonal[p] = yty
-    return Tableau(
-        np.empty((most, p + 1)),
-        np.full(p, -1),
-        np.full(most, -1),
-        np.zeros(1, dtype=np.int64),
-        diagonal,
-        Dty.copy(),
-    )
+    size[0] = 0
+    return Tableau(np.empty((most, p + 1)), row, np.empty(most, np.int64), size, diagonal, partial)
 
 
 @kernel
@@ -162,7 +154,7 @@ def enter(columns: Columns, Dty: Floats, T: Tableau, j: int, ridge: float) -> fl
         new[T.term[a]] = T.rows[a, j]
     pivot = new[j] + ridge
     new[j] = pivot
-    _sweep(T, new, j, pivot, -1)
+    _sweep(T, new, j, pivot, r)
     size = abs(pivot)
     for k in range(p + 1):
         new[k] /= size
@@ -237,7 +229,10 @@ def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: fl
     terms, r = len(Dty), T.size[0]
     s = max(T.diagonal[terms], floor)
     left = yty
-    pull, own = Dty.copy(), columns.diagonal + ridges
+    pull, own = np.empty(terms), np.empty(terms)
+    for j in range(terms):
+        pull[j] = Dty[j]
+        own[j] = columns.diagonal[j] + ridges[j]
     for a in range(r):
         i = T.term[a]
         gram, row, mean = columns.rows[columns.slot[i]], T.rows[a], T.partial[i]
@@ -263,7 +258,9 @@ def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: fl
 @kernel
 def drifted(p: Problem, T: Tableau) -> bool:
     """Whether the tableau of a model has `strayed`."""
-    ridges = np.full(len(p.Dty), 1.0 / p.slab_variance)
+    ridges = np.empty(len(p.Dty))
+    for j in range(len(ridges)):
+        ridges[j] = 1.0 / p.slab_variance
     return strayed(p.columns, p.Dty, p.yty + 2.0 * p.noise_rate, ridges, p.floor, T)
 
 
@@ -352,7 +349,7 @@ def best_swap(p: Problem, T: Tableau, least: float) -> tuple[float, int, int]:
 
 
 @kernel
-def climb(p: Problem, T: Tableau, active: Bools, swaps: bool = True) -> float:
+def climb(p: Problem, T: Tableau, active: Bools, swaps: bool) -> float:
     """Steepest ascent from the model in `active` by flips, and with `swaps` by swaps where no flip improves.
 
     T and `active` are changed in place; returns the log posterior gained. Forced and forbidden terms are left
@@ -365,12 +362,12 @@ def climb(p: Problem, T: Tableau, active: Bools, swaps: bool = True) -> float:
         if step % LOOK == LOOK - 1 and drifted(p, T):
             renew(p, T, active)
         flip_gains(p, T, gains)
-        best_i, best_j = -1, int(np.argmax(gains))
-        best = gains[best_j]
-        if not best > GAIN_TOLERANCE:
-            best_j = -1
-            if swaps:
-                best, best_i, best_j = best_swap(p, T, GAIN_TOLERANCE)
+        best, best_i, best_j = GAIN_TOLERANCE, -1, -1
+        for j in range(terms):
+            if gains[j] > best:
+                best, best_j = gains[j], j
+        if best_j < 0 and swaps:
+            best, best_i, best_j = best_swap(p, T, GAIN_TOLERANCE)
         if best_j < 0:
             break
         if best_i >= 0:
@@ -388,8 +385,12 @@ def score(p: Problem, active: Bools, slab_variance: float) -> float:
 
     Cholesky of A, so that it carries none of a tableau's drift.
     """
-    index = np.flatnonzero(active)
-    r = len(index)
+    index = np.empty(len(active), np.int64)
+    r = 0
+    for j in range(len(active)):
+        if active[j]:
+            index[r] = j
+            r += 1
     L = np.empty((r, r))
     half = np.empty(r)
     rows, slot = p.columns.rows, p.columns.slot
@@ -420,48 +421,22 @@ def score(p: Problem, active: Bools, slab_variance: float) -> float:
     return total - p.h * math.log(0.5 * max(s, p.floor))
 
 
-@kernel
-def least_squares_rss(DtD: Floats, Dty: Floats, yty: float) -> float:
-    """Residual sum of squares of all terms together; columns that depend on earlier ones add nothing."""
-    p = len(Dty)
-    L = np.empty((p, p))
-    half = np.empty(p)
-    s = yty
-    for i in range(p):
-        for j in range(i + 1):
-            value = DtD[i, j]
-            for k in range(j):
-                value -= L[i, k] * L[j, k]
-            if j < i:
-                L[i, j] = value / L[j, j]
-            elif value > DEPENDENT * DtD[i, i]:
-                L[i, i] = math.sqrt(value)
-            else:
-                L[i, i] = math.inf
-        value = Dty[i]
-        for k in range(i):
-            value -= L[i, k] * half[k]
-        half[i] = value / L[i, i]
-        s -= half[i] * half[i]
-    return s
-
-
 def residual_sum(columns: Columns, Dty: Floats, yty: float, dof: float) -> float:
-    """Residual sum of squares of all terms together; 0 where there are as many terms as degrees of freedom."""
-    terms = len(Dty)
-    if terms >= dof:
-        return 0.0
-    if terms <= SMALL:
-        return float(least_squares_rss(columns.rows, Dty, yty))
-    from scipy.linalg import solve_triangular  # which takes a while to import
+    """Residual sum of squares of all terms together; 0 where there are as many terms as degrees of freedom.
 
+    It is the square of the last pivot of the Cholesky factor of [[D'D, D'y], [y'D, y'y]].
+    """
+    if len(Dty) >= dof:
+        return 0.0
     DtD = all_rows(columns)
     try:
-        half = solve_triangular(np.linalg.cholesky(DtD), Dty, lower=True, check_finite=False)
-        explained = float(half @ half)
+        pivots = np.diagonal(np.linalg.cholesky(np.block([[DtD, Dty[:, None]], [Dty, np.float64(yty)]]))) ** 2
     except np.linalg.LinAlgError:
-        # columns that depend on others
-        values, vectors = np.linalg.eigh(DtD)
-        kept = values > DEPENDENT * values[-1]
-        explained = float(np.sum((vectors[:, kept].T @ Dty) ** 2 / values[kept]))
+        pivots = np.zeros(len(Dty) + 1)
+    if (pivots[:-1] > DEPENDENT * DtD.diagonal()).all():
+        return float(pivots[-1])
+    # columns that depend on others
+    values, vectors = np.linalg.eigh(DtD)
+    kept = values > DEPENDENT * values[-1]
+    explained = float(np.sum((vectors[:, kept].T @ Dty) ** 2 / values[kept]))
     return max(yty - explained, 0.0)

@@ -4,9 +4,9 @@ State s = (q, q', ..., q^(m-1)) with d^m q/dt^m white; time is counted in regula
 transition is F_ij = 1/(j-i)!. Channels with independent noises are taken one at a time, so that every gain is a
 vector and a missing sample is a gain of zero.
 
-Covariances do not depend on the samples. `filter_gains` therefore goes first and fills a table of gains, one
-entry per row until they have settled on a run of regular rows, and one entry for all rows beyond; `filter_means`,
-`score` and `rts.smooth` read it. Covariances are kept as square roots P = S S' throughout (orthogonal triangularisation
+Covariances do not depend on the samples. `run_filter` therefore first fills a table of gains, one entry per row until
+they have settled on a run of regular rows, and one entry for all rows beyond; its pass over the means, `score` and
+`rts.smooth` read it. Covariances are kept as square roots P = S S' throughout (orthogonal triangularisation
 for the steps, Potter's update for the samples): nothing is subtracted, so that a diffuse start and channels
 without noise keep their digits.
 
@@ -17,6 +17,8 @@ Bierman, *Factorization Methods* (1977); Koopman and Shephard, Biometrika 79 (19
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,18 +27,21 @@ from bayeq.kernels import kernel
 __all__ = [
     "LONG_GAP",
     "SETTLED",
+    "Tables",
     "advance",
     "close",
-    "filter_gains",
-    "filter_means",
+    "copy_block",
     "outer",
     "pre_array",
+    "run_filter",
     "score",
     "taylor",
     "triangularise",
 ]
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 # A covariance has settled when a step changes its square root by less, relative to the standard deviations.
 SETTLED = 1e-12
@@ -45,6 +50,42 @@ SETTLED = 1e-12
 WIDE, LONG_GAP = 1e8, 20.0
 # The same as SETTLED for the information that the score carries backwards: a sum over rows needs no more.
 SETTLED_SCORE = 1e-8
+
+
+class Tables(NamedTuple):
+    """What the filter leaves of n rows of c channels and m states; filled by `run_filter`.
+
+    Attributes
+    ----------
+    index : (n,) int array
+        Entry of each row in `gains`, `inverse` and `roots`.
+    anew : (n,) bool array
+        Whether the state starts again in the row, as it does after a gap so long that nothing is left to be known.
+    gains, inverse : (n, c, m) and (n, c) arrays
+        For each entry the gain of each channel and one over its innovation's variance; both 0 where missing.
+    roots : (n or 0, m, m) array
+        For each entry a root of the filtered covariance; only where there is room.
+    innovations : (n, c) array
+        What each sample adds to the prediction.
+    means : (n or 0, m) array
+        Filtered means; only where there is room.
+    """
+
+    index: Ints
+    anew: Bools
+    gains: Floats
+    inverse: Floats
+    roots: Floats
+    innovations: Floats
+    means: Floats
+
+
+@kernel
+def copy_block(A: Floats, B: Floats) -> None:
+    """A = B[:m, :m] of a square A (m, m). An assignment of whole arrays takes numba a second to compile."""
+    for i in range(len(A)):
+        for j in range(len(A)):
+            A[i, j] = B[i, j]
 
 
 @kernel
@@ -175,72 +216,52 @@ def _predict(S: Floats, h: float, noise: Floats, f: Floats, M: Floats) -> None:
     taylor(h, f)
     pre_array(S, f, h, noise, M)
     triangularise(M, m, 2 * m)
-    S[:] = M[:, :m]
+    copy_block(S, M)
 
 
 @kernel
 def _width(S: Floats, k: int) -> float:
     """Standard deviation of state k."""
-    return np.sqrt(np.sum(S[k] ** 2))
+    total = 0.0
+    for j in range(len(S)):
+        total += S[k, j] * S[k, j]
+    return np.sqrt(total)
 
 
 @kernel
-def filter_gains(
-    steps: Floats,
-    present: NDArray[np.bool_],
-    orders: NDArray[np.int64],
-    variances: Floats,
-    noise: Floats,
-    start: Floats,
-    index: NDArray[np.int64],
-    anew: NDArray[np.bool_],
-    gains: Floats,
-    inverse: Floats,
-    roots: Floats,
+def _begin(S: Floats, start: Floats) -> None:
+    """S <- diag(start)."""
+    for i in range(len(start)):
+        for j in range(len(start)):
+            S[i, j] = 0.0
+        S[i, i] = start[i]
+
+
+@kernel
+def _all_present(present: Bools, t: int) -> bool:
+    samples = 0
+    for j in range(present.shape[1]):
+        samples += present[t, j]
+    return samples == present.shape[1]
+
+
+@kernel
+def _filter_gains(
+    steps: Floats, present: Bools, orders: Ints, variances: Floats, noise: Floats, start: Floats, tables: Tables
 ) -> tuple[int, int, float]:
-    """Gains of the filter.
-
-    Parameters
-    ----------
-    steps : (n,) array
-        Step before each row in regular steps, exactly 1 where regular; the first is not used.
-    present : (n, c) array
-        Whether channel j has a sample in the row.
-    orders : (c,) array
-        Which derivative channel j measures.
-    variances : (c,) array
-        Noise of the channels.
-    noise : (m, m) array
-        Lower root of Qd over a regular step.
-    start : (m,) array
-        Standard deviations of the state before the first row.
-    index : (n,) array, filled
-        Entry of each row in the tables below.
-    anew : (n,) array, filled
-        Whether the state starts again in the row, as it does after a gap so long that nothing is left to be known.
-    gains, inverse, roots : (n, c, m), (n, c) and (n or 0, m, m) arrays, filled
-        For each entry the gain of each channel and one over its innovation's variance (both 0 where missing)
-        and a root of the filtered covariance (only where there is room).
-
-    Returns
-    -------
-    entries : int
-        How many entries were filled.
-    steady : int
-        The entry of the settled rows, -1 if none have settled.
-    log_determinant : float
-        Sum of the logarithms of the innovations' variances.
-    """
+    """Gains of the filter: entries, the steady one and the log determinant, as `run_filter`."""
     n, c = present.shape
     m = len(start)
-    S, S_steady, last, M = np.diag(start), np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, 2 * m))
+    index, anew, gains, inverse, roots = tables.index, tables.anew, tables.gains, tables.inverse, tables.roots
+    S, S_steady, last, M = np.empty((m, m)), np.empty((m, m)), np.empty((m, m)), np.empty((m, 2 * m))
     f = np.empty(m)
+    _begin(S, start)
     widest = max(start[orders[0]], WIDE * np.sqrt(variances[0]))
     entries, steady, log_determinant, steady_log = 0, -1, 0.0, 0.0
     settled, run, blank = False, 0, 0.0
     for t in range(n):
         anew[t] = t == 0
-        regular = t > 0 and steps[t] == 1.0 and present[t].all()
+        regular = t > 0 and steps[t] == 1.0 and _all_present(present, t)
         if regular and settled:
             index[t] = steady
             log_determinant += steady_log
@@ -250,18 +271,19 @@ def filter_gains(
             blank += steps[t]
             if blank > LONG_GAP and _width(S, orders[0]) > widest:
                 anew[t], regular, blank = True, False, 0.0
-                S[:] = np.diag(start)
+                _begin(S, start)
         run = run + 1 if regular else 0
         settled = run > 1 and close(S, last, m, SETTLED)
         if settled and steady >= 0:
-            S[:] = S_steady
+            copy_block(S, S_steady)
             index[t] = steady
             log_determinant += steady_log
             continue
-        last[:] = S
+        copy_block(last, S)
         logs = 0.0
         for j in range(c):
-            gains[entries, j] = 0.0
+            for i in range(m):
+                gains[entries, j, i] = 0.0
             inverse[entries, j] = 0.0
             if present[t, j]:
                 variance = _measure(S, orders[j], variances[j], gains[entries, j])
@@ -270,39 +292,28 @@ def filter_gains(
                 blank = 0.0
         log_determinant += logs
         if len(roots):
-            roots[entries] = S
+            copy_block(roots[entries], S)
         if settled:
             steady, steady_log = entries, logs
-            S_steady[:] = S
+            copy_block(S_steady, S)
         index[t] = entries
         entries += 1
     return entries, steady, log_determinant
 
 
 @kernel
-def filter_means(
-    samples: Floats,
-    steps: Floats,
-    orders: NDArray[np.int64],
-    index: NDArray[np.int64],
-    anew: NDArray[np.bool_],
-    gains: Floats,
-    inverse: Floats,
-    innovations: Floats,
-    means: Floats,
-) -> float:
-    """Innovations (n, c) and, where there is room, filtered means (n, m); the start is zero.
-
-    Missing samples hold any finite number. Returns the sum of squared standardised innovations.
-    """
+def _filter_means(samples: Floats, steps: Floats, orders: Ints, tables: Tables) -> float:
+    """Innovations and means, from gains; returns the sum of squared standardised innovations."""
     n, c = samples.shape
+    index, anew, gains, inverse, means = tables.index, tables.anew, tables.gains, tables.inverse, tables.means
     m = gains.shape[2]
-    x, f, regular_f = np.zeros(m), np.empty(m), np.empty(m)
+    x, f, regular_f = np.empty(m), np.empty(m), np.empty(m)
     taylor(1.0, regular_f)
     squares = 0.0
     for t in range(n):
         if anew[t]:
-            x[:] = 0.0
+            for i in range(m):
+                x[i] = 0.0
         elif steps[t] == 1.0:
             advance(x, regular_f)
         else:
@@ -311,7 +322,7 @@ def filter_means(
         entry = index[t]
         for j in range(c):
             innovation = samples[t, j] - x[orders[j]]
-            innovations[t, j] = innovation
+            tables.innovations[t, j] = innovation
             squares += innovation * innovation * inverse[entry, j]
             for i in range(m):
                 x[i] += gains[entry, j, i] * innovation
@@ -319,6 +330,49 @@ def filter_means(
             for i in range(m):
                 means[t, i] = x[i]
     return squares
+
+
+@kernel
+def run_filter(
+    samples: Floats,
+    present: Bools,
+    steps: Floats,
+    orders: Ints,
+    variances: Floats,
+    noise: Floats,
+    start: Floats,
+    tables: Tables,
+) -> tuple[int, int, float]:
+    """Filter a record; the state is zero before the first row.
+
+    Parameters
+    ----------
+    samples, present : (n, c) arrays
+        Samples of channel j, and where there is one; elsewhere any finite number.
+    steps : (n,) array
+        Step before each row in regular steps, exactly 1 where regular; the first is not used.
+    orders : (c,) array
+        Which derivative channel j measures.
+    variances : (c,) array
+        Noise of the channels.
+    noise : (m, m) array
+        Lower root of Qd over a regular step.
+    start : (m,) array
+        Standard deviations of the state before the first row.
+    tables : Tables
+        Filled.
+
+    Returns
+    -------
+    entries : int
+        How many entries were filled.
+    steady : int
+        The entry of the settled rows, -1 if none have settled.
+    deviance : float
+        Sum of the logarithms of the innovations' variances and of the squared standardised innovations.
+    """
+    entries, steady, log_determinant = _filter_gains(steps, present, orders, variances, noise, start, tables)
+    return entries, steady, log_determinant + _filter_means(samples, steps, orders, tables)
 
 
 @kernel
@@ -351,8 +405,13 @@ def _step_back(N: Floats, f: Floats, scales: Floats, Qd: Floats) -> float:
             trace += N[i, j] * Qd[i, j] * scales[i] * scales[j]
     for i in range(m):
         _retreat(N[i], f)
+    # F'N = (N F)', for N is symmetric
     for i in range(m):
-        _retreat(N[:, i], f)
+        for j in range(i):
+            N[i, j], N[j, i] = N[j, i], N[i, j]
+    for i in range(m):
+        _retreat(N[i], f)
+    for i in range(m):
         for j in range(i):
             N[j, i] = N[i, j]
     return trace
@@ -368,18 +427,7 @@ def _same_information(A: Floats, B: Floats) -> bool:
 
 
 @kernel
-def score(
-    innovations: Floats,
-    steps: Floats,
-    orders: NDArray[np.int64],
-    index: NDArray[np.int64],
-    anew: NDArray[np.bool_],
-    steady: int,
-    gains: Floats,
-    inverse: Floats,
-    noise: Floats,
-    gradient: Floats,
-) -> float:
+def score(steps: Floats, orders: Ints, tables: Tables, steady: int, noise: Floats, gradient: Floats) -> float:
     """Gradient of the log-likelihood with respect to each channel's variance and ln Q, (c + 1,).
 
     With r and N carried backwards from 0 through
@@ -389,15 +437,25 @@ def score(
 
     Returns the leave-one-out log predictive density: given all other samples, a sample errs by u/D with variance 1/D.
     """
+    index, anew, gains, inverse, innovations = (
+        tables.index,
+        tables.anew,
+        tables.gains,
+        tables.inverse,
+        tables.innovations,
+    )
     n, c = innovations.shape
     m = len(noise)
     left_out, logs = 0.0, np.zeros(c)
     r, N, last, w = np.zeros(m), np.zeros((m, m)), np.zeros((m, m)), np.empty(m)
-    f, regular_f, scales, regular_scales = np.empty(m), np.empty(m), np.empty(m), np.ones(m)
+    f, regular_f, scales, regular_scales = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
     expected, Qd, moments = np.zeros(c + 1), np.empty((m, m)), np.zeros((m, m))
     outer(noise, Qd)
     taylor(1.0, regular_f)
-    gradient[:] = 0.0
+    for i in range(m):
+        regular_scales[i] = 1.0
+    for j in range(c + 1):
+        gradient[j] = 0.0
     settled, run = False, 0
     for t in range(n - 1, -1, -1):
         entry = index[t]
@@ -418,8 +476,10 @@ def score(
                 left_out += 0.5 * (logs[j] - u * u / expected[j])
             gradient[j] += 0.5 * (u * u - expected[j])
         if anew[t]:
-            r[:] = 0.0
-            N[:] = 0.0
+            for i in range(m):
+                r[i] = 0.0
+                for j in range(m):
+                    N[i, j] = 0.0
             continue
         h = steps[t]
         s, g = regular_scales, regular_f
@@ -435,7 +495,7 @@ def score(
         if not settled:
             expected[c] = _step_back(N, g, s, Qd)
             settled = run > 1 and _same_information(N, last)
-            last[:] = N
+            copy_block(last, N)
         gradient[c] -= 0.5 * expected[c]
     for i in range(m):
         for j in range(m):

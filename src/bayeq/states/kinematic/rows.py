@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.records.sampling import is_step
-from bayeq.states.kinematic.kalman import filter_gains, filter_means, score
+from bayeq.states.kinematic.kalman import Tables, run_filter, score
 from bayeq.states.kinematic.model import ChainSeries
 
 __all__ = ["Filtered", "Rows", "prepare"]
@@ -28,13 +28,7 @@ class Filtered:
 
     noise: Floats  # lower root of Qd over a regular step
     steady: int
-    index: NDArray[np.int64]
-    anew: NDArray[np.bool_]
-    gains: Floats
-    inverse: Floats
-    roots: Floats
-    innovations: Floats
-    means: Floats
+    tables: Tables
     log_likelihood: float
 
 
@@ -91,22 +85,27 @@ class Rows:
         variances = (noise_sd[self.measured] / self.units(self.measured)) ** 2
         start = initial_sd[self.lowest :] / self.units(np.arange(self.lowest, order))
         noise = math.sqrt(density) * self.step ** (order - 0.5) / self.scale * _unit_root(m)
-        index, anew = np.empty(n, np.int64), np.empty(n, np.bool_)
-        gains, inverse = np.empty((n, c, m)), np.empty((n, c))
-        roots, means, innovations = np.empty((n * keep, m, m)), np.empty((n * keep, m)), np.empty((n, c))
-        entries, steady, log_determinant = filter_gains(
-            self.steps, self.present, orders, variances, noise, start, index, anew, gains, inverse, roots
+        tables = Tables(
+            index=np.empty(n, np.int64),
+            anew=np.empty(n, np.bool_),
+            gains=np.empty((n, c, m)),
+            inverse=np.empty((n, c)),
+            roots=np.empty((n * keep, m, m)),
+            innovations=np.empty((n, c)),
+            means=np.empty((n * keep, m)),
         )
-        squares = filter_means(self.samples, self.steps, orders, index, anew, gains, inverse, innovations, means)
-        value = -0.5 * (squares + log_determinant + self.count * math.log(2.0 * math.pi)) + self.log_jacobian
-        tables = (gains[:entries], inverse[:entries], roots[:entries])
-        return Filtered(noise, steady, index, anew, *tables, innovations, means, value)
+        entries, steady, deviance = run_filter(
+            self.samples, self.present, self.steps, orders, variances, noise, start, tables
+        )
+        value = -0.5 * (deviance + self.count * math.log(2.0 * math.pi)) + self.log_jacobian
+        filled = {name: getattr(tables, name)[:entries] for name in ("gains", "inverse", "roots")}
+        return Filtered(noise, steady, tables._replace(**filled), value)
 
     def score(self, filtered: Filtered, noise_sd: Floats) -> tuple[Floats, float]:
         """Derivatives of the log-likelihood by ln R_k, K+1 of them, and ln Q; the leave-one-out log density."""
         own, gradient = np.empty(len(self.measured) + 1), np.zeros(len(noise_sd) + 1)
-        tables = (filtered.index, filtered.anew, filtered.steady, filtered.gains, filtered.inverse)
-        left_out = score(filtered.innovations, self.steps, self.measured - self.lowest, *tables, filtered.noise, own)
+        orders = self.measured - self.lowest
+        left_out = score(self.steps, orders, filtered.tables, filtered.steady, filtered.noise, own)
         gradient[self.measured] = own[:-1] * (noise_sd[self.measured] / self.units(self.measured)) ** 2
         gradient[-1] = own[-1]
         return gradient, left_out + self.log_jacobian

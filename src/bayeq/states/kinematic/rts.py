@@ -12,7 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.kernels import kernel
-from bayeq.states.kinematic.kalman import SETTLED, advance, close, outer, pre_array, taylor, triangularise
+from bayeq.states.kinematic.kalman import (
+    SETTLED,
+    Tables,
+    advance,
+    close,
+    copy_block,
+    outer,
+    pre_array,
+    taylor,
+    triangularise,
+)
 
 __all__ = ["smooth"]
 
@@ -43,35 +53,28 @@ def _backward_gain(S: Floats, f: Floats, h: float, noise: Floats, M: Floats, J: 
 
 @kernel
 def smooth(
-    steps: Floats,
-    index: NDArray[np.int64],
-    anew: NDArray[np.bool_],
-    steady: int,
-    roots: Floats,
-    noise: Floats,
-    means: Floats,
-    covariances: Floats,
-    rows: NDArray[np.int64],
+    steps: Floats, tables: Tables, steady: int, noise: Floats, covariances: Floats, rows: NDArray[np.int64]
 ) -> int:
-    """Rauch-Tung-Striebel smoother: filtered means (n, m) become smoothed ones.
+    """Rauch-Tung-Striebel smoother: the filtered means in `tables` become smoothed ones.
 
     `covariances` is filled with one entry per row until they have settled and `rows` with the entry of each row;
     returns the number of entries.
     """
+    index, anew, roots, means = tables.index, tables.anew, tables.roots, tables.means
     n, m = means.shape
-    M, S, last = np.zeros((2 * m, 2 * m)), np.empty((m, m)), np.empty((m, m))
+    M, S, last = np.empty((2 * m, 2 * m)), np.empty((m, m)), np.empty((m, m))
     J, rest = np.empty((m, m)), np.empty((m, m))
     steady_J, steady_rest = np.empty((m, m)), np.empty((m, m))
     f, regular_f, x, d = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
     taylor(1.0, regular_f)
-    S[:] = roots[index[n - 1]]
+    copy_block(S, roots[index[n - 1]])
     outer(S, covariances[0])
     rows[n - 1] = 0
     entries = 1
     settled, run, known = False, 0, False
     for t in range(n - 2, -1, -1):
         if anew[t + 1]:
-            S[:] = roots[index[t]]
+            copy_block(S, roots[index[t]])
             outer(S, covariances[entries])
             rows[t] = entries
             entries += 1
@@ -91,7 +94,8 @@ def smooth(
                 g = f
                 taylor(h, f)
             _backward_gain(roots[index[t]], g, h, noise, M, J, rest)
-        x[:] = means[t]
+        for i in range(m):
+            x[i] = means[t, i]
         advance(x, g)
         for i in range(m):
             d[i] = means[t + 1, i] - x[i]
@@ -103,7 +107,7 @@ def smooth(
         if settled:
             rows[t] = entries - 1
             continue
-        last[:] = S
+        copy_block(last, S)
         for i in range(m):
             for j in range(m):
                 total = 0.0
@@ -112,7 +116,7 @@ def smooth(
                 M[i, j] = total
                 M[i, m + j] = remainder[i, j]
         triangularise(M, m, 2 * m)
-        S[:] = M[:m, :m]
+        copy_block(S, M)
         settled = run > 1 and close(S, last, m, SETTLED)
         outer(S, covariances[entries])
         rows[t] = entries

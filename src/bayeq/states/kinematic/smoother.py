@@ -92,18 +92,17 @@ def smooth_kinematic(series: ChainSeries, model: KinematicModel) -> SmoothedStat
     (2, 3, 3)
     """
     rows, filtered = _filtered(series, model, all_states=True)
-    n, m = filtered.means.shape
+    tables, mean = filtered.tables, filtered.tables.means
+    n, m = mean.shape
     covariances, entry = np.empty((n, m, m)), np.empty(n, np.int64)
-    tables = (filtered.index, filtered.anew, filtered.steady, filtered.roots, filtered.noise)
-    entries = smooth(rows.steps, *tables, filtered.means, covariances, entry)
+    entries = smooth(rows.steps, tables, filtered.steady, filtered.noise, covariances, entry)
     units = rows.units(np.arange(m))
-    mean = filtered.means
     mean *= units
     mean[:, 0] += rows.centre
     kept = covariances[:entries].copy() if entries < n else covariances
     kept *= np.outer(units, units)
     innovations = np.full((n, len(series.channels)), np.nan)
-    standard = filtered.innovations * np.sqrt(filtered.inverse)[filtered.index]
+    standard = tables.innovations * np.sqrt(tables.inverse)[tables.index]
     innovations[:, rows.measured] = np.where(rows.present, standard, np.nan)
     return SmoothedStates(mean, innovations, kept, entry)
 

@@ -1,0 +1,89 @@
+"""How numba compiles kernels: one that is called from Python once, together with all that it calls.
+
+By itself numba makes every kernel callable from Python and C, and optimises and translates each with all that it calls,
+so that a kernel three calls down is translated three times and more, and most of the result is never called. Here
+kernels that are called by kernels stay unoptimised LLVM code until they are linked into the one that Python calls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+
+__all__ = ["entry_dispatcher", "inner_dispatcher"]
+
+OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
+
+class _EntryLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """LLVM code of a kernel that Python calls, with all that it calls."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        # The module is optimised as a whole; function by function before takes time and changes nothing.
+        ll_module.data_layout = self._codegen._data_layout
+
+    def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, bytes]]:
+        """Machine code and, in place of the LLVM code, the names that it defines, which numba looks for on loading.
+
+        The LLVM code would be parsed at every start, for callers among the kernels: these have an `_InnerLibrary`.
+        """
+        functions = [f for f in self._final_module.functions if not f.is_declaration]
+        names = [f.name for f in functions if f.linkage == llvm.Linkage.external]
+        stub = llvm.parse_assembly("\n".join(f'define void @"{name}"() {{ ret void }}' for name in names))
+        return self.name, "object", (self._get_compiled_object(), stub.as_bitcode())
+
+
+class _InnerLibrary(_EntryLibrary):
+    """LLVM code of a kernel that kernels call: it is optimised and becomes machine code as part of these."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """No machine code, no pointer."""
+        self._ensure_finalized()
+        return 0
+
+    @property
+    def codegen(self) -> Any:
+        """What `set_env` is called on."""
+        return self
+
+    def set_env(self, name: str, env: object) -> None:
+        """Machine code would hold a pointer to its Python environment."""
+
+
+class _EntryCompiler(Compiler):  # type: ignore[misc]
+    library = _EntryLibrary
+
+    def define_pipelines(self) -> Any:
+        state = self.state
+        state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return super().define_pipelines()
+
+
+class _InnerCompiler(_EntryCompiler):
+    library = _InnerLibrary
+
+
+def entry_dispatcher(function: Callable[..., Any]) -> Any:
+    """numba's dispatcher of a function that Python calls.
+
+    The GIL is released while it runs; floating-point semantics stay strict (no ``fastmath``: NaN checks must work).
+    """
+    return numba.njit(**OPTIONS, pipeline_class=_EntryCompiler)(function)
+
+
+def inner_dispatcher(function: Callable[..., Any]) -> Any:
+    """numba's dispatcher of a function that kernels call."""
+    return numba.njit(**OPTIONS, no_cpython_wrapper=True, pipeline_class=_InnerCompiler)(function)
