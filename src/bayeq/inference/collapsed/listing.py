@@ -115,7 +115,7 @@ def _find(table: Ints, keys: Words, key: np.uint64) -> int:
 
 
 @kernel
-def _push(heap: Ints, size: int, scores: Floats, item: int) -> None:
+def _push(heap: Ints, size: int | np.int64, scores: Floats, item: int | np.int64) -> None:
     heap[size] = item
     k = size
     while k > 0:
@@ -127,7 +127,7 @@ def _push(heap: Ints, size: int, scores: Floats, item: int) -> None:
 
 
 @kernel
-def _pop(heap: Ints, size: int, scores: Floats) -> int:
+def _pop(heap: Ints, size: int | np.int64, scores: Floats) -> int:
     top = heap[0]
     heap[0] = heap[size - 1]
     k = 0

@@ -57,7 +57,7 @@ class Tables(NamedTuple):
 
     Attributes
     ----------
-    index : (n,) int array
+    entry : (n,) int array
         Entry of each row in `gains`, `inverse` and `roots`.
     anew : (n,) bool array
         Whether the state starts again in the row, as it does after a gap so long that nothing is left to be known.
@@ -71,7 +71,7 @@ class Tables(NamedTuple):
         Filtered means; only where there is room.
     """
 
-    index: Ints
+    entry: Ints
     anew: Bools
     gains: Floats
     inverse: Floats
@@ -252,7 +252,7 @@ def _filter_gains(
     """Gains of the filter: entries, the steady one and the log determinant, as `run_filter`."""
     n, c = present.shape
     m = len(start)
-    index, anew, gains, inverse, roots = tables.index, tables.anew, tables.gains, tables.inverse, tables.roots
+    index, anew, gains, inverse, roots = tables.entry, tables.anew, tables.gains, tables.inverse, tables.roots
     S, S_steady, last, M = np.empty((m, m)), np.empty((m, m)), np.empty((m, m)), np.empty((m, 2 * m))
     f = np.empty(m)
     _begin(S, start)
@@ -305,7 +305,7 @@ def _filter_gains(
 def _filter_means(samples: Floats, steps: Floats, orders: Ints, tables: Tables) -> float:
     """Innovations and means, from gains; returns the sum of squared standardised innovations."""
     n, c = samples.shape
-    index, anew, gains, inverse, means = tables.index, tables.anew, tables.gains, tables.inverse, tables.means
+    index, anew, gains, inverse, means = tables.entry, tables.anew, tables.gains, tables.inverse, tables.means
     m = gains.shape[2]
     x, f, regular_f = np.empty(m), np.empty(m), np.empty(m)
     taylor(1.0, regular_f)
@@ -438,7 +438,7 @@ def score(steps: Floats, orders: Ints, tables: Tables, steady: int, noise: Float
     Returns the leave-one-out log predictive density: given all other samples, a sample errs by u/D with variance 1/D.
     """
     index, anew, gains, inverse, innovations = (
-        tables.index,
+        tables.entry,
         tables.anew,
         tables.gains,
         tables.inverse,

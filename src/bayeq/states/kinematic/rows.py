@@ -86,7 +86,7 @@ class Rows:
         start = initial_sd[self.lowest :] / self.units(np.arange(self.lowest, order))
         noise = math.sqrt(density) * self.step ** (order - 0.5) / self.scale * _unit_root(m)
         tables = Tables(
-            index=np.empty(n, np.int64),
+            entry=np.empty(n, np.int64),
             anew=np.empty(n, np.bool_),
             gains=np.empty((n, c, m)),
             inverse=np.empty((n, c)),

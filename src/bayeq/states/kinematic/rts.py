@@ -60,7 +60,7 @@ def smooth(
     `covariances` is filled with one entry per row until they have settled and `rows` with the entry of each row;
     returns the number of entries.
     """
-    index, anew, roots, means = tables.index, tables.anew, tables.roots, tables.means
+    index, anew, roots, means = tables.entry, tables.anew, tables.roots, tables.means
     n, m = means.shape
     M, S, last = np.empty((2 * m, 2 * m)), np.empty((m, m)), np.empty((m, m))
     J, rest = np.empty((m, m)), np.empty((m, m))

@@ -102,7 +102,7 @@ def smooth_kinematic(series: ChainSeries, model: KinematicModel) -> SmoothedStat
     kept = covariances[:entries].copy() if entries < n else covariances
     kept *= np.outer(units, units)
     innovations = np.full((n, len(series.channels)), np.nan)
-    standard = tables.innovations * np.sqrt(tables.inverse)[tables.index]
+    standard = tables.innovations * np.sqrt(tables.inverse)[tables.entry]
     innovations[:, rows.measured] = np.where(rows.present, standard, np.nan)
     return SmoothedStates(mean, innovations, kept, entry)
 
