@@ -93,6 +93,54 @@ def test_nothing_is_compiled_and_numba_not_imported_before_the_first_call(tmp_pa
     assert list(tmp_path.rglob("callee.inner.*.nbi"))
 
 
+INNER = """
+from bayeq.kernels import kernel
+
+@kernel
+def power(x, n):
+    if n < 0:
+        raise ValueError("negative")
+    return 1.0 if n == 0 else x * x ** (n - 1)
+
+@kernel
+def total(xs, n):
+    out = 0.0
+    for x in xs:
+        out += power(x, n)
+    return out
+
+@kernel
+def both(xs):
+    return total(xs, 1), total(xs, 2)
+
+import numpy as np
+
+xs = np.array([1.0, 2.0, 4.0])
+print(both(xs))
+try:
+    total(xs, -1)
+except ValueError as error:
+    print(error)
+print(power(2.0, 3))
+"""
+
+
+def test_kernels_that_kernels_call_are_part_of_these(tmp_path):
+    # both is compiled first, with the inner kernels; then these are, for calls from Python
+    (tmp_path / "inner.py").write_text(INNER)
+    for _ in range(2):
+        command = [sys.executable, "inner.py"]
+        out = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert out.stdout.splitlines() == ["(7.0, 21.0)", "negative", "8.0"]
+    lines = INNER.splitlines()
+    (tmp_path / "inner.py").write_text("\n".join(lines[: lines.index("try:")]))
+    for file in tmp_path.rglob("*.nb?"):
+        file.unlink()
+    subprocess.run([sys.executable, "inner.py"], cwd=tmp_path, check=True, capture_output=True)
+    (code,) = tmp_path.rglob("*.nbc")  # machine code of one kernel, that Python calls
+    assert code.name.startswith("inner.both")
+
+
 MANY = """
 import sys
 import numpy as np

@@ -8,6 +8,7 @@ from scipy.special import logsumexp
 
 from bayeq.errors import InputError
 from bayeq.gram import Gram
+from bayeq.inference.auto import spike_slab_auto
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import greedy_model
 from bayeq.inference.prior import Prior
@@ -99,6 +100,18 @@ def test_elbo_is_monotone_below_the_evidence_and_the_best_of_its_restarts():
             if k < 3:
                 assert fit.elbo >= other.elbo - 1e-6  # the tolerance at which an ascent stops
         assert_monotone(fit.elbo_trace)
+
+
+def test_given_models_take_the_place_of_the_rvm_and_reach_its_optimum(monkeypatch):
+    problems = [reference.random_problem(np.random.default_rng(seed), n=200, P=12, rho=0.8) for seed in range(30)]
+    grams = [Gram.from_data(D, y).standardise().gram for D, y, _ in problems]
+    with_rvm = [spike_slab_vb(gram).elbo for gram in grams]
+    monkeypatch.setattr("bayeq.inference.vb.rvm_gamma", None)  # so that running it fails
+    for gram, elbo in zip(grams, with_rvm, strict=True):
+        auto = spike_slab_auto(gram)
+        assert auto.elbo == pytest.approx(elbo, abs=1e-6)
+        best = auto.average.models[0]
+        assert spike_slab_vb(gram, models=[best]).elbo == pytest.approx(elbo, abs=1e-6)
 
 
 def test_elbo_of_a_fixed_model_is_its_evidence_up_to_a_constant():
