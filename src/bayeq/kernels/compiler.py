@@ -23,10 +23,6 @@ OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 class _EntryLibrary(JITCodeLibrary):  # type: ignore[misc]
     """LLVM code of a kernel that Python calls, with all that it calls."""
 
-    def _optimize_functions(self, ll_module: Any) -> None:
-        # The module is optimised as a whole; function by function before takes time and changes nothing.
-        ll_module.data_layout = self._codegen._data_layout
-
     def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, bytes]]:
         """Machine code and, in place of the LLVM code, the names that it defines, which numba looks for on loading.
 
