@@ -41,6 +41,7 @@ def test_a_known_shape_keeps_what_is_narrower_than_the_average():
     assert shaped[middle].mean() == pytest.approx(0.01, rel=0.4)
 
 
+@pytest.mark.filterwarnings("ignore::bayeq.errors.AmbiguityWarning")  # x**5 keeps a PIP of 0.09 in 1,500 rows
 def test_propagated_intervals_do_not_depend_on_how_often_one_asks():
     rec = bq.simulate("duffing", n=1500, seed=2)
     first, second = (bq.discover(rec, chains="x:v:a", inputs=["u"])[0].posterior.covariance for _ in range(2))
