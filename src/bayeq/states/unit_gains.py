@@ -30,6 +30,9 @@ SHARE_OF_LINES = 1 / 100
 LEAST_LINES = 5
 COHERENT = 0.7
 
+# More rows of a record are not needed: a thousand lines tell any factor.
+MOST_ROWS = 100_000
+
 # Independent lines among those of a Hann window's transform.
 INDEPENDENT = 2 / 3
 
@@ -107,7 +110,7 @@ def unit_gains(records: Sequence[Record], chain: Chain, rows: Sequence[int] | No
         stated = {j: _stated(records, below, name, k - j) for j, below in known.items()}
         j = next((j for j, ratio in stated.items() if ratio is not None), max(known))
         found = _estimated(records, cuts, known[j], name, k - j)
-        gains[k] = gains[j] * _decided(stated[j], found, acceleration=k == MOST_ORDER)
+        gains[k] = gains[j] * _decided(stated[j], found, acceleration=k == 2)
         known[k] = name
     return gains
 
@@ -159,6 +162,7 @@ def _estimated(records: Sequence[Record], cuts: Sequence[int], below: str, above
     for record, cut in zip(records, cuts, strict=True):
         if record.time is None or cut <= LEAST_LINES:
             continue
+        cut = min(cut, MOST_ROWS)
         step = even_step(np.asarray(record.time)[:cut])
         if step is None:
             continue
