@@ -21,11 +21,13 @@ from bayeq.states.unit_gains import _estimated
 G = 9.80665
 CHAIN = parse_chain("x:v:a")
 SI = {"x": "m", "v": "m/s", "a": "m/s^2", "u": "N"}
+MM_G = {"x": "mm", "v": "m/s", "a": "g", "u": "N"}
+NO_FORCE = (("x", 0.02), ("v", 0.02), ("a", 0.02))
 
 
 @cache
 def duffing(noise=0.02):
-    return bq.simulate("duffing", n=2000, seed=3, noise=noise)
+    return bq.simulate("duffing", n=2000, seed=3, noise=dict(noise) if isinstance(noise, tuple) else noise)
 
 
 def in_units(x_size=1.0, v_size=1.0, a_size=1.0, /, noise=0.02, **units):
@@ -40,7 +42,7 @@ def mm():
 
 
 def mm_g():
-    return in_units(1e3, 1.0, 1 / G, x="mm", v="m/s", a="g", u="N")
+    return in_units(1e3, 1.0, 1 / G, **MM_G)
 
 
 def discover(record, chain="x:v:a", **options):
@@ -258,3 +260,22 @@ def test_physical_parameters_are_refused_where_units_contradict_the_motion():
     # a file of equations from before these factors were kept: stated units are all that is known
     before = replace(eq, equations=(replace(eq[0], unit_gains=()),))
     assert before.physical()["k"].unit == "N/m"
+
+
+# --- output error ----------------------------------------------------------------------------------------------------
+
+
+def test_refined_coefficients_are_those_of_the_same_motion_in_one_unit():
+    # every channel is fitted, the acceleration too, which is not the derivative of the velocity's channel by seconds
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BayeqWarning)
+        records = [in_units(noise=NO_FORCE, **SI), in_units(1e3, 1.0, 1 / G, noise=NO_FORCE, **MM_G)]
+        after = [discover(record, smooth="none").refine(record) for record in records]
+    assert all(one.refined is not None for one in after)
+    sizes = {"x": 1e-3, "v": 1.0, "x**3": 1e-9, "u": 1.0}
+    for name, size in sizes.items():
+        assert after[1][0].coef[name] == pytest.approx(after[0][0].coef[name] * size / G, rel=1e-3)
+    assert after[1].scores.free_run == pytest.approx(after[0].scores.free_run, rel=1e-3)
+    for name, size in (("x", 1e3), ("v", 1.0), ("a", 1 / G)):
+        assert after[1].refined.noise_sd[name] == pytest.approx(size * after[0].refined.noise_sd[name], rel=1e-3)
+    assert after[1].physical()["k"].mean == pytest.approx(after[0].physical()["k"].mean, rel=1e-3)
