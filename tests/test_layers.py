@@ -13,7 +13,7 @@ from tests.layers import SOURCE, circles, files, floors, imported, modules, room
 # From the ground up: a room imports from lines above its own, which here means from floors below.
 ORDER = [
     "citation errors kernels",
-    "expressions gram records",
+    "expressions gram numerics records",
     "dictionary figures inference ode states",
     "adapters forecast regression systems",
     "refine selection",

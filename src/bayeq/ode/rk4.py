@@ -14,6 +14,7 @@ import numpy as np
 from bayeq.expressions.evaluate import FloatArray
 from bayeq.expressions.tape import IndexArray, Program, run_tape
 from bayeq.kernels import kernel
+from bayeq.numerics.spline import spline_slopes
 
 __all__ = ["STAGES", "Drive", "Interpolation", "advance", "free_runs", "interpolant", "local_errors", "slope_at"]
 
@@ -80,12 +81,11 @@ def interpolant(time: FloatArray, samples: FloatArray, kind: Interpolation) -> F
         return out
     out[:-1, :, 1] = samples[1:]
     if kind == "cubic":
-        from scipy.interpolate import CubicSpline
-
-        h = np.diff(time)[:, None]
-        cubic, square = CubicSpline(time, samples, axis=0).c[:2]
-        out[:-1, :, 3] = -cubic * h**3
-        out[:-1, :, 2] = out[:-1, :, 3] - square * h**2
+        h, rise = np.diff(time)[:, None], np.diff(samples, axis=0)
+        slopes = spline_slopes(time, samples)
+        # what the slopes at both ends are steeper than the straight line
+        start, end = h * slopes[:-1] - rise, h * slopes[1:] - rise
+        out[:-1, :, 2], out[:-1, :, 3] = start, -(start + end)
     return out
 
 

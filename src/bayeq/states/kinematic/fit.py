@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import ConvergenceWarning, InputError
+from bayeq.numerics.minimise import minimise
 from bayeq.states.kinematic.kalman import LONG_GAP
 from bayeq.states.kinematic.model import MOST_EXTRA, ChainSeries, KinematicModel, Sizes, check_order, sizes_of
 from bayeq.states.kinematic.rows import Rows, prepare
@@ -43,7 +44,7 @@ MANY, USED, STRETCHES = 50_000, 40_000, 8
 SLOWER, SPARSE = 5, 300
 
 # Gradient of the log-likelihood per sample: where the search stops, and where it should have.
-STATIONARY, DOUBTFUL = 1e-5, 1e-3
+STATIONARY, DOUBTFUL = 1e-6, 1e-3
 
 
 def fit_kinematic(
@@ -297,9 +298,6 @@ class _Likelihood:
 
     def maximise(self, floors: Floats) -> KinematicModel:
         """The model at the maximum next to the floors."""
-        from scipy.optimize import minimize
-        from threadpoolctl import threadpool_limits
-
         parameters, stopped = self.start(floors), False
         if len(parameters):
 
@@ -307,17 +305,8 @@ class _Likelihood:
                 value, gradient, _ = self.scored(at)
                 return -value / self.count, -gradient / self.count
 
-            # the search solves systems of a few unknowns, which threads of BLAS would take a hundred times as long for
-            with threadpool_limits(1, user_api="blas"):
-                found = minimize(
-                    loss,
-                    parameters,
-                    jac=True,
-                    method="L-BFGS-B",
-                    bounds=self.bounds,
-                    options={"maxiter": 200, "ftol": 1e-13, "gtol": STATIONARY},
-                )
-            parameters, stopped = found.x, not found.success
+            found = minimise(loss, parameters, *np.transpose(self.bounds), gradient_tolerance=STATIONARY)
+            parameters, stopped = found.x, not found.converged
         value, gradient, left_out = self.scored(parameters)
         if stopped:
             self._warn_of(parameters, gradient / self.count)

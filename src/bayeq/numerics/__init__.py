@@ -1,0 +1,1 @@
+"""Numerical methods of their own: minimisation within bounds, cubic splines."""
