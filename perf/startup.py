@@ -3,8 +3,9 @@
     python -m perf.startup
     python -m perf.startup --first      # also the first `bayeq discover`, with nothing compiled: minutes
 
-Each run is a process of its own. They take turns, so that a noisy machine is noisy for all of them; processor time
-(user and system) beside the clock tells how noisy it was. Writes perf/results/startup.csv.
+Each run is a process of its own, with the byte code of all that it imports in place, as an installation has it. They
+take turns, so that a noisy machine is noisy for all of them; processor time (user and system) beside the clock tells how
+noisy it was. Writes perf/results/startup.csv.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ COMMANDS = {
     "bayeq discover --help": (0.5, 0),
     "bayeq discover missing.csv --disp x": (0.5, 2),
     "bayeq discover duffing.csv --dips x": (0.5, 2),
-    "bayeq discover duffing.csv --disp y": (None, 2),
+    "bayeq discover duffing.csv --disp y": (0.5, 2),
     "bayeq discover duffing.csv --disp x --vel v --acc a --force u": (1.6, 0),
 }
 FIRST, FIRST_RATIO = list(COMMANDS)[-1], 30.0
@@ -51,10 +52,10 @@ def seconds(arguments: tuple[str, ...], folder: Path, code: int, **environment: 
     RuntimeError
         It ended with another exit code.
     """
+    environment = {**os.environ, "PYTHONPYCACHEPREFIX": str(folder / "bytecode"), **environment}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, *arguments], cwd=folder, env={**os.environ, **environment}, capture_output=True, check=False
-    )
+    done = subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, check=False)
     clock, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode != code:
         raise RuntimeError(f"{shlex.join(arguments)}: exit code {done.returncode}: {done.stderr.decode()}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time as clock
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -154,6 +154,7 @@ def discover(files: tuple[Path, ...], as_json: bool, **options: Any) -> None:
         for k, file in enumerate(files):
             progress("reading", k, len(files))
             records.extend(_read(file, _used(options), reading))
+        _require_channels(records, _used(options))
         outputs.check_records(records)
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
@@ -188,6 +189,13 @@ def _used(options: Mapping[str, Any]) -> list[str]:
     single = (options.get(role, "") for role in ("displacement", "velocity", "acceleration", "force"))
     texts = (*(options["chains"] or ()), *single, *options["inputs"])
     return [name for text in texts for name in text.split(":") if name and not name.startswith("~")]
+
+
+def _require_channels(records: Sequence[Record], names: Sequence[str]) -> None:
+    """Refuse channels that a record lacks: before the import of what would find it out."""
+    for name in names:
+        for record in records:
+            _ = record[name]
 
 
 def _read(file: Path, used: list[str], options: Mapping[str, Any]) -> list[Record]:

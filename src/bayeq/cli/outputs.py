@@ -84,6 +84,8 @@ class Outputs:
 
     def check_records(self, records: Sequence[Record]) -> None:
         """Refuse records without time where it is needed."""
+        if not self.refine and self.forecast is None:
+            return
         from bayeq.forecast.rows import require_time
 
         for wanted, option in ((self.refine, "--refine"), (self.forecast is not None, "--forecast")):

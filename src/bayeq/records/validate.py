@@ -30,8 +30,10 @@ def _prefix(where: str) -> str:
 
 def as_column(values: Any, what: str, where: str = "") -> FloatArray:
     """A float64 array of one dimension, or a RecordError that says what is wrong with it."""
+    # numpy.ma, which takes a while to import, is asked about subclasses alone
+    masked = type(values) is not np.ndarray and isinstance(values, np.ndarray) and np.ma.isMaskedArray(values)
     try:
-        array = np.ma.filled(values.astype(float), np.nan) if np.ma.isMaskedArray(values) else np.asarray(values)
+        array = np.ma.filled(values.astype(float), np.nan) if masked else np.asarray(values)
     except ValueError as error:  # nested lists of unequal lengths
         raise RecordError(f"{_prefix(where)}{what} is not an array of numbers: {error}") from None
     if array.dtype.kind == "c":
