@@ -4,8 +4,8 @@
     python -m perf.startup --first      # also the first `bayeq discover`, with nothing compiled: minutes
 
 Each run is a process of its own, with the byte code of all that it imports in place, as an installation has it. They
-take turns, so that a noisy machine is noisy for all of them; processor time (user and system) beside the clock tells how
-noisy it was. Writes perf/results/startup.csv.
+take turns, so that a noisy machine is noisy for all of them; processor time (user and system) beside the clock tells
+how noisy it was. Writes perf/results/startup.csv.
 """
 
 from __future__ import annotations

@@ -187,7 +187,7 @@ class _Counted:
         """Gradient by central differences, by one-sided ones of the same order next to a bound."""
         gradient = np.zeros(len(x))
         room = self.box.upper - self.box.lower
-        for i in np.flatnonzero(room > 0):
+        for i in map(int, np.flatnonzero(room > 0)):
             h = min(DIFFERENCE * max(1.0, abs(x[i])), room[i] / 4)
             side = 1.0 if x[i] - h < self.box.lower[i] else -1.0 if x[i] + h > self.box.upper[i] else 0.0
             if side:
