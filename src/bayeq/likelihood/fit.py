@@ -1,0 +1,194 @@
+"""Fit of a system's coefficients, path and noise levels to its records, given which coefficients are not zero."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.likelihood.filter import Adjoint, Filtered, adjoint, run_filter
+from bayeq.likelihood.layout import Candidates, Layout
+from bayeq.likelihood.levels import Levels
+from bayeq.likelihood.linear import Linear, Series, derivatives_along, linearise
+from bayeq.numerics.minimise import minimise
+
+__all__ = ["Quadratic", "State", "Statistics", "improved", "information", "marginal", "maximised"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Where a fit stands.
+
+    Attributes
+    ----------
+    chosen, theta : Candidates, (r,) array
+        Coefficients that are not zero, and their values.
+    paths : tuple of (n, S) arrays
+        States of each record.
+    levels : Levels
+        Noise and discrepancies.
+    """
+
+    chosen: Candidates
+    theta: Floats
+    paths: tuple[Floats, ...]
+    levels: Levels
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """The log likelihood about some coefficients: ``level + slope'd - d' information d/2``."""
+
+    level: float
+    slope: Floats
+    information: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """The marginal likelihood of a linearised model, and what it is made of.
+
+    Attributes
+    ----------
+    value : float
+        ln p(data | levels), coefficients integrated out.
+    delta, covariance : (r,) and (r, r) arrays
+        Posterior mean of the coefficients' deviations, and their covariance.
+    filtered : tuple of Filtered
+        Of each record.
+    """
+
+    value: float
+    delta: Floats
+    covariance: Floats
+    filtered: tuple[Filtered, ...]
+
+
+def linearised(layout: Layout, series: Sequence[Series], state: State, substeps: int = 1) -> list[Linear]:
+    """Every record linearised where a fit stands."""
+    return [
+        linearise(layout, one, path, state.chosen, state.theta, substeps)
+        for one, path in zip(series, state.paths, strict=True)
+    ]
+
+
+def quadratic(filtered: Sequence[Filtered]) -> Quadratic:
+    """The sum over records."""
+    r = filtered[0].innovation.shape[2] - 1
+    level, slope, information = 0.0, np.zeros(r), np.zeros((r, r))
+    for found in filtered:
+        used = found.variance > 0.0
+        S, E = found.variance[used], found.innovation[used]
+        scaled = E / np.sqrt(S)[:, None]
+        product = scaled.T @ scaled
+        level -= 0.5 * float(np.log(2.0 * np.pi * S).sum() + product[0, 0])
+        slope += product[1:, 0]
+        information += product[1:, 1:]
+    return Quadratic(level, slope, information)
+
+
+def marginal(linears: Sequence[Linear], state: State, levels: Levels, precision: Floats) -> Statistics:
+    """The likelihood with the chosen coefficients integrated out under N(0, 1/precision)."""
+    filtered = tuple(run_filter(linear, state.chosen, levels.noise) for linear in linears)
+    q = quadratic(filtered)
+    if not len(state.theta):
+        return Statistics(q.level, np.zeros(0), np.zeros((0, 0)), filtered)
+    scale = 1.0 / np.sqrt(np.diagonal(q.information) + precision)
+    H = (q.information + np.diag(precision)) * scale[:, None] * scale
+    root = np.linalg.cholesky(H)
+    inverse = np.linalg.inv(root)
+    covariance = (inverse.T @ inverse) * scale[:, None] * scale
+    pull = q.slope - precision * state.theta
+    delta = covariance @ pull
+    value = q.level + 0.5 * float(pull @ delta) - 0.5 * float(state.theta @ (precision * state.theta))
+    value += 0.5 * float(np.log(precision).sum()) - float(np.log(np.diagonal(root)).sum()) + float(np.log(scale).sum())
+    return Statistics(value, delta, covariance, filtered)
+
+
+def adjoints(
+    linears: Sequence[Linear], state: State, levels: Levels, found: Statistics, delta: Floats, curved: bool = False
+) -> list[Adjoint]:
+    """The adjoint of every record."""
+    return [
+        adjoint(linear, levels.noise, filtered, delta, found.covariance, levels.layout.last, curved)
+        for linear, filtered in zip(linears, found.filtered, strict=True)
+    ]
+
+
+def maximised(
+    linears: Sequence[Linear],
+    state: State,
+    precision: Floats,
+    held: NDArray[np.bool_] | None = None,
+    steps: int = 30,
+    tolerance: float = 1e-6,
+) -> Levels:
+    """Levels that maximise the marginal likelihood of a linearised model; those `held` stay.
+
+    The search moves each number in units of what its own samples tell of it, were nothing else unknown.
+    """
+    levels = state.levels
+    low, high = levels.bounds
+    start = np.clip(levels.free, low, high)
+    if held is not None:
+        low, high = np.where(held, start, low), np.where(held, start, high)
+    unit = 1.0 / np.sqrt(np.maximum(levels.curvature(linears), 1.0))
+
+    def negative(moved: Floats) -> tuple[float, Floats]:
+        trial = levels.moved(moved * unit)
+        found = marginal(linears, state, trial, precision)
+        slope = sum(trial.slopes(one) for one in adjoints(linears, state, trial, found, found.delta))
+        return -found.value, -np.asarray(slope) * unit
+
+    found = minimise(
+        negative,
+        start / unit,
+        low / unit,
+        high / unit,
+        gradient_tolerance=0.1,
+        value_tolerance=tolerance,
+        most_steps=steps,
+    )
+    return levels.moved(found.x * unit)
+
+
+def corrections(
+    layout: Layout, series: Sequence[Series], linears: Sequence[Linear], found: Sequence[Adjoint]
+) -> Floats:
+    """Derivatives of the determinant's part of the likelihood by every coefficient, (C, P + 1)."""
+    out = np.zeros((layout.chains, len(layout.terms) + 1))
+    for one, linear, adj in zip(series, linears, found, strict=True):
+        out += derivatives_along(layout, one, linear.path, adj.at_samples)
+        between = 0.5 * (linear.path[:-1] + linear.end)
+        out += derivatives_along(layout, one, between, adj.between, 0.5)
+    return out
+
+
+def improved(
+    layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, precision: Floats
+) -> tuple[State, Floats, Statistics]:
+    """One Gauss-Newton step of coefficients and paths at the state's levels; the determinant's derivatives beside it."""
+    levels = state.levels
+    found = marginal(linears, state, levels, precision)
+    first = adjoints(linears, state, levels, found, found.delta, curved=True)
+    curved = corrections(layout, series, linears, first)
+    delta = found.delta + found.covariance @ curved[state.chosen.chain, state.chosen.term]
+    second = adjoints(linears, state, levels, found, delta)
+    paths = tuple(path + adj.deviation for path, adj in zip(state.paths, second, strict=True))
+    return replace(state, theta=state.theta + delta, paths=paths), curved, found
+
+
+def information(
+    layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, curved: Floats
+) -> Quadratic:
+    """The likelihood of all candidates about zero: what models are compared on."""
+    every = layout.everything
+    filtered = [run_filter(linear, every, state.levels.noise) for linear in linears]
+    q = quadratic(filtered)
+    theta = np.zeros(len(every.chain))
+    theta[state.chosen.chain * (len(layout.terms) + 1) + state.chosen.term] = state.theta
+    return Quadratic(q.level, q.information @ theta + q.slope + curved.ravel(), q.information)

@@ -1,0 +1,167 @@
+"""`Layout`: the state vector of a system, and its equations as a tape.
+
+The states are, in this order: the derivatives of every chain but its highest; a discrepancy d of every equation; every
+input that is measured with noise, with its derivatives. Between samples discrepancies and the highest derivatives of
+inputs are constant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
+from bayeq.states import Roles, rates
+
+__all__ = ["Candidates", "Layout"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Candidates(NamedTuple):
+    """Coefficients of some equations: the term ``terms[j]`` in the equation of chain ``chain[j]``.
+
+    Attributes
+    ----------
+    chain, term : (p,) int arrays
+        Number of the equation and of the term; the number after the last term stands for the constant.
+    """
+
+    chain: Ints
+    term: Ints
+
+    def take(self, index: NDArray[np.intp]) -> Candidates:
+        """Some of the coefficients."""
+        return Candidates(self.chain[index], self.term[index])
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where the states of a system stand, and what is measured of them.
+
+    Attributes
+    ----------
+    roles : Roles
+        Chains and inputs.
+    terms : tuple of Expression
+        The P candidate terms, the same for every equation.
+    gains : tuple of (K+1,) arrays
+        Of each chain, see `bayeq.states.unit_gains`.
+    noisy : tuple of str
+        Inputs whose noise is part of the model; the others are taken as they were measured.
+    smoothness : tuple of int
+        Number of derivatives of each noisy input that are states, at least 1: straight lines between samples.
+    """
+
+    roles: Roles
+    terms: tuple[Expression, ...]
+    gains: tuple[Floats, ...]
+    noisy: tuple[str, ...] = ()
+    smoothness: tuple[int, ...] = ()
+
+    @cached_property
+    def chains(self) -> int:
+        """C, the number of equations."""
+        return len(self.roles.chains)
+
+    @cached_property
+    def motion(self) -> int:
+        """Number of states that are derivatives of chains."""
+        return len(self.roles.states)
+
+    @cached_property
+    def size(self) -> int:
+        """S, the number of states."""
+        return self.motion + self.chains + sum(self.smoothness) + len(self.noisy)
+
+    @cached_property
+    def last(self) -> Ints:
+        """The state below the highest derivative of each chain, (C,)."""
+        return np.cumsum([chain.order for chain in self.roles.chains], dtype=np.int64) - 1
+
+    @cached_property
+    def discrepancy(self) -> Ints:
+        """The discrepancy of each equation, (C,)."""
+        return np.arange(self.motion, self.motion + self.chains, dtype=np.int64)
+
+    @cached_property
+    def driven(self) -> Ints:
+        """The noisy inputs, (L,)."""
+        widths = 1 + np.array(self.smoothness, dtype=np.int64)
+        return self.motion + self.chains + np.cumsum(widths) - widths
+
+    @cached_property
+    def slope(self) -> Ints:
+        """The highest derivative of each noisy input, (L,)."""
+        return self.driven + np.array(self.smoothness, dtype=np.int64)
+
+    @cached_property
+    def exact(self) -> tuple[str, ...]:
+        """Inputs that are taken as measured."""
+        return tuple(name for name in self.roles.inputs if name not in self.noisy)
+
+    @cached_property
+    def rates(self) -> tuple[tuple[float, ...], ...]:
+        """Of each chain, the factors between each derivative's channel and the rate of the one below."""
+        return tuple(tuple(rates(c, g.tolist())) for c, g in zip(self.roles.chains, self.gains, strict=True))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the states; those that are no channels have names that no channel can have."""
+        extra = [f"d[{c}]" for c in range(self.chains)]
+        for name, order in zip(self.noisy, self.smoothness, strict=True):
+            extra += [name, *(f"{name}[{k + 1}]" for k in range(order))]
+        return (*self.roles.states, *extra)
+
+    @cached_property
+    def channels(self) -> tuple[tuple[str, int], ...]:
+        """What is measured: a channel's name, and the number of a state, or -1 - c for the target of equation c."""
+        out = []
+        for c, chain in enumerate(self.roles.chains):
+            first = int(self.last[c]) - chain.order + 1
+            for k, name in enumerate(chain.measured):
+                if name is not None:
+                    out.append((name, first + k if k < chain.order else -1 - c))
+        out += [(name, int(i)) for name, i in zip(self.noisy, self.driven, strict=True)]
+        return tuple(out)
+
+    @cached_property
+    def kinds(self) -> Ints:
+        """The second entry of each channel, (M,)."""
+        return np.array([kind for _, kind in self.channels], dtype=np.int64)
+
+    @cached_property
+    def everything(self) -> Candidates:
+        """All terms and the constant of every equation, in turn."""
+        width = len(self.terms) + 1
+        index = np.arange(self.chains * width, dtype=np.int64)
+        return Candidates(index // width, index % width)
+
+    def tape(self, chosen: Candidates) -> Tape:
+        """Rates of the states, then the targets, in states, exact inputs and the chosen coefficients."""
+        parameters = [f"theta[{j}]" for j in range(len(chosen.chain))]
+        targets: list[Node] = [Symbol(f"d[{c}]") for c in range(self.chains)]
+        for name, c, j in zip(parameters, chosen.chain, chosen.term, strict=True):
+            part: Node = Symbol(name)
+            if j < len(self.terms):
+                part = Binary("*", part, self.terms[j].tree)
+            targets[c] = Binary("+", targets[c], part)
+        out: list[Node] = []
+        for chain, factors, target in zip(self.roles.chains, self.rates, targets, strict=True):
+            for factor, node in zip(factors, [*map(Symbol, chain.states[1:]), target], strict=True):
+                out.append(node if factor == 1.0 else Binary("*", number(factor), node))
+        out += [Number(0)] * self.chains
+        for name, order in zip(self.noisy, self.smoothness, strict=True):
+            out += [*(Symbol(f"{name}[{k + 1}]") for k in range(order)), Number(0)]
+        return Tape.compile(map(Expression, [*out, *targets]), [*self.names, *self.exact, *parameters])
+
+    def terms_tape(self) -> Tape:
+        """The candidate terms and the constant, in states and exact inputs."""
+        trees: Sequence[Node] = [*(term.tree for term in self.terms), Number(1)]
+        return Tape.compile(map(Expression, trees), [*self.names, *self.exact])

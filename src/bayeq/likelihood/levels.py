@@ -1,0 +1,168 @@
+"""`Levels`: sizes of everything random in a record, as numbers without constraints that a search can move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.likelihood.filter import Adjoint, Noise
+from bayeq.likelihood.layout import Layout
+from bayeq.likelihood.linear import Linear
+
+__all__ = ["Levels", "Scales"]
+
+Floats = NDArray[np.float64]
+
+# The first state of a record is known to this many standard deviations of the channels, and no better.
+VAGUE = 10.0
+
+# Bounds: of noise and discrepancy as shares of the variance of channel and target, of what is left of a discrepancy
+# after a sample, and of a slope.
+LEAST_NOISE, MOST_NOISE = 1e-12, 1e2
+LEAST_DISCREPANCY, MOST_DISCREPANCY = 1e-8, 1e2
+MEMORY = (0.02, 0.999)
+SLOPE_MEMORY = (-0.9, 1.0)
+
+# What the likelihood tells of discrepancies and inputs is like that of this many samples.
+SHARPNESS = 25.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Units in which levels are stated.
+
+    Attributes
+    ----------
+    mean, variance : (S,) arrays
+        Of the states (of discrepancies: 0, and the variance of their target).
+    channels : (M,) array
+        Variance of each channel.
+    """
+
+    mean: Floats
+    variance: Floats
+    channels: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Sizes of noise and discrepancies.
+
+    Attributes
+    ----------
+    layout, scales
+        What they are sizes of.
+    channels : (M,) array
+        Variances of the channels' noise.
+    discrepancy : (C,) array
+        Variance of each equation's discrepancy.
+    memory : (C,) array
+        What is left of a discrepancy after a sample.
+    slope : (L,) array
+        Variance of what is added to each noisy input's slope at a sample.
+    slope_memory : (L,) array
+        What is left of the slope: 1 is an integrated Wiener process, 0 straight lines between random samples.
+    """
+
+    layout: Layout
+    scales: Scales
+    channels: Floats
+    discrepancy: Floats
+    memory: Floats
+    slope: Floats
+    slope_memory: Floats
+
+    @cached_property
+    def noise(self) -> Noise:
+        """As the filter takes it."""
+        layout = self.layout
+        memory, steps = np.ones(layout.size), np.zeros(layout.size)
+        start = VAGUE**2 * self.scales.variance
+        memory[layout.discrepancy] = self.memory
+        steps[layout.discrepancy] = self.discrepancy * (1.0 - self.memory**2)
+        start[layout.discrepancy] = self.discrepancy
+        memory[layout.slope], steps[layout.slope] = self.slope_memory, self.slope
+        return Noise(self.channels, memory, steps, self.scales.mean, start)
+
+    @property
+    def kappa(self) -> Floats:
+        """Standard deviation of each discrepancy as a share of its target's, (C,)."""
+        return np.sqrt(self.discrepancy / self.scales.variance[self.layout.discrepancy])
+
+    @property
+    def free(self) -> Floats:
+        """The numbers that a search moves."""
+        return np.concatenate(
+            [
+                np.log(self.channels),
+                np.log(self.discrepancy),
+                _logit(self.memory),
+                np.log(self.slope),
+                self.slope_memory,
+            ]
+        )
+
+    def moved(self, free: Floats) -> Levels:
+        """The levels of other numbers."""
+        m, c, s = len(self.channels), len(self.discrepancy), len(self.slope)
+        parts = np.split(free, np.cumsum([m, c, c, s]))
+        return Levels(
+            self.layout,
+            self.scales,
+            np.exp(parts[0]),
+            np.exp(parts[1]),
+            1.0 / (1.0 + np.exp(-parts[2])),
+            np.exp(parts[3]),
+            parts[4],
+        )
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Least and most of `free`."""
+        target = self.scales.variance[self.layout.discrepancy]
+        slope = self.scales.variance[self.layout.slope]
+        low = [
+            np.log(LEAST_NOISE * self.scales.channels),
+            np.log(LEAST_DISCREPANCY * target),
+            np.full(len(target), _logit(np.array(MEMORY[0]))),
+            np.log(LEAST_DISCREPANCY * slope),
+            np.full(len(slope), SLOPE_MEMORY[0]),
+        ]
+        high = [
+            np.log(MOST_NOISE * self.scales.channels),
+            np.log(MOST_DISCREPANCY * target),
+            np.full(len(target), _logit(np.array(MEMORY[1]))),
+            np.log(1e4 * slope),
+            np.full(len(slope), SLOPE_MEMORY[1]),
+        ]
+        return np.concatenate(low), np.concatenate(high)
+
+    def curvature(self, linears: Sequence[Linear]) -> Floats:
+        """About how sharply the likelihood peaks in each of `free`: half of the samples for the noise of a channel."""
+        samples = sum(np.isfinite(linear.residual).sum(axis=0) for linear in linears)
+        few = np.full(len(self.free) - len(self.channels), SHARPNESS)
+        return np.concatenate([0.5 * np.asarray(samples), few])
+
+    def slopes(self, found: Adjoint) -> Floats:
+        """Derivatives of the likelihood by `free`."""
+        d, s = self.layout.discrepancy, self.layout.slope
+        size, memory = self.discrepancy, self.memory
+        by_size = found.steps[d] * (1.0 - memory**2) + found.start[d]
+        by_memory = found.memory[d] - 2.0 * memory * size * found.steps[d]
+        return np.concatenate(
+            [
+                found.channels * self.channels,
+                by_size * size,
+                by_memory * memory * (1.0 - memory),
+                found.steps[s] * self.slope,
+                found.memory[s],
+            ]
+        )
+
+
+def _logit(p: Floats) -> Floats:
+    return np.asarray(np.log(p) - np.log1p(-p))

@@ -1,0 +1,169 @@
+"""Which coefficients are not zero: linearise, select on the Gram of all candidates, fit, and again until that stays.
+
+What the Gram of one linearisation prefers is then compared with its neighbours, each by the evidence of its own fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.gram import Gram
+from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.search import best_models, neighbours
+from bayeq.inference.prior import Prior
+from bayeq.likelihood.fit import Quadratic, State, improved, information, linearised, marginal, maximised
+from bayeq.likelihood.layout import Candidates, Layout
+from bayeq.likelihood.linear import Series
+
+__all__ = ["Fitted", "Task", "search"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# Linearisations until the support stays, and Gauss-Newton steps about each support.
+ROUNDS = 8
+STEPS = 2
+
+# A fit has converged when its evidence changes by less [nats]; steps at most.
+SETTLED = 0.05
+MOST_STEPS = 6
+
+# Neighbours within this many nats on the Gram are fitted, at most so many from each model, and so many times the best
+# moves.
+WINDOW = 6.0
+NEIGHBOURS = 8
+MOVES = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is to be explained, and what is known before.
+
+    Attributes
+    ----------
+    layout : Layout
+        States and candidates.
+    series : tuple of Series
+        The records.
+    precision : (C (P + 1),) array
+        1/variance of each coefficient's prior, were it not zero.
+    log_odds : (C (P + 1),) array
+        Of each coefficient not being zero.
+    """
+
+    layout: Layout
+    series: tuple[Series, ...]
+    precision: Floats
+    log_odds: Floats
+
+    @property
+    def rows(self) -> float:
+        """Number of samples."""
+        return float(sum(np.isfinite(one.samples).sum() for one in self.series))
+
+    def number(self, chosen: Candidates) -> NDArray[np.int64]:
+        """Where coefficients stand among all."""
+        return chosen.chain * (len(self.layout.terms) + 1) + chosen.term
+
+    def prior(self, model: Bools) -> float:
+        """Log prior of a model, up to a constant."""
+        free = model & np.isfinite(self.log_odds)
+        return float(self.log_odds[free].sum())
+
+    def problem(self, q: Quadratic) -> Problem:
+        """Sparse regression of known noise on all candidates, in units of their priors."""
+        scale = 1.0 / np.sqrt(self.precision)
+        DtD = q.information * scale[:, None] * scale
+        Dty = q.slope * scale
+        unit = 1.0 / np.sqrt(np.diagonal(DtD))
+        fitted = np.linalg.lstsq(DtD * unit[:, None] * unit, Dty * unit, rcond=1e-13)[0] * unit
+        rows = 1e4 * self.rows
+        yty = float(Dty @ fitted) + rows
+        names = tuple(map(str, range(len(Dty))))
+        gram = Gram(names, rows, np.zeros(len(Dty)), 0.0, DtD, Dty, yty, rows)
+        return Problem.of(gram, Prior(slab_variance=1.0))._replace(log_odds=self.log_odds)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A model fitted.
+
+    Attributes
+    ----------
+    model : (C (P + 1),) bool array
+        Coefficients that are not zero.
+    state : State
+        Their values, the paths and the levels.
+    evidence : float
+        ln p(data, model), up to a constant.
+    quadratic : Quadratic
+        The likelihood of all candidates about the fit.
+    """
+
+    model: Bools
+    state: State
+    evidence: float
+    quadratic: Quadratic
+
+
+def fit(task: Task, state: State, steps: int = MOST_STEPS) -> Fitted:
+    """Fit a model by Gauss-Newton steps, levels learned about each."""
+    layout, series = task.layout, task.series
+    number = task.number(state.chosen)
+    precision, before = task.precision[number], -np.inf
+    for _ in range(steps):
+        linears = linearised(layout, series, state)
+        state = replace(state, levels=maximised(linears, state, precision))
+        state, curved, found = improved(layout, series, linears, state, precision)
+        if abs(found.value - before) < SETTLED:
+            break
+        before = found.value
+    linears = linearised(layout, series, state)
+    value = marginal(linears, state, state.levels, precision).value
+    model = np.zeros(len(task.precision), dtype=np.bool_)
+    model[number] = True
+    return Fitted(model, state, value + task.prior(model), information(layout, series, linears, state, curved))
+
+
+def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
+    """A start for another model: its coefficients as the Gram gives them, the path and levels of the fit."""
+    coef, _ = exact_posterior(task.problem(fitted.quadratic), model, None)
+    theta = coef[model] / np.sqrt(task.precision[model])
+    return replace(fitted.state, chosen=task.layout.everything.take(np.flatnonzero(model)), theta=theta)
+
+
+def search(task: Task, state: State, log: Callable[..., None] = lambda *a: None) -> Fitted:
+    """The best model that rounds of selection, then single moves, lead to."""
+    best, seen = fit(task, state, STEPS), set()
+    log("start", best)
+    for _ in range(ROUNDS):
+        model = best_models(task.problem(best.quadratic))[0][1]
+        if model.tobytes() in seen:
+            break
+        seen.add(model.tobytes())
+        best = fit(task, with_model(task, best, model), STEPS)
+        log("round", best)
+    best = fit(task, best.state)
+    log("fit", best)
+    for _ in range(MOVES):
+        moves = neighbours(task.problem(best.quadratic), best.model, WINDOW)[:NEIGHBOURS]
+        better = best
+        for move in moves:
+            model = move.apply(best.model)
+            if model.tobytes() in seen:
+                continue
+            seen.add(model.tobytes())
+            other = fit(task, with_model(task, best, model))
+            log(f"  {move.gain:.1f}", other)
+            if other.evidence > better.evidence:
+                better = other
+        if better is best:
+            break
+        best = better
+        log("move", best)
+    return best
