@@ -154,7 +154,8 @@ def discover(files: tuple[Path, ...], as_json: bool, **options: Any) -> None:
         for k, file in enumerate(files):
             progress("reading", k, len(files))
             records.extend(_read(file, _used(options), reading))
-        _require_channels(records, _used(options))
+        if not options["chains"]:  # which may be badly written
+            _require_channels(records, _used(options))
         outputs.check_records(records)
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
