@@ -254,7 +254,7 @@ def test_parquet_types(tmp_path: Path) -> None:
 
 def test_parquet_names_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingExtraError, match=r"pip install bayeq\[parquet\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'bayeq\[parquet\]'"):
         parquet.read_columns(tmp_path / "r.parquet")
 
 
