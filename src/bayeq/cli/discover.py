@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["COMPILING", "discover"]
 
-COMPILING = "compiling, once after installation: up to a minute ..."
+COMPILING = "compiling what runs for the first time after installation: up to a minute ..."
 
 # Work that takes longer shows its progress [s].
 PATIENCE = 1.0
