@@ -88,7 +88,7 @@ class Progress:
 )
 @option(
     "--smooth",
-    type=click.Choice(["auto", "none"]),
+    type=click.Choice(["auto", "band", "none"]),
     default="auto",
     help="Derivatives not measured: smoothed (auto) or differences (none).",
 )

@@ -5,8 +5,9 @@ What the Gram of one linearisation prefers is then compared with its neighbours,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import Quadratic, State, improved, information, linearised, marginal, maximised
 from bayeq.likelihood.layout import Candidates, Layout
-from bayeq.likelihood.linear import Series
+from bayeq.likelihood.linear import Linear, Series
 
 __all__ = ["Fitted", "Task", "search"]
 
@@ -39,6 +40,9 @@ WINDOW = 6.0
 NEIGHBOURS = 8
 MOVES = 5
 
+# Noise of known variance is noise that this many times the record's samples have told of.
+KNOWN = 1e4
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -54,12 +58,19 @@ class Task:
         1/variance of each coefficient's prior, were it not zero.
     log_odds : (C (P + 1),) array
         Of each coefficient not being zero.
+    substeps : int
+        Runge-Kutta steps between two samples.
     """
 
     layout: Layout
     series: tuple[Series, ...]
     precision: Floats
     log_odds: Floats
+    substeps: int = 1
+
+    def linearised(self, state: State) -> list[Linear]:
+        """Every record linearised where a fit stands."""
+        return linearised(self.layout, self.series, state, self.substeps)
 
     @property
     def rows(self) -> float:
@@ -75,18 +86,25 @@ class Task:
         free = model & np.isfinite(self.log_odds)
         return float(self.log_odds[free].sum())
 
-    def problem(self, q: Quadratic) -> Problem:
-        """Sparse regression of known noise on all candidates, in units of their priors."""
+    @cached_property
+    def known(self) -> Prior:
+        """The prior of coefficients in units of their own prior's standard deviation, noise of variance 1."""
+        return Prior(slab_variance=1.0, prior_inclusion=1.0 / (1.0 + np.exp(-self.log_odds)))
+
+    def gram(self, q: Quadratic) -> Gram:
+        """The likelihood of all candidates in those units: a regression of as good as known noise."""
         scale = 1.0 / np.sqrt(self.precision)
         DtD = q.information * scale[:, None] * scale
         Dty = q.slope * scale
         unit = 1.0 / np.sqrt(np.diagonal(DtD))
         fitted = np.linalg.lstsq(DtD * unit[:, None] * unit, Dty * unit, rcond=1e-13)[0] * unit
-        rows = 1e4 * self.rows
-        yty = float(Dty @ fitted) + rows
+        rows = KNOWN * self.rows
         names = tuple(map(str, range(len(Dty))))
-        gram = Gram(names, rows, np.zeros(len(Dty)), 0.0, DtD, Dty, yty, rows)
-        return Problem.of(gram, Prior(slab_variance=1.0))._replace(log_odds=self.log_odds)
+        return Gram(names, rows, np.zeros(len(Dty)), 0.0, DtD, Dty, float(Dty @ fitted) + rows, rows)
+
+    def problem(self, q: Quadratic) -> Problem:
+        """What models are compared on."""
+        return Problem.of(self.gram(q), self.known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,12 +121,15 @@ class Fitted:
         ln p(data, model), up to a constant.
     quadratic : Quadratic
         The likelihood of all candidates about the fit.
+    tried : mapping of bytes to float
+        Evidence of the models that were fitted to be compared.
     """
 
     model: Bools
     state: State
     evidence: float
     quadratic: Quadratic
+    tried: Mapping[bytes, float] = field(default_factory=dict)
 
 
 def fit(task: Task, state: State, steps: int = MOST_STEPS) -> Fitted:
@@ -117,13 +138,13 @@ def fit(task: Task, state: State, steps: int = MOST_STEPS) -> Fitted:
     number = task.number(state.chosen)
     precision, before = task.precision[number], -np.inf
     for _ in range(steps):
-        linears = linearised(layout, series, state)
+        linears = task.linearised(state)
         state = replace(state, levels=maximised(linears, state, precision))
         state, curved, found = improved(layout, series, linears, state, precision)
         if abs(found.value - before) < SETTLED:
             break
         before = found.value
-    linears = linearised(layout, series, state)
+    linears = task.linearised(state)
     value = marginal(linears, state, state.levels, precision).value
     model = np.zeros(len(task.precision), dtype=np.bool_)
     model[number] = True
@@ -150,15 +171,16 @@ def search(task: Task, state: State, log: Callable[..., None] = lambda *a: None)
         log("round", best)
     best = fit(task, best.state)
     log("fit", best)
+    tried = {best.model.tobytes(): best.evidence}
     for _ in range(MOVES):
         moves = neighbours(task.problem(best.quadratic), best.model, WINDOW)[:NEIGHBOURS]
         better = best
         for move in moves:
             model = move.apply(best.model)
-            if model.tobytes() in seen:
+            if model.tobytes() in tried:
                 continue
-            seen.add(model.tobytes())
             other = fit(task, with_model(task, best, model))
+            tried[model.tobytes()] = other.evidence
             log(f"  {move.gain:.1f}", other)
             if other.evidence > better.evidence:
                 better = other
@@ -166,4 +188,4 @@ def search(task: Task, state: State, log: Callable[..., None] = lambda *a: None)
             break
         best = better
         log("move", best)
-    return best
+    return replace(best, tried=tried)
