@@ -25,6 +25,7 @@ from bayeq.inference.rvm import rvm
 from bayeq.inference.stlsq import sweep_stlsq
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.regression.constraints import parse_constraints
+from bayeq.regression.joint import fit_equations
 from bayeq.regression.regression import Regression
 from bayeq.selection.select import Rules, select
 from bayeq.study.config import StudyConfig
