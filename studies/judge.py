@@ -1,0 +1,113 @@
+"""An answer beside the truth: are the terms exactly the true ones, and do the intervals cover?"""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bayeq.equation.equations import Equations
+from bayeq.errors import BayeqError, BayeqWarning
+from studies.resumable import Outcome, percent
+
+__all__ = ["CONSTANT", "coefficient_lines", "judged", "rates", "timed"]
+
+# The name under which a truth holds the constant of an equation.
+CONSTANT = "1"
+
+Truth = Mapping[str, Mapping[str, float]]
+
+
+def judged(eqs: Equations, truth: Truth) -> dict[str, Any]:
+    """What is kept of an answer.
+
+    Parameters
+    ----------
+    eqs : Equations
+        The answer.
+    truth : mapping of str to mapping of str to float
+        Target -> term -> coefficient, the constant under `CONSTANT`.
+
+    Returns
+    -------
+    dict
+        ``exact``: the included terms of every equation are the true ones, and the constant is written where it is one of
+        them and nowhere else. ``terms``: by "target term" the error, the stated sd and whether the 95 % interval covers,
+        for true terms that are included. ``wrong``: "+term" and "-term" of an equation that is not exact.
+    """
+    terms, wrong = {}, []
+    for eq, true in zip(eqs, truth.values(), strict=True):
+        posterior = eq.posterior
+        found = {
+            t.text: (float(c), float(s), float(low), float(high))
+            for t, c, s, (low, high), kept in zip(
+                eq.terms, posterior.coef, posterior.sd, eq.ci95, posterior.support, strict=True
+            )
+            if kept
+        }
+        if eq.intercept_matters:
+            found[CONSTANT] = (*eq.intercept_estimate, *eq.intercept_ci95)
+        wrong += [f"{eq.target}: +{name}" for name in found if name not in true]
+        wrong += [f"{eq.target}: -{name}" for name in true if name not in found]
+        for name, value in true.items():
+            if name in found:
+                estimate, sd, low, high = found[name]
+                terms[f"{eq.target} {name}"] = [estimate - value, sd, bool(low <= value <= high)]
+    return {"exact": not wrong, "terms": terms, "wrong": wrong}
+
+
+def timed(discover: Callable[[], Equations], judge: Callable[[Equations], Mapping[str, Any]]) -> Outcome:
+    """The judgement of an answer, and the seconds of CPU that the answer took; an error is an answer that is wrong."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BayeqWarning)
+        start = time.process_time()
+        try:
+            eqs = discover()
+        except (BayeqError, np.linalg.LinAlgError) as error:
+            return {"exact": False, "terms": {}, "wrong": [f"{type(error).__name__}: {error}"], "cpu": None}
+        cpu = time.process_time() - start
+        return {**judge(eqs), "cpu": cpu}
+
+
+def rates(outcomes: Sequence[Outcome]) -> dict[str, object]:
+    """Exact answers, the standard error of their rate, coverage of the intervals in exact answers, and seconds of CPU."""
+    n, exact = len(outcomes), [outcome for outcome in outcomes if outcome["exact"]]
+    share = len(exact) / n
+    covers = [bool(term[2]) for outcome in exact for term in outcome["terms"].values()]
+    cpu = [outcome["cpu"] for outcome in outcomes if outcome["cpu"] is not None]
+    return {
+        "exact": len(exact),
+        "exact_percent": percent(len(exact), n),
+        "se_percent": f"{100 * math.sqrt(share * (1 - share) / n):.1f}",
+        "intervals": len(covers),
+        "covering": sum(covers),
+        "coverage_percent": percent(sum(covers), len(covers)),
+        "median_cpu_seconds": f"{np.median(cpu):.2f}" if cpu else "",
+    }
+
+
+def coefficient_lines(outcomes: Sequence[Outcome]) -> list[dict[str, object]]:
+    """A line for all coefficients of exact answers together, and one for each: coverage, and mean error in stated sds."""
+    exact = [outcome["terms"] for outcome in outcomes if outcome["exact"]]
+    names = list(exact[0]) if exact else []
+    lines = [_line("all", [term for terms in exact for term in terms.values()], len(exact), bias=False)]
+    lines += [_line(name, [terms[name] for terms in exact], len(exact), bias=True) for name in names]
+    return lines
+
+
+def _line(name: str, terms: Sequence[Sequence[float]], exact: int, bias: bool) -> dict[str, object]:
+    error, sd, covers = (np.array([term[i] for term in terms]) for i in range(3))
+    known = len(terms) > 0
+    return {
+        "exact": exact,
+        "coefficient": name,
+        "intervals": len(terms),
+        "covering": int(covers.sum()),
+        "coverage_percent": percent(int(covers.sum()), len(terms)),
+        "bias_over_sd": f"{error.mean() / sd.mean():.2f}" if bias and known else "",
+        "rms_error_over_sd": f"{np.sqrt(np.mean((error / sd) ** 2)):.2f}" if known else "",
+    }
