@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayeq.equation.equations import Equations
-from bayeq.errors import BayeqError, BayeqWarning
+from bayeq.errors import BayeqError, BayeqWarning, InputError
 from studies.resumable import Outcome, percent
 
 __all__ = ["CONSTANT", "coefficient_lines", "judged", "rates", "timed"]
@@ -35,9 +36,9 @@ def judged(eqs: Equations, truth: Truth) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``exact``: the included terms of every equation are the true ones, and the constant is written where it is one of
-        them and nowhere else. ``terms``: by "target term" the error, the stated sd and whether the 95 % interval covers,
-        for true terms that are included. ``wrong``: "+term" and "-term" of an equation that is not exact.
+        ``exact``: the included terms of every equation are the true ones, and the constant is written where it is one
+        of them and nowhere else. ``terms``: by "target term" the error, the stated sd and whether the 95 % interval
+        covers, for true terms that are included. ``wrong``: "+term" and "-term" of an equation that is not exact.
     """
     terms, wrong = {}, []
     for eq, true in zip(eqs, truth.values(), strict=True):
@@ -61,20 +62,26 @@ def judged(eqs: Equations, truth: Truth) -> dict[str, Any]:
 
 
 def timed(discover: Callable[[], Equations], judge: Callable[[Equations], Mapping[str, Any]]) -> Outcome:
-    """The judgement of an answer, and the seconds of CPU that the answer took; an error is an answer that is wrong."""
+    """The judgement of an answer, and the seconds of CPU that the answer took.
+
+    An error is an answer that is wrong, unless it says that the study does not ask properly.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)
         start = time.process_time()
         try:
             eqs = discover()
+        except InputError:
+            raise
         except (BayeqError, np.linalg.LinAlgError) as error:
+            print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
             return {"exact": False, "terms": {}, "wrong": [f"{type(error).__name__}: {error}"], "cpu": None}
         cpu = time.process_time() - start
         return {**judge(eqs), "cpu": cpu}
 
 
 def rates(outcomes: Sequence[Outcome]) -> dict[str, object]:
-    """Exact answers, the standard error of their rate, coverage of the intervals in exact answers, and seconds of CPU."""
+    """Exact answers, the standard error of their rate, coverage of intervals in exact answers, and CPU seconds."""
     n, exact = len(outcomes), [outcome for outcome in outcomes if outcome["exact"]]
     share = len(exact) / n
     covers = [bool(term[2]) for outcome in exact for term in outcome["terms"].values()]
@@ -86,12 +93,13 @@ def rates(outcomes: Sequence[Outcome]) -> dict[str, object]:
         "intervals": len(covers),
         "covering": sum(covers),
         "coverage_percent": percent(sum(covers), len(covers)),
+        "errors": n - len(cpu),
         "median_cpu_seconds": f"{np.median(cpu):.2f}" if cpu else "",
     }
 
 
 def coefficient_lines(outcomes: Sequence[Outcome]) -> list[dict[str, object]]:
-    """A line for all coefficients of exact answers together, and one for each: coverage, and mean error in stated sds."""
+    """A line for all coefficients of exact answers, and one for each: coverage, and mean error in stated sds."""
     exact = [outcome["terms"] for outcome in outcomes if outcome["exact"]]
     names = list(exact[0]) if exact else []
     lines = [_line("all", [term for terms in exact for term in terms.values()], len(exact), bias=False)]
