@@ -99,12 +99,19 @@ def rates(outcomes: Sequence[Outcome]) -> dict[str, object]:
 
 
 def coefficient_lines(outcomes: Sequence[Outcome]) -> list[dict[str, object]]:
-    """A line for all coefficients of exact answers, and one for each: coverage, and mean error in stated sds."""
-    exact = [outcome["terms"] for outcome in outcomes if outcome["exact"]]
-    names = list(exact[0]) if exact else []
-    lines = [_line("all", [term for terms in exact for term in terms.values()], len(exact), bias=False)]
-    lines += [_line(name, [terms[name] for terms in exact], len(exact), bias=True) for name in names]
-    return lines
+    """Lines for all coefficients of equations with exactly the true terms together, and for each: coverage, and bias.
+
+    ``exact`` counts answers of which every equation is exact, ``intervals`` those of the equations that are.
+    """
+    exact = sum(outcome["exact"] for outcome in outcomes)
+    found: dict[str, list[Sequence[float]]] = {}
+    for outcome in outcomes:
+        wrong = {text.partition(":")[0] for text in outcome["wrong"]}
+        for name, term in outcome["terms"].items():
+            if name.partition(" ")[0] not in wrong:
+                found.setdefault(name, []).append(term)
+    together = _line("all", [term for terms in found.values() for term in terms], exact, bias=False)
+    return [together, *(_line(name, found[name], exact, bias=True) for name in sorted(found))]
 
 
 def _line(name: str, terms: Sequence[Sequence[float]], exact: int, bias: bool) -> dict[str, object]:

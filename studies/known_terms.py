@@ -3,8 +3,8 @@
 Logistic growth, Lotka-Volterra, FitzHugh-Nagumo and Hindmarsh-Rose as in Bortz, Messenger and Dukic (2023), which
 WENDy's later studies took over (arXiv 2502.08881, 2510.03365): their parameters, initial states and spans of time, at
 512 samples. Noise on every state, in per cent of its own standard deviation. The dictionary holds the true terms of
-all equations of a system; coverage is that of answers with exactly the true terms in each, of which there are
-`exact`.
+all equations of a system. Exact: the true terms in each equation, and the constant where there is one; intervals
+are those of the equations that are.
 
     python -m studies.known_terms > docs/tables/known_terms.csv
 """

@@ -115,26 +115,35 @@ def _measure_sindy(system: str, seconds: float, noise: float, weak: bool, seed: 
     import pysindy
 
     record = draw_record(system, seconds, noise, seed)
-    assert record.time is not None
     start = time.process_time()
-    library: Any = pysindy.PolynomialLibrary(degree=ORDERS[system])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of thresholds that leave no term, and of its own arrays' axes
+        columns, targets, names = _prepared(record, ORDERS[system], weak, seed)
+        prepared = time.process_time() - start
+        fits = [
+            pysindy.STLSQ(threshold=float(threshold), alpha=0.0, unbias=False).fit(columns, targets)
+            for threshold in THRESHOLDS
+        ]
+    fitted = time.process_time() - start - prepared
+    true = [set(terms) for terms in _truth(record).values()]
+    exact = [[{n for n, c in zip(names, row, strict=True) if c} for row in fit.coef_] == true for fit in fits]
+    return {"exact": exact, "cpu": prepared + fitted / len(THRESHOLDS)}
+
+
+def _prepared(record: Record, order: int, weak: bool, seed: int) -> tuple[Any, Any, list[str]]:
+    """PySINDy's columns, targets, and the columns' names as in this package."""
+    import pysindy
+
+    assert record.time is not None
+    library: Any = pysindy.PolynomialLibrary(degree=order)
     if weak:
         np.random.seed(seed)  # noqa: NPY002 (where PySINDy takes the places of its test functions from)
         library = pysindy.WeakPDELibrary(library, spatiotemporal_grid=record.time, K=TEST_FUNCTIONS)
     samples = pysindy.AxesArray(np.column_stack([record[name] for name in record.names]), {"ax_time": 0, "ax_coord": 1})
     states, targets = library.calc_trajectory(pysindy.SmoothedFiniteDifference(), samples, record.time)
     columns = library.fit_transform([states])[0]
-    names = [name.replace(" ", "*").replace("^", "**") for name in library.get_feature_names(list(record.names))]
-    prepared = time.process_time() - start
-    true = [set(terms) for terms in _truth(record).values()]
-    exact = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of thresholds that leave no term
-        for threshold in THRESHOLDS:
-            fit = pysindy.STLSQ(threshold=float(threshold), alpha=0.0, unbias=False).fit(columns, targets)
-            exact.append([{n for n, c in zip(names, row, strict=True) if c} for row in fit.coef_] == true)
-    fits = time.process_time() - start - prepared
-    return {"exact": exact, "cpu": prepared + fits / len(THRESHOLDS)}
+    names = library.get_feature_names(list(record.names))
+    return columns, targets, [name.replace(" ", "*").replace("^", "**") for name in names]
 
 
 def _best_threshold(outcomes: Sequence[Outcome]) -> dict[str, object]:
