@@ -162,7 +162,7 @@ def suits(motion: Motion, terms: int) -> bool:
     )
 
 
-def fit_record(motion: Motion, terms: Sequence[Expression], log_odds: Floats) -> RecordFit:
+def fit_record(motion: Motion, terms: Sequence[Expression], log_odds: Floats) -> RecordFit | None:
     """Fit a dictionary to the training rows of some motion.
 
     Parameters
@@ -173,7 +173,18 @@ def fit_record(motion: Motion, terms: Sequence[Expression], log_odds: Floats) ->
         The P candidates.
     log_odds : (P + 1,) array
         Of each candidate, and of the constant, not being zero.
+
+    Returns
+    -------
+    RecordFit or None
+        None where the likelihood cannot be evaluated: terms that are not finite beside the path, or motion that no
+        model found stays near.
     """
-    start = start_from(motion, terms)
-    task = Task(start.layout, start.series, start.precision, np.tile(log_odds, start.layout.chains), substeps(motion))
-    return RecordFit(task, search(task, start.state))
+    try:
+        with np.errstate(all="ignore"):
+            start = start_from(motion, terms)
+            odds = np.tile(log_odds, start.layout.chains)
+            task = Task(start.layout, start.series, start.precision, odds, substeps(motion))
+            return RecordFit(task, search(task, start.state))
+    except np.linalg.LinAlgError:
+        return None

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.path import best_of_each_size
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.prior import Prior
@@ -39,6 +40,11 @@ MOST_STEPS = 6
 WINDOW = 6.0
 NEIGHBOURS = 8
 MOVES = 5
+
+# A deviation from the path that grows more than this in one sample, at any of so many samples, is no motion that
+# was measured.
+GROWTH = 3.0
+CHECKED = 500
 
 # Noise of known variance is noise that this many times the record's samples have told of.
 KNOWN = 1e4
@@ -80,6 +86,12 @@ class Task:
     def number(self, chosen: Candidates) -> NDArray[np.int64]:
         """Where coefficients stand among all."""
         return chosen.chain * (len(self.layout.terms) + 1) + chosen.term
+
+    def model(self, chosen: Candidates) -> Bools:
+        """Coefficients as a model."""
+        out = np.zeros(len(self.precision), dtype=np.bool_)
+        out[self.number(chosen)] = True
+        return out
 
     def prior(self, model: Bools) -> float:
         """Log prior of a model, up to a constant."""
@@ -146,8 +158,7 @@ def fit(task: Task, state: State, steps: int = MOST_STEPS) -> Fitted:
         before = found.value
     linears = task.linearised(state)
     value = marginal(linears, state, state.levels, precision).value
-    model = np.zeros(len(task.precision), dtype=np.bool_)
-    model[number] = True
+    model = task.model(state.chosen)
     return Fitted(model, state, value + task.prior(model), information(layout, series, linears, state, curved))
 
 
@@ -158,16 +169,49 @@ def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
     return replace(fitted.state, chosen=task.layout.everything.take(np.flatnonzero(model)), theta=theta)
 
 
+def likeliest(task: Task, fitted: Fitted) -> State:
+    """A start for the likeliest model, or the largest one whose motion stays near the path over a step.
+
+    Where the discrepancy still explains all the motion many terms may make up for each other, with coefficients by
+    which a deviation from the path would explode.
+    """
+    problem = task.problem(fitted.quadratic)
+    model = best_models(problem)[0][1]
+    state = with_model(task, fitted, model)
+    if steady(task, state):
+        return state
+    smaller = best_of_each_size(problem, int(model.sum()) - 1, [model])
+    for other, _ in reversed(smaller):
+        state = with_model(task, fitted, other)
+        if steady(task, state):
+            break
+    return state
+
+
+def steady(task: Task, state: State) -> bool:
+    """Whether deviations from the path grow in a step by less than a factor, and steps end near the path."""
+    spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
+    for linear in task.linearised(state):
+        missed = np.abs(linear.end - linear.path[1:])[:, : task.layout.motion] / spread
+        few = linear.transition[:: max(1, len(missed) // CHECKED)]
+        if not (np.isfinite(missed).all() and np.isfinite(few).all()):
+            return False
+        if missed.max() > GROWTH or np.abs(np.linalg.eigvals(few)).max() > GROWTH:
+            return False
+    return True
+
+
 def search(task: Task, state: State, log: Callable[..., None] = lambda *a: None) -> Fitted:
     """The best model that rounds of selection, then single moves, lead to."""
     best, seen = fit(task, state, STEPS), set()
     log("start", best)
     for _ in range(ROUNDS):
-        model = best_models(task.problem(best.quadratic))[0][1]
+        state = likeliest(task, best)
+        model = task.model(state.chosen)
         if model.tobytes() in seen:
             break
         seen.add(model.tobytes())
-        best = fit(task, with_model(task, best, model), STEPS)
+        best = fit(task, state, STEPS)
         log("round", best)
     best = fit(task, best.state)
     log("fit", best)

@@ -31,7 +31,7 @@ FIRST_NOISE, INPUT_NOISE = 1e-3, 2.5e-3
 
 # Derivatives of an input that are states: a random sequence joined by straight lines, or a smooth force. Which of them
 # is told by this many of its samples.
-SMOOTHNESS = (0, 1, 3)
+SMOOTHNESS = (0, 1, 2, 3)
 INPUT_ROWS = 2000
 
 # Memory of discrepancies and of slopes at first.
