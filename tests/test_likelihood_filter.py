@@ -143,3 +143,171 @@ def settled(layout, series, state, rounds=6):
         adj = adjoint(linear, state.levels.noise, found, zero, np.outer(zero, zero), layout.last, True)
         state, before = replace(state, paths=(state.paths[0] + adj.deviation,)), state
     return before, linear, found, adj
+
+
+def parts(found):
+    """What the determinant and the quadratic form add to the log likelihood, up to a constant."""
+    used = found.variance > 0.0
+    S, E = found.variance[used], found.innovation[used][:, 0]
+    return -0.5 * np.array([np.log(S).sum(), (E**2 / S).sum()])
+
+
+def errors_of_the_score(step):
+    """Of the determinant's and the quadratic form's derivatives by all coefficients, as shares of the largest."""
+    layout, series, state = system(40, 3, step)
+    every = layout.everything
+    theta = np.zeros(len(every.chain))
+    theta[state.chosen.chain * (len(layout.terms) + 1) + state.chosen.term] = state.theta
+    state, linear, found, adj = settled(layout, series, replace(state, chosen=every, theta=theta))
+    assert np.abs(adj.deviation).max() < 1e-6
+    none, differences = every.take(np.arange(0)), []
+    for j in range(len(theta)):
+        move = 1e-4 * (np.arange(len(theta)) == j)
+        up, down = (
+            parts(run_filter(linearised(layout, [series], replace(state, theta=theta + s * move))[0], none, noise))
+            for s, noise in [(1.0, state.levels.noise), (-1.0, state.levels.noise)]
+        )
+        differences.append((up - down) / 2e-4)
+    scores = np.column_stack([corrections(layout, [series], [linear], [adj]).ravel(), quadratic([found]).slope])
+    return np.abs(scores - differences).max(axis=0) / np.abs(differences).max(axis=0)
+
+
+def test_the_score_of_all_coefficients_converges_to_differences_of_the_model_linearised_again():
+    coarse, fine = errors_of_the_score(0.05), errors_of_the_score(0.0125)
+    assert (coarse < 0.03).all()
+    assert (fine < 1e-3).all()
+    assert (fine < coarse / 4.0).all()
+
+
+def shifted(layout, series, state, direction):
+    """Steps and predictions a little to both sides of a path, as central differences along a direction."""
+    ends, seen = [], []
+    for sign in (1.0, -1.0):
+        path = state.paths[0] + sign * 1e-5 * direction
+        zero = series._replace(samples=np.zeros_like(series.samples))
+        [linear] = linearised(layout, [zero], replace(state, paths=(path,)))
+        ends.append(linear.end)
+        seen.append(-linear.residual)
+    return (ends[0] - ends[1]) / 2e-5, (seen[0] - seen[1]) / 2e-5
+
+
+def test_a_linearisation_has_the_derivatives_of_its_steps_and_predictions():
+    layout, series, state = system(15)
+    [linear] = linearised(layout, [series], state)
+    np.testing.assert_array_equal(np.isnan(linear.residual), np.isnan(series.samples))
+    for i in range(layout.size):
+        unit = np.eye(layout.size)[i]
+        by_end, by_seen = shifted(layout, series, state, unit)
+        np.testing.assert_allclose(linear.transition[:, :, i], by_end, atol=1e-8)
+        for channel, kind in enumerate(linear.kinds):
+            wanted = linear.gradient[:, -1 - kind, i] if kind < 0 else np.full(15, unit[kind])
+            np.testing.assert_allclose(by_seen[:, channel], wanted, atol=1e-8)
+
+
+def errors_of_the_sources(step):
+    """Of what a coefficient adds to each step of a solution, by the linearisation, as a share of the largest."""
+    layout, series, state = system(15, 5, step)
+    for k in range(14):
+        state.paths[0][k + 1] = linearised(layout, [series], state)[0].end[k]
+    every = layout.everything
+    theta = np.zeros(len(every.chain))
+    theta[state.chosen.chain * (len(layout.terms) + 1) + state.chosen.term] = state.theta
+    state = replace(state, chosen=every, theta=theta)
+    [linear] = linearised(layout, [series], state)
+    sources, differences = [], []
+    for j, (c, t) in enumerate(zip(every.chain, every.term, strict=True)):
+        move = 1e-4 * (np.arange(len(theta)) == j)
+        up, down = (linearised(layout, [series], replace(state, theta=theta + s * move))[0].end for s in (1.0, -1.0))
+        at = np.stack([linear.terms[:-1, t], linear.middle[:, t], linear.terms[1:, t]], axis=1)
+        sources.append(np.einsum("ka,kai->ki", at, linear.weights[:, :, c]))
+        differences.append((up - down) / 2e-4)
+        if t == len(layout.terms):
+            close(sources[-1], differences[-1], 1e-8)  # exact for what is constant
+    return np.abs(np.subtract(sources, differences)).max() / np.abs(sources).max()
+
+
+def test_weights_are_what_coefficients_add_to_steps():
+    coarse, fine = errors_of_the_sources(0.1), errors_of_the_sources(0.025)
+    assert coarse < 1e-3
+    assert fine < coarse / 100.0
+
+
+def drawn(linear, chosen, noise, delta, rng):
+    """The same model with samples that it drew at some deviations of the coefficients; NaN where there was none."""
+    n, size = linear.path.shape
+    sources = np.zeros((n, size))
+    own = np.zeros((n, linear.gradient.shape[1]))
+    for c, t, change in zip(chosen.chain, chosen.term, delta, strict=True):
+        at = np.stack([linear.terms[:-1, t], linear.middle[:, t], linear.terms[1:, t]])
+        sources[1:] += change * np.einsum("ak,kai->ki", at, linear.weights[:, :, c])
+        own[:, c] += change * linear.terms[:, t]
+    e = np.empty((n, size))
+    e[0] = noise.mean - linear.path[0] + np.sqrt(noise.start) * rng.normal(size=size)
+    for k in range(n - 1):
+        ahead = linear.end[k] + linear.transition[k] @ e[k] + sources[k + 1]
+        e[k + 1] = noise.memory * ahead - linear.path[k + 1] + np.sqrt(noise.steps) * rng.normal(size=size)
+    samples = np.sqrt(noise.channels) * rng.normal(size=linear.residual.shape)
+    for channel, kind in enumerate(linear.kinds):
+        c = -1 - kind
+        samples[:, channel] += e[:, kind] if kind >= 0 else np.einsum("ki,ki->k", linear.gradient[:, c], e) + own[:, c]
+    return linear._replace(residual=np.where(np.isnan(linear.residual), np.nan, samples))
+
+
+def centred(scores):
+    """Whether means of scores (draws, k) are zero within 4 standard errors."""
+    error = scores.std(axis=0, ddof=1) / np.sqrt(len(scores))
+    return (np.abs(scores.mean(axis=0)) < 4.0 * error).all()
+
+
+def test_scores_at_the_truth_are_those_of_draws_from_the_linear_model():
+    layout, series, state = system(50)
+    [linear] = linearised(layout, [series], state)
+    noise, r, rng = state.levels.noise, len(state.theta), np.random.default_rng(7)
+    delta = 0.1 * rng.normal(size=r)
+    slopes, scores = [], []
+    for _ in range(200):
+        one = drawn(linear, state.chosen, noise, delta, rng)
+        found = run_filter(one, state.chosen, noise)
+        q = quadratic([found])
+        scores.append(q.slope - q.information @ delta)
+        slopes.append(state.levels.slopes(adjoint(one, noise, found, delta, np.zeros((r, r)), layout.last)))
+    assert centred(np.array(scores))
+    assert centred(np.array(slopes))
+    distance = sum(s @ np.linalg.solve(q.information, s) for s in scores)  # the information is that of every draw
+    low, high = stats.chi2.ppf([1e-4, 1.0 - 1e-4], 200 * r)
+    assert low < distance < high
+
+
+def solutions(layout, series, state, draws, rng):
+    """States and samples of draws from the model itself, (draws, n, S) and (draws, n, M)."""
+    noise, n = state.levels.noise, len(series.samples)
+    paths, samples = np.empty((draws + 1, n, layout.size)), np.empty((draws + 1, n, len(layout.channels)))
+    at = noise.mean + np.sqrt(noise.start) * rng.normal(size=(draws + 1, layout.size))
+    for k in range(n):
+        paths[:, k] = at
+        step = series.intervals[min(k, n - 2)]
+        rows = Series(np.full(draws, step), np.zeros((draws + 1, samples.shape[2])), series.inputs[[k] * (draws + 1)])
+        [linear] = linearised(layout, [rows], replace(state, paths=(at,)))
+        samples[:, k] = -linear.residual + np.sqrt(noise.channels) * rng.normal(size=samples[:, k].shape)
+        at = np.zeros_like(at)
+        at[:draws] = noise.memory * linear.end + np.sqrt(noise.steps) * rng.normal(size=linear.end.shape)
+    return paths[:draws], np.where(np.isnan(series.samples), np.nan, samples[:draws])
+
+
+def test_scores_at_the_truth_are_those_of_draws_from_the_model_itself():
+    layout, series, state = system(50, step=0.05)
+    start = np.where(np.isin(np.arange(layout.size), layout.discrepancy), 1.0, 1e-4)
+    state = replace(state, levels=replace(state.levels, scales=replace(state.levels.scales, variance=start)))
+    scores, informations, without = [], [], []
+    for path, samples in zip(*solutions(layout, series, state, 200, np.random.default_rng(8)), strict=True):
+        one = series._replace(samples=samples)
+        _, linear, found, adj = settled(layout, one, replace(state, paths=(path,)), 4)
+        q, curved = quadratic([found]), corrections(layout, [one], [linear], [adj])
+        scores.append(q.slope + curved[state.chosen.chain, state.chosen.term])
+        without.append(q.slope)
+        informations.append(q.information)
+    assert centred(np.array(scores))
+    assert not centred(np.array(without))
+    # the information of a short record varies with its path: it is the variance of the scores on average
+    scaled = np.linalg.solve(np.linalg.cholesky(np.mean(informations, axis=0)), np.array(scores).T)
+    assert centred((scaled**2).sum(axis=0)[:, None] - len(state.theta))
