@@ -35,8 +35,7 @@ STEPS = 2
 SETTLED = 0.05
 MOST_STEPS = 6
 
-# Neighbours within WINDOW nats on the Gram are fitted, at most NEIGHBOURS from each model, and the best moves made at most
-# MOVES times.
+# Neighbours within WINDOW nats on the Gram are fitted, at most NEIGHBOURS of them from each model; at most MOVES moves.
 WINDOW = 6.0
 NEIGHBOURS = 8
 MOVES = 5
