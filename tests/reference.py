@@ -155,3 +155,48 @@ def random_problem(rng, n=None, P=None, rho=None, noise=None, active=None):
     noise = noise if noise is not None else 10 ** rng.uniform(-1.5, 0.5)
     y = D @ theta + noise * rng.normal(size=n)
     return D, y - y.mean(), truth
+
+
+def state_space_gaussian(linear, chosen, noise):
+    """The joint Gaussian of all samples of a linearised record: level, slope and information of the coefficients.
+
+    Returned with them is the mean of the states' deviations from the path, given the samples and coefficients.
+    """
+    n, size = linear.path.shape
+    r = len(chosen.chain)
+    mean, cov = np.zeros((n, size, 1 + r)), np.zeros((n, size, n, size))
+    mean[0, :, 0] = noise.mean - linear.path[0]
+    cov[0, :, 0] = np.diag(noise.start)
+    for k in range(n - 1):
+        A = np.diag(noise.memory) @ linear.transition[k]
+        mean[k + 1] = A @ mean[k]
+        mean[k + 1, :, 0] += noise.memory * linear.end[k] - linear.path[k + 1]
+        for j, (c, t) in enumerate(zip(chosen.chain, chosen.term, strict=True)):
+            at = np.array([linear.terms[k, t], linear.middle[k, t], linear.terms[k + 1, t]])
+            mean[k + 1, :, 1 + j] += noise.memory * (at @ linear.weights[k, :, c])
+        cov[k + 1] = np.tensordot(A, cov[k], 1)
+        cov[: k + 1, :, k + 1] = cov[k + 1, :, : k + 1].transpose(1, 2, 0)
+        cov[k + 1, :, k + 1] = A @ cov[k, :, k] @ A.T + np.diag(noise.steps)
+    H, X, y, R = [], [], [], []
+    for k, channel in zip(*np.nonzero(np.isfinite(linear.residual)), strict=True):
+        kind, row, own = linear.kinds[channel], np.zeros((n, size)), np.zeros(r)
+        if kind >= 0:
+            row[k, kind] = 1.0
+        else:
+            row[k] = linear.gradient[k, -1 - kind]
+            own = np.where(chosen.chain == -1 - kind, linear.terms[k, chosen.term], 0.0)
+        H.append(row.ravel())
+        X.append(own)
+        y.append(linear.residual[k, channel])
+        R.append(noise.channels[channel])
+    H, mean, cov = np.array(H), mean.reshape(n * size, 1 + r), cov.reshape(n * size, n * size)
+    design, left = np.array(X) + H @ mean[:, 1:], y - H @ mean[:, 0]
+    C = H @ cov @ H.T + np.diag(R)
+    solved = np.linalg.solve(C, np.column_stack([left, design]))
+    level = -0.5 * (left @ solved[:, 0] + np.linalg.slogdet(2 * np.pi * C)[1])
+
+    def smoothed(delta):
+        ahead = mean[:, 0] + mean[:, 1:] @ delta
+        return (ahead + cov @ H.T @ (solved[:, 0] - solved[:, 1:] @ delta)).reshape(n, size)
+
+    return level, design.T @ solved[:, 0], design.T @ solved[:, 1:], smoothed

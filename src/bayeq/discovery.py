@@ -11,6 +11,7 @@ from bayeq.equation.units import channel_units
 from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, UnknownNameError, WarningLog
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
+from bayeq.likelihood.record_fit import suits
 from bayeq.records import Record, check_messages, split_at_gaps
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
@@ -24,6 +25,11 @@ from bayeq.states.motion import held_out_share
 __all__ = ["discover"]
 
 Progress = Callable[[str, int, int], None]
+
+NO_LIKELIHOOD = (
+    "the likelihood of the record could not be evaluated near its motion: the regression of smoothed rows is used"
+    " instead, whose intervals and probabilities are less sure; try fewer terms"
+)
 
 # With fewer training rows there is no regression.
 LEAST_TRAINING_ROWS = 3
@@ -143,6 +149,8 @@ def discover(
     constrained = _constrained(known, design, method)
 
     record = record_of(design, smooth, dictionary, prior)
+    if record is None and smooth == "auto" and suits(motion, len(design.terms)):
+        log.warn(NO_LIKELIHOOD, DataWarning)
     regressions = [Regression.of(design, k, record) for k in range(len(roles.chains))]
     step("inference", 0, len(roles.chains))
     fits = fit_equations(regressions, constrained, method, prior, coarsen, seed)

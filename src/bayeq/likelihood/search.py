@@ -5,7 +5,7 @@ What the Gram of one linearisation prefers is then compared with its neighbours,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.path import best_of_each_size
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.prior import Prior
@@ -34,14 +35,25 @@ STEPS = 2
 SETTLED = 0.05
 MOST_STEPS = 6
 
-# Neighbours within this many nats on the Gram are fitted, at most so many from each model, and so many times the best
-# moves.
+# Neighbours within WINDOW nats on the Gram are fitted, at most NEIGHBOURS of them from each model; at most MOVES moves.
 WINDOW = 6.0
 NEIGHBOURS = 8
 MOVES = 5
 
-# Noise of known variance is noise that this many times the record's samples have told of.
+# A deviation from the path that grows by more than this factor in a sample, tried at CHECKED of them, or a step that
+# ends further from the path in standard deviations of a state: no motion that was measured.
+GROWTH = 3.0
+CHECKED = 500
+
+# Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
+
+# A discrepancy below this share of its target leaves nothing for another start to explain.
+ADEQUATE = 0.05
+
+# Steps between samples are halved, up to this number, until this share of them errs by less than STEP_ERROR of the
+# standard deviation of each state.
+MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +92,12 @@ class Task:
     def number(self, chosen: Candidates) -> NDArray[np.int64]:
         """Where coefficients stand among all."""
         return chosen.chain * (len(self.layout.terms) + 1) + chosen.term
+
+    def model(self, chosen: Candidates) -> Bools:
+        """Coefficients as a model."""
+        out = np.zeros(len(self.precision), dtype=np.bool_)
+        out[self.number(chosen)] = True
+        return out
 
     def prior(self, model: Bools) -> float:
         """Log prior of a model, up to a constant."""
@@ -146,8 +164,7 @@ def fit(task: Task, state: State, steps: int = MOST_STEPS) -> Fitted:
         before = found.value
     linears = task.linearised(state)
     value = marginal(linears, state, state.levels, precision).value
-    model = np.zeros(len(task.precision), dtype=np.bool_)
-    model[number] = True
+    model = task.model(state.chosen)
     return Fitted(model, state, value + task.prior(model), information(layout, series, linears, state, curved))
 
 
@@ -158,24 +175,102 @@ def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
     return replace(fitted.state, chosen=task.layout.everything.take(np.flatnonzero(model)), theta=theta)
 
 
-def search(task: Task, state: State, log: Callable[..., None] = lambda *a: None) -> Fitted:
-    """The best model that rounds of selection, then single moves, lead to."""
+def likeliest(task: Task, fitted: Fitted) -> State:
+    """A start for the likeliest model, or the largest one whose motion stays near the path over a step.
+
+    Where the discrepancy still explains all the motion many terms may make up for each other, with coefficients by
+    which a deviation from the path would explode.
+    """
+    problem = task.problem(fitted.quadratic)
+    model = best_models(problem)[0][1]
+    state = with_model(task, fitted, model)
+    if steady(task, state):
+        return state
+    smaller = best_of_each_size(problem, int(model.sum()) - 1, [model])
+    for other, _ in reversed(smaller):
+        state = with_model(task, fitted, other)
+        if steady(task, state):
+            break
+    return state
+
+
+def steady(task: Task, state: State) -> bool:
+    """Whether deviations from the path grow in a step by less than a factor, and steps end near the path."""
+    spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
+    for linear in task.linearised(state):
+        missed = np.abs(linear.end - linear.path[1:])[:, : task.layout.motion] / spread
+        few = linear.transition[:: max(1, len(missed) // CHECKED)]
+        if not (np.isfinite(missed).all() and np.isfinite(few).all()):
+            return False
+        if missed.max() > GROWTH or np.abs(np.linalg.eigvals(few)).max() > GROWTH:
+            return False
+    return True
+
+
+def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fitted]:
+    """Rounds of selection and fit from one start, until the model stays; the task with steps as fine as they need."""
+    task = finer(task, state)
     best, seen = fit(task, state, STEPS), set()
     log("start", best)
     for _ in range(ROUNDS):
-        model = best_models(task.problem(best.quadratic))[0][1]
+        state = likeliest(task, best)
+        model = task.model(state.chosen)
         if model.tobytes() in seen:
             break
         seen.add(model.tobytes())
-        best = fit(task, with_model(task, best, model), STEPS)
+        task = finer(task, state)
+        best = fit(task, state, STEPS)
         log("round", best)
     best = fit(task, best.state)
     log("fit", best)
+    return task, best
+
+
+def finer(task: Task, state: State) -> Task:
+    """The task with as many Runge-Kutta steps between samples as its motion needs."""
+    spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
+    while task.substeps < MOST_SUBSTEPS:
+        twice = replace(task, substeps=2 * task.substeps)
+        pairs = zip(task.linearised(state), twice.linearised(state), strict=True)
+        missed = np.concatenate([np.abs(a.end - b.end)[:, : task.layout.motion] for a, b in pairs]) / spread
+        if np.quantile(np.where(np.isfinite(missed), missed, np.inf), SMOOTH_STEPS) <= STEP_ERROR:
+            break
+        task = twice
+    return task
+
+
+def search(task: Task, starts: Sequence[State], log: Callable[..., None] = lambda *a: None) -> tuple[Task, Fitted]:
+    """The best model that rounds of selection, then single moves, lead to.
+
+    Parameters
+    ----------
+    task : Task
+        What is to be explained.
+    starts : sequence of State
+        Where rounds start: from the next one too where those before left a discrepancy.
+    log : callable, optional
+        Called with a word and every fit, as a trace.
+
+    Returns
+    -------
+    (Task, Fitted)
+        The task with the steps of integration that were used.
+    """
+    settled: list[tuple[Task, Fitted]] = []
+    for state in starts:
+        try:
+            settled.append(settle(task, state, log))
+        except np.linalg.LinAlgError:
+            continue
+        if settled[-1][1].state.levels.kappa.max() < ADEQUATE:
+            break
+    if not settled:
+        raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
+    task, best = max(settled, key=lambda pair: pair[1].evidence)
     tried = {best.model.tobytes(): best.evidence}
     for _ in range(MOVES):
-        moves = neighbours(task.problem(best.quadratic), best.model, WINDOW)[:NEIGHBOURS]
         better = best
-        for move in moves:
+        for move in neighbours(task.problem(best.quadratic), best.model, WINDOW)[:NEIGHBOURS]:
             model = move.apply(best.model)
             if model.tobytes() in tried:
                 continue
@@ -188,4 +283,4 @@ def search(task: Task, state: State, log: Callable[..., None] = lambda *a: None)
             break
         best = better
         log("move", best)
-    return replace(best, tried=tried)
+    return task, replace(best, tried=tried)

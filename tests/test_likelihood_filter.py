@@ -1,0 +1,360 @@
+"""The filter of a linearised record, and its adjoint, against the joint Gaussian, differences and simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bayeq.dictionary import Variables, build_dictionary
+from bayeq.likelihood.filter import adjoint, run_filter
+from bayeq.likelihood.fit import State, adjoints, corrections, linearised, marginal, quadratic
+from bayeq.likelihood.layout import Candidates, Layout
+from bayeq.likelihood.levels import Levels, Scales
+from bayeq.likelihood.linear import Series
+from bayeq.ode.rk4 import interpolant
+from bayeq.states import Roles
+
+from . import reference
+
+# A driven oscillator that is coupled to a chain of first order: coefficients by equation and term.
+TRUTH = {
+    (0, "x"): -4.0,
+    (0, "v"): -0.3,
+    (0, "z"): 0.8,
+    (0, "u"): 1.0,
+    (0, "x**2"): -0.5,
+    (1, "z"): -0.7,
+    (1, "x"): 0.4,
+    (1, "w"): 0.3,
+    (1, "x*z"): 0.2,
+}
+
+
+def layout_of(smoothness=3):
+    """Chains of orders 2 and 1, the highest derivative of one measured; an input with noise, and an exact one."""
+    roles = Roles.parse(chains=["x:v:a", "z"], inputs=["u", "w"])
+    terms = build_dictionary("polynomial:2", Variables(roles.states, roles.inputs))
+    gains = (np.array([1.0, 2.0, 0.5]), np.ones(2))
+    return Layout(roles, terms, gains, noisy=("u",), smoothness=(smoothness,), centres=(0.2,))
+
+
+def system(n, seed=0, step=0.1, gaps=0.15, smoothness=3):
+    """A layout, a record whose samples are near a path, and a fit that stands there."""
+    layout, rng = layout_of(smoothness), np.random.default_rng(seed)
+    time = np.cumsum(step * rng.uniform(0.8, 1.2, n))
+    path = np.zeros((n, layout.size))
+    for i in range(layout.size):
+        a, b, c = rng.normal(size=3)
+        path[:, i] = 0.3 * a + np.sin(b + 1.5 * time) + 0.3 * np.cos(3.0 * time + c)
+    path[:, layout.discrepancy] *= 0.1
+    samples = np.empty((n, len(layout.channels)))
+    for j, kind in enumerate(layout.kinds):
+        samples[:, j] = path[:, kind] if kind >= 0 else np.cos(time)
+    samples += 0.1 * rng.normal(size=samples.shape)
+    samples[rng.random(samples.shape) < gaps] = np.nan
+    series = Series(np.diff(time), samples, interpolant(time, np.sin(time)[:, None], "cubic"))
+    scales = Scales(0.1 * rng.normal(size=layout.size), rng.uniform(0.5, 2.0, layout.size), np.ones(samples.shape[1]))
+    levels = Levels(
+        layout,
+        scales,
+        channels=rng.uniform(0.005, 0.05, samples.shape[1]),
+        discrepancy=np.array([0.1, 0.05]),
+        memory=np.array([0.8, 0.6]),
+        slope=np.array([0.5]),
+        slope_memory=np.array([0.9]),
+    )
+    texts = [term.text for term in layout.terms]
+    chosen = Candidates(np.array([c for c, _ in TRUTH]), np.array([texts.index(text) for _, text in TRUTH]))
+    return layout, series, State(chosen, np.array(list(TRUTH.values())), (path,), levels)
+
+
+def close(actual, wanted, tolerance):
+    """Equal up to a share of the largest entry."""
+    np.testing.assert_allclose(actual, wanted, rtol=tolerance, atol=tolerance * np.abs(wanted).max())
+
+
+def some(chosen, seed):
+    """The coefficients in a random order."""
+    order = np.random.default_rng(seed).permutation(len(chosen.chain))
+    return chosen.take(order)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("which", ["chosen", "mixed", "every", "none"])
+def test_is_the_joint_gaussian_of_all_samples(seed, which):
+    layout, series, state = system(12, seed)
+    [linear] = linearised(layout, [series], state)
+    chosen = {
+        "chosen": state.chosen,
+        "mixed": some(state.chosen, seed),
+        "every": layout.everything,
+        "none": state.chosen.take(np.arange(0)),
+    }[which]
+    noise = state.levels.noise
+    level, slope, information, smoothed = reference.state_space_gaussian(linear, chosen, noise)
+    found = run_filter(linear, chosen, noise)
+    q = quadratic([found])
+    assert q.level == pytest.approx(level, rel=1e-10)
+    assert q.slope.shape == slope.shape
+    assert q.information.shape == information.shape
+    r = len(slope)
+    if r:
+        close(q.slope, slope, 1e-9)
+        close(q.information, information, 1e-9)
+    delta = 0.1 * np.random.default_rng(seed).normal(size=r)
+    deviation = adjoint(linear, noise, found, delta, np.zeros((r, r)), layout.last).deviation
+    close(deviation, smoothed(delta), 1e-9)
+
+
+def test_several_records_add_up():
+    layout, one, state = system(12, 1)
+    _, other, second = system(9, 2)
+    state = replace(state, paths=(state.paths[0], second.paths[0]))
+    filtered = [run_filter(x, state.chosen, state.levels.noise) for x in linearised(layout, [one, other], state)]
+    both, each = quadratic(filtered), [quadratic([x]) for x in filtered]
+    assert both.level == pytest.approx(each[0].level + each[1].level, rel=1e-12)
+    close(both.slope, each[0].slope + each[1].slope, 1e-12)
+    close(both.information, each[0].information + each[1].information, 1e-12)
+
+
+def test_long_records_are_filtered_in_parts(monkeypatch):
+    layout, series, state = system(47)
+    [linear] = linearised(layout, [series], state)
+    noise, r = state.levels.noise, len(state.theta)
+    root = 0.1 * np.random.default_rng(4).normal(size=(r, r))
+
+    def results():
+        found = run_filter(linear, state.chosen, noise)
+        return [*found, *adjoint(linear, noise, found, root[0], root @ root.T, layout.last, True)]
+
+    whole = results()
+    monkeypatch.setattr("bayeq.likelihood.filter.ROWS", 5)
+    for one, other in zip(results(), whole, strict=True):
+        close(one, other, 1e-10)
+
+
+def test_sums_need_no_rows():
+    layout, series, state = system(30)
+    [linear] = linearised(layout, [series], state)
+    found, lean = (run_filter(linear, layout.everything, state.levels.noise, keep=keep) for keep in (True, False))
+    assert max(part.size for part in lean[:5]) == 0
+    assert lean.log_variance == found.log_variance
+    np.testing.assert_array_equal(lean.product, found.product)
+
+
+def test_coefficients_of_no_uncertainty_leave_their_columns_out():
+    layout, series, state = system(20)
+    [linear] = linearised(layout, [series], state)
+    noise, r = state.levels.noise, len(state.theta)
+    found = run_filter(linear, state.chosen, noise)
+    V = np.zeros((r, r))
+    V[1, 1] = 0.04
+    one = state.chosen.take(np.array([1]))
+    alone = adjoint(linear, noise, run_filter(linear, one, noise), np.zeros(1), V[1:2, 1:2], layout.last)
+    for part, other in zip(adjoint(linear, noise, found, np.zeros(r), V, layout.last), alone, strict=True):
+        if other.size:
+            close(part, other, 1e-10)
+
+
+def test_slopes_of_the_levels_are_those_of_the_marginal_likelihood():
+    layout, series, state = system(60)
+    levels, linears = state.levels, linearised(layout, [series], state)
+    precision = 1.0 / (1.0 + state.theta**2)
+    found = marginal(linears, state, levels, precision)
+    [adj] = adjoints(linears, state, levels, found, found.delta)
+    free, step, differences = levels.free, 1e-4, []
+    for i in range(len(free)):
+        move = step * (np.arange(len(free)) == i)
+        up, down = (marginal(linears, state, levels.moved(free + s * move), precision).value for s in (1.0, -1.0))
+        differences.append((up - down) / (2.0 * step))
+    np.testing.assert_allclose(levels.slopes(adj), differences, rtol=1e-5, atol=1e-5)
+
+
+def settled(layout, series, state, rounds=6):
+    """The state with its path smoothed at its coefficients, and the model and adjoint there."""
+    zero = np.zeros(len(state.theta))
+    for _ in range(rounds):
+        [linear] = linearised(layout, [series], state)
+        found = run_filter(linear, state.chosen, state.levels.noise)
+        adj = adjoint(linear, state.levels.noise, found, zero, np.outer(zero, zero), layout.last, True)
+        state, before = replace(state, paths=(state.paths[0] + adj.deviation,)), state
+    return before, linear, found, adj
+
+
+def parts(found):
+    """What the determinant and the quadratic form add to the log likelihood, up to a constant."""
+    used = found.variance > 0.0
+    S, E = found.variance[used], found.innovation[used][:, 0]
+    return -0.5 * np.array([np.log(S).sum(), (E**2 / S).sum()])
+
+
+def errors_of_the_score(step):
+    """Of the determinant's and the quadratic form's derivatives by all coefficients, as shares of the largest."""
+    layout, series, state = system(40, 3, step)
+    every = layout.everything
+    theta = np.zeros(len(every.chain))
+    theta[state.chosen.chain * (len(layout.terms) + 1) + state.chosen.term] = state.theta
+    state, linear, found, adj = settled(layout, series, replace(state, chosen=every, theta=theta))
+    assert np.abs(adj.deviation).max() < 1e-6
+    none, differences = every.take(np.arange(0)), []
+    for j in range(len(theta)):
+        move = 1e-4 * (np.arange(len(theta)) == j)
+        up, down = (
+            parts(run_filter(linearised(layout, [series], replace(state, theta=theta + s * move))[0], none, noise))
+            for s, noise in [(1.0, state.levels.noise), (-1.0, state.levels.noise)]
+        )
+        differences.append((up - down) / 2e-4)
+    scores = np.column_stack([corrections(layout, [series], [linear], [adj]).ravel(), quadratic([found]).slope])
+    return np.abs(scores - differences).max(axis=0) / np.abs(differences).max(axis=0)
+
+
+def test_the_score_of_all_coefficients_converges_to_differences_of_the_model_linearised_again():
+    coarse, fine = errors_of_the_score(0.05), errors_of_the_score(0.0125)
+    assert (coarse < 0.03).all()
+    assert (fine < 1e-3).all()
+    assert (fine < coarse / 4.0).all()
+
+
+def shifted(layout, series, state, direction):
+    """Steps and predictions a little to both sides of a path, as central differences along a direction."""
+    ends, seen = [], []
+    for sign in (1.0, -1.0):
+        path = state.paths[0] + sign * 1e-5 * direction
+        zero = series._replace(samples=np.zeros_like(series.samples))
+        [linear] = linearised(layout, [zero], replace(state, paths=(path,)))
+        ends.append(linear.end)
+        seen.append(-linear.residual)
+    return (ends[0] - ends[1]) / 2e-5, (seen[0] - seen[1]) / 2e-5
+
+
+@pytest.mark.parametrize("smoothness", [0, 1, 3])
+def test_a_linearisation_has_the_derivatives_of_its_steps_and_predictions(smoothness):
+    layout, series, state = system(15, smoothness=smoothness)
+    [linear] = linearised(layout, [series], state)
+    np.testing.assert_array_equal(np.isnan(linear.residual), np.isnan(series.samples))
+    for i in range(layout.size):
+        unit = np.eye(layout.size)[i]
+        by_end, by_seen = shifted(layout, series, state, unit)
+        np.testing.assert_allclose(linear.transition[:, :, i], by_end, atol=1e-8)
+        for channel, kind in enumerate(linear.kinds):
+            wanted = linear.gradient[:, -1 - kind, i] if kind < 0 else np.full(15, unit[kind])
+            np.testing.assert_allclose(by_seen[:, channel], wanted, atol=1e-8)
+
+
+def errors_of_the_sources(step, smoothness):
+    """Of what a coefficient adds to each step of a solution, by the linearisation, as a share of the largest.
+
+    At samples the discrepancies and the slope of the input change at random.
+    """
+    layout, series, state = system(15, 5, step, smoothness=smoothness)
+    changes = np.random.default_rng(6).normal(size=(15, layout.size))
+    for k in range(14):
+        state.paths[0][k + 1] = linearised(layout, [series], state)[0].end[k]
+        for i in (*layout.discrepancy, *layout.slope):
+            state.paths[0][k + 1, i] = changes[k, i]
+    every = layout.everything
+    theta = np.zeros(len(every.chain))
+    theta[state.chosen.chain * (len(layout.terms) + 1) + state.chosen.term] = state.theta
+    state = replace(state, chosen=every, theta=theta)
+    [linear] = linearised(layout, [series], state)
+    sources, differences = [], []
+    for j, (c, t) in enumerate(zip(every.chain, every.term, strict=True)):
+        move = 1e-4 * (np.arange(len(theta)) == j)
+        up, down = (linearised(layout, [series], replace(state, theta=theta + s * move))[0].end for s in (1.0, -1.0))
+        at = np.stack([linear.terms[:-1, t], linear.middle[:, t], linear.terms[1:, t]], axis=1)
+        sources.append(np.einsum("ka,kai->ki", at, linear.weights[:, :, c]))
+        differences.append((up - down) / 2e-4)
+        if t == len(layout.terms):
+            close(sources[-1], differences[-1], 1e-8)  # exact for what is constant
+    return np.abs(np.subtract(sources, differences)).max() / np.abs(sources).max()
+
+
+@pytest.mark.parametrize("smoothness", [0, 1, 3])
+def test_weights_are_what_coefficients_add_to_steps(smoothness):
+    coarse, fine = errors_of_the_sources(0.1, smoothness), errors_of_the_sources(0.025, smoothness)
+    assert coarse < 3e-3
+    assert fine < coarse / 100.0
+
+
+def drawn(linear, chosen, noise, delta, rng):
+    """The same model with samples that it drew at some deviations of the coefficients; NaN where there was none."""
+    n, size = linear.path.shape
+    sources = np.zeros((n, size))
+    own = np.zeros((n, linear.gradient.shape[1]))
+    for c, t, change in zip(chosen.chain, chosen.term, delta, strict=True):
+        at = np.stack([linear.terms[:-1, t], linear.middle[:, t], linear.terms[1:, t]])
+        sources[1:] += change * np.einsum("ak,kai->ki", at, linear.weights[:, :, c])
+        own[:, c] += change * linear.terms[:, t]
+    e = np.empty((n, size))
+    e[0] = noise.mean - linear.path[0] + np.sqrt(noise.start) * rng.normal(size=size)
+    for k in range(n - 1):
+        ahead = linear.end[k] + linear.transition[k] @ e[k] + sources[k + 1]
+        e[k + 1] = noise.memory * ahead - linear.path[k + 1] + np.sqrt(noise.steps) * rng.normal(size=size)
+    samples = np.sqrt(noise.channels) * rng.normal(size=linear.residual.shape)
+    for channel, kind in enumerate(linear.kinds):
+        c = -1 - kind
+        samples[:, channel] += e[:, kind] if kind >= 0 else np.einsum("ki,ki->k", linear.gradient[:, c], e) + own[:, c]
+    return linear._replace(residual=np.where(np.isnan(linear.residual), np.nan, samples))
+
+
+def centred(scores):
+    """Whether means of scores (draws, k) are zero within 4 standard errors."""
+    error = scores.std(axis=0, ddof=1) / np.sqrt(len(scores))
+    return (np.abs(scores.mean(axis=0)) < 4.0 * error).all()
+
+
+def test_scores_at_the_truth_are_those_of_draws_from_the_linear_model():
+    layout, series, state = system(50)
+    [linear] = linearised(layout, [series], state)
+    noise, r, rng = state.levels.noise, len(state.theta), np.random.default_rng(7)
+    delta = 0.1 * rng.normal(size=r)
+    slopes, scores = [], []
+    for _ in range(200):
+        one = drawn(linear, state.chosen, noise, delta, rng)
+        found = run_filter(one, state.chosen, noise)
+        q = quadratic([found])
+        scores.append(q.slope - q.information @ delta)
+        slopes.append(state.levels.slopes(adjoint(one, noise, found, delta, np.zeros((r, r)), layout.last)))
+    assert centred(np.array(scores))
+    assert centred(np.array(slopes))
+    distance = sum(s @ np.linalg.solve(q.information, s) for s in scores)  # the information is that of every draw
+    low, high = stats.chi2.ppf([1e-4, 1.0 - 1e-4], 200 * r)
+    assert low < distance < high
+
+
+def solutions(layout, series, state, draws, rng):
+    """States and samples of draws from the model itself, (draws, n, S) and (draws, n, M)."""
+    noise, n = state.levels.noise, len(series.samples)
+    paths, samples = np.empty((draws + 1, n, layout.size)), np.empty((draws + 1, n, len(layout.channels)))
+    at = noise.mean + np.sqrt(noise.start) * rng.normal(size=(draws + 1, layout.size))
+    for k in range(n):
+        paths[:, k] = at
+        step = series.intervals[min(k, n - 2)]
+        rows = Series(np.full(draws, step), np.zeros((draws + 1, samples.shape[2])), series.inputs[[k] * (draws + 1)])
+        [linear] = linearised(layout, [rows], replace(state, paths=(at,)))
+        samples[:, k] = -linear.residual + np.sqrt(noise.channels) * rng.normal(size=samples[:, k].shape)
+        at = np.zeros_like(at)
+        at[:draws] = noise.memory * linear.end + np.sqrt(noise.steps) * rng.normal(size=linear.end.shape)
+    return paths[:draws], np.where(np.isnan(series.samples), np.nan, samples[:draws])
+
+
+def test_scores_at_the_truth_are_those_of_draws_from_the_model_itself():
+    layout, series, state = system(50, step=0.05)
+    start = np.where(np.isin(np.arange(layout.size), layout.discrepancy), 1.0, 1e-4)
+    state = replace(state, levels=replace(state.levels, scales=replace(state.levels.scales, variance=start)))
+    scores, informations, without = [], [], []
+    for path, samples in zip(*solutions(layout, series, state, 200, np.random.default_rng(8)), strict=True):
+        one = series._replace(samples=samples)
+        _, linear, found, adj = settled(layout, one, replace(state, paths=(path,)), 4)
+        q, curved = quadratic([found]), corrections(layout, [one], [linear], [adj])
+        scores.append(q.slope + curved[state.chosen.chain, state.chosen.term])
+        without.append(q.slope)
+        informations.append(q.information)
+    assert centred(np.array(scores))
+    assert not centred(np.array(without))
+    # the information of a short record varies with its path: it is the variance of the scores on average
+    scaled = np.linalg.solve(np.linalg.cholesky(np.mean(informations, axis=0)), np.array(scores).T)
+    assert centred((scaled**2).sum(axis=0)[:, None] - len(state.theta))
