@@ -9,6 +9,9 @@ QUICK := tests/conformance tests/test_cli_streams.py tests/test_estimators.py te
 	tests/test_forecast.py tests/test_gram.py tests/test_kernels.py tests/test_kinematic.py tests/test_public_api.py \
 	tests/test_records_text.py tests/test_startup.py tests/test_vb.py
 
+# Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
+RECORD_STUDIES := states_only known_terms white_force coupled servo circuit
+
 .PHONY: demo test lint types tests statistics coverage matrix bench study examples lock clean
 
 demo: $(VENV)/.runtime
@@ -61,7 +64,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m perf.fit_against_lstsq
 	$(BIN)/python -m perf.compare
 
-# The statistical studies behind docs/reproduction.md and the README: hours are not needed, half an hour is.
+# The statistical studies behind docs/reproduction.md and the README: an hour or two on one core.
 study: $(VENV)/.dev
 	$(BIN)/bayeq study table2 --realisations 1000 --store study.db \
 		--algorithms sindy,rvm,gibbs,vb,bma,vb-rvm,vb-greedy,sindy-std
@@ -81,6 +84,7 @@ study: $(VENV)/.dev
 	$(BIN)/python -m studies.refinement > docs/tables/refinement.csv
 	$(BIN)/python -m studies.reliability --figures docs/figures > docs/tables/reliability.csv
 	$(BIN)/bayeq study figures docs/figures
+	for name in $(RECORD_STUDIES); do $(BIN)/python -m studies.$$name > docs/tables/$$name.csv || exit 1; done
 
 # The measured records behind docs/examples.md, from $BAYEQ_DATA or ../shared/data.
 examples: $(VENV)/.dev
