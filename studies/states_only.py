@@ -150,7 +150,7 @@ def _best_threshold(outcomes: Sequence[Outcome]) -> dict[str, object]:
     hits = np.sum([outcome["exact"] for outcome in outcomes], axis=0)
     best = int(np.argmax(hits))
     at_best = [{"exact": outcome["exact"][best], "terms": {}, "cpu": outcome["cpu"]} for outcome in outcomes]
-    return {**rates(at_best), "threshold": f"{THRESHOLDS[best]:.3g}"}
+    return {**rates(at_best), "threshold": f"{THRESHOLDS[best]:.3g}" if hits[best] else ""}
 
 
 def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
