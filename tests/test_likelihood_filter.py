@@ -120,6 +120,45 @@ def test_several_records_add_up():
     close(both.information, each[0].information + each[1].information, 1e-12)
 
 
+def test_long_records_are_filtered_in_parts(monkeypatch):
+    layout, series, state = system(47)
+    [linear] = linearised(layout, [series], state)
+    noise, r = state.levels.noise, len(state.theta)
+    root = 0.1 * np.random.default_rng(4).normal(size=(r, r))
+
+    def results():
+        found = run_filter(linear, state.chosen, noise)
+        return [*found, *adjoint(linear, noise, found, root[0], root @ root.T, layout.last, True)]
+
+    whole = results()
+    monkeypatch.setattr("bayeq.likelihood.filter.ROWS", 5)
+    for one, other in zip(results(), whole, strict=True):
+        close(one, other, 1e-10)
+
+
+def test_sums_need_no_rows():
+    layout, series, state = system(30)
+    [linear] = linearised(layout, [series], state)
+    found, lean = (run_filter(linear, layout.everything, state.levels.noise, keep=keep) for keep in (True, False))
+    assert max(part.size for part in lean[:5]) == 0
+    assert lean.log_variance == found.log_variance
+    np.testing.assert_array_equal(lean.product, found.product)
+
+
+def test_coefficients_of_no_uncertainty_leave_their_columns_out():
+    layout, series, state = system(20)
+    [linear] = linearised(layout, [series], state)
+    noise, r = state.levels.noise, len(state.theta)
+    found = run_filter(linear, state.chosen, noise)
+    V = np.zeros((r, r))
+    V[1, 1] = 0.04
+    one = state.chosen.take(np.array([1]))
+    alone = adjoint(linear, noise, run_filter(linear, one, noise), np.zeros(1), V[1:2, 1:2], layout.last)
+    for part, other in zip(adjoint(linear, noise, found, np.zeros(r), V, layout.last), alone, strict=True):
+        if other.size:
+            close(part, other, 1e-10)
+
+
 def test_slopes_of_the_levels_are_those_of_the_marginal_likelihood():
     layout, series, state = system(60)
     levels, linears = state.levels, linearised(layout, [series], state)

@@ -3,6 +3,10 @@
 The data and the columns of the candidates go through one Kalman filter with the same gains (Rosenberg 1973; de Jong
 1991): the innovations E of the columns and their variance S give the information sum E'E/S of the coefficients. The
 adjoint recursion gives the derivatives of the likelihood by all variances (Koopman and Shephard 1992).
+
+Both recursions carry vectors and a matrix of the states side by side in the rows of one array, so that a transition or
+a sample changes all of them in the same loops: of the filter the means, then their covariance; of the adjoint the
+adjoints, then their information. Rows are padded to whole blocks of `LANES`, which compilers turn into vectors.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.kernels import kernel
+from bayeq.likelihood.arrays import arrays
 from bayeq.likelihood.layout import Candidates
 from bayeq.likelihood.linear import Linear
 
@@ -20,6 +25,12 @@ __all__ = ["Adjoint", "Filtered", "Noise", "adjoint", "run_filter"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+# Numbers that a processor handles at once, at least.
+LANES = 16
+
+# Samples that are filtered before their innovations are added to the information.
+ROWS = 256
 
 
 class Noise(NamedTuple):
@@ -59,6 +70,10 @@ class Filtered(NamedTuple):
         Filtered deviation from the path, then its derivatives by each coefficient.
     covariance : (n, S, S) array
         Of the filtered states.
+    product : (1 + r, 1 + r) array
+        Sum of the innovations' products over their variances.
+    log_variance : float
+        Sum of ln 2 pi S.
     """
 
     innovation: Floats
@@ -66,122 +81,239 @@ class Filtered(NamedTuple):
     gain: Floats
     mean: Floats
     covariance: Floats
+    product: Floats
+    log_variance: float
+
+
+class _Running(NamedTuple):
+    """Where a recursion stands, and its work space; W is the padded width of a row.
+
+    Attributes
+    ----------
+    work : (4, S, W) array
+        The rows: vectors, one for the data and one for each coefficient, then a matrix; and three times as much room.
+    lines : (4, W) array
+        What is left of a sample; the coefficients' terms at the sample before, between, and at this one.
+    starts : (blocks + 1,) int array
+        Where coefficients of one equation follow each other: the first of each such block.
+    scaled, variance : (ROWS M, 1 + r) and (ROWS M,) arrays
+        Innovations over their standard deviation, and their variances.
+    """
+
+    work: Floats
+    lines: Floats
+    starts: Ints
+    scaled: Floats
+    variance: Floats
+
+    @classmethod
+    def at_start(cls, linear: Linear, chosen: Candidates, noise: Noise) -> _Running:
+        """Before the first sample: means of the deviation, its derivatives by each coefficient; covariance."""
+        size, channels, r = linear.path.shape[1], len(linear.kinds), len(chosen.chain)
+        work = np.zeros((4, size, _padded(1 + r + size)))
+        work[0, :, 0] = noise.mean - linear.path[0]
+        work[0, :, 1 + r : 1 + r + size] = np.diag(noise.start)
+        lines = np.zeros((4, work.shape[2]))
+        lines[3, 1 : 1 + r] = linear.terms[0, chosen.term]
+        blocks = np.flatnonzero(np.diff(chosen.chain)) + 1
+        starts = np.concatenate([[0], blocks, [r]] if r else [[0]]).astype(np.int64)
+        return cls(work, lines, starts, np.empty((ROWS * channels, 1 + r)), np.empty(ROWS * channels))
+
+
+def _padded(width: int) -> int:
+    return -(-width // LANES) * LANES
+
+
+# Kernels that are called for every row take arrays: to take these out of a tuple, or a view, is not free.
+@kernel
+def _multiply(A: Floats, k: int, memory: Floats, back: bool, work: Floats, which: int, width: int) -> None:
+    """``work[which + 1]`` := B ``work[which]`` with B = diag(memory) A[k] or its transpose; most of B is 0."""
+    size = work.shape[1]
+    for i in range(size):
+        factor = memory[i] * A[k, i, i]
+        for j in range(width):
+            work[which + 1, i, j] = factor * work[which, i, j]
+        for o in range(size):
+            factor = memory[o] * A[k, o, i] if back else memory[i] * A[k, i, o]
+            if factor != 0.0 and o != i:
+                for j in range(width):
+                    work[which + 1, i, j] += factor * work[which, o, j]
 
 
 @kernel
-def _predict(linear: Linear, chosen: Candidates, noise: Noise, k: int, m: Floats, P: Floats, work: Floats) -> None:
-    """From sample k to the next: means `m` (S, 1 + r) and covariance `P` in place."""
-    size, columns = m.shape
-    step, weights = linear.transition[k], linear.weights[k]
-    for j in range(columns):
-        for i in range(size):
-            total = 0.0
-            for l in range(size):
-                total += step[i, l] * m[l, j]
-            work[i, j] = total
-    for i in range(size):
-        memory = noise.memory[i]
-        m[i, 0] = memory * (work[i, 0] + linear.end[k, i]) - linear.path[k + 1, i]
-        for j in range(1, columns):
-            c, t = chosen.chain[j - 1], chosen.term[j - 1]
-            source = (
-                weights[0, c, i] * linear.terms[k, t]
-                + weights[1, c, i] * linear.middle[k, t]
-                + weights[2, c, i] * linear.terms[k + 1, t]
-            )
-            m[i, j] = memory * (work[i, j] + source)
+def _carry(A: Floats, k: int, memory: Floats, work: Floats, start: int, back: bool) -> None:
+    """With B of `_multiply`: B times rows into ``work[1]``, their matrix M as B M B' into ``work[3]``."""
+    size, width = work.shape[1:]
+    _multiply(A, k, memory, back, work, 0, width)
     for i in range(size):
         for j in range(size):
-            total = 0.0
-            for l in range(size):
-                total += step[i, l] * P[l, j]
-            work[i, j] = total
-    for i in range(size):
-        for j in range(i + 1):
-            total = 0.0
-            for l in range(size):
-                total += work[i, l] * step[j, l]
-            total *= noise.memory[i] * noise.memory[j]
-            P[i, j] = P[j, i] = total
-        P[i, i] += noise.steps[i]
+            work[2, j, i] = work[1, i, start + j]
+    _multiply(A, k, memory, back, work, 2, -(-size // LANES) * LANES)
 
 
 @kernel
-def _forward(linear: Linear, chosen: Candidates, noise: Noise, out: Filtered) -> None:
-    n, size = linear.path.shape
-    r, channels = len(chosen.chain), len(linear.kinds)
-    m, P = np.zeros((size, 1 + r)), np.zeros((size, size))
-    work = np.empty((size, max(1 + r, size)))
-    ph, h = np.empty(size), np.zeros(size)
+def _arrive(work: Floats, start: int) -> None:
+    """The rows become what they were carried to; their matrix exactly symmetric."""
+    for i in range(work.shape[1]):
+        for j in range(start):
+            work[0, i, j] = work[1, i, j]
+        for j in range(i + 1):
+            work[0, i, start + j] = work[0, j, start + i] = work[3, i, j]
+
+
+@kernel
+def _combine(factors: Floats, k: int, c: int, work: Floats, which: int, lines: Floats) -> None:
+    """The sum of factors [k, c] times the rows of ``work[which]``, into ``lines[0]``."""
+    size, width = work.shape[1:]
+    factor = factors[k, c, 0]
+    for j in range(width):
+        lines[0, j] = factor * work[which, 0, j]
+    for o in range(1, size - 1, 2):
+        factor, other = factors[k, c, o], factors[k, c, o + 1]
+        for j in range(width):
+            lines[0, j] += factor * work[which, o, j] + other * work[which, o + 1, j]
+    if size % 2 == 0:
+        factor = factors[k, c, size - 1]
+        for j in range(width):
+            lines[0, j] += factor * work[which, size - 1, j]
+
+
+@kernel
+def _next_terms(terms: Floats, middle: Floats, k: int, term: Ints, lines: Floats) -> None:
+    """The coefficients' terms in the step to sample k."""
+    for j in range(len(term)):
+        lines[1, 1 + j] = lines[3, 1 + j]
+        lines[2, 1 + j] = middle[k - 1, term[j]]
+        lines[3, 1 + j] = terms[k, term[j]]
+
+
+@kernel
+def _add_sources(
+    weights: Floats, k: int, c: int, memory: Floats, lines: Floats, work: Floats, first: int, stop: int
+) -> None:
+    """What coefficients `first` to `stop`, of equation c, add to a step: to the derivatives of the means."""
+    for i in range(len(memory)):
+        before, middle, after = weights[k, 0, c, i], weights[k, 1, c, i], weights[k, 2, c, i]
+        if before != 0.0 or middle != 0.0 or after != 0.0:
+            before, middle, after = memory[i] * before, memory[i] * middle, memory[i] * after
+            for j in range(1 + first, 1 + stop):
+                work[0, i, j] += before * lines[1, j] + middle * lines[2, j] + after * lines[3, j]
+
+
+@kernel
+def _condition(work: Floats, lines: Floats, variance: float, start: int) -> None:
+    """On a sample, by what is left of it."""
+    size, width = work.shape[1:]
+    share = 1.0 / variance
     for i in range(size):
-        m[i, 0] = noise.mean[i] - linear.path[0, i]
-        P[i, i] = noise.start[i]
-    for k in range(n):
+        gain = share * lines[0, start + i]
+        for j in range(width):
+            work[0, i, j] -= gain * lines[0, j]
+
+
+@kernel
+def _keep_sample(
+    k: int, channel: int, lines: Floats, S: float, innovation: Floats, variance: Floats, gain: Floats
+) -> None:
+    share, start = 1.0 / S if S > 0.0 else 0.0, innovation.shape[2]
+    variance[k, channel] = S
+    for j in range(start):
+        innovation[k, channel, j] = lines[0, j] if S > 0.0 else 0.0
+    innovation[k, channel, 0] *= -1.0  # lines hold the prediction less the sample
+    for i in range(gain.shape[2]):
+        gain[k, channel, i] = share * lines[0, start + i]
+
+
+@kernel
+def _keep_state(k: int, work: Floats, mean: Floats, covariance: Floats) -> None:
+    start = mean.shape[2]
+    for i in range(mean.shape[1]):
+        for j in range(start):
+            mean[k, i, j] = work[0, i, j]
+        for j in range(mean.shape[1]):
+            covariance[k, i, j] = work[0, i, start + j]
+
+
+@kernel
+def _forward(
+    linear: Linear, chosen: Candidates, noise: Noise, first: int, stop: int, keep: bool, at: _Running, out: Filtered
+) -> int:
+    """Samples from `first` to `stop`; returns how many innovations now stand in ``at.scaled``."""
+    path, end, transition, gradient, residual = linear[:5]
+    terms, middle, weights, kinds = linear[5:]
+    added, memory, steps = noise.channels, noise.memory, noise.steps
+    work, lines, starts, scaled, variances = at
+    innovation, variance, gain, mean, covariance = out[:5]
+    size, start, blocks, used = path.shape[1], 1 + len(chosen.chain), len(starts) - 1, 0
+    chain, term = chosen
+    for k in range(first, stop):
         if k > 0:
-            _predict(linear, chosen, noise, k - 1, m, P, work)
-        for channel in range(channels):
-            kind = linear.kinds[channel]
-            left = linear.residual[k, channel]
-            if np.isnan(left):
-                out.variance[k, channel] = 0.0
-                continue
-            variance = noise.channels[channel]
-            E = out.innovation[k, channel]
-            if kind >= 0:
-                for i in range(size):
-                    ph[i] = P[i, kind]
-                variance += ph[kind]
-                for j in range(1 + r):
-                    E[j] = m[kind, j]
-            else:
-                c = -1 - kind
-                for i in range(size):
-                    h[i] = linear.gradient[k, c, i]
-                for i in range(size):
-                    total = 0.0
-                    for l in range(size):
-                        total += P[i, l] * h[l]
-                    ph[i] = total
-                for i in range(size):
-                    variance += h[i] * ph[i]
-                for j in range(1 + r):
-                    total = 0.0
-                    for l in range(size):
-                        total += h[l] * m[l, j]
-                    if j > 0 and chosen.chain[j - 1] == c:
-                        total += linear.terms[k, chosen.term[j - 1]]
-                    E[j] = total
-            E[0] = left - E[0]
-            out.variance[k, channel] = variance
+            _carry(transition, k - 1, memory, work, start, False)
+            _arrive(work, start)
             for i in range(size):
-                gain = ph[i] / variance
-                out.gain[k, channel, i] = gain
-                m[i, 0] += gain * E[0]
-                for j in range(1, 1 + r):
-                    m[i, j] -= gain * E[j]
-            for i in range(size):
-                for j in range(i + 1):
-                    P[i, j] -= ph[i] * ph[j] / variance
-                    P[j, i] = P[i, j]
-        for i in range(size):
-            for j in range(1 + r):
-                out.mean[k, i, j] = m[i, j]
-            for j in range(size):
-                out.covariance[k, i, j] = P[i, j]
+                work[0, i, 0] += memory[i] * end[k - 1, i] - path[k, i]
+                work[0, i, start + i] += steps[i]
+            _next_terms(terms, middle, k, term, lines)
+            for b in range(blocks):
+                _add_sources(weights, k - 1, chain[starts[b]], memory, lines, work, starts[b], starts[b + 1])
+        for channel in range(len(kinds)):
+            S, kind = 0.0, kinds[channel]
+            if not np.isnan(residual[k, channel]):
+                S = added[channel]
+                if kind >= 0:
+                    for j in range(work.shape[2]):
+                        lines[0, j] = work[0, kind, j]
+                    S += lines[0, start + kind]
+                else:
+                    _combine(gradient, k, -1 - kind, work, 0, lines)
+                    for i in range(size):
+                        S += gradient[k, -1 - kind, i] * lines[0, start + i]
+                    for b in range(blocks):
+                        if chain[starts[b]] == -1 - kind:
+                            for j in range(1 + starts[b], 1 + starts[b + 1]):
+                                lines[0, j] += lines[3, j]
+                lines[0, 0] -= residual[k, channel]
+                unit = 1.0 / np.sqrt(S)
+                for j in range(start):
+                    scaled[used, j] = unit * lines[0, j]
+                variances[used] = S
+                used += 1
+            if keep:
+                _keep_sample(k, channel, lines, S, innovation, variance, gain)
+            if S > 0.0:
+                _condition(work, lines, S, start)
+        if keep:
+            _keep_state(k, work, mean, covariance)
+    return used
 
 
-def run_filter(linear: Linear, chosen: Candidates, noise: Noise) -> Filtered:
-    """Filter a record with the columns of the chosen candidates beside the data."""
+def run_filter(linear: Linear, chosen: Candidates, noise: Noise, keep: bool = True) -> Filtered:
+    """Filter a record with the columns of the chosen candidates beside the data.
+
+    Parameters
+    ----------
+    linear, chosen, noise
+        The model.
+    keep : bool
+        Whether what `adjoint` needs is wanted; without, there are no rows but in the sums, and memory does not grow
+        with the record.
+    """
     (n, size), channels, r = linear.path.shape, len(linear.kinds), len(chosen.chain)
-    out = Filtered(
-        innovation=np.zeros((n, channels, 1 + r)),
-        variance=np.zeros((n, channels)),
-        gain=np.zeros((n, channels, size)),
-        mean=np.empty((n, size, 1 + r)),
-        covariance=np.empty((n, size, size)),
+    rows = n if keep else 0
+    innovation, variance, gain, mean, covariance = arrays(
+        (rows, channels, 1 + r), (rows, channels), (rows, channels, size), (rows, size, 1 + r), (rows, size, size)
     )
-    _forward(linear, chosen, noise, out)
-    return out
+    out = Filtered(innovation, variance, gain, mean, covariance, np.zeros((1 + r, 1 + r)), 0.0)
+    at, logs = _Running.at_start(linear, chosen, noise), 0.0
+    for first in range(0, n, ROWS):
+        used = _forward(linear, chosen, noise, first, min(first + ROWS, n), keep, at, out)
+        scaled = at.scaled[:used]
+        out.product[:] += scaled.T @ scaled
+        logs += float(np.log(2.0 * np.pi * at.variance[:used]).sum())
+    # innovations are samples less their prediction
+    out.product[0, 1:] *= -1.0
+    out.product[1:, 0] *= -1.0
+    return out._replace(log_variance=logs)
 
 
 class Adjoint(NamedTuple):
@@ -192,10 +324,11 @@ class Adjoint(NamedTuple):
     channels : (M,) array
         By the variances R.
     memory, steps, start : (S,) arrays
-        By the entries of `Noise`.
+        By the entries of `Noise`; the first for states that stay what they are between samples, and 0 for those that
+        have neither memory nor steps.
     deviation : (n, S) array
         Smoothed path less that of the linearisation.
-    curved : (n, C, S) and (n - 1, C, S) arrays
+    at_samples, between : (n, C, S) and (n - 1, C, S) arrays
         Directions along which the derivatives of the candidates at the samples, and between them, give what the
         coefficients change in the determinant of the likelihood; empty where not asked for.
     """
@@ -209,182 +342,200 @@ class Adjoint(NamedTuple):
     between: Floats
 
 
-@kernel
-def _sandwich(G: Floats, N: Floats, work: Floats) -> None:
-    """N := G' N G."""
-    size = len(G)
-    for i in range(size):
-        for j in range(size):
-            total = 0.0
-            for l in range(size):
-                total += N[i, l] * G[l, j]
-            work[i, j] = total
-    for i in range(size):
-        for j in range(i + 1):
-            total = 0.0
-            for l in range(size):
-                total += G[l, i] * work[l, j]
-            N[i, j] = N[j, i] = total
+class _Returning(NamedTuple):
+    """Where the adjoint recursion stands, and its work space.
 
+    The coefficients' columns are in units of their uncertainty: derivatives by uncorrelated numbers of variance 1.
 
-# One recursion whose state (adjoint, information, work space) each part of it would have to take.
-@kernel
-def _backward(
-    linear: Linear, noise: Noise, found: Filtered, delta: Floats, V: Floats, last: Ints, out: Adjoint
-) -> None:
-    n, size = linear.path.shape
-    channels, r = len(linear.kinds), len(delta)
-    adj, N, G = np.zeros((size, 1 + r)), np.zeros((size, size)), np.empty((size, size))
-    work, moved = np.empty((size, size)), np.empty((size, 1 + r))
-    nk, h, value, u = np.empty(size), np.zeros(size), np.empty((size, 1 + r)), np.empty(1 + r)
-    curved = len(out.at_samples) > 0
-    for k in range(n - 1, -1, -1):
-        P = found.covariance[k]
-        if k < n - 1:
-            for i in range(size):
-                for j in range(size):
-                    G[i, j] = noise.memory[i] * linear.transition[k, i, j]
-            for j in range(1 + r):
-                for i in range(size):
-                    total = 0.0
-                    for l in range(size):
-                        total += G[l, i] * adj[l, j]
-                    moved[i, j] = total
-            for i in range(size):
-                out.steps[i] += 0.5 * _moment(adj[i], adj[i], V, -N[i, i])
-        else:
-            moved[:] = 0.0
-        for i in range(size):
-            for j in range(1 + r):
-                total = 0.0
-                for l in range(size):
-                    total += P[i, l] * moved[l, j]
-                # derivatives by the coefficients enter with the other sign: e = E_0 - E theta
-                value[i, j] = found.mean[k, i, j] + total if j == 0 else total - found.mean[k, i, j]
-            for j in range(r):
-                value[i, 0] += found.mean[k, i, 1 + j] * delta[j]
-            out.deviation[k, i] = value[i, 0]
-        if k < n - 1:
-            for i in range(size):
-                if noise.memory[i] != 1.0 or noise.steps[i] > 0.0:
-                    value[i, 0] += linear.path[k, i]
-                    total = 0.0  # (P G' N)_ii
-                    for l in range(size):
-                        part = 0.0
-                        for o in range(size):
-                            part += P[i, o] * G[l, o]
-                        total += part * N[l, i]
-                    out.memory[i] += _moment(adj[i], value[i], V, -total)
-            if curved:
-                _curve_between(linear, noise, P, G, N, k, last, out)
-            _sandwich(G, N, work)
-            for i in range(size):
-                for j in range(1 + r):
-                    adj[i, j] = moved[i, j]
-        if curved:
-            _curve_at(linear, noise, P, N, k, out)
-        for channel in range(channels - 1, -1, -1):
-            if found.variance[k, channel] == 0.0:
-                continue
-            gain, S, kind = found.gain[k, channel], found.variance[k, channel], linear.kinds[channel]
-            for i in range(size):
-                h[i] = (1.0 if i == kind else 0.0) if kind >= 0 else linear.gradient[k, -1 - kind, i]
-            spread = 1.0 / S
-            for i in range(size):
-                total = 0.0
-                for l in range(size):
-                    total += N[i, l] * gain[l]
-                nk[i] = total
-            for i in range(size):
-                spread += gain[i] * nk[i]
-            E = found.innovation[k, channel]
-            for j in range(1 + r):
-                total = E[j]
-                if j == 0:
-                    for l in range(r):
-                        total -= E[1 + l] * delta[l]
-                total /= S
-                for i in range(size):
-                    total -= gain[i] * adj[i, j]
-                u[j] = total
-            out.channels[channel] += 0.5 * _moment(u, u, V, -spread)
-            for i in range(size):
-                for j in range(1 + r):
-                    adj[i, j] += h[i] * u[j]
-                for j in range(size):
-                    N[i, j] += h[i] * h[j] * spread - nk[i] * h[j] - h[i] * nk[j]
-    for i in range(size):
-        out.start[i] += 0.5 * _moment(adj[i], adj[i], V, -N[i, i])
+    Attributes
+    ----------
+    work : (4, S, W) array
+        As in `_Running`: adjoints of the data, at the coefficients' mean, and of each coefficient; their information N.
+    lines : (4, W) array
+        Work space of a sample.
+    innovation : (ROWS, M, 1 + r) array
+        At the coefficients' mean, and its derivatives.
+    lasting : (s,) int array
+        States that change at samples.
+    mean : (ROWS, s, r) array
+        Derivatives of their filtered means.
+    """
+
+    work: Floats
+    lines: Floats
+    innovation: Floats
+    lasting: Ints
+    mean: Floats
+
+    @classmethod
+    def at_end(cls, noise: Noise, r: int) -> _Returning:
+        """After the last sample."""
+        size, channels = len(noise.memory), len(noise.channels)
+        lasting = np.flatnonzero((noise.memory != 1.0) | (noise.steps > 0.0))
+        work = np.zeros((4, size, _padded(1 + r + size)))
+        lines, innovation = np.zeros((4, work.shape[2])), np.empty((ROWS, channels, 1 + r))
+        return cls(work, lines, innovation, lasting, np.empty((ROWS, len(lasting), r)))
+
+    def take(self, found: Filtered, rows: slice, delta: Floats, root: Floats) -> None:
+        """Some rows of a filtered record, at deviations `delta` of the coefficients with covariance `root` `root`'."""
+        r, count = len(delta), rows.stop - rows.start
+        # derivatives by the coefficients enter with the other sign: e = E_0 - E theta
+        units = np.zeros((1 + r, 1 + r))
+        units[0, 0], units[1:, 0], units[1:, 1:] = 1.0, -delta, root
+        np.matmul(found.innovation[rows].reshape(-1, 1 + r), units, out=self.innovation[:count].reshape(-1, 1 + r))
+        if r:
+            mean = found.mean[rows][:, self.lasting, 1:]
+            np.matmul(mean.reshape(-1, r), root, out=self.mean[:count].reshape(-1, r))
 
 
 @kernel
-def _moment(a: Floats, b: Floats, V: Floats, rest: float) -> float:
-    """a_0 b_0 + rest, and what the uncertainty V of the coefficients adds to the product."""
-    total = a[0] * b[0] + rest
-    for i in range(len(V)):
-        part = 0.0
-        for j in range(len(V)):
-            part += V[i, j] * b[1 + j]
-        total += a[1 + i] * part
+def _excess(work: Floats, i: int, start: int) -> float:
+    """Squares of the adjoints of a state less their variance."""
+    total = -work[0, i, start + i]
+    for j in range(start):
+        total += work[0, i, j] ** 2
     return total
 
 
 @kernel
-def _curve_between(
-    linear: Linear, noise: Noise, P: Floats, G: Floats, N: Floats, k: int, last: Ints, out: Adjoint
-) -> None:
-    """-(1 + Phi)/2 P G' N A w: what the determinant makes of a gradient in the middle of a step."""
-    size = len(P)
-    first, second = np.empty(size), np.empty(size)
-    for c in range(len(last)):
-        for i in range(size):
-            total = 0.0
-            for l in range(size):
-                w = linear.weights[k, 0, c, l] + linear.weights[k, 1, c, l] + linear.weights[k, 2, c, l]
-                total += N[i, l] * noise.memory[l] * w
-            first[i] = total
-        for i in range(size):
-            total = 0.0
-            for l in range(size):
-                total += G[l, i] * first[l]
-            second[i] = total
-        for i in range(size):
-            total = 0.0
-            for l in range(size):
-                total += P[i, l] * second[l]
-            first[i] = total
-        for i in range(size):
-            total = first[i]
-            for l in range(size):
-                total += linear.transition[k, i, l] * first[l]
-            out.between[k, c, i] = -0.5 * total
+def _leftover(
+    gain: Floats, k: int, channel: int, innovation: Floats, row: int, S: float, lines: Floats, start: int
+) -> float:
+    """E/S - gain'r and -gain'N into ``lines[0]``, where gain'r and gain'N are; returns 1/S + gain'N gain."""
+    share = spread = 1.0 / S
+    for j in range(start):
+        lines[0, j] = share * innovation[row, channel, j] - lines[0, j]
+    for i in range(gain.shape[2]):
+        spread += gain[k, channel, i] * lines[0, start + i]
+        lines[0, start + i] *= -1.0
+    return spread
 
 
 @kernel
-def _curve_at(linear: Linear, noise: Noise, P: Floats, N: Floats, k: int, out: Adjoint) -> None:
-    """-(P - P N P) h / R: the same of a target that is measured."""
-    size = len(P)
-    ph, nph = np.empty(size), np.empty(size)
-    for channel in range(len(linear.kinds)):
-        kind = linear.kinds[channel]
-        if kind >= 0 or np.isnan(linear.residual[k, channel]):
-            continue
-        h = linear.gradient[k, -1 - kind]
-        for i in range(size):
-            total = 0.0
-            for l in range(size):
-                total += P[i, l] * h[l]
-            ph[i] = total
-        for i in range(size):
-            total = 0.0
-            for l in range(size):
-                total += N[i, l] * ph[l]
-            nph[i] = total
-        for i in range(size):
-            total = ph[i]
-            for l in range(size):
-                total -= P[i, l] * nph[l]
-            out.at_samples[k, -1 - kind, i] = -total / noise.channels[channel]
+def _absorb_state(kind: int, spread: float, work: Floats, lines: Floats, start: int) -> None:
+    """A sample of a state: r + h (E/S - gain'r), and N likewise."""
+    for i in range(work.shape[1]):
+        work[0, i, start + kind] += lines[0, start + i]
+    lines[0, start + kind] += spread
+    for j in range(work.shape[2]):
+        work[0, kind, j] += lines[0, j]
+
+
+@kernel
+def _absorb_target(gradient: Floats, k: int, c: int, spread: float, work: Floats, lines: Floats, start: int) -> None:
+    """A sample of a target, whose h is its gradient."""
+    size, width = work.shape[1:]
+    for i in range(size):
+        for j in range(size):
+            work[0, i, start + j] += lines[0, start + i] * gradient[k, c, j]
+    for i in range(size):
+        lines[0, start + i] += spread * gradient[k, c, i]
+    for i in range(size):
+        factor = gradient[k, c, i]
+        for j in range(width):
+            work[0, i, j] += factor * lines[0, j]
+
+
+@kernel
+def _curve_between(
+    transition: Floats, covariance: Floats, k: int, c: int, work: Floats, lines: Floats, between: Floats, start: int
+) -> None:
+    """-(1 + Phi)/2 P G' N w, w in ``lines[1]``: what the determinant makes of a gradient in the middle of a step."""
+    size = work.shape[1]
+    for i in range(size):
+        lines[2, i] = 0.0
+        for o in range(size):
+            lines[2, i] += work[1, i, start + o] * lines[1, o]
+    for i in range(size):
+        lines[1, i] = 0.0
+        for o in range(size):
+            lines[1, i] += covariance[k, i, o] * lines[2, o]
+    for i in range(size):
+        total = lines[1, i]
+        for o in range(size):
+            total += transition[k, i, o] * lines[1, o]
+        between[k, c, i] = -0.5 * total
+
+
+@kernel
+def _curve_at(
+    gradient: Floats, covariance: Floats, k: int, c: int, work: Floats, lines: Floats, at_samples: Floats, start: int
+) -> None:
+    """-(P - P N P) h: the same of a target that is measured."""
+    size = work.shape[1]
+    for i in range(size):
+        lines[1, i] = 0.0
+        for o in range(size):
+            lines[1, i] += covariance[k, i, o] * gradient[k, c, o]
+    for i in range(size):
+        lines[2, i] = 0.0
+        for o in range(size):
+            lines[2, i] += work[0, i, start + o] * lines[1, o]
+    for i in range(size):
+        total = lines[1, i]
+        for o in range(size):
+            total -= covariance[k, i, o] * lines[2, o]
+        at_samples[k, c, i] = -total
+
+
+@kernel
+def _backward(
+    linear: Linear, noise: Noise, found: Filtered, first: int, stop: int, at: _Returning, out: Adjoint
+) -> None:
+    """Samples from the one before `stop` back to `first`."""
+    path, transition, gradient, weights, kinds = (
+        linear.path,
+        linear.transition,
+        linear.gradient,
+        linear.weights,
+        linear.kinds,
+    )
+    memory, added = noise.memory, noise.channels
+    variance, gain, covariance = found.variance, found.gain, found.covariance
+    work, lines, innovation, lasting, mean = at
+    by_channels, by_memory, by_steps, _, deviation, at_samples, between = out
+    (n, size), start = path.shape, innovation.shape[2]
+    for k in range(stop - 1, first - 1, -1):
+        if k < n - 1:
+            _carry(transition, k, memory, work, start, True)
+            for i in range(size):
+                total = deviation[k, i]
+                for o in range(size):
+                    total += covariance[k, i, o] * work[1, o, 0]
+                deviation[k, i] = total
+            for s in range(len(lasting)):
+                i = lasting[s]
+                by_steps[i] += 0.5 * _excess(work, i, start)
+                _combine(covariance, k, i, work, 1, lines)
+                total = work[0, i, 0] * (path[k, i] + deviation[k, i]) - lines[0, start + i]
+                for j in range(1, start):
+                    total += work[0, i, j] * (lines[0, j] - mean[k - first, s, j - 1])
+                by_memory[i] += total
+            if len(between) > 0:
+                for c in range(between.shape[1]):
+                    for i in range(size):
+                        lines[1, i] = memory[i] * (weights[k, 0, c, i] + weights[k, 1, c, i] + weights[k, 2, c, i])
+                    _curve_between(transition, covariance, k, c, work, lines, between, start)
+            _arrive(work, start)
+        if len(at_samples) > 0:
+            for channel in range(len(kinds)):
+                if kinds[channel] < 0 and variance[k, channel] > 0.0:
+                    _curve_at(gradient, covariance, k, -1 - kinds[channel], work, lines, at_samples, start)
+                    for i in range(size):
+                        at_samples[k, -1 - kinds[channel], i] /= added[channel]
+        for channel in range(len(kinds) - 1, -1, -1):
+            S, kind = variance[k, channel], kinds[channel]
+            if S > 0.0:
+                _combine(gain, k, channel, work, 0, lines)
+                spread = _leftover(gain, k, channel, innovation, k - first, S, lines, start)
+                total = -spread
+                for j in range(start):
+                    total += lines[0, j] ** 2
+                by_channels[channel] += 0.5 * total
+                if kind >= 0:
+                    _absorb_state(kind, spread, work, lines, start)
+                else:
+                    _absorb_target(gradient, k, -1 - kind, spread, work, lines, start)
 
 
 def adjoint(
@@ -395,7 +546,7 @@ def adjoint(
     Parameters
     ----------
     linear, noise, found
-        What was filtered.
+        What was filtered, by `run_filter` with `keep`.
     delta, V : (r,) and (r, r) arrays
         Mean and covariance of the coefficients' deviations: derivatives are those of the likelihood marginal over them.
     last : (C,) int array
@@ -403,8 +554,8 @@ def adjoint(
     curved : bool
         Whether `at_samples` and `between` are wanted.
     """
-    n, size = linear.path.shape
-    chains = linear.gradient.shape[1]
+    (n, size), r = linear.path.shape, len(delta)
+    chains, root = linear.gradient.shape[1], _root(V)
     out = Adjoint(
         channels=np.zeros(len(linear.kinds)),
         memory=np.zeros(size),
@@ -412,7 +563,22 @@ def adjoint(
         start=np.zeros(size),
         deviation=np.empty((n, size)),
         at_samples=np.zeros((n if curved else 0, chains, size)),
-        between=np.zeros((n - 1 if curved else 0, chains, size)),
+        between=np.empty((n - 1 if curved else 0, chains, size)),
     )
-    _backward(linear, noise, found, delta, V, last, out)
+    at = _Returning.at_end(noise, r)
+    for first in reversed(range(0, n, ROWS)):
+        rows = slice(first, min(first + ROWS, n))
+        at.take(found, rows, delta, root)
+        np.matmul(found.mean[rows].reshape(-1, 1 + r), np.append(1.0, delta), out=out.deviation[rows].reshape(-1))
+        _backward(linear, noise, found, first, rows.stop, at, out)
+    adjoints = at.work[0]
+    out.start[:] = 0.5 * ((adjoints[:, : 1 + r] ** 2).sum(axis=1) - np.diagonal(adjoints[:, 1 + r : 1 + r + size]))
     return out
+
+
+def _root(V: Floats) -> Floats:
+    """L with L L' = V, which may be singular."""
+    unit = np.sqrt(np.diagonal(V))
+    unit = np.where(unit > 0.0, unit, 1.0)
+    values, vectors = np.linalg.eigh(V / unit[:, None] / unit)
+    return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -78,17 +78,9 @@ def linearised(layout: Layout, series: Sequence[Series], state: State, substeps:
 
 def quadratic(filtered: Sequence[Filtered]) -> Quadratic:
     """The sum over records."""
-    r = filtered[0].innovation.shape[2] - 1
-    level, slope, information = 0.0, np.zeros(r), np.zeros((r, r))
-    for found in filtered:
-        used = found.variance > 0.0
-        S, E = found.variance[used], found.innovation[used]
-        scaled = E / np.sqrt(S)[:, None]
-        product = scaled.T @ scaled
-        level -= 0.5 * float(np.log(2.0 * np.pi * S).sum() + product[0, 0])
-        slope += product[1:, 0]
-        information += product[1:, 1:]
-    return Quadratic(level, slope, information)
+    product = np.sum([found.product for found in filtered], axis=0)
+    logs = sum(found.log_variance for found in filtered)
+    return Quadratic(-0.5 * (logs + float(product[0, 0])), product[1:, 0], product[1:, 1:])
 
 
 def marginal(linears: Sequence[Linear], state: State, levels: Levels, precision: Floats) -> Statistics:
@@ -187,7 +179,7 @@ def information(
 ) -> Quadratic:
     """The likelihood of all candidates about zero: what models are compared on."""
     every = layout.everything
-    filtered = [run_filter(linear, every, state.levels.noise) for linear in linears]
+    filtered = [run_filter(linear, every, state.levels.noise, keep=False) for linear in linears]
     q = quadratic(filtered)
     theta = np.zeros(len(every.chain))
     theta[state.chosen.chain * (len(layout.terms) + 1) + state.chosen.term] = state.theta

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions.tape import Program, run_tape
 from bayeq.kernels import kernel
+from bayeq.likelihood.arrays import arrays
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.ode.rk4 import STAGES, advance, slope_at
 
@@ -132,8 +133,9 @@ def linearise(
         Runge-Kutta steps between two samples.
     """
     n, size, chains = len(path), layout.size, layout.chains
-    end, transition = np.empty((n - 1, size)), np.empty((n - 1, size, size))
-    rate, target, gradient = np.empty((n, size)), np.empty((n, chains)), np.empty((n, chains, size))
+    end, transition, rate, target, gradient = arrays(
+        (n - 1, size), (n - 1, size, size), (n, size), (n, chains), (n, chains, size)
+    )
     program = layout.tape(chosen).program()
     first = size + series.inputs.shape[1]
     program.registers[first : first + len(theta)] = theta
