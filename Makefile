@@ -36,15 +36,16 @@ statistics: $(VENV)/.dev
 coverage: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered --cov-report=html
 
-# The tests on other Pythons, where they can be had, and a quick part of them on the oldest dependencies.
+# The tests on other Pythons, where they can be had, and a quick part of them on the oldest dependencies: scikit-learn 1.6
+# brings tests for pytest 8, and matplotlib 3.9 warns when it is imported beside pyparsing 3.3.
 matrix: $(PYTHONS:%=$(VENV)/matrix/%) $(VENV)/matrix/oldest
 
 $(VENV)/matrix/oldest: $(VENV)/.dev FORCE
 	$(BIN)/uv venv --quiet --clear --python 3.11 $@
-	$(BIN)/uv pip compile --quiet --resolution lowest-direct --python-version 3.11 --extra parquet --extra plot \
-		pyproject.toml --output-file $@/constraints.txt
+	echo 'pyparsing<3.3' | $(BIN)/uv pip compile --quiet --resolution lowest-direct --python-version 3.11 \
+		--extra parquet --extra plot --constraint - pyproject.toml --output-file $@/constraints.txt
 	$(BIN)/uv pip install --quiet --python $@ --constraint $@/constraints.txt \
-		--editable '.[parquet,plot]' 'pytest<9' pytest-xdist hypothesis  # scikit-learn 1.6 brings tests for pytest 8
+		--editable '.[parquet,plot]' 'pytest<9' pytest-xdist hypothesis
 	OPENBLAS_NUM_THREADS=1 $@/bin/python -m pytest -n auto $(QUICK)
 
 $(VENV)/matrix/%: $(VENV)/.dev FORCE

@@ -186,9 +186,7 @@ def test_bins_of_everything_are_those_of_all_tallies_together():
 
 
 def test_the_committed_table_has_ten_bins_of_five_hundred_terms():
-    path = Path(calibration.__file__).parents[3] / "docs/tables/calibration_bins.csv"
-    if not path.exists():
-        pytest.skip("installed without its documents")
+    path = Path(__file__).parents[1] / "docs/tables/calibration_bins.csv"
     lines = list(csv.DictReader(path.read_text().splitlines()))
     whole = [line for line in lines if line["design"] == "all"]
     derived = [{key: str(value) for key, value in line.items()} for line in calibration.pooled(lines[:-BINS])]

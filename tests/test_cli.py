@@ -17,6 +17,7 @@ import pytest
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.cli.discover import COMPILING
+from tests.uncovered import uncovered
 
 
 def bayeq(*arguments, **options):
@@ -197,6 +198,7 @@ def test_an_interrupt_is_one_line_and_leaves_no_half_file(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-m", "bayeq", "simulate", "duffing", "--n", "3000000", "-o", str(target)],
         stderr=subprocess.PIPE, text=True,
+        env=uncovered(),
         # tests that run in the background inherit that interrupts are ignored
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
@@ -204,7 +206,10 @@ def test_an_interrupt_is_one_line_and_leaves_no_half_file(tmp_path):
     while time.monotonic() < deadline and not list(tmp_path.glob(".big.*")):
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate()
+    try:
+        _, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
     assert process.returncode == 130
     assert err == "bayeq: interrupted\n"
     assert target.read_text() == "what was there before"

@@ -529,8 +529,8 @@ def test_a_closed_pipe() -> None:
     finally:
         os.close(writing)
     assert done.returncode == 0
-    # the rows are no motion under the force
-    assert all(b"no equation found" in line for line in done.stderr.splitlines())
+    # the rows are no motion under the force, of which it may warn
+    assert all(line.startswith(b"bayeq: warning: ") for line in done.stderr.splitlines())
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names of any bytes")

@@ -16,6 +16,7 @@ import bayeq as bq
 from bayeq import discovery
 from bayeq.cli.app import main
 from bayeq.cli.discover import COMPILING
+from tests.uncovered import uncovered
 
 OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x, v, x**3, u"]
 
@@ -196,7 +197,8 @@ def test_a_full_disk_costs_one_file_and_leaves_the_one_before(record, tmp_path):
     arguments = ["discover", record, *OSCILLATOR, "--save", kept, "--forecast", small, "--json"]
     command = shlex.join([sys.executable, "-m", "bayeq", *map(str, arguments)])
     # no file may grow beyond 512 bytes; compiled kernels are not written either
-    done = subprocess.run(["sh", "-c", f"ulimit -f 1; {command}"], capture_output=True, text=True, check=False)
+    limited = ["sh", "-c", f"ulimit -f 1; {command}"]
+    done = subprocess.run(limited, capture_output=True, text=True, check=False, env=uncovered())
     assert done.returncode == 2
     assert json.loads(done.stdout)["equations"][0]["target"] == "a"
     assert done.stderr.replace(f"{COMPILING}\n", "") == (

@@ -254,7 +254,7 @@ def test_parquet_types(tmp_path: Path) -> None:
 
 def test_parquet_names_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingExtraError, match=r"pip install bayeq\[parquet\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'bayeq\[parquet\]'"):
         parquet.read_columns(tmp_path / "r.parquet")
 
 
@@ -264,8 +264,6 @@ def test_import_is_light() -> None:
     assert done.stdout.strip() == "[]"
 
 
-@needs_data
-@pytest.mark.data
 def test_columns_of_the_same_name_are_named(tmp_path: Path) -> None:
     path = put(tmp_path, "t,x [m],v,x,V-1,V_1\n0,1,2,3,4,5\n1,2,3,4,5,6\n")
     with pytest.warns(DataWarning) as given:
@@ -286,6 +284,8 @@ def test_columns_of_the_same_name_are_named(tmp_path: Path) -> None:
         Record.from_dataframe(pd.DataFrame([[1.0, 2.0]], columns=["x", "x"]))
 
 
+@needs_data
+@pytest.mark.data
 def test_measured_records() -> None:
     folder = DATA / "schmidt_lipson"
     rec = read(folder / "real_linear_a_1.txt")

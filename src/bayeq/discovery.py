@@ -9,12 +9,13 @@ from bayeq.equation.build import build_equations
 from bayeq.equation.equations import DataSummary, Equations
 from bayeq.equation.units import channel_units
 from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, UnknownNameError, WarningLog
-from bayeq.inference.engines import ENGINES, Engine
+from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
+from bayeq.likelihood.record_fit import suits
 from bayeq.records import Record, check_messages, split_at_gaps
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
-from bayeq.regression.fit import fit_regression
+from bayeq.regression.joint import fit_equations, record_of
 from bayeq.regression.regression import Regression
 from bayeq.selection.negligible import NEGLIGIBLE
 from bayeq.selection.select import Rules, select
@@ -24,6 +25,11 @@ from bayeq.states.motion import held_out_share
 __all__ = ["discover"]
 
 Progress = Callable[[str, int, int], None]
+
+NO_LIKELIHOOD = (
+    "the likelihood of the record could not be evaluated near its motion: the regression of smoothed rows is used"
+    " instead, whose intervals and probabilities are less sure; try fewer terms"
+)
 
 # With fewer training rows there is no regression.
 LEAST_TRAINING_ROWS = 3
@@ -125,7 +131,8 @@ def discover(
     ('x', 'v', 'x**3', 'u')
     """
     log, step = WarningLog(), progress or _silent
-    engine, rules = _engine(method), Rules(max_terms, negligible)
+    _check_method(method)
+    rules = Rules(max_terms, negligible)
     rules.check(method)
     _check_shares(holdout, coarsen)
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
@@ -141,13 +148,12 @@ def discover(
     _warn_of_terms(design, log)
     constrained = _constrained(known, design, method)
 
-    fits = []
-    for k in range(len(roles.chains)):
-        step("inference", k, len(roles.chains))
-        regression = Regression.of(design, k)
-        if engine.spike_slab:
-            regression = regression.thinned()
-        fits.append(fit_regression(regression, constrained[k], engine, prior, coarsen, seed=(seed, k)))
+    record = record_of(design, smooth, dictionary, prior)
+    if record is None and smooth == "auto" and suits(motion, len(design.terms)):
+        log.warn(NO_LIKELIHOOD, DataWarning)
+    regressions = [Regression.of(design, k, record) for k in range(len(roles.chains))]
+    step("inference", 0, len(roles.chains))
+    fits = fit_equations(regressions, constrained, method, prior, coarsen, seed)
     selections = select(fits, rules, motion)
     equations, scores = build_equations(selections, _units(pieces, roles, log), log)
     step("inference", len(roles.chains), len(roles.chains))
@@ -171,10 +177,9 @@ def _silent(stage: str, done: int, total: int) -> None:
     """No progress shown."""
 
 
-def _engine(method: str) -> Engine:
+def _check_method(method: str) -> None:
     if method not in ENGINES:
         raise UnknownNameError("method", method, ENGINES)
-    return ENGINES[method]
 
 
 def _check_shares(holdout: float, coarsen: float) -> None:
@@ -198,7 +203,7 @@ def _prepared(
     share of the rows to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
     require_varying(records, [*roles.measured, *roles.inputs])
-    if smooth == "auto":
+    if smooth != "none":
         records, messages = split_at_gaps(records, [*roles.measured, *roles.inputs])
         if all(record.time is not None for record in records):
             chains, computed = measured_apart(records, roles.chains, share)

@@ -113,7 +113,7 @@ class MissingExtraError(BayeqError, ImportError):
     """
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        super().__init__(f"{purpose} needs {package}: install it with `pip install bayeq[{extra}]`")
+        super().__init__(f"{purpose} needs {package}: install it with `pip install 'bayeq[{extra}]'`")
 
 
 class InterruptedRun(BayeqError):

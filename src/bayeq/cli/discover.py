@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["COMPILING", "discover"]
 
-COMPILING = "compiling, once after installation: up to a minute ..."
+COMPILING = "compiling what runs for the first time after installation: up to a minute ..."
 
 # Work that takes longer shows its progress [s].
 PATIENCE = 1.0
@@ -88,7 +88,7 @@ class Progress:
 )
 @option(
     "--smooth",
-    type=click.Choice(["auto", "none"]),
+    type=click.Choice(["auto", "band", "none"]),
     default="auto",
     help="Derivatives not measured: smoothed (auto) or differences (none).",
 )
@@ -154,7 +154,8 @@ def discover(files: tuple[Path, ...], as_json: bool, **options: Any) -> None:
         for k, file in enumerate(files):
             progress("reading", k, len(files))
             records.extend(_read(file, _used(options), reading))
-        _require_channels(records, _used(options))
+        if not options["chains"]:  # which may be badly written
+            _require_channels(records, _used(options))
         outputs.check_records(records)
         from bayeq.discovery import discover as run  # once the files are known to be readable
 

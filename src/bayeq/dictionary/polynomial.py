@@ -6,8 +6,9 @@ from collections import Counter
 from itertools import combinations_with_replacement
 
 from bayeq.dictionary.family import Variables
+from bayeq.expressions import Binary, Expression, Node, Number
 
-__all__ = ["monomials", "terms"]
+__all__ = ["degree", "monomials", "terms"]
 
 DEFAULT_DEGREE = 3
 
@@ -32,3 +33,27 @@ def terms(variables: Variables, argument: str | None = None) -> list[str]:
     """Monomials of the states up to a degree (default 3), and the inputs: ``polynomial:2`` is degree 2."""
     degree = DEFAULT_DEGREE if argument is None else int(argument)
     return [*monomials(variables.states, degree), *variables.inputs]
+
+
+def degree(term: Expression) -> int:
+    """Total degree of a monomial.
+
+    Examples
+    --------
+    >>> from bayeq.expressions import parse
+    >>> degree(parse("x**2*v"))
+    3
+    """
+    return _degree(term.tree)
+
+
+def _degree(node: Node) -> int:
+    match node:
+        case Number():
+            return 0
+        case Binary("*", left, right):
+            return _degree(left) + _degree(right)
+        case Binary("**", left, Number(power)):
+            return _degree(left) * int(power)
+        case _:
+            return 1

@@ -201,13 +201,20 @@ class Equation:
     @property
     def intercept_ci95(self) -> tuple[float, float]:
         """95 % interval of the intercept of the equation shown."""
+        value, sd = self.intercept_estimate
+        return value - Z95 * sd, value + Z95 * sd
+
+    @property
+    def intercept_estimate(self) -> tuple[float, float]:
+        """Estimate and standard deviation of the intercept, whether it is in the equation or probably zero."""
         p = self.shown_posterior
-        half = Z95 * p.intercept_sd
-        return p.intercept - half, p.intercept + half
+        return p.left_out_intercept or (p.intercept, p.intercept_sd)
 
     @property
     def intercept_matters(self) -> bool:
-        """Whether the interval of the intercept excludes zero; only then it is written out."""
+        """Whether the intercept is written out: it is probably not zero, or else its interval says so."""
+        if self.shown_posterior.intercept_pip is not None:
+            return self.shown_posterior.intercept_pip > 0.5
         low, high = self.intercept_ci95
         return low > 0 or high < 0
 

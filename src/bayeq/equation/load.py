@@ -173,6 +173,10 @@ def _restore_equation(
         averaged_sd=_column(saved["terms"], "averaged_sd"),
         rhat=checks["rhat"],
         optimum=None if state["optimum"] is None else _indicator(state["optimum"], len(terms)),
+        intercept_pip=None if saved.get("intercept_pip") is None else float(saved["intercept_pip"]),
+        left_out_intercept=None
+        if saved.get("intercept_included", True)
+        else (float(saved["intercept"]), float(saved["intercept_sd"])),
         average=None if state["average"] is None else _restored_average(state["average"], len(terms)),
     )
     shown = _restored_shown(posterior, saved["terms"], state["shown"])

@@ -194,10 +194,10 @@ def _rows(equation: Equation) -> list[tuple[Any, ...]]:
         else:
             absent = "not shown" if equation.posterior.support[j] else "not included"
             rows.append((escape(term.text), absent, "", "", f"{p.pip[j]:.3f}"))
-    if p.intercept == 0.0 and p.intercept_sd < NOTHING:
+    if p.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING:
         return [*rows, ("intercept", "none", "", "", "")]
     low, high = equation.intercept_ci95
-    spread = p.intercept_sd
+    value, spread = equation.intercept_estimate
     interval = f"{round_to(low, spread)} .. {round_to(high, spread)}"
-    rows.append(("intercept", round_to(p.intercept, spread), f"{spread:.2g}", interval, ""))
+    rows.append(("intercept", round_to(value, spread), f"{spread:.2g}", interval, ""))
     return rows

@@ -67,9 +67,11 @@ def _equation(equation: Equation) -> dict[str, Any]:
     return {
         "target": equation.target,
         "verdict": asdict(equation.verdict),
-        "intercept": shown.intercept,
-        "intercept_sd": shown.intercept_sd,
+        "intercept": equation.intercept_estimate[0],
+        "intercept_sd": equation.intercept_estimate[1],
+        "intercept_included": shown.left_out_intercept is None,
         "intercept_ci95": list(equation.intercept_ci95),
+        "intercept_pip": shown.intercept_pip,
         "noise_sd": equation.noise_sd,
         "elbo": p.elbo,
         "equation": equation.text,

@@ -51,7 +51,9 @@ class Verdict:
         return f"{self.kind}: {self.reason}"
 
 
-def judge(target: str, fit: Fit, held_out: bool, noise: float, window: float | None) -> Verdict:
+def judge(
+    target: str, fit: Fit, held_out: bool, noise: float, window: float | None, target_estimated: bool = False
+) -> Verdict:
     """The verdict on one equation.
 
     Parameters
@@ -66,7 +68,15 @@ def judge(target: str, fit: Fit, held_out: bool, noise: float, window: float | N
         Share of the target's variance that is noise, as far as it is known.
     window : float or None
         Error of free runs over windows, as a share of the states' spread; None where there are none.
+    target_estimated : bool
+        Whether the target is no measurement but a smoother's, and runs tell more.
     """
+    if target_estimated and window is not None:
+        if not window < AS_THE_MEAN:
+            return Verdict(
+                "none", "no equation found: free runs over windows of one period are no better than the mean"
+            )
+        return Verdict("found", f"free runs over one period within {100 * window:.2g} %")
     where = f"the {'held-out' if held_out else 'training'} rows"
     explained = f"R2 {fit.r2:.3g}" if fit.r2 >= NOTHING else "R2 0.00"
     if fit.r2 < -NOTHING:

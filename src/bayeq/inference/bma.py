@@ -6,6 +6,8 @@ to hold nearly all of the mass (`inference.collapsed.listing`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -119,6 +121,7 @@ def spike_slab_bma(
     *,
     tolerance: float = 5e-3,
     enumerate_up_to: int = ENUMERATE,
+    revise: Callable[[ModelSet], ModelSet] | None = None,
 ) -> Posterior:
     """Posterior under spike-and-slab priors by averaging over models with their exact weights.
 
@@ -132,6 +135,8 @@ def spike_slab_bma(
         Posterior mass that a search may leave out.
     enumerate_up_to : int
         Number of free terms up to which all models are enumerated instead of searched.
+    revise : callable, optional
+        Given the models found, returns them with other log posteriors, where more is known of some than the Gram tells.
 
     Returns
     -------
@@ -144,6 +149,7 @@ def spike_slab_bma(
     prior = prior or Prior()
     problem, signs = Problem.of(gram, prior), prior.known_signs
     found = average_models(problem, signs, tolerance=tolerance, enumerate_up_to=enumerate_up_to)
+    found = found if revise is None else revise(found)
     weights = found.weights
     pip = np.minimum(weights @ found.models, 1.0)
     converged = found.left_out <= tolerance * (1.0 + 1e-9)

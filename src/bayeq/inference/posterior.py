@@ -147,6 +147,10 @@ class Posterior:
         Terms at the optimum of variational Bayes, where the support is another engine's.
     contradicted : tuple of str
         Terms whose known signs the data contradict.
+    intercept_pip : float or None
+        Probability that the intercept is not zero, where it was judged like a term.
+    left_out_intercept : (float, float) or None
+        What the intercept would be, with its standard deviation, where it is probably zero and not in the model.
     """
 
     method: str
@@ -171,6 +175,8 @@ class Posterior:
     average: ModelAverage | None = None
     optimum: NDArray[np.bool_] | None = None
     contradicted: tuple[str, ...] = ()
+    intercept_pip: float | None = None
+    left_out_intercept: tuple[float, float] | None = None
 
     @property
     def sd(self) -> Floats:
@@ -186,7 +192,12 @@ class Posterior:
 
     @property
     def intercept_sd(self) -> float:
-        """Standard deviation of the intercept: sigma^2/n plus what the coefficients' errors carry over."""
+        """Standard deviation of the intercept: sigma^2/n plus what the coefficients' errors carry over.
+
+        0 of one that is not in the model.
+        """
+        if self.left_out_intercept is not None:
+            return 0.0
         c = self.center[self.support]
         return float(np.sqrt(self.noise_variance / self.n + c @ self.covariance @ c))
 

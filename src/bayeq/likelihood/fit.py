@@ -163,7 +163,7 @@ def corrections(
 def improved(
     layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, precision: Floats
 ) -> tuple[State, Floats, Statistics]:
-    """One Gauss-Newton step of coefficients and paths at the state's levels; the determinant's derivatives beside it."""
+    """One Gauss-Newton step of coefficients and paths, and the derivatives of the determinant."""
     levels = state.levels
     found = marginal(linears, state, levels, precision)
     first = adjoints(linears, state, levels, found, found.delta, curved=True)

@@ -56,7 +56,10 @@ class Layout:
     noisy : tuple of str
         Inputs whose noise is part of the model; the others are taken as they were measured.
     smoothness : tuple of int
-        Number of derivatives of each noisy input that are states, at least 1: straight lines between samples.
+        Number of derivatives of each noisy input that are states and change smoothly; 0 stands for a sequence of
+        independent samples joined by straight lines, whose slope is a state all the same.
+    centres : tuple of float
+        Mean of each noisy input.
     """
 
     roles: Roles
@@ -64,6 +67,7 @@ class Layout:
     gains: tuple[Floats, ...]
     noisy: tuple[str, ...] = ()
     smoothness: tuple[int, ...] = ()
+    centres: tuple[float, ...] = ()
 
     @cached_property
     def chains(self) -> int:
@@ -78,7 +82,7 @@ class Layout:
     @cached_property
     def size(self) -> int:
         """S, the number of states."""
-        return self.motion + self.chains + sum(self.smoothness) + len(self.noisy)
+        return self.motion + self.chains + int(sum(self.widths))
 
     @cached_property
     def last(self) -> Ints:
@@ -91,15 +95,19 @@ class Layout:
         return np.arange(self.motion, self.motion + self.chains, dtype=np.int64)
 
     @cached_property
+    def widths(self) -> Ints:
+        """Number of states of each noisy input, (L,)."""
+        return 1 + np.maximum(np.array(self.smoothness, dtype=np.int64), 1)
+
+    @cached_property
     def driven(self) -> Ints:
         """The noisy inputs, (L,)."""
-        widths = 1 + np.array(self.smoothness, dtype=np.int64)
-        return self.motion + self.chains + np.cumsum(widths) - widths
+        return self.motion + self.chains + np.cumsum(self.widths) - self.widths
 
     @cached_property
     def slope(self) -> Ints:
         """The highest derivative of each noisy input, (L,)."""
-        return self.driven + np.array(self.smoothness, dtype=np.int64)
+        return self.driven + self.widths - 1
 
     @cached_property
     def exact(self) -> tuple[str, ...]:
@@ -115,8 +123,8 @@ class Layout:
     def names(self) -> tuple[str, ...]:
         """Names of the states; those that are no channels have names that no channel can have."""
         extra = [f"d[{c}]" for c in range(self.chains)]
-        for name, order in zip(self.noisy, self.smoothness, strict=True):
-            extra += [name, *(f"{name}[{k + 1}]" for k in range(order))]
+        for name, width in zip(self.noisy, self.widths, strict=True):
+            extra += [name, *(f"{name}[{k}]" for k in range(1, width))]
         return (*self.roles.states, *extra)
 
     @cached_property
@@ -157,8 +165,8 @@ class Layout:
             for factor, node in zip(factors, [*map(Symbol, chain.states[1:]), target], strict=True):
                 out.append(node if factor == 1.0 else Binary("*", number(factor), node))
         out += [Number(0)] * self.chains
-        for name, order in zip(self.noisy, self.smoothness, strict=True):
-            out += [*(Symbol(f"{name}[{k + 1}]") for k in range(order)), Number(0)]
+        for name, width in zip(self.noisy, self.widths, strict=True):
+            out += [*(Symbol(f"{name}[{k}]") for k in range(1, width)), Number(0)]
         return Tape.compile(map(Expression, [*out, *targets]), [*self.names, *self.exact, *parameters])
 
     def terms_tape(self) -> Tape:

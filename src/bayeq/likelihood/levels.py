@@ -130,14 +130,14 @@ class Levels:
             np.log(LEAST_DISCREPANCY * target),
             np.full(len(target), _logit(np.array(MEMORY[0]))),
             np.log(LEAST_DISCREPANCY * slope),
-            np.full(len(slope), SLOPE_MEMORY[0]),
+            np.where(np.array(self.layout.smoothness) == 0, self.slope_memory, SLOPE_MEMORY[0]),
         ]
         high = [
             np.log(MOST_NOISE * self.scales.channels),
             np.log(MOST_DISCREPANCY * target),
             np.full(len(target), _logit(np.array(MEMORY[1]))),
             np.log(1e4 * slope),
-            np.full(len(slope), SLOPE_MEMORY[1]),
+            np.where(np.array(self.layout.smoothness) == 0, self.slope_memory, SLOPE_MEMORY[1]),
         ]
         return np.concatenate(low), np.concatenate(high)
 

@@ -141,9 +141,10 @@ def linearise(
     program.registers[first : first + len(theta)] = theta
     _steps(program, series.inputs, series.intervals, substeps, path, end, transition, rate, target, gradient)
 
-    seen = np.where(
-        layout.kinds >= 0, path[:, np.maximum(layout.kinds, 0)], target[:, np.maximum(-1 - layout.kinds, 0)]
-    )
+    _to_mean(layout, series.intervals, end, transition)
+    seen = path[:, np.maximum(layout.kinds, 0)]
+    for channel in np.flatnonzero(layout.kinds < 0):
+        seen[:, channel] = target[:, -1 - layout.kinds[channel]]
     exact = series.inputs
     between = 0.5 * (path[:-1] + end) + 0.125 * series.intervals[:, None] * (rate[:-1] - rate[1:])
     halfway = 0.5 * (exact[:, :, 0] + exact[:, :, 1]) + 0.25 * (exact[:, :, 2] + 0.5 * exact[:, :, 3])
@@ -158,6 +159,17 @@ def linearise(
         weights=_weights(layout, series.intervals, transition),
         kinds=layout.kinds,
     )
+
+
+def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats) -> None:
+    """Inputs that are a random sequence: from any sample straight lines lead, on average, back to its mean.
+
+    `end` and `transition` receive the mean of the next slope.
+    """
+    for first, slope, order, centre in zip(layout.driven, layout.slope, layout.smoothness, layout.centres, strict=True):
+        if order == 0:
+            end[:, slope] = (centre - end[:, first]) / intervals
+            transition[:, slope] = -transition[:, first] / intervals[:, None]
 
 
 def _terms(layout: Layout, states: Floats, inputs: Floats) -> Floats:

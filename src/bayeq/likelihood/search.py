@@ -5,20 +5,22 @@ What the Gram of one linearisation prefers is then compared with its neighbours,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.path import best_of_each_size
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import Quadratic, State, improved, information, linearised, marginal, maximised
 from bayeq.likelihood.layout import Candidates, Layout
-from bayeq.likelihood.linear import Series
+from bayeq.likelihood.linear import Linear, Series
 
 __all__ = ["Fitted", "Task", "search"]
 
@@ -39,6 +41,14 @@ WINDOW = 6.0
 NEIGHBOURS = 8
 MOVES = 5
 
+# A deviation from the path that grows more than this in one sample, at any of so many samples, is no motion that
+# was measured.
+GROWTH = 3.0
+CHECKED = 500
+
+# Noise of known variance is noise that this many times the record's samples have told of.
+KNOWN = 1e4
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -54,12 +64,19 @@ class Task:
         1/variance of each coefficient's prior, were it not zero.
     log_odds : (C (P + 1),) array
         Of each coefficient not being zero.
+    substeps : int
+        Runge-Kutta steps between two samples.
     """
 
     layout: Layout
     series: tuple[Series, ...]
     precision: Floats
     log_odds: Floats
+    substeps: int = 1
+
+    def linearised(self, state: State) -> list[Linear]:
+        """Every record linearised where a fit stands."""
+        return linearised(self.layout, self.series, state, self.substeps)
 
     @property
     def rows(self) -> float:
@@ -70,23 +87,36 @@ class Task:
         """Where coefficients stand among all."""
         return chosen.chain * (len(self.layout.terms) + 1) + chosen.term
 
+    def model(self, chosen: Candidates) -> Bools:
+        """Coefficients as a model."""
+        out = np.zeros(len(self.precision), dtype=np.bool_)
+        out[self.number(chosen)] = True
+        return out
+
     def prior(self, model: Bools) -> float:
         """Log prior of a model, up to a constant."""
         free = model & np.isfinite(self.log_odds)
         return float(self.log_odds[free].sum())
 
-    def problem(self, q: Quadratic) -> Problem:
-        """Sparse regression of known noise on all candidates, in units of their priors."""
+    @cached_property
+    def known(self) -> Prior:
+        """The prior of coefficients in units of their own prior's standard deviation, noise of variance 1."""
+        return Prior(slab_variance=1.0, prior_inclusion=1.0 / (1.0 + np.exp(-self.log_odds)))
+
+    def gram(self, q: Quadratic) -> Gram:
+        """The likelihood of all candidates in those units: a regression of as good as known noise."""
         scale = 1.0 / np.sqrt(self.precision)
         DtD = q.information * scale[:, None] * scale
         Dty = q.slope * scale
         unit = 1.0 / np.sqrt(np.diagonal(DtD))
         fitted = np.linalg.lstsq(DtD * unit[:, None] * unit, Dty * unit, rcond=1e-13)[0] * unit
-        rows = 1e4 * self.rows
-        yty = float(Dty @ fitted) + rows
+        rows = KNOWN * self.rows
         names = tuple(map(str, range(len(Dty))))
-        gram = Gram(names, rows, np.zeros(len(Dty)), 0.0, DtD, Dty, yty, rows)
-        return Problem.of(gram, Prior(slab_variance=1.0))._replace(log_odds=self.log_odds)
+        return Gram(names, rows, np.zeros(len(Dty)), 0.0, DtD, Dty, float(Dty @ fitted) + rows, rows)
+
+    def problem(self, q: Quadratic) -> Problem:
+        """What models are compared on."""
+        return Problem.of(self.gram(q), self.known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,12 +133,15 @@ class Fitted:
         ln p(data, model), up to a constant.
     quadratic : Quadratic
         The likelihood of all candidates about the fit.
+    tried : mapping of bytes to float
+        Evidence of the models that were fitted to be compared.
     """
 
     model: Bools
     state: State
     evidence: float
     quadratic: Quadratic
+    tried: Mapping[bytes, float] = field(default_factory=dict)
 
 
 def fit(task: Task, state: State, steps: int = MOST_STEPS) -> Fitted:
@@ -117,16 +150,15 @@ def fit(task: Task, state: State, steps: int = MOST_STEPS) -> Fitted:
     number = task.number(state.chosen)
     precision, before = task.precision[number], -np.inf
     for _ in range(steps):
-        linears = linearised(layout, series, state)
+        linears = task.linearised(state)
         state = replace(state, levels=maximised(linears, state, precision))
         state, curved, found = improved(layout, series, linears, state, precision)
         if abs(found.value - before) < SETTLED:
             break
         before = found.value
-    linears = linearised(layout, series, state)
+    linears = task.linearised(state)
     value = marginal(linears, state, state.levels, precision).value
-    model = np.zeros(len(task.precision), dtype=np.bool_)
-    model[number] = True
+    model = task.model(state.chosen)
     return Fitted(model, state, value + task.prior(model), information(layout, series, linears, state, curved))
 
 
@@ -137,28 +169,62 @@ def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
     return replace(fitted.state, chosen=task.layout.everything.take(np.flatnonzero(model)), theta=theta)
 
 
+def likeliest(task: Task, fitted: Fitted) -> State:
+    """A start for the likeliest model, or the largest one whose motion stays near the path over a step.
+
+    Where the discrepancy still explains all the motion many terms may make up for each other, with coefficients by
+    which a deviation from the path would explode.
+    """
+    problem = task.problem(fitted.quadratic)
+    model = best_models(problem)[0][1]
+    state = with_model(task, fitted, model)
+    if steady(task, state):
+        return state
+    smaller = best_of_each_size(problem, int(model.sum()) - 1, [model])
+    for other, _ in reversed(smaller):
+        state = with_model(task, fitted, other)
+        if steady(task, state):
+            break
+    return state
+
+
+def steady(task: Task, state: State) -> bool:
+    """Whether deviations from the path grow in a step by less than a factor, and steps end near the path."""
+    spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
+    for linear in task.linearised(state):
+        missed = np.abs(linear.end - linear.path[1:])[:, : task.layout.motion] / spread
+        few = linear.transition[:: max(1, len(missed) // CHECKED)]
+        if not (np.isfinite(missed).all() and np.isfinite(few).all()):
+            return False
+        if missed.max() > GROWTH or np.abs(np.linalg.eigvals(few)).max() > GROWTH:
+            return False
+    return True
+
+
 def search(task: Task, state: State, log: Callable[..., None] = lambda *a: None) -> Fitted:
     """The best model that rounds of selection, then single moves, lead to."""
     best, seen = fit(task, state, STEPS), set()
     log("start", best)
     for _ in range(ROUNDS):
-        model = best_models(task.problem(best.quadratic))[0][1]
+        state = likeliest(task, best)
+        model = task.model(state.chosen)
         if model.tobytes() in seen:
             break
         seen.add(model.tobytes())
-        best = fit(task, with_model(task, best, model), STEPS)
+        best = fit(task, state, STEPS)
         log("round", best)
     best = fit(task, best.state)
     log("fit", best)
+    tried = {best.model.tobytes(): best.evidence}
     for _ in range(MOVES):
         moves = neighbours(task.problem(best.quadratic), best.model, WINDOW)[:NEIGHBOURS]
         better = best
         for move in moves:
             model = move.apply(best.model)
-            if model.tobytes() in seen:
+            if model.tobytes() in tried:
                 continue
-            seen.add(model.tobytes())
             other = fit(task, with_model(task, best, model))
+            tried[model.tobytes()] = other.evidence
             log(f"  {move.gain:.1f}", other)
             if other.evidence > better.evidence:
                 better = other
@@ -166,4 +232,4 @@ def search(task: Task, state: State, log: Callable[..., None] = lambda *a: None)
             break
         best = better
         log("move", best)
-    return best
+    return replace(best, tried=tried)

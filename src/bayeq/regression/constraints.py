@@ -44,6 +44,11 @@ class Constraints:
     equalities: Equalities
     signs: NDArray[np.int64]
 
+    @property
+    def binding(self) -> bool:
+        """Whether anything is known at all."""
+        return bool(self.signs.any()) or len(self.equalities.eliminated) > 0
+
     def reduce(self, gram: Gram) -> Gram:
         """The regression that the equalities leave."""
         return self.equalities.reduce(gram)

@@ -87,6 +87,8 @@ class RegressionFit:
         residual over the rows.
         """
         found = self.expanded(posterior)
+        if self.regression.record is not None:
+            return replace(found, noise_variance=self.regression.noise_variance(found)), None
         if self.regression.band is None:
             return found, None
         excess = None

@@ -13,6 +13,7 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.gram import Gram
 from bayeq.gram.gram import grams_from_blocks
 from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.record_fit import RecordFit
 from bayeq.regression.design import Design
 from bayeq.regression.filtered_terms import filtered_terms
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
@@ -47,7 +48,10 @@ class Regression:
     band : InBand or None
         The band regression, where states were smoothed.
     gram : Gram
-        What counts as data: of the bins of the band, or of as many rows as the residuals are worth.
+        What counts as data: the likelihood of the records, the bins of the band, or as many rows as the residuals are
+        worth.
+    record : RecordFit or None
+        The likelihood of the records, where it is used.
     """
 
     design: Design
@@ -56,15 +60,18 @@ class Regression:
     held_out: Gram | None
     band: InBand | None
     gram: Gram
+    record: RecordFit | None = None
 
     @classmethod
-    def of(cls, design: Design, k: int) -> Regression:
+    def of(cls, design: Design, k: int, record: RecordFit | None = None) -> Regression:
         """The regression of chain number `k` of the design's motion, every row or bin counting in full."""
         motion = design.motion
         rows, held_out = design.train[k], design.held_out[k] if design.held_out else None
         if motion.estimated_by(k) is not None:
             rows = _filtered_gram(design, k, motion.train, kept=True)
             held_out = _filtered_gram(design, k, motion.held_out) if motion.held_out else None
+        if record is not None:
+            return cls(design, k, rows, held_out, None, record.gram(k), record)
         band = regress_in_band(design, k)
         return cls(design, k, rows, held_out, band, rows if band is None else band.gram)
 
@@ -80,7 +87,7 @@ class Regression:
 
     def thinned(self) -> Regression:
         """The regression with rows that count for the effective sample size, where their residuals are correlated."""
-        if self.band is not None or len(self.design.terms) > MOST_TERMS_TO_THIN:
+        if self.record is not None or self.band is not None or len(self.design.terms) > MOST_TERMS_TO_THIN:
             return self
         return replace(self, gram=thinned_gram(self.rows, self.residuals))
 

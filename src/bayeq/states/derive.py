@@ -20,7 +20,7 @@ from bayeq.states.savitzky_golay import smooth_derivative
 __all__ = ["Smooth", "States", "derive_states", "require_usable", "require_varying", "usable"]
 
 Floats = NDArray[np.float64]
-Smooth = Literal["auto", "none"]
+Smooth = Literal["auto", "band", "none"]
 
 # Fewer rows than this cannot carry a filter.
 LEAST_ROWS_TO_DIFFERENTIATE = 5
@@ -62,7 +62,7 @@ def derive_states(
         Coordinates and their derivatives.
     inputs : sequence of str
         Channels of forces or other inputs.
-    smooth : "auto" or "none"
+    smooth : "auto", "band" or "none"
         Measured channels are used as they are. A derivative that is not measured comes from the highest
         measured one below it: with "auto" from a smoother tuned by generalised cross-validation (both sides of
         the equation then see the smoothed channel), with "none" by central differences.

@@ -171,7 +171,7 @@ def estimate_motion(records: Sequence[Record], roles: Roles, smooth: Smooth = "a
         Measured channels.
     roles : Roles
         Chains and inputs.
-    smooth : "auto" or "none"
+    smooth : "auto", "band" or "none"
         How derivatives that are not measured are estimated.
     share : float
         Of the rows, the last of each record, to hold out.
@@ -209,7 +209,7 @@ def _smoothed(
 ) -> tuple[tuple[MotionRows, ...], tuple[int, ...], tuple[ChainSmoothing, ...]] | None:
     """Rows by the kinematic smoother; None where records are better taken as measured."""
     timed = all(record.time is not None for record in records)
-    wanted = timed and smooth == "auto"
+    wanted = timed and smooth != "none"
     # what is checked is checked before the work
     whole = [chain for chain in roles.chains if chain.lowest == 0]
     for record in records:
@@ -270,7 +270,7 @@ def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth)
         lacking = "a time column or fs"
     elif max(record.n for record in records) < FEW_ROWS:
         lacking = f"a record of {FEW_ROWS} rows or more"
-    elif smooth != "auto":
+    elif smooth == "none":
         lacking = "smooth='auto'"
     if lacking is not None:
         raise ChainError(f"{where}: chain {str(chain)!r} has to be integrated, which needs {lacking}")

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
-from bayeq.inference.engines import ENGINES
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
@@ -26,7 +25,7 @@ from bayeq.inference.rvm import rvm
 from bayeq.inference.stlsq import sweep_stlsq
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.regression.constraints import parse_constraints
-from bayeq.regression.fit import fit_regression
+from bayeq.regression.joint import fit_equations
 from bayeq.regression.regression import Regression
 from bayeq.selection.select import Rules, select
 from bayeq.study.config import StudyConfig
@@ -143,9 +142,9 @@ def _gibbs(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Est
 def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """What `bayeq.discover` shows by default: its prior, its noise model and its selection."""
     del config
-    regression = data.regression.thinned()
-    (free,) = parse_constraints((), regression.design.terms, [regression.chain.target])
-    fit = fit_regression(regression, free, ENGINES["auto"], seed=seed)
+    regression = data.regression
+    free = parse_constraints((), regression.design.terms, [regression.chain.target])
+    (fit,) = fit_equations([regression], free, "auto", seed=seed)
     (selection,) = select([fit], Rules(), regression.motion)
     return estimate(fit.expanded(selection.shown))
 

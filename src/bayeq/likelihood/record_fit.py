@@ -1,0 +1,190 @@
+"""`RecordFit`: what the likelihood of the records says of every equation, as Gram matrices and one joint posterior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.expressions import Expression
+from bayeq.gram import Gram, Standardised
+from bayeq.inference.bma import spike_slab_bma
+from bayeq.inference.collapsed.listing import ModelSet
+from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.fit import Quadratic
+from bayeq.likelihood.search import Fitted, Task, search
+from bayeq.likelihood.start import start_from, substeps
+from bayeq.states import Motion
+
+__all__ = ["RecordFit", "fit_record", "suits"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# Beyond these numbers of rows and of candidates of all equations together, records are left to the band regression.
+MOST_ROWS = 100_000
+MOST_CANDIDATES = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class RecordFit:
+    """The fit of all equations of a system to its records.
+
+    Attributes
+    ----------
+    task : Task
+        What was to be explained.
+    fitted : Fitted
+        The best model, and the likelihood about it.
+    """
+
+    task: Task
+    fitted: Fitted
+
+    @property
+    def width(self) -> int:
+        """Number of candidates of an equation, the constant among them."""
+        return len(self.task.layout.terms) + 1
+
+    @property
+    def kappa(self) -> Floats:
+        """Standard deviation of each equation's discrepancy as a share of its target's, (C,)."""
+        return self.fitted.state.levels.kappa
+
+    def block(self, c: int) -> slice:
+        """The candidates of an equation among all."""
+        return slice(c * self.width, (c + 1) * self.width)
+
+    @cached_property
+    def posterior(self) -> Posterior:
+        """Model averaging over the models of all equations, in units of the coefficients' priors.
+
+        Models that were fitted have the evidence of their fit, the others that of the Gram about the best one.
+        """
+        best, tried = self.fitted, self.fitted.tried
+
+        def revised(found: ModelSet) -> ModelSet:
+            keys = [model.tobytes() for model in found.models]
+            own = best.model.tobytes()
+            if own not in keys:
+                return found
+            level = found.log_posterior[keys.index(own)]
+            values = np.array(
+                [
+                    level + tried[key] - best.evidence if key in tried else value
+                    for key, value in zip(keys, found.log_posterior, strict=True)
+                ]
+            )
+            order = np.argsort(-values, kind="stable")
+            return replace(found, models=found.models[order], log_posterior=values[order])
+
+        return spike_slab_bma(self.task.gram(best.quadratic), self.task.known, revise=revised)
+
+    def gram(self, c: int) -> Gram:
+        """The regression that the likelihood makes of equation c, its constant estimated if it is probably not zero.
+
+        The coefficients that the posterior includes in the other equations are integrated out. Rows count so that the
+        constant is known as well as the mean of as many independent ones.
+        """
+        q, own = self.fitted.quadratic, np.arange(self.block(c).start, self.block(c).stop)
+        others = self.posterior.support.copy()
+        others[own] = False
+        A, b = _marginal(q, own, np.flatnonzero(others), self.task.precision)
+        terms, targets = A[:-1, :-1], b[:-1]
+        mean, target_mean = np.zeros(len(targets)), 0.0
+        if self.posterior.support[own[-1]]:
+            mean, target_mean = A[-1, :-1] / A[-1, -1], float(b[-1] / A[-1, -1])
+            terms, targets = terms - np.outer(A[:-1, -1], mean), targets - A[:-1, -1] * target_mean
+        n = round(self.task.rows / len(self.task.layout.channels))
+        variance = float(n / A[-1, -1])
+        names = tuple(term.text for term in self.task.layout.terms)
+        yty = max(float(targets @ _solved(terms, targets[:, None])[:, 0]), 0.0) + n
+        return Gram(names, n, mean, target_mean, terms * variance, targets * variance, yty * variance, n - 1.0)
+
+    def left_out_intercept(self, c: int) -> tuple[float, float] | None:
+        """What the constant of equation c would be, with its standard deviation; None if it is in the model."""
+        block, q, precision = self.block(c), self.fitted.quadratic, self.task.precision
+        if self.posterior.support[block.stop - 1]:
+            return None
+        inside = np.flatnonzero(self.posterior.support)
+        A, b = _marginal(q, np.array([block.stop - 1]), inside, precision)
+        return float(b[0] / A[0, 0]), float(1.0 / np.sqrt(A[0, 0]))
+
+    def standard(self, c: int) -> Standardised:
+        """The same in units of the coefficients' priors and of the noise."""
+        source = self.gram(c)
+        unit = self._noise(source)
+        scale = unit * np.sqrt(self.task.precision[self.block(c)][:-1])
+        gram = replace(
+            source,
+            mean=np.zeros_like(source.mean),
+            target_mean=0.0,
+            DtD=source.DtD / scale[:, None] / scale,
+            Dty=source.Dty / scale / unit,
+            yty=source.yty / unit**2,
+        )
+        return Standardised(gram, source, scale, unit)
+
+    def _noise(self, source: Gram) -> float:
+        explained = float(source.Dty @ _solved(source.DtD, source.Dty[:, None])[:, 0])
+        return float(np.sqrt((source.yty - explained) / source.n))
+
+
+def _marginal(q: Quadratic, own: NDArray[np.intp], rest: NDArray[np.intp], precision: Floats) -> tuple[Floats, Floats]:
+    """Information on some coefficients and its slope, others integrated out."""
+    A, b = q.information[np.ix_(own, own)], q.slope[own]
+    if not len(rest):
+        return A, b
+    across = q.information[np.ix_(own, rest)]
+    H = q.information[np.ix_(rest, rest)] + np.diag(precision[rest])
+    carried = _solved(H, np.column_stack([across.T, q.slope[rest]]))
+    return A - across @ carried[:, :-1], b - across @ carried[:, -1]
+
+
+def _solved(A: Floats, B: Floats) -> Floats:
+    """A^-1 B of a positive matrix that may be singular."""
+    unit = 1.0 / np.sqrt(np.diagonal(A))
+    return np.asarray(unit[:, None] * np.linalg.lstsq(A * unit[:, None] * unit, B * unit[:, None], rcond=1e-13)[0])
+
+
+def suits(motion: Motion, terms: int) -> bool:
+    """Whether the likelihood of the records is used: every coordinate measured, not too many rows and candidates."""
+    rows = sum(piece.n for piece in motion.train)
+    return (
+        motion.timed
+        and bool(motion.smoothing)
+        and all(chain.lowest == 0 for chain in motion.roles.chains)
+        and rows <= MOST_ROWS
+        and (terms + 1) * len(motion.roles.chains) <= MOST_CANDIDATES
+    )
+
+
+def fit_record(motion: Motion, terms: Sequence[Expression], log_odds: Floats) -> RecordFit | None:
+    """Fit a dictionary to the training rows of some motion.
+
+    Parameters
+    ----------
+    motion : Motion
+        One that `suits`.
+    terms : sequence of Expression
+        The P candidates.
+    log_odds : (P + 1,) array
+        Of each candidate, and of the constant, not being zero.
+
+    Returns
+    -------
+    RecordFit or None
+        None where the likelihood cannot be evaluated: terms that are not finite beside the path, or motion that no
+        model found stays near.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            start = start_from(motion, terms)
+            odds = np.tile(log_odds, start.layout.chains)
+            task = Task(start.layout, start.series, start.precision, odds, substeps(motion))
+            return RecordFit(task, search(task, start.state))
+    except np.linalg.LinAlgError:
+        return None

@@ -1,0 +1,198 @@
+"""What a fit starts from: samples, scales, priors, noise levels of the inputs, and the smoothed motion as the path."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary import evaluate_terms
+from bayeq.expressions import Expression
+from bayeq.likelihood.fit import State, linearised, marginal, maximised
+from bayeq.likelihood.layout import Candidates, Layout
+from bayeq.likelihood.levels import Levels, Scales
+from bayeq.likelihood.linear import Series
+from bayeq.ode.rk4 import interpolant
+from bayeq.states import Motion, MotionRows, Roles
+
+__all__ = ["Start", "start_from"]
+
+Floats = NDArray[np.float64]
+
+# A coefficient that is not zero has a prior variance by which its term explains this many times the variance of the
+# target: terms may cancel each other. Of 1, 3, 5 and 10, those above 1 found Lorenz's equations most often.
+SLAB = 5.0
+
+# Noise of channels at first, as a share of their variance; that of inputs, where their spectrum does not tell it.
+FIRST_NOISE, INPUT_NOISE = 1e-3, 2.5e-3
+
+# Derivatives of an input that are states: a random sequence joined by straight lines, or a smooth force. Which of them
+# is told by this many of its samples.
+SMOOTHNESS = (0, 1, 2, 3)
+INPUT_ROWS = 2000
+
+# Memory of discrepancies and of slopes at first.
+LEAST_MEMORY, MOST_MEMORY = 0.05, 0.99
+SLOPE_MEMORY = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What is to be explained, and where a fit starts."""
+
+    layout: Layout
+    series: tuple[Series, ...]
+    state: State
+    precision: Floats
+
+
+@dataclass(frozen=True)
+class _Input:
+    """An input by itself: how many derivatives are states, and the levels that its samples tell."""
+
+    smoothness: int
+    mean: float
+    noise: float
+    slope: float
+    memory: float
+    paths: tuple[Floats, ...]
+
+
+def start_from(motion: Motion, terms: Sequence[Expression]) -> Start:
+    """The fit of a dictionary to the training rows of some motion, before any coefficient.
+
+    Parameters
+    ----------
+    motion : Motion
+        With time; every coordinate measured.
+    terms : sequence of Expression
+        The candidates.
+    """
+    roles, pieces = motion.roles, motion.train
+    inputs = [_input(name, pieces) for name in roles.inputs]
+    smoothness = tuple(one.smoothness for one in inputs)
+    centres = tuple(one.mean for one in inputs)
+    layout = Layout(roles, tuple(terms), motion.unit_gains, roles.inputs, smoothness, centres)
+    series = tuple(_series(layout, rows) for rows in pieces)
+    paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
+    targets = _targets(roles, pieces)
+    scales = _scales(layout, paths, targets.var(axis=0), np.concatenate([one.samples for one in series]))
+    noise = FIRST_NOISE * scales.channels
+    noise[len(noise) - len(inputs) :] = [one.noise for one in inputs]
+    lag1 = [np.corrcoef(column[:-1], column[1:])[0, 1] for column in targets.T]
+    levels = Levels(
+        layout,
+        scales,
+        noise,
+        scales.variance[layout.discrepancy],
+        np.clip(lag1, LEAST_MEMORY, MOST_MEMORY),
+        np.array([one.slope for one in inputs]),
+        np.array([one.memory for one in inputs]),
+    )
+    none = np.zeros(0, dtype=np.int64)
+    return Start(layout, series, State(Candidates(none, none), np.zeros(0), paths, levels), _precision(motion, layout))
+
+
+def _series(layout: Layout, rows: MotionRows) -> Series:
+    assert rows.time is not None
+    samples = np.empty((rows.n, len(layout.channels)))
+    for i, (name, _) in enumerate(layout.channels):
+        samples[:, i] = rows.samples[name] if name in rows.samples else np.where(rows.known, rows.columns[name], np.nan)
+    exact = np.column_stack([rows.columns[name] for name in layout.exact]) if layout.exact else np.zeros((rows.n, 0))
+    return Series(np.diff(rows.time), samples, interpolant(rows.time, exact, "cubic"))
+
+
+def _path(layout: Layout, rows: MotionRows, inputs: Sequence[Floats]) -> Floats:
+    path = np.zeros((rows.n, layout.size))
+    for i, name in enumerate(layout.roles.states):
+        path[:, i] = rows.columns[name]
+    for first, values in zip(layout.driven, inputs, strict=True):
+        path[:, first : first + values.shape[1]] = values
+    return path
+
+
+def _scales(layout: Layout, paths: Sequence[Floats], targets: Floats, samples: Floats) -> Scales:
+    whole = np.concatenate(paths)
+    mean, variance = whole.mean(axis=0), whole.var(axis=0)
+    mean[layout.motion :] = 0.0
+    mean[layout.driven] = whole[:, layout.driven].mean(axis=0)
+    variance[layout.discrepancy] = targets
+    return Scales(mean, np.maximum(variance, 1e-300), np.nanvar(samples, axis=0))
+
+
+def _precision(motion: Motion, layout: Layout) -> Floats:
+    """1/variance of every coefficient's prior, (C (P + 1),)."""
+    columns = np.concatenate([evaluate_terms(layout.terms, rows.columns) for rows in motion.train])
+    spread = np.append(columns.var(axis=0), 1.0)
+    return np.asarray(spread / (SLAB * _targets(layout.roles, motion.train).var(axis=0)[:, None])).ravel()
+
+
+def _targets(roles: Roles, pieces: Sequence[MotionRows]) -> Floats:
+    """Highest derivatives, as measured where they are: a smoother may take what a force does for noise."""
+    return np.concatenate([np.column_stack([rows.observed[t] for t in roles.targets]) for rows in pieces])
+
+
+def _input(name: str, pieces: Sequence[MotionRows]) -> _Input:
+    """The smoothness of an input that makes its own samples likeliest, and its path."""
+    found = [_alone(name, pieces, smoothness) for smoothness in SMOOTHNESS]
+    return max(found, key=lambda one: one[0])[1]
+
+
+def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[float, _Input]:
+    """Levels of an input by the likelihood of its own samples, and its path; nothing else is in the model."""
+    values = np.concatenate([rows.columns[name] for rows in pieces])
+    layout = Layout(Roles((), (name,)), (), (), (name,), (smoothness,), (float(values.mean()),))
+    intervals = [np.diff(rows.time) for rows in pieces if rows.time is not None]
+    step = float(np.median(np.concatenate(intervals)))
+    variance = float(values.var()) or 1.0
+    sizes = [variance]
+    for k in range(smoothness):
+        sizes.append(sizes[-1] / step**2 * (2.0 if k else float(np.mean(np.diff(values) ** 2)) / variance))
+    if not smoothness:
+        sizes.append(variance / step**2)
+    scales = Scales(np.array([float(values.mean()), *[0.0] * (len(sizes) - 1)]), np.array(sizes), np.array([variance]))
+    none = np.zeros(0)
+    memory = np.array([SLOPE_MEMORY if smoothness else 1.0])
+    levels = Levels(layout, scales, np.array([INPUT_NOISE * variance]), none, none, np.array([0.1 * sizes[-1]]), memory)
+    series = [_series(layout, rows) for rows in pieces]
+    nothing = Candidates(none.astype(np.int64), none.astype(np.int64))
+    zero = tuple(np.zeros((len(one.samples), layout.size)) for one in series)
+    state = State(nothing, none, zero, levels)
+    short = [_stretch(one, INPUT_ROWS) for one in series]
+    few = replace(state, paths=tuple(path[: len(one.samples)] for path, one in zip(zero, short, strict=True)))
+    linears = linearised(layout, short, few)
+    # of a random sequence noise cannot be told
+    held = np.array([not smoothness, False, not smoothness])
+    levels = maximised(linears, few, none, held)
+    value = marginal(linears, replace(few, levels=levels), levels, none).value
+    return value, _smoothed(layout, series, replace(state, levels=levels), smoothness)
+
+
+def _smoothed(layout: Layout, series: Sequence[Series], state: State, smoothness: int) -> _Input:
+    from bayeq.likelihood.fit import adjoints
+
+    linears, levels = linearised(layout, series, state), state.levels
+    found = marginal(linears, state, levels, np.zeros(0))
+    paths = tuple(one.deviation for one in adjoints(linears, state, levels, found, found.delta))
+    mean, noise = layout.centres[0], float(levels.channels[0])
+    return _Input(smoothness, mean, noise, float(levels.slope[0]), float(levels.slope_memory[0]), paths)
+
+
+def _stretch(series: Series, rows: int) -> Series:
+    """The first rows of a record."""
+    return Series(series.intervals[: rows - 1], series.samples[:rows], series.inputs[:rows])
+
+
+def substeps(motion: Motion) -> int:
+    """Runge-Kutta steps between two samples: two where there are fewer than ten samples in a period."""
+    most = 0.0
+    for chain in motion.roles.chains:
+        for below, above in zip(chain.names[:-1], chain.names[1:], strict=True):
+            for rows in motion.train:
+                assert rows.time is not None
+                rate = float(rows.columns[above].std() / max(rows.columns[below].std(), 1e-300))
+                most = max(most, rate * float(np.median(np.diff(rows.time))))
+    return max(1, math.ceil(most / (0.2 * math.pi)))

@@ -1,0 +1,165 @@
+"""Fits of all equations at once, from the joint posterior that the likelihood of the records gives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary.polynomial import degree
+from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.engines import ENGINES
+from bayeq.inference.posterior import ModelAverage, Posterior
+from bayeq.inference.prior import Prior
+from bayeq.inference.vb import spike_slab_vb
+from bayeq.likelihood.record_fit import RecordFit, fit_record, suits
+from bayeq.regression.constraints import Constraints
+from bayeq.regression.design import Design
+from bayeq.regression.fit import RegressionFit, fit_regression
+from bayeq.regression.regression import Regression
+
+__all__ = ["fit_equations", "fit_jointly", "record_of"]
+
+Floats = NDArray[np.float64]
+
+# The ascent of variational Bayes, which gives the evidence lower bound, starts from this many of the best models.
+VB_STARTS = 3
+
+
+# Methods that average over the models of all equations together.
+JOINT = ("auto", "bma")
+
+
+# Polynomials: log odds of a term of degree d are FIRST - PER_DEGREE d, of the constant FIRST: of the many terms of high
+# degree about as many are expected as of the few of low degree.
+FIRST, PER_DEGREE = 1.0, 2.0
+
+# Log odds of the constant otherwise: those of a term, p_0 = 0.1.
+CONSTANT = math.log(0.1 / 0.9)
+
+
+def record_of(
+    design: Design, smooth: str, dictionary: str | Sequence[str], prior: Prior | None = None
+) -> RecordFit | None:
+    """The likelihood of the records of a design; None where it is not used."""
+    if smooth != "auto" or not suits(design.motion, len(design.terms)):
+        return None
+    return fit_record(design.motion, design.terms, _log_odds(design, dictionary, prior))
+
+
+def _log_odds(design: Design, dictionary: str | Sequence[str], prior: Prior | None) -> Floats:
+    """Of every candidate, and of the constant, not being zero."""
+    terms, inputs = design.terms, design.motion.roles.inputs
+    if prior is None and isinstance(dictionary, str) and dictionary.partition(":")[0] == "polynomial":
+        degrees = [1 if term.text in inputs else degree(term) for term in terms]
+        return FIRST - PER_DEGREE * np.array([*degrees, 0])
+    return np.append((prior or Prior()).log_odds(len(terms)), CONSTANT)
+
+
+def fit_equations(
+    regressions: Sequence[Regression],
+    constraints: Sequence[Constraints],
+    method: str,
+    prior: Prior | None = None,
+    coarsen: float = 1.0,
+    seed: int | tuple[int, ...] = 0,
+) -> list[RegressionFit]:
+    """The posterior of every equation: of all together where the method and what is known allow it.
+
+    Parameters
+    ----------
+    regressions, constraints : sequences
+        One per equation.
+    method : str
+        A row of `bayeq.inference.engines.ENGINES`.
+    prior, coarsen, seed
+        As for `bayeq.regression.fit.fit_regression`.
+    """
+    record = regressions[0].record
+    free = prior is None and coarsen == 1.0 and not any(one.binding for one in constraints)
+    if record is not None and method in JOINT and free:
+        return fit_jointly(regressions, record, constraints, method)
+    engine, first = ENGINES[method], (seed,) if isinstance(seed, int) else seed
+    used = [one.thinned() if engine.spike_slab else one for one in regressions]
+    return [
+        fit_regression(one, own, engine, prior, coarsen, seed=(*first, one.k))
+        for one, own in zip(used, constraints, strict=True)
+    ]
+
+
+def fit_jointly(
+    regressions: Sequence[Regression], record: RecordFit, constraints: Sequence[Constraints], method: str
+) -> list[RegressionFit]:
+    """The posterior of every equation.
+
+    Parameters
+    ----------
+    regressions : sequence of Regression
+        One per equation, from `record`.
+    record : RecordFit
+        The likelihood of the records.
+    constraints : sequence of Constraints
+        None of which binds: one per equation.
+    method : "auto" or "bma"
+        Whether variational Bayes adds an evidence lower bound.
+    """
+    return [
+        _equation(regression, record, own, method) for regression, own in zip(regressions, constraints, strict=True)
+    ]
+
+
+def _equation(regression: Regression, record: RecordFit, constraints: Constraints, method: str) -> RegressionFit:
+    k, joint = regression.k, record.posterior
+    block = np.arange(record.block(k).start, record.block(k).stop)
+    terms = block[:-1]
+    standard = record.standard(k)
+    prior = Prior(slab_variance=1.0, prior_inclusion=np.asarray(record.task.known.prior_inclusion)[terms])
+    support = joint.support[terms]
+    coef, covariance = exact_posterior(Problem.of(standard.gram, prior), support, None)
+    assert joint.average is not None
+    assert joint.averaged_coef is not None
+    assert joint.averaged_sd is not None
+    average = _marginal(joint.average, terms)
+    posterior = Posterior(
+        method=method,
+        names=standard.source.names,
+        pip=joint.pip[terms],
+        support=support,
+        coef=coef,
+        covariance=covariance,
+        center=np.zeros(len(terms)),
+        target_mean=0.0,
+        noise_variance=1.0,
+        n=standard.source.n,
+        n_iter=joint.n_iter,
+        converged=joint.converged,
+        slab_variance=1.0,
+        averaged_coef=joint.averaged_coef[terms],
+        averaged_sd=joint.averaged_sd[terms],
+        average=average,
+        intercept_pip=float(joint.pip[block[-1]]),
+        left_out_intercept=record.left_out_intercept(k),
+    )
+    if method == "auto":
+        vb = spike_slab_vb(standard.gram, prior, models=list(average.models[:VB_STARTS]))
+        posterior = replace(posterior, elbo=vb.elbo, elbo_trace=vb.elbo_trace)
+    return RegressionFit(regression, constraints, standard, prior, posterior)
+
+
+def _marginal(joint: ModelAverage, terms: np.ndarray[tuple[int], np.dtype[np.intp]]) -> ModelAverage:
+    """The models of one equation, whatever those of the others."""
+    models, which = np.unique(joint.models[:, terms], axis=0, return_inverse=True)
+    probability: Floats = np.bincount(which.ravel(), weights=joint.probability).astype(np.float64)
+    order = np.argsort(-probability, kind="stable")
+    inside = np.flatnonzero(np.isin(joint.terms, terms))
+    return ModelAverage(
+        models=models[order],
+        probability=probability[order],
+        left_out=joint.left_out,
+        terms=np.asarray(joint.terms[inside] - terms[0], dtype=np.intp),
+        covariance=joint.covariance[np.ix_(inside, inside)],
+    )

@@ -1,0 +1,16 @@
+"""The environment of a command that coverage does not watch.
+
+Coverage writes a file when the command ends, and complains where the disk is full; an interrupt that comes while it
+holds its lock makes it wait for that lock without end.
+"""
+
+from __future__ import annotations
+
+import os
+
+__all__ = ["uncovered"]
+
+
+def uncovered() -> dict[str, str]:
+    """What `os.environ` holds, without what starts coverage in a child process."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_PROCESS_")}
