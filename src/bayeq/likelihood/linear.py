@@ -81,14 +81,15 @@ def _steps(
     path: Floats,
     end: Floats,
     transition: Floats,
-    rate: Floats,
+    slowing: Floats,
     target: Floats,
     gradient: Floats,
 ) -> None:
     """Runge-Kutta steps from every state of a path, with their derivatives by it.
 
-    Receives `end`, `transition` (as in `Linear`), the rates (n, S) and targets (n, C) at the path and the targets'
-    `gradient`.
+    Receives `end`, `transition` (as in `Linear`), how much less the rates are at the end of a step than at its start
+    (n - 1, S), the targets (n, C) at the path and their `gradient`. At the next sample rates may be others again, for
+    discrepancies and slopes change there.
     """
     n, size = path.shape
     tangents = np.zeros((program.registers.shape[0], size))
@@ -99,19 +100,22 @@ def _steps(
             for j in range(size):
                 work[0, size + i * size + j] = 1.0 if i == j else 0.0
         slope_at(program, inputs, work[0], row, 0.0, tangents, work[1])
-        for i in range(size):
-            rate[row, i] = work[1, i]
         for c in range(target.shape[1]):
             output = program.outputs[size + c]
             target[row, c] = program.registers[output]
             for j in range(size):
                 gradient[row, c, j] = tangents[output, j]
         if row < n - 1:
+            for i in range(size):
+                slowing[row, i] = work[1, i]
             advance(program, inputs, row, intervals[row], substeps, tangents, work)
             for i in range(size):
                 end[row, i] = work[0, i]
                 for j in range(size):
                     transition[row, i, j] = work[0, size + i * size + j]
+            slope_at(program, inputs, work[0, :size], row, 1.0, None, work[1])
+            for i in range(size):
+                slowing[row, i] -= work[1, i]
 
 
 def linearise(
@@ -133,20 +137,20 @@ def linearise(
         Runge-Kutta steps between two samples.
     """
     n, size, chains = len(path), layout.size, layout.chains
-    end, transition, rate, target, gradient = arrays(
-        (n - 1, size), (n - 1, size, size), (n, size), (n, chains), (n, chains, size)
+    end, transition, slowing, target, gradient = arrays(
+        (n - 1, size), (n - 1, size, size), (n - 1, size), (n, chains), (n, chains, size)
     )
     program = layout.tape(chosen).program()
     first = size + series.inputs.shape[1]
     program.registers[first : first + len(theta)] = theta
-    _steps(program, series.inputs, series.intervals, substeps, path, end, transition, rate, target, gradient)
+    _steps(program, series.inputs, series.intervals, substeps, path, end, transition, slowing, target, gradient)
+    between = 0.5 * (path[:-1] + end) + 0.125 * series.intervals[:, None] * slowing
 
     _to_mean(layout, series.intervals, end, transition)
     seen = path[:, np.maximum(layout.kinds, 0)]
     for channel in np.flatnonzero(layout.kinds < 0):
         seen[:, channel] = target[:, -1 - layout.kinds[channel]]
     exact = series.inputs
-    between = 0.5 * (path[:-1] + end) + 0.125 * series.intervals[:, None] * (rate[:-1] - rate[1:])
     halfway = 0.5 * (exact[:, :, 0] + exact[:, :, 1]) + 0.25 * (exact[:, :, 2] + 0.5 * exact[:, :, 3])
     return Linear(
         path=path,
