@@ -89,6 +89,8 @@ def marginal(linears: Sequence[Linear], state: State, levels: Levels, precision:
     q = quadratic(filtered)
     if not len(state.theta):
         return Statistics(q.level, np.zeros(0), np.zeros((0, 0)), filtered)
+    if not (np.isfinite(q.level) and np.isfinite(q.information).all()):
+        raise np.linalg.LinAlgError("the likelihood is not finite")
     scale = 1.0 / np.sqrt(np.diagonal(q.information) + precision)
     H = (q.information + np.diag(precision)) * scale[:, None] * scale
     root = np.linalg.cholesky(H)
@@ -132,7 +134,10 @@ def maximised(
 
     def negative(moved: Floats) -> tuple[float, Floats]:
         trial = levels.moved(moved * unit)
-        found = marginal(linears, state, trial, precision)
+        try:
+            found = marginal(linears, state, trial, precision)
+        except np.linalg.LinAlgError:
+            return np.inf, np.zeros(len(moved))
         slope = sum(trial.slopes(one) for one in adjoints(linears, state, trial, found, found.delta))
         return -found.value, -np.asarray(slope) * unit
 

@@ -16,7 +16,7 @@ from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.fit import Quadratic
 from bayeq.likelihood.search import Fitted, Task, search
-from bayeq.likelihood.start import start_from, substeps
+from bayeq.likelihood.start import start_from
 from bayeq.states import Motion
 
 __all__ = ["RecordFit", "fit_record", "suits"]
@@ -162,7 +162,9 @@ def suits(motion: Motion, terms: int) -> bool:
     )
 
 
-def fit_record(motion: Motion, terms: Sequence[Expression], log_odds: Floats) -> RecordFit | None:
+def fit_record(
+    motion: Motion, terms: Sequence[Expression], log_odds: Floats, grams: Sequence[Gram]
+) -> RecordFit | None:
     """Fit a dictionary to the training rows of some motion.
 
     Parameters
@@ -173,6 +175,8 @@ def fit_record(motion: Motion, terms: Sequence[Expression], log_odds: Floats) ->
         The P candidates.
     log_odds : (P + 1,) array
         Of each candidate, and of the constant, not being zero.
+    grams : sequence of Gram
+        Of the smoothed rows, one per equation.
 
     Returns
     -------
@@ -182,9 +186,8 @@ def fit_record(motion: Motion, terms: Sequence[Expression], log_odds: Floats) ->
     """
     try:
         with np.errstate(all="ignore"):
-            start = start_from(motion, terms)
+            start = start_from(motion, terms, grams)
             odds = np.tile(log_odds, start.layout.chains)
-            task = Task(start.layout, start.series, start.precision, odds, substeps(motion))
-            return RecordFit(task, search(task, start.state))
+            return RecordFit(*search(Task(start.layout, start.series, start.precision, odds), start.states))
     except np.linalg.LinAlgError:
         return None

@@ -5,7 +5,7 @@ What the Gram of one linearisation prefers is then compared with its neighbours,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -35,19 +35,25 @@ STEPS = 2
 SETTLED = 0.05
 MOST_STEPS = 6
 
-# Neighbours within this many nats on the Gram are fitted, at most so many from each model, and so many times the best
-# moves.
+# Neighbours within WINDOW nats on the Gram are fitted, at most NEIGHBOURS of them from each model; at most MOVES moves.
 WINDOW = 6.0
 NEIGHBOURS = 8
 MOVES = 5
 
-# A deviation from the path that grows more than this in one sample, at any of so many samples, is no motion that
-# was measured.
+# A deviation from the path that grows by more than this factor in a sample, tried at CHECKED of them, or a step that
+# ends further from the path in standard deviations of a state: no motion that was measured.
 GROWTH = 3.0
 CHECKED = 500
 
-# Noise of known variance is noise that this many times the record's samples have told of.
+# Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
+
+# A discrepancy below this share of its target leaves nothing for another start to explain.
+ADEQUATE = 0.05
+
+# Steps between samples are halved, up to this number, until this share of them errs by less than STEP_ERROR of the
+# standard deviation of each state.
+MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,8 +207,9 @@ def steady(task: Task, state: State) -> bool:
     return True
 
 
-def search(task: Task, state: State, log: Callable[..., None] = lambda *a: None) -> Fitted:
-    """The best model that rounds of selection, then single moves, lead to."""
+def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fitted]:
+    """Rounds of selection and fit from one start, until the model stays; the task with steps as fine as they need."""
+    task = finer(task, state)
     best, seen = fit(task, state, STEPS), set()
     log("start", best)
     for _ in range(ROUNDS):
@@ -211,15 +218,59 @@ def search(task: Task, state: State, log: Callable[..., None] = lambda *a: None)
         if model.tobytes() in seen:
             break
         seen.add(model.tobytes())
+        task = finer(task, state)
         best = fit(task, state, STEPS)
         log("round", best)
     best = fit(task, best.state)
     log("fit", best)
+    return task, best
+
+
+def finer(task: Task, state: State) -> Task:
+    """The task with as many Runge-Kutta steps between samples as its motion needs."""
+    spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
+    while task.substeps < MOST_SUBSTEPS:
+        twice = replace(task, substeps=2 * task.substeps)
+        pairs = zip(task.linearised(state), twice.linearised(state), strict=True)
+        missed = np.concatenate([np.abs(a.end - b.end)[:, : task.layout.motion] for a, b in pairs]) / spread
+        if np.quantile(np.where(np.isfinite(missed), missed, np.inf), SMOOTH_STEPS) <= STEP_ERROR:
+            break
+        task = twice
+    return task
+
+
+def search(task: Task, starts: Sequence[State], log: Callable[..., None] = lambda *a: None) -> tuple[Task, Fitted]:
+    """The best model that rounds of selection, then single moves, lead to.
+
+    Parameters
+    ----------
+    task : Task
+        What is to be explained.
+    starts : sequence of State
+        Where rounds start: from the next one too where those before left a discrepancy.
+    log : callable, optional
+        Called with a word and every fit, as a trace.
+
+    Returns
+    -------
+    (Task, Fitted)
+        The task with the steps of integration that were used.
+    """
+    settled: list[tuple[Task, Fitted]] = []
+    for state in starts:
+        try:
+            settled.append(settle(task, state, log))
+        except np.linalg.LinAlgError:
+            continue
+        if settled[-1][1].state.levels.kappa.max() < ADEQUATE:
+            break
+    if not settled:
+        raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
+    task, best = max(settled, key=lambda pair: pair[1].evidence)
     tried = {best.model.tobytes(): best.evidence}
     for _ in range(MOVES):
-        moves = neighbours(task.problem(best.quadratic), best.model, WINDOW)[:NEIGHBOURS]
         better = best
-        for move in moves:
+        for move in neighbours(task.problem(best.quadratic), best.model, WINDOW)[:NEIGHBOURS]:
             model = move.apply(best.model)
             if model.tobytes() in tried:
                 continue
@@ -232,4 +283,4 @@ def search(task: Task, state: State, log: Callable[..., None] = lambda *a: None)
             break
         best = better
         log("move", best)
-    return replace(best, tried=tried)
+    return task, replace(best, tried=tried)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -11,6 +10,12 @@ from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
+from bayeq.gram import Gram
+from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.search import best_models
+from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
+from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, linearised, marginal, maximised
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.levels import Levels, Scales
@@ -41,11 +46,21 @@ SLOPE_MEMORY = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """What is to be explained, and where a fit starts."""
+    """What is to be explained, and where fits start.
+
+    Attributes
+    ----------
+    layout, series
+        States and samples.
+    states : tuple of State
+        The regression of the smoothed rows, and the motion without any term.
+    precision : (C (P + 1),) array
+        1/variance of each coefficient's prior.
+    """
 
     layout: Layout
     series: tuple[Series, ...]
-    state: State
+    states: tuple[State, ...]
     precision: Floats
 
 
@@ -61,7 +76,7 @@ class _Input:
     paths: tuple[Floats, ...]
 
 
-def start_from(motion: Motion, terms: Sequence[Expression]) -> Start:
+def start_from(motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram]) -> Start:
     """The fit of a dictionary to the training rows of some motion, before any coefficient.
 
     Parameters
@@ -70,6 +85,8 @@ def start_from(motion: Motion, terms: Sequence[Expression]) -> Start:
         With time; every coordinate measured.
     terms : sequence of Expression
         The candidates.
+    grams : sequence of Gram
+        Of the smoothed rows, one per equation.
     """
     roles, pieces = motion.roles, motion.train
     inputs = [_input(name, pieces) for name in roles.inputs]
@@ -93,7 +110,28 @@ def start_from(motion: Motion, terms: Sequence[Expression]) -> Start:
         np.array([one.memory for one in inputs]),
     )
     none = np.zeros(0, dtype=np.int64)
-    return Start(layout, series, State(Candidates(none, none), np.zeros(0), paths, levels), _precision(motion, layout))
+    empty = State(Candidates(none, none), np.zeros(0), paths, levels)
+    return Start(layout, series, (_by_rows(empty, grams), empty), _precision(motion, layout))
+
+
+def _by_rows(empty: State, grams: Sequence[Gram]) -> State:
+    """The likeliest model of each equation as a regression of the smoothed rows."""
+    chains, terms, theta, left = [], [], [], []
+    for c, gram in enumerate(grams):
+        standard = gram.standardise(residual_scale(gram))
+        prior = Prior(slab_variance=learn_slab_variance(standard.gram, Prior()))
+        problem = Problem.of(standard.gram, prior)
+        model = best_models(problem)[0][1]
+        coef = exact_posterior(problem, model, None)[0] / standard.scale * standard.target_scale
+        index = np.flatnonzero(model)
+        chains += [c] * len(index)
+        terms += index.tolist()
+        theta += coef[model].tolist()
+        left.append(min(gram.squared_error(coef) / gram.yty, 1.0))
+    chosen = Candidates(np.array(chains, dtype=np.int64), np.array(terms, dtype=np.int64))
+    levels = empty.levels
+    size = levels.discrepancy * np.clip(left, 1e-4, 1.0)
+    return replace(empty, chosen=chosen, theta=np.array(theta), levels=replace(levels, discrepancy=size))
 
 
 def _series(layout: Layout, rows: MotionRows) -> Series:
@@ -184,15 +222,3 @@ def _smoothed(layout: Layout, series: Sequence[Series], state: State, smoothness
 def _stretch(series: Series, rows: int) -> Series:
     """The first rows of a record."""
     return Series(series.intervals[: rows - 1], series.samples[:rows], series.inputs[:rows])
-
-
-def substeps(motion: Motion) -> int:
-    """Runge-Kutta steps between two samples: two where there are fewer than ten samples in a period."""
-    most = 0.0
-    for chain in motion.roles.chains:
-        for below, above in zip(chain.names[:-1], chain.names[1:], strict=True):
-            for rows in motion.train:
-                assert rows.time is not None
-                rate = float(rows.columns[above].std() / max(rows.columns[below].std(), 1e-300))
-                most = max(most, rate * float(np.median(np.diff(rows.time))))
-    return max(1, math.ceil(most / (0.2 * math.pi)))

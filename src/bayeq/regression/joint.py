@@ -48,7 +48,7 @@ def record_of(
     """The likelihood of the records of a design; None where it is not used."""
     if smooth != "auto" or not suits(design.motion, len(design.terms)):
         return None
-    return fit_record(design.motion, design.terms, _log_odds(design, dictionary, prior))
+    return fit_record(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train)
 
 
 def _log_odds(design: Design, dictionary: str | Sequence[str], prior: Prior | None) -> Floats:
