@@ -22,7 +22,7 @@ VAGUE = 10.0
 
 # Bounds: of noise and discrepancy as shares of the variance of channel and target, of what is left of a discrepancy
 # after a sample, and of a slope.
-LEAST_NOISE, MOST_NOISE = 1e-12, 1e2
+LEAST_NOISE, MOST_NOISE = 1e-10, 1e2
 LEAST_DISCREPANCY, MOST_DISCREPANCY = 1e-8, 1e2
 MEMORY = (0.02, 0.999)
 SLOPE_MEMORY = (-0.9, 1.0)

@@ -18,7 +18,8 @@ from bayeq.inference.collapsed.path import best_of_each_size
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.prior import Prior
-from bayeq.likelihood.fit import Quadratic, State, improved, information, linearised, marginal, maximised
+from bayeq.likelihood.filter import run_filter
+from bayeq.likelihood.fit import Quadratic, State, improved, information, linearised, marginal, maximised, quadratic
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear, Series
 
@@ -48,12 +49,15 @@ CHECKED = 500
 # Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
 
+# Inputs with less noise, as a share of their standard deviation, may as well be taken as measured.
+LEAST_INPUT_NOISE = 0.02
+
 # A discrepancy below this share of its target leaves nothing for another start to explain.
 ADEQUATE = 0.05
 
 # Steps between samples are halved, up to this number, until this share of them errs by less than STEP_ERROR of the
 # standard deviation of each state.
-MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-4
+MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +154,10 @@ class Fitted:
     tried: Mapping[bytes, float] = field(default_factory=dict)
 
 
+# Another treatment of the inputs, from a task and its fit.
+Alternative = Callable[[Task, Fitted], tuple[Task, State]]
+
+
 def fit(task: Task, state: State, steps: int = MOST_STEPS) -> Fitted:
     """Fit a model by Gauss-Newton steps, levels learned about each."""
     layout, series = task.layout, task.series
@@ -239,7 +247,51 @@ def finer(task: Task, state: State) -> Task:
     return task
 
 
-def search(task: Task, starts: Sequence[State], log: Callable[..., None] = lambda *a: None) -> tuple[Task, Fitted]:
+def of_motion(task: Task, fitted: Fitted) -> float:
+    """ln p(data, model) less what the samples of noisy inputs have in it: of the motion, given the inputs."""
+    layout, levels = task.layout, fitted.state.levels
+    if not layout.noisy:
+        return fitted.evidence
+    alone = 0.0
+    nothing = layout.everything.take(np.zeros(0, dtype=np.intp))
+    for linear in task.linearised(fitted.state):
+        residual = linear.residual.copy()
+        residual[:, : -len(layout.noisy)] = np.nan
+        found = run_filter(linear._replace(residual=residual), nothing, levels.noise)
+        alone += quadratic([found]).level
+    return fitted.evidence - alone
+
+
+def with_other_inputs(
+    task: Task, best: Fitted, others: Sequence[Alternative], log: Callable[..., None]
+) -> tuple[Task, Fitted]:
+    """The fit, or one with inputs as measured where the motion is then likelier.
+
+    Where inputs have the noise that the fit has found, no other is tried.
+    """
+    layout, levels = task.layout, best.state.levels
+    if not layout.noisy:
+        return task, best
+    share = levels.channels[-len(layout.noisy) :] / levels.scales.channels[-len(layout.noisy) :]
+    doubtful = share.min() < LEAST_INPUT_NOISE**2 or min(layout.smoothness) == 0 or levels.kappa.max() > ADEQUATE
+    if not doubtful:
+        return task, best
+    pairs = [(task, best)]
+    for other in others:
+        try:
+            found = settle(*other(task, best), log)
+        except np.linalg.LinAlgError:
+            continue
+        pairs.append(found)
+    return max(pairs, key=lambda pair: of_motion(*pair))
+
+
+def search(
+    task: Task,
+    starts: Sequence[State],
+    others: Sequence[Alternative] = (),
+    log: Callable[..., None] = lambda *a: None,
+) -> tuple[Task, Fitted]:
     """The best model that rounds of selection, then single moves, lead to.
 
     Parameters
@@ -248,6 +300,8 @@ def search(task: Task, starts: Sequence[State], log: Callable[..., None] = lambd
         What is to be explained.
     starts : sequence of State
         Where rounds start: from the next one too where those before left a discrepancy.
+    others : sequence of callables
+        Each makes of a task and its fit another treatment of the inputs, and a start for it.
     log : callable, optional
         Called with a word and every fit, as a trace.
 
@@ -267,6 +321,7 @@ def search(task: Task, starts: Sequence[State], log: Callable[..., None] = lambd
     if not settled:
         raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
     task, best = max(settled, key=lambda pair: pair[1].evidence)
+    task, best = with_other_inputs(task, best, others, log)
     tried = {best.model.tobytes(): best.evidence}
     for _ in range(MOVES):
         better = best
