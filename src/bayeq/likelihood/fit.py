@@ -131,6 +131,8 @@ def maximised(
     if held is not None:
         low, high = np.where(held, start, low), np.where(held, start, high)
     unit = 1.0 / np.sqrt(np.maximum(levels.curvature(linears), 1.0))
+    # what is compared does not depend on the units of the channels
+    base = marginal(linears, state, levels.moved(start), precision).value
 
     def negative(moved: Floats) -> tuple[float, Floats]:
         trial = levels.moved(moved * unit)
@@ -139,7 +141,7 @@ def maximised(
         except np.linalg.LinAlgError:
             return np.inf, np.zeros(len(moved))
         slope = sum(trial.slopes(one) for one in adjoints(linears, state, trial, found, found.delta))
-        return -found.value, -np.asarray(slope) * unit
+        return base - found.value, -np.asarray(slope) * unit
 
     found = minimise(
         negative,
