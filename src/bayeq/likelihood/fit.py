@@ -18,6 +18,9 @@ __all__ = ["Quadratic", "State", "Statistics", "improved", "information", "margi
 
 Floats = NDArray[np.float64]
 
+# Sizes of a discrepancy at which the likelihood is averaged: standard deviations a factor of about 3 apart.
+SIZES = 10
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -101,6 +104,27 @@ def marginal(linears: Sequence[Linear], state: State, levels: Levels, precision:
     value = q.level + 0.5 * float(pull @ delta) - 0.5 * float(state.theta @ (precision * state.theta))
     value += 0.5 * float(np.log(precision).sum()) - float(np.log(np.diagonal(root)).sum()) + float(np.log(scale).sum())
     return Statistics(value, delta, covariance, filtered)
+
+
+def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value: float) -> float:
+    """ln of the likelihood averaged over the sizes of discrepancies, less that of the likeliest ones.
+
+    The standard deviation of each discrepancy has a flat prior on a logarithmic scale between the bounds of `Levels`. A
+    model that needs no discrepancy is as likely at any small one, and one that needs it at its size only. The
+    discrepancies are integrated one by one, about the likeliest sizes.
+    """
+    levels = state.levels
+    least, most = levels.sizes
+    total = 0.0
+    for c in range(len(levels.discrepancy)):
+        grid = np.exp(np.linspace(np.log(least[c]), np.log(most[c]), SIZES))
+        logs = []
+        for size in grid:
+            sizes = levels.discrepancy.copy()
+            sizes[c] = size
+            logs.append(marginal(linears, state, replace(levels, discrepancy=sizes), precision).value - value)
+        total += float(np.logaddexp.reduce(np.array(logs))) - np.log(SIZES)
+    return total
 
 
 def adjoints(
