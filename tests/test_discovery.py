@@ -143,7 +143,7 @@ def test_prior_given_by_the_user():
 def test_warnings_in_plain_words():
     rec = bq.simulate("duffing", n=300, seed=1)
     with pytest.warns(TermWarning, match=r"terms left out: abs\(x\*x\) \(a copy of x\*\*2"):
-        bq.discover(rec, **OSCILLATOR, dictionary=["x", "v", "x**2", "abs(x*x)", "u"])
+        bq.discover(rec, **OSCILLATOR, dictionary=["x", "v", "x**2", "abs(x*x)", "x**3", "u"])
     messages = quietly(rec.slice(0, 30), **OSCILLATOR).warnings
     assert any("fewer rows than terms" in w for w in messages)
     assert any("none held out" in w for w in messages)
@@ -219,7 +219,8 @@ def test_air_track_oscillator():
     # (2 pi / period)^2 of x from its zero crossings is 6.222; the record's README: a rough fit gives -0.012 v
     rec = bq.read(measured("schmidt_lipson/real_linear_a_1.txt"))
     chain = {"displacement": "x", "velocity": "v", "acceleration": "a"}
-    eq = quietly(rec, **chain)
+    # by the likelihood of the record further small terms are certain: the tracking's error depends on the position
+    eq = quietly(rec, **chain, smooth="band")
     assert any("v, a: computed from x, not measured" in w for w in eq.warnings)
     assert eq[0].shown == ("x", "v")
     assert eq[0].shown_coef["x"] == pytest.approx(-6.222, rel=1e-3)

@@ -183,7 +183,8 @@ def _warn_of_undecided(equation: Equation, selection: Selection, log: WarningLog
 def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog) -> None:
     target, residuals, regression = equation.target, equation.residuals, selection.fit.regression
     if regression.record is not None:
-        _warn_of_discrepancy(target, regression, log)
+        if equation.verdict.kind != "none":
+            _warn_of_discrepancy(target, regression, log)
         return
     if residuals.correlated and residuals.excess is None:
         reduced = regression.band is None and regression.gram.n < equation.train.n
@@ -215,7 +216,7 @@ def _warn_of_discrepancy(target: str, regression: Regression, log: WarningLog) -
     share = float(regression.record.kappa[regression.k])
     if share > NEARLY_TRUE:
         log.warn(
-            f"{target}: what the dictionary does not hold has {100 * share:.2g} % of its standard deviation:"
+            f"{target}: what the dictionary does not hold has {100 * share:.3g} % of its standard deviation:"
             " the equation is only nearly true, or the channels do not fit each other. Included terms may compensate"
             " for what is missing",
             DataWarning,

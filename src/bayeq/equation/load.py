@@ -163,6 +163,9 @@ def _restore_equation(
         center=np.array(state["center"], dtype=np.float64).reshape(len(terms)),
         target_mean=float(state["target_mean"]),
         noise_variance=float(state["noise_variance"]),
+        target_mean_variance=None
+        if state.get("target_mean_variance") is None
+        else float(state["target_mean_variance"]),
         n=state["n"] if isinstance(state["n"], int) else float(state["n"]),
         elbo=None if saved["elbo"] is None else float(saved["elbo"]),
         elbo_trace=np.array(state["elbo_trace"], dtype=np.float64),

@@ -164,6 +164,7 @@ def to_saved(eq: Answer) -> dict[str, Any]:
                 "center": e.posterior.center.tolist(),
                 "target_mean": e.posterior.target_mean,
                 "noise_variance": e.posterior.noise_variance,
+                "target_mean_variance": e.posterior.target_mean_variance,
                 "n": e.posterior.n,
                 "n_iter": e.posterior.n_iter,
                 "elbo_trace": e.posterior.elbo_trace.tolist(),

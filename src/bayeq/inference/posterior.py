@@ -147,6 +147,8 @@ class Posterior:
         Terms at the optimum of variational Bayes, where the support is another engine's.
     contradicted : tuple of str
         Terms whose known signs the data contradict.
+    target_mean_variance : float or None
+        Variance of the mean of the target that the intercept follows from, where it is not sigma^2/n.
     intercept_pip : float or None
         Probability that the intercept is not zero, where it was judged like a term.
     left_out_intercept : (float, float) or None
@@ -175,6 +177,7 @@ class Posterior:
     average: ModelAverage | None = None
     optimum: NDArray[np.bool_] | None = None
     contradicted: tuple[str, ...] = ()
+    target_mean_variance: float | None = None
     intercept_pip: float | None = None
     left_out_intercept: tuple[float, float] | None = None
 
@@ -199,7 +202,8 @@ class Posterior:
         if self.left_out_intercept is not None:
             return 0.0
         c = self.center[self.support]
-        return float(np.sqrt(self.noise_variance / self.n + c @ self.covariance @ c))
+        mean = self.noise_variance / self.n if self.target_mean_variance is None else self.target_mean_variance
+        return float(np.sqrt(mean + c @ self.covariance @ c))
 
     def rescaled(self, standard: Standardised) -> Posterior:
         """The posterior of a standardised regression in original units: theta_i = s_y theta_i^s / s_i.

@@ -18,6 +18,9 @@ __all__ = ["Quadratic", "State", "Statistics", "improved", "information", "margi
 
 Floats = NDArray[np.float64]
 
+# Sizes of a discrepancy at which the likelihood is averaged: standard deviations a factor of about 3 apart.
+SIZES = 10
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -103,6 +106,27 @@ def marginal(linears: Sequence[Linear], state: State, levels: Levels, precision:
     return Statistics(value, delta, covariance, filtered)
 
 
+def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value: float) -> float:
+    """ln of the likelihood averaged over the sizes of discrepancies, less that of the likeliest ones.
+
+    The standard deviation of each discrepancy has a flat prior on a logarithmic scale between the bounds of `Levels`. A
+    model that needs no discrepancy is as likely at any small one, and one that needs it at its size only. The
+    discrepancies are integrated one by one, about the likeliest sizes.
+    """
+    levels = state.levels
+    least, most = levels.sizes
+    total = 0.0
+    for c in range(len(levels.discrepancy)):
+        grid = np.exp(np.linspace(np.log(least[c]), np.log(most[c]), SIZES))
+        logs = []
+        for size in grid:
+            sizes = levels.discrepancy.copy()
+            sizes[c] = size
+            logs.append(marginal(linears, state, replace(levels, discrepancy=sizes), precision).value - value)
+        total += float(np.logaddexp.reduce(np.array(logs))) - np.log(SIZES)
+    return total
+
+
 def adjoints(
     linears: Sequence[Linear], state: State, levels: Levels, found: Statistics, delta: Floats, curved: bool = False
 ) -> list[Adjoint]:
@@ -131,6 +155,8 @@ def maximised(
     if held is not None:
         low, high = np.where(held, start, low), np.where(held, start, high)
     unit = 1.0 / np.sqrt(np.maximum(levels.curvature(linears), 1.0))
+    # what is compared does not depend on the units of the channels
+    base = marginal(linears, state, levels.moved(start), precision).value
 
     def negative(moved: Floats) -> tuple[float, Floats]:
         trial = levels.moved(moved * unit)
@@ -139,7 +165,7 @@ def maximised(
         except np.linalg.LinAlgError:
             return np.inf, np.zeros(len(moved))
         slope = sum(trial.slopes(one) for one in adjoints(linears, state, trial, found, found.delta))
-        return -found.value, -np.asarray(slope) * unit
+        return base - found.value, -np.asarray(slope) * unit
 
     found = minimise(
         negative,

@@ -22,8 +22,9 @@ VAGUE = 10.0
 
 # Bounds: of noise and discrepancy as shares of the variance of channel and target, of what is left of a discrepancy
 # after a sample, and of a slope.
-LEAST_NOISE, MOST_NOISE = 1e-12, 1e2
+LEAST_NOISE, MOST_NOISE = 1e-10, 1e2
 LEAST_DISCREPANCY, MOST_DISCREPANCY = 1e-8, 1e2
+MOST_POSSIBLE = 1e1
 MEMORY = (0.02, 0.999)
 SLOPE_MEMORY = (-0.9, 1.0)
 
@@ -92,6 +93,12 @@ class Levels:
     def kappa(self) -> Floats:
         """Standard deviation of each discrepancy as a share of its target's, (C,)."""
         return np.sqrt(self.discrepancy / self.scales.variance[self.layout.discrepancy])
+
+    @property
+    def sizes(self) -> tuple[Floats, Floats]:
+        """Least and most variance of a discrepancy that is taken to be possible, (C,)."""
+        target = self.scales.variance[self.layout.discrepancy]
+        return LEAST_DISCREPANCY * target, MOST_POSSIBLE * target
 
     @property
     def free(self) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,8 @@ from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.fit import Quadratic
 from bayeq.likelihood.search import Fitted, Task, search
-from bayeq.likelihood.start import start_from
+from bayeq.likelihood.start import start_from, with_exact_inputs
+from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Motion
 
 __all__ = ["RecordFit", "fit_record", "suits"]
@@ -27,6 +28,9 @@ Bools = NDArray[np.bool_]
 # Beyond these numbers of rows and of candidates of all equations together, records are left to the band regression.
 MOST_ROWS = 100_000
 MOST_CANDIDATES = 1000
+
+# Ways in which inputs without noise may go on between samples.
+EXACT: tuple[Interpolation, ...] = ("cubic", "linear", "hold")
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,6 +192,7 @@ def fit_record(
         with np.errstate(all="ignore"):
             start = start_from(motion, terms, grams)
             odds = np.tile(log_odds, start.layout.chains)
-            return RecordFit(*search(Task(start.layout, start.series, start.precision, odds), start.states))
+            others = [partial(with_exact_inputs, motion, kind=kind) for kind in EXACT]
+            return RecordFit(*search(Task(start.layout, start.series, start.precision, odds), start.states, others))
     except np.linalg.LinAlgError:
         return None

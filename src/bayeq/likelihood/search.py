@@ -18,7 +18,18 @@ from bayeq.inference.collapsed.path import best_of_each_size
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.prior import Prior
-from bayeq.likelihood.fit import Quadratic, State, improved, information, linearised, marginal, maximised
+from bayeq.likelihood.filter import run_filter
+from bayeq.likelihood.fit import (
+    Quadratic,
+    State,
+    improved,
+    information,
+    linearised,
+    marginal,
+    maximised,
+    over_sizes,
+    quadratic,
+)
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear, Series
 
@@ -45,15 +56,24 @@ MOVES = 5
 GROWTH = 3.0
 CHECKED = 500
 
+# Models of up to this many coefficients are cut down size by size; all candidates are a start if they are not more.
+MOST_PATH, MOST_AT_ONCE = 60, 40
+
+# A neighbour is fitted from a discrepancy this many times smaller: with the right terms little of it is left.
+CALMED = 10.0
+
 # Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
+
+# Inputs with less noise, as a share of their standard deviation, may as well be taken as measured.
+LEAST_INPUT_NOISE = 0.02
 
 # A discrepancy below this share of its target leaves nothing for another start to explain.
 ADEQUATE = 0.05
 
 # Steps between samples are halved, up to this number, until this share of them errs by less than STEP_ERROR of the
 # standard deviation of each state.
-MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-4
+MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +170,10 @@ class Fitted:
     tried: Mapping[bytes, float] = field(default_factory=dict)
 
 
+# Another treatment of the inputs, from a task and its fit.
+Alternative = Callable[[Task, Fitted], tuple[Task, State]]
+
+
 def fit(task: Task, state: State, steps: int = MOST_STEPS) -> Fitted:
     """Fit a model by Gauss-Newton steps, levels learned about each."""
     layout, series = task.layout, task.series
@@ -164,6 +188,7 @@ def fit(task: Task, state: State, steps: int = MOST_STEPS) -> Fitted:
         before = found.value
     linears = task.linearised(state)
     value = marginal(linears, state, state.levels, precision).value
+    value += over_sizes(linears, state, precision, value)
     model = task.model(state.chosen)
     return Fitted(model, state, value + task.prior(model), information(layout, series, linears, state, curved))
 
@@ -173,6 +198,12 @@ def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
     coef, _ = exact_posterior(task.problem(fitted.quadratic), model, None)
     theta = coef[model] / np.sqrt(task.precision[model])
     return replace(fitted.state, chosen=task.layout.everything.take(np.flatnonzero(model)), theta=theta)
+
+
+def calmed(state: State) -> State:
+    """The state with smaller discrepancies."""
+    levels = state.levels
+    return replace(state, levels=replace(levels, discrepancy=levels.discrepancy / CALMED**2))
 
 
 def likeliest(task: Task, fitted: Fitted) -> State:
@@ -186,7 +217,8 @@ def likeliest(task: Task, fitted: Fitted) -> State:
     state = with_model(task, fitted, model)
     if steady(task, state):
         return state
-    smaller = best_of_each_size(problem, int(model.sum()) - 1, [model])
+    forced = int(np.isposinf(task.log_odds).sum())
+    smaller = best_of_each_size(problem, int(model.sum()) - 1, [model]) if forced < model.sum() <= MOST_PATH else []
     for other, _ in reversed(smaller):
         state = with_model(task, fitted, other)
         if steady(task, state):
@@ -210,20 +242,32 @@ def steady(task: Task, state: State) -> bool:
 def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fitted]:
     """Rounds of selection and fit from one start, until the model stays; the task with steps as fine as they need."""
     task = finer(task, state)
-    best, seen = fit(task, state, STEPS), set()
-    log("start", best)
+    best = now = fit(task, state, STEPS)
+    seen: set[bytes] = set()
+    log("start", now)
     for _ in range(ROUNDS):
-        state = likeliest(task, best)
+        state = likeliest(task, now)
         model = task.model(state.chosen)
         if model.tobytes() in seen:
             break
         seen.add(model.tobytes())
         task = finer(task, state)
-        best = fit(task, state, STEPS)
-        log("round", best)
+        now = fit(task, state, STEPS)
+        log("round", now)
+        if now.evidence > best.evidence:
+            best = now
     best = fit(task, best.state)
     log("fit", best)
     return task, best
+
+
+def all_together(task: Task, empty: State) -> State | None:
+    """A start with all candidates, for terms that explain something only together; None if they are many."""
+    if len(task.precision) > MOST_AT_ONCE:
+        return None
+    fitted = fit(task, empty, STEPS)
+    state = with_model(task, fitted, task.log_odds > -np.inf)
+    return fit(task, state).state if steady(task, state) else None
 
 
 def finer(task: Task, state: State) -> Task:
@@ -239,7 +283,51 @@ def finer(task: Task, state: State) -> Task:
     return task
 
 
-def search(task: Task, starts: Sequence[State], log: Callable[..., None] = lambda *a: None) -> tuple[Task, Fitted]:
+def of_motion(task: Task, fitted: Fitted) -> float:
+    """ln p(data, model) less what the samples of noisy inputs have in it: of the motion, given the inputs."""
+    layout, levels = task.layout, fitted.state.levels
+    if not layout.noisy:
+        return fitted.evidence
+    alone = 0.0
+    nothing = layout.everything.take(np.zeros(0, dtype=np.intp))
+    for linear in task.linearised(fitted.state):
+        residual = linear.residual.copy()
+        residual[:, : -len(layout.noisy)] = np.nan
+        found = run_filter(linear._replace(residual=residual), nothing, levels.noise)
+        alone += quadratic([found]).level
+    return fitted.evidence - alone
+
+
+def with_other_inputs(
+    task: Task, best: Fitted, others: Sequence[Alternative], log: Callable[..., None]
+) -> tuple[Task, Fitted]:
+    """The fit, or one with inputs as measured where the motion is then likelier.
+
+    Where inputs have the noise that the fit has found, no other is tried.
+    """
+    layout, levels = task.layout, best.state.levels
+    if not layout.noisy:
+        return task, best
+    share = levels.channels[-len(layout.noisy) :] / levels.scales.channels[-len(layout.noisy) :]
+    doubtful = share.min() < LEAST_INPUT_NOISE**2 or min(layout.smoothness) == 0 or levels.kappa.max() > ADEQUATE
+    if not doubtful:
+        return task, best
+    pairs = [(task, best)]
+    for other in others:
+        try:
+            found = settle(*other(task, best), log)
+        except np.linalg.LinAlgError:
+            continue
+        pairs.append(found)
+    return max(pairs, key=lambda pair: of_motion(*pair))
+
+
+def search(
+    task: Task,
+    starts: Sequence[State],
+    others: Sequence[Alternative] = (),
+    log: Callable[..., None] = lambda *a: None,
+) -> tuple[Task, Fitted]:
     """The best model that rounds of selection, then single moves, lead to.
 
     Parameters
@@ -247,7 +335,10 @@ def search(task: Task, starts: Sequence[State], log: Callable[..., None] = lambd
     task : Task
         What is to be explained.
     starts : sequence of State
-        Where rounds start: from the next one too where those before left a discrepancy.
+        Where rounds start: from the next one too where those before left a discrepancy. The last one has no terms;
+        the fit of all candidates from there is a further start if these are few.
+    others : sequence of callables
+        Each makes of a task and its fit another treatment of the inputs, and a start for it.
     log : callable, optional
         Called with a word and every fit, as a trace.
 
@@ -257,16 +348,19 @@ def search(task: Task, starts: Sequence[State], log: Callable[..., None] = lambd
         The task with the steps of integration that were used.
     """
     settled: list[tuple[Task, Fitted]] = []
-    for state in starts:
+    for state in (*starts, None):
         try:
-            settled.append(settle(task, state, log))
+            start = all_together(task, starts[-1]) if state is None else state
+            if start is not None:
+                settled.append(settle(task, start, log))
         except np.linalg.LinAlgError:
             continue
-        if settled[-1][1].state.levels.kappa.max() < ADEQUATE:
+        if settled and settled[-1][1].state.levels.kappa.max() < ADEQUATE:
             break
     if not settled:
         raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
     task, best = max(settled, key=lambda pair: pair[1].evidence)
+    task, best = with_other_inputs(task, best, others, log)
     tried = {best.model.tobytes(): best.evidence}
     for _ in range(MOVES):
         better = best
@@ -274,7 +368,7 @@ def search(task: Task, starts: Sequence[State], log: Callable[..., None] = lambd
             model = move.apply(best.model)
             if model.tobytes() in tried:
                 continue
-            other = fit(task, with_model(task, best, model))
+            other = fit(task, calmed(with_model(task, best, model)))
             tried[model.tobytes()] = other.evidence
             log(f"  {move.gain:.1f}", other)
             if other.evidence > better.evidence:

@@ -20,10 +20,11 @@ from bayeq.likelihood.fit import State, linearised, marginal, maximised
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.levels import Levels, Scales
 from bayeq.likelihood.linear import Series
-from bayeq.ode.rk4 import interpolant
+from bayeq.likelihood.search import Fitted, Task
+from bayeq.ode.rk4 import Interpolation, interpolant
 from bayeq.states import Motion, MotionRows, Roles
 
-__all__ = ["Start", "start_from"]
+__all__ = ["Start", "start_from", "with_exact_inputs"]
 
 Floats = NDArray[np.float64]
 
@@ -134,13 +135,31 @@ def _by_rows(empty: State, grams: Sequence[Gram]) -> State:
     return replace(empty, chosen=chosen, theta=np.array(theta), levels=replace(levels, discrepancy=size))
 
 
-def _series(layout: Layout, rows: MotionRows) -> Series:
+def with_exact_inputs(motion: Motion, task: Task, fitted: Fitted, kind: Interpolation) -> tuple[Task, State]:
+    """The task with all inputs as measured, interpolated in one way, and a fit as its start."""
+    old, state = task.layout, fitted.state
+    layout = replace(old, noisy=(), smoothness=(), centres=())
+    levels, kept = state.levels, layout.size
+    channels = len(layout.channels)
+    scales = Scales(levels.scales.mean[:kept], levels.scales.variance[:kept], levels.scales.channels[:channels])
+    none = np.zeros(0)
+    return (
+        replace(task, layout=layout, series=tuple(_series(layout, rows, kind) for rows in motion.train)),
+        replace(
+            state,
+            paths=tuple(np.ascontiguousarray(path[:, :kept]) for path in state.paths),
+            levels=Levels(layout, scales, levels.channels[:channels], levels.discrepancy, levels.memory, none, none),
+        ),
+    )
+
+
+def _series(layout: Layout, rows: MotionRows, kind: Interpolation = "cubic") -> Series:
     assert rows.time is not None
     samples = np.empty((rows.n, len(layout.channels)))
     for i, (name, _) in enumerate(layout.channels):
         samples[:, i] = rows.samples[name] if name in rows.samples else np.where(rows.known, rows.columns[name], np.nan)
     exact = np.column_stack([rows.columns[name] for name in layout.exact]) if layout.exact else np.zeros((rows.n, 0))
-    return Series(np.diff(rows.time), samples, interpolant(rows.time, exact, "cubic"))
+    return Series(np.diff(rows.time), samples, interpolant(rows.time, exact, kind))
 
 
 def _path(layout: Layout, rows: MotionRows, inputs: Sequence[Floats]) -> Floats:

@@ -88,7 +88,9 @@ class RegressionFit:
         """
         found = self.expanded(posterior)
         if self.regression.record is not None:
-            return replace(found, noise_variance=self.regression.noise_variance(found)), None
+            mean_variance = found.noise_variance / found.n
+            noise = self.regression.noise_variance(found)
+            return replace(found, noise_variance=noise, target_mean_variance=mean_variance), None
         if self.regression.band is None:
             return found, None
         excess = None

@@ -84,6 +84,12 @@ def fit_equations(
     if record is not None and method in JOINT and free:
         return fit_jointly(regressions, record, constraints, method)
     engine, first = ENGINES[method], (seed,) if isinstance(seed, int) else seed
+    equal = any(len(one.equalities.eliminated) for one in constraints)
+    if record is not None and engine.spike_slab and prior is None and coarsen == 1.0 and not equal:
+        return [
+            _by_engine(one, record, own, method, (*first, one.k))
+            for one, own in zip(regressions, constraints, strict=True)
+        ]
     used = [one.thinned() if engine.spike_slab else one for one in regressions]
     return [
         fit_regression(one, own, engine, prior, coarsen, seed=(*first, one.k))
@@ -110,6 +116,21 @@ def fit_jointly(
     return [
         _equation(regression, record, own, method) for regression, own in zip(regressions, constraints, strict=True)
     ]
+
+
+def _by_engine(
+    regression: Regression, record: RecordFit, constraints: Constraints, method: str, seed: tuple[int, ...]
+) -> RegressionFit:
+    """The posterior of one equation by an engine, with the prior of the likelihood."""
+    k, engine = regression.k, ENGINES[method]
+    standard = record.standard(k)
+    inclusion = np.asarray(record.task.known.prior_inclusion)[record.block(k)][:-1]
+    prior = constraints.prior(Prior(slab_variance=1.0, prior_inclusion=inclusion))
+    options = {"seed": seed} if engine.random else {}
+    posterior = engine.run(standard.gram, prior, **options)
+    judged = float(record.posterior.pip[record.block(k).stop - 1])
+    posterior = replace(posterior, intercept_pip=judged, left_out_intercept=record.left_out_intercept(k))
+    return RegressionFit(regression, constraints, standard, prior, posterior)
 
 
 def _equation(regression: Regression, record: RecordFit, constraints: Constraints, method: str) -> RegressionFit:
