@@ -61,6 +61,7 @@ MOST_PATH, MOST_AT_ONCE = 60, 40
 
 # A neighbour is fitted from a discrepancy this many times smaller: with the right terms little of it is left.
 CALMED = 10.0
+EXPLAINS_MUCH, HARDLY_ANY = 0.3, 1e-3
 
 # Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
@@ -201,9 +202,11 @@ def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
 
 
 def calmed(state: State) -> State:
-    """The state with smaller discrepancies."""
+    """The state with smaller discrepancies: with hardly any where they explain much of the motion."""
     levels = state.levels
-    return replace(state, levels=replace(levels, discrepancy=levels.discrepancy / CALMED**2))
+    target = levels.discrepancy / levels.kappa**2
+    kappa = np.where(levels.kappa > EXPLAINS_MUCH, HARDLY_ANY, levels.kappa / CALMED)
+    return replace(state, levels=replace(levels, discrepancy=kappa**2 * target))
 
 
 def likeliest(task: Task, fitted: Fitted) -> State:
@@ -258,6 +261,10 @@ def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fi
             best = now
     best = fit(task, best.state)
     log("fit", best)
+    if best.state.levels.kappa.max() > ADEQUATE:
+        again = fit(task, calmed(best.state))
+        log("calmed", again)
+        best = max(best, again, key=lambda one: one.evidence)
     return task, best
 
 

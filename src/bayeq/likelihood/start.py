@@ -36,7 +36,7 @@ SLAB = 5.0
 FIRST_NOISE, INPUT_NOISE = 1e-3, 2.5e-3
 
 # Derivatives of an input that are states: a random sequence joined by straight lines, or a smooth force. Which of them
-# is told by this many of its samples.
+# is decided by this many of its samples.
 SMOOTHNESS = (0, 1, 2, 3)
 INPUT_ROWS = 2000
 
