@@ -223,7 +223,7 @@ def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[fl
     linears = linearised(layout, short, few)
     # of a random sequence noise cannot be told
     held = np.array([not smoothness, False, not smoothness])
-    levels = maximised(linears, few, none, held)
+    levels = maximised(linears, few, none, held, steps=20, tolerance=1e-5)
     value = marginal(linears, replace(few, levels=levels), levels, none).value
     return value, _smoothed(layout, series, replace(state, levels=levels), smoothness)
 
