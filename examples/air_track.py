@@ -19,7 +19,7 @@ def run(example: Example, data: Path) -> None:
     """Discover, ask how far to trust it, and compare with what the channels as given say."""
     with example.block("found"):
         rec = bq.read(data / "schmidt_lipson/real_linear_a_1.txt")
-        eq = bq.discover(rec, displacement="x", velocity="v", acceleration="a")
+        eq = bq.discover(rec, displacement="x", velocity="v", acceleration="a", smooth="band")
         print(eq)
     with example.block("path"):
         print(eq[0].path())
@@ -33,7 +33,7 @@ def run(example: Example, data: Path) -> None:
         given = bq.Prior(prior_inclusion=1.0, slab_variance=1e6)  # all terms are in, hardly shrunk
         compared = []
         for damping in ([], ["v"], ["v*abs(v)"], ["sign(v)"]):
-            one = bq.discover(rec, chains="x:v:a", dictionary=["x", *damping], prior=given, negligible=0)
+            one = bq.discover(rec, chains="x:v:a", dictionary=["x", *damping], prior=given, negligible=0, smooth="band")
             compared.append(one)
             print(f"{one[0].text:36} {100 * one.simulate(rec, draws=0).nrmse['x']:5.1f} %")
         better = compared[1].refine(rec)

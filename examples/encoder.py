@@ -21,14 +21,14 @@ def run(example: Example, data: Path) -> None:
         arrays = list(zip(content["Time_id"].ravel(), content["Y_id"].ravel(), strict=True))
         pieces = [bq.Record.from_arrays(time=t.ravel(), th=y[0], w=y[1]) for t, y in arrays]
         terms = ["th", "th**2", "th**3", "sin(th)", "cos(th)", "w", "w*abs(w)", "sign(w)"]
-        eq = bq.discover(pieces, chains="th:w:", dictionary=terms)
+        eq = bq.discover(pieces, chains="th:w:", dictionary=terms, smooth="band")
         print(eq)
     with example.block("path"):
         print(eq[0].path())
         print()
         print(eq[0].coarsening())
     with example.block("doubt"):
-        everything = bq.discover(pieces, chains="th:w:", dictionary=terms, negligible=0)
+        everything = bq.discover(pieces, chains="th:w:", dictionary=terms, negligible=0, smooth="band")
         coef = everything[0].shown_coef
         for w in (1, 3, 5, 10):
             total = coef["w"] * w + coef["w*abs(w)"] * w**2 + coef["sign(w)"]
@@ -39,7 +39,9 @@ def run(example: Example, data: Path) -> None:
             thin[step] = [
                 bq.Record.from_arrays(time=t.ravel()[::step], th=y[0, ::step], w=y[1, ::step]) for t, y in arrays
             ]
-            print(f"{1000 // step} Hz: {bq.discover(thin[step], chains='th:w:', dictionary=terms)[0].text}")
+            print(
+                f"{1000 // step} Hz: {bq.discover(thin[step], chains='th:w:', dictionary=terms, smooth='band')[0].text}"
+            )
     with example.block("friction"):
         given = bq.Prior(prior_inclusion=1.0, slab_variance=1e6)  # all terms are in, hardly shrunk
         forms = []
@@ -51,7 +53,9 @@ def run(example: Example, data: Path) -> None:
             ["w*abs(w)", "sign(w)"],
             ["w", "w*abs(w)", "sign(w)"],
         ):
-            one = bq.discover(thin[10], chains="th:w:", dictionary=["sin(th)", *friction], prior=given, negligible=0)
+            one = bq.discover(
+                thin[10], chains="th:w:", dictionary=["sin(th)", *friction], prior=given, negligible=0, smooth="band"
+            )
             forms.append(one)
             errors = [one.simulate(piece, draws=0).nrmse["th"] for piece in thin[10]]
             print(f"{one[0].text:85}", *(f"{100 * error:5.1f} %" for error in errors))

@@ -20,7 +20,7 @@ def run(example: Example, data: Path) -> None:
     with example.block("found"):
         rec = bq.read(data / "schmidt_lipson/real_pend_a_1.txt")
         terms = ["o", "o**2", "o**3", "sin(o)", "cos(o)", "sin(2*o)", "w", "w*abs(w)", "sign(w)"]
-        eq = bq.discover(rec, chains="o:w:a", dictionary=terms)
+        eq = bq.discover(rec, chains="o:w:a", dictionary=terms, smooth="band")
         print(eq)
     with example.block("path"):
         print(eq[0].path())
@@ -32,7 +32,9 @@ def run(example: Example, data: Path) -> None:
     with example.block("friction"):
         given = bq.Prior(prior_inclusion=1.0, slab_variance=1e6)  # all terms are in, hardly shrunk
         for friction in ([], ["w"], ["w*abs(w)"], ["sign(w)"]):
-            one = bq.discover(rec, chains="o:w:a", dictionary=["sin(o)", *friction], prior=given, negligible=0)
+            one = bq.discover(
+                rec, chains="o:w:a", dictionary=["sin(o)", *friction], prior=given, negligible=0, smooth="band"
+            )
             run = one.simulate(rec, draws=0)
             print(f"{one[0].text:52} free run of the whole record: o {100 * run.nrmse['o']:.0f} %")
 
@@ -48,7 +50,7 @@ def run(example: Example, data: Path) -> None:
             print(f"swing of amplitude {amplitude:.2f}: {stiffness:.3f}")
         rate = angle(time, 1)
         print(f"w is {rec['w'] @ rate / (rate @ rate):.3f} of do/dt")
-        without = bq.discover(rec, chains="o:w:", dictionary=terms)
+        without = bq.discover(rec, chains="o:w:", dictionary=terms, smooth="band")
         print(f"from o and w: {without[0].text}")
 
     low, high = eq[0].shown_ci95[list(eq[0].posterior.names).index("sin(o)")]

@@ -18,12 +18,12 @@ def run(example: Example, data: Path) -> None:
         rec = bq.Record.from_arrays(time=raw.time, u=raw["uEst"], y=raw["yEst"], name="estimation")
         other = bq.Record.from_arrays(time=raw.time, u=raw["uVal"], y=raw["yVal"], name="validation")
         terms = ["y", "sqrt(y)", "y**2", "u", "u**2", "sqrt(u)", "y*u"]
-        eq = bq.discover(rec, chains="y", inputs=["u"], dictionary=terms)
+        eq = bq.discover(rec, chains="y", inputs=["u"], dictionary=terms, smooth="band")
         print(eq)
         print(eq.simulate(other))
     with example.block("second"):
         terms = ["y", "sqrt(y)", "y**2", "dy", "dy*abs(dy)", "sqrt(y)*dy", "y*dy", "u"]
-        second = bq.discover(rec, chains="y::", inputs=["u"], dictionary=terms)
+        second = bq.discover(rec, chains="y::", inputs=["u"], dictionary=terms, smooth="band")
         print(second)
 
     example.figure = draw(

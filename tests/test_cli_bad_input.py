@@ -281,7 +281,7 @@ def test_derivatives_need_time_and_rows(run: Run, folder: Path) -> None:
     ("options", "parts"),
     [
         (["--method", "lasso"], ["--method", "'lasso' is not one of 'auto', 'vb'"]),
-        (["--smooth", "maybe"], ["--smooth", "'maybe' is not one of 'auto', 'none'"]),
+        (["--smooth", "maybe"], ["--smooth", "'maybe' is not one of 'auto', 'band', 'none'"]),
         (["--holdout", "1"], ["holdout is a share of the rows, 0 <= holdout < 1, got 1.0"]),
         (["--holdout", "-0.1"], ["holdout", "got -0.1"]),
         (["--holdout", "nan"], ["holdout", "got nan"]),

@@ -118,7 +118,7 @@ def test_why_it_cannot_be_integrated():
 
 def test_an_adequate_residual_is_that_of_the_noise():
     for seed in range(3):
-        eq = bq.discover(bq.simulate("duffing", seed=seed), chains="x:v:a", inputs=["u"])
+        eq = bq.discover(bq.simulate("duffing", seed=seed), chains="x:v:a", inputs=["u"], smooth="band")
         # chi-square of some 800 numbers
         assert eq[0].residuals.excess == pytest.approx(1.0, abs=0.15)
         assert f"{eq[0].residuals.excess_text} times the power that the noise of the channels explains" in str(eq)
@@ -128,7 +128,7 @@ def test_a_residual_beyond_the_noise_is_warned_of():
     for system, terms in (("linear", ["x", "u"]), ("duffing", ["x", "v", "u"])):
         rec = bq.simulate(system, seed=0)
         with pytest.warns(bq.errors.DataWarning, match="times the power that the noise of the channels explains"):
-            eq = bq.discover(rec, chains="x:v:a", inputs=["u"], dictionary=terms)
+            eq = bq.discover(rec, chains="x:v:a", inputs=["u"], dictionary=terms, smooth="band")
         assert eq[0].residuals.excess > 2
 
 

@@ -288,7 +288,7 @@ def test_truth_is_recovered_within_its_errors():
 def test_chaotic_motion_is_followed_in_segments():
     whole = bq.simulate("lorenz", n=1500, seed=0, noise=0.03)
     record = bq.Record.from_arrays({name: whole[name] for name in "xyz"}, time=whole.time)
-    eq = discover(record, chains=["x", "y", "z"], dictionary="polynomial:2")
+    eq = discover(record, chains=["x", "y", "z"], dictionary="polynomial:2", smooth="band")
     after = eq.refine(record)
     assert after.refined.segments > 4
     assert after["dy"].coef["x"] == pytest.approx(28.0, rel=0.01)

@@ -28,7 +28,7 @@ MOST_POSSIBLE = 1e1
 MEMORY = (0.02, 0.999)
 SLOPE_MEMORY = (-0.9, 1.0)
 
-# What the likelihood tells of discrepancies and inputs is like that of this many samples.
+# The likelihood is about as sharp in the sizes and memories of discrepancies and inputs as this many samples make it.
 SHARPNESS = 25.0
 
 

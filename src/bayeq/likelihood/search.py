@@ -42,6 +42,9 @@ Bools = NDArray[np.bool_]
 ROUNDS = 8
 STEPS = 2
 
+# Steps and tolerance of the search for the levels about models that are on the way.
+COARSE = (15, 1e-4)
+
 # A fit has converged when its evidence changes by less [nats]; steps at most.
 SETTLED = 0.05
 MOST_STEPS = 6
@@ -61,6 +64,7 @@ MOST_PATH, MOST_AT_ONCE = 60, 40
 
 # A neighbour is fitted from a discrepancy this many times smaller: with the right terms little of it is left.
 CALMED = 10.0
+EXPLAINS_MUCH, HARDLY_ANY = 0.3, 1e-3
 
 # Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
@@ -174,21 +178,26 @@ class Fitted:
 Alternative = Callable[[Task, Fitted], tuple[Task, State]]
 
 
-def fit(task: Task, state: State, steps: int = MOST_STEPS) -> Fitted:
-    """Fit a model by Gauss-Newton steps, levels learned about each."""
+def fit(task: Task, state: State, coarse: bool = False) -> Fitted:
+    """Fit a model by Gauss-Newton steps, levels learned about each.
+
+    A coarse fit takes few steps, and its evidence is that of the likeliest discrepancies.
+    """
     layout, series = task.layout, task.series
     number = task.number(state.chosen)
     precision, before = task.precision[number], -np.inf
-    for _ in range(steps):
+    for _ in range(STEPS if coarse else MOST_STEPS):
         linears = task.linearised(state)
-        state = replace(state, levels=maximised(linears, state, precision))
+        levels = maximised(linears, state, precision, steps=COARSE[0], tolerance=COARSE[1]) if coarse else None
+        state = replace(state, levels=levels or maximised(linears, state, precision))
         state, curved, found = improved(layout, series, linears, state, precision)
         if abs(found.value - before) < SETTLED:
             break
         before = found.value
     linears = task.linearised(state)
     value = marginal(linears, state, state.levels, precision).value
-    value += over_sizes(linears, state, precision, value)
+    if not coarse:
+        value += over_sizes(linears, state, precision, value)
     model = task.model(state.chosen)
     return Fitted(model, state, value + task.prior(model), information(layout, series, linears, state, curved))
 
@@ -201,9 +210,11 @@ def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
 
 
 def calmed(state: State) -> State:
-    """The state with smaller discrepancies."""
+    """The state with smaller discrepancies: with hardly any where they explain much of the motion."""
     levels = state.levels
-    return replace(state, levels=replace(levels, discrepancy=levels.discrepancy / CALMED**2))
+    target = levels.discrepancy / levels.kappa**2
+    kappa = np.where(levels.kappa > EXPLAINS_MUCH, HARDLY_ANY, levels.kappa / CALMED)
+    return replace(state, levels=replace(levels, discrepancy=kappa**2 * target))
 
 
 def likeliest(task: Task, fitted: Fitted) -> State:
@@ -242,8 +253,8 @@ def steady(task: Task, state: State) -> bool:
 def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fitted]:
     """Rounds of selection and fit from one start, until the model stays; the task with steps as fine as they need."""
     task = finer(task, state)
-    best = now = fit(task, state, STEPS)
-    seen: set[bytes] = set()
+    best = now = fit(task, state, coarse=True)
+    seen = {now.model.tobytes()}
     log("start", now)
     for _ in range(ROUNDS):
         state = likeliest(task, now)
@@ -252,12 +263,16 @@ def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fi
             break
         seen.add(model.tobytes())
         task = finer(task, state)
-        now = fit(task, state, STEPS)
+        now = fit(task, state, coarse=True)
         log("round", now)
         if now.evidence > best.evidence:
             best = now
     best = fit(task, best.state)
     log("fit", best)
+    if best.state.levels.kappa.max() > ADEQUATE:
+        again = fit(task, calmed(best.state))
+        log("calmed", again)
+        best = max(best, again, key=lambda one: one.evidence)
     return task, best
 
 
@@ -265,7 +280,7 @@ def all_together(task: Task, empty: State) -> State | None:
     """A start with all candidates, for terms that explain something only together; None if they are many."""
     if len(task.precision) > MOST_AT_ONCE:
         return None
-    fitted = fit(task, empty, STEPS)
+    fitted = fit(task, empty, coarse=True)
     state = with_model(task, fitted, task.log_odds > -np.inf)
     return fit(task, state).state if steady(task, state) else None
 

@@ -36,7 +36,7 @@ SLAB = 5.0
 FIRST_NOISE, INPUT_NOISE = 1e-3, 2.5e-3
 
 # Derivatives of an input that are states: a random sequence joined by straight lines, or a smooth force. Which of them
-# is told by this many of its samples.
+# is decided by this many of its samples.
 SMOOTHNESS = (0, 1, 2, 3)
 INPUT_ROWS = 2000
 
@@ -223,7 +223,7 @@ def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[fl
     linears = linearised(layout, short, few)
     # of a random sequence noise cannot be told
     held = np.array([not smoothness, False, not smoothness])
-    levels = maximised(linears, few, none, held)
+    levels = maximised(linears, few, none, held, steps=20, tolerance=1e-5)
     value = marginal(linears, replace(few, levels=levels), levels, none).value
     return value, _smoothed(layout, series, replace(state, levels=levels), smoothness)
 
