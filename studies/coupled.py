@@ -29,7 +29,7 @@ __all__ = ["CASES", "draw_record", "main"]
 
 ROWS, RATE, FINER = 1500, 200.0, 10
 NOISE = 0.05
-RECORDS = {"auto": 20, "band": 10}
+RECORDS = {"auto": 20, "band": 20}
 
 MASSES = System(
     name="three-masses",
