@@ -96,7 +96,7 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
         shown_posterior=shown,
         train=train,
         held_out=held_out,
-        residuals=replace(residuals, excess=excess),
+        residuals=replace(residuals, excess=excess, discrepancy=_discrepancy(regression)),
         verdict=judge(regression.chain.target, judged, held_out is not None, noise, window, estimated),
         runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.method].spike_slab else (),
         fit=fit,
@@ -212,15 +212,18 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
 
 def _warn_of_discrepancy(target: str, regression: Regression, log: WarningLog) -> None:
     """The likelihood of the records needs a discrepancy that no dictionary with the right terms needed."""
-    assert regression.record is not None
-    share = float(regression.record.kappa[regression.k])
-    if share > NEARLY_TRUE:
+    share = _discrepancy(regression)
+    if share is not None and share > NEARLY_TRUE:
         log.warn(
             f"{target}: what the dictionary does not hold has {100 * share:.3g} % of its standard deviation:"
             " the equation is only nearly true, or the channels do not fit each other. Included terms may compensate"
             " for what is missing",
             DataWarning,
         )
+
+
+def _discrepancy(regression: Regression) -> float | None:
+    return None if regression.record is None else float(regression.record.kappa[regression.k])
 
 
 def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], log: WarningLog) -> None:

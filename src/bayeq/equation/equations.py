@@ -229,7 +229,7 @@ class Equations:
             for the bands; 0 for none. The initial state is the same for all.
         start, rows : int
             First row, and how many; by default all that follow.
-        interpolation : "cubic", "linear" or "hold", optional
+        interpolation : "cubic", "linear", "hold" or "band-limited", optional
             Inputs between their samples: a cubic spline (by default, unless refined with another), straight lines, the
             last sample (commands).
 
@@ -275,7 +275,7 @@ class Equations:
             With the channels that the equations were found from.
         start, rows : int, optional
             First row, and how many; by default the last of each record, as many as were held out (a fifth, if none).
-        interpolation : "cubic", "linear" or "hold", optional
+        interpolation : "cubic", "linear", "hold" or "band-limited", optional
             See `simulate`.
 
         Returns
@@ -326,7 +326,7 @@ class Equations:
             With the channels that the equations were found from, and time.
         holdout : float
             Share of the rows, the last of each record, that is not used.
-        interpolation : "cubic", "linear" or "hold", optional
+        interpolation : "cubic", "linear", "hold" or "band-limited", optional
             See `simulate`; by default a cubic spline or straight lines, whichever runs follow better.
 
         Returns

@@ -239,6 +239,7 @@ def _restored_residuals(saved: Mapping[str, Any]) -> Residuals:
         normality=float(saved.get("normality", 1.0)),
         driver=None if driver is None else Driver(**driver),
         excess=None if saved.get("excess") is None else float(saved["excess"]),
+        discrepancy=None if saved.get("discrepancy") is None else float(saved["discrepancy"]),
     )
 
 

@@ -27,6 +27,9 @@ __all__ = ["render"]
 NOTEWORTHY_PIP = 0.01
 PLAIN_WIDTH = 110
 
+# Discrepancies below this share of the target are below any effect.
+LEAST_SHOWN = 1e-3
+
 # An intercept of zero that is known so well was not estimated.
 NOTHING = 1e-100
 
@@ -151,6 +154,11 @@ def _residuals(found: Residuals) -> list[str]:
         f"residuals: skewness {found.skewness:.2f} and excess kurtosis {found.kurtosis:.2f}, {shape}"
         f" ({_chance(found.normality)})",
     ]
+    if found.discrepancy is not None:
+        share = (
+            f"{100 * found.discrepancy:.2g}" if found.discrepancy > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g}"
+        )
+        lines.append(f"discrepancy, what the dictionary does not hold: {share} % of the target's standard deviation")
     if found.excess is not None:
         lines.append(f"residuals: {found.excess_text} times the power that the noise of the channels explains")
     if found.driver is not None and found.driver.p_value < DOUBTFUL:

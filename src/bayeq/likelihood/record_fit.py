@@ -30,7 +30,7 @@ MOST_ROWS = 100_000
 MOST_CANDIDATES = 1000
 
 # Ways in which inputs without noise may go on between samples.
-EXACT: tuple[Interpolation, ...] = ("cubic", "linear", "hold")
+EXACT: tuple[Interpolation, ...] = ("cubic", "band-limited", "linear", "hold")
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,6 +72,9 @@ KNOWN = 1e4
 # Inputs with less noise, as a share of their standard deviation, may as well be taken as measured.
 LEAST_INPUT_NOISE = 0.02
 
+# Inputs with no more smooth derivatives may be switched, and what a smooth course misses be taken for noise.
+ROUGH = 1
+
 # A discrepancy below this share of its target leaves nothing for another start to explain.
 ADEQUATE = 0.05
 
@@ -324,7 +327,7 @@ def with_other_inputs(
     if not layout.noisy:
         return task, best
     share = levels.channels[-len(layout.noisy) :] / levels.scales.channels[-len(layout.noisy) :]
-    doubtful = share.min() < LEAST_INPUT_NOISE**2 or min(layout.smoothness) == 0 or levels.kappa.max() > ADEQUATE
+    doubtful = share.min() < LEAST_INPUT_NOISE**2 or min(layout.smoothness) <= ROUGH or levels.kappa.max() > ADEQUATE
     if not doubtful:
         return task, best
     pairs = [(task, best)]

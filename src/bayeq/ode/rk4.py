@@ -18,7 +18,10 @@ from bayeq.numerics.spline import spline_slopes
 
 __all__ = ["STAGES", "Drive", "Interpolation", "advance", "free_runs", "interpolant", "local_errors", "slope_at"]
 
-Interpolation = Literal["cubic", "linear", "hold"]
+Interpolation = Literal["cubic", "linear", "hold", "band-limited"]
+
+# Steps that differ by a smaller share are even.
+EVEN = 1e-3
 
 # Rows of work space: the state between samples, a trial state, and four slopes.
 STAGES = 6
@@ -65,9 +68,10 @@ def interpolant(time: FloatArray, samples: FloatArray, kind: Interpolation) -> F
         [s].
     samples : (n, m) array
         Inputs.
-    kind : "cubic", "linear" or "hold"
-        Cubic spline, for forces that are smooth between their samples; straight lines; or the last sample held, for
-        commands that are switched.
+    kind : "cubic", "linear", "hold" or "band-limited"
+        Cubic spline, for forces that are smooth between their samples; straight lines; the last sample held, for
+        commands that are switched; or the cubic through what the transform of even samples gives at the thirds of each
+        interval, for forces with frequencies up to near half the sampling rate (a spline where steps are uneven).
 
     Returns
     -------
@@ -80,13 +84,32 @@ def interpolant(time: FloatArray, samples: FloatArray, kind: Interpolation) -> F
     if len(time) < 2 or samples.shape[1] == 0 or kind == "hold":
         return out
     out[:-1, :, 1] = samples[1:]
-    if kind == "cubic":
+    steps = np.diff(time)
+    if kind == "band-limited" and np.ptp(steps) <= EVEN * steps.mean():
+        rise, finer = np.diff(samples, axis=0), _thirds(samples)
+        first, second = finer[1::3] - samples[:-1] - rise / 3.0, finer[2::3] - samples[:-1] - rise / 1.5
+        out[:-1, :, 2], out[:-1, :, 3] = 4.5 * (2.0 * first - second), 13.5 * (second - first)
+    elif kind in ("cubic", "band-limited"):
         h, rise = np.diff(time)[:, None], np.diff(samples, axis=0)
         slopes = spline_slopes(time, samples)
         # what the slopes at both ends are steeper than the straight line
         start, end = h * slopes[:-1] - rise, h * slopes[1:] - rise
         out[:-1, :, 2], out[:-1, :, 3] = start, -(start + end)
     return out
+
+
+def _thirds(samples: FloatArray) -> FloatArray:
+    """Samples (n, m) and what their transform gives at the thirds between them, (3 n - 2, m).
+
+    The straight line between the ends is taken out, and the rest continued as an odd function about both.
+    """
+    n = len(samples)
+    line = np.linspace(samples[0], samples[-1], 3 * n - 2)
+    rest = samples - line[::3]
+    periodic = np.concatenate([rest[:-1], -rest[:0:-1]])
+    spectrum = np.fft.rfft(periodic, axis=0)
+    spectrum[-1] *= 0.5  # half of the sampling rate, which stands for both signs
+    return np.asarray(3.0 * np.fft.irfft(spectrum, 3 * len(periodic), axis=0)[: 3 * n - 2] + line)
 
 
 @kernel

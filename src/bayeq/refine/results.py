@@ -23,7 +23,7 @@ class Refinement:
         Free runs, and the rows of the longest.
     noise_sd : mapping of str to float
         For each measured channel the standard deviation of what the runs leave: its noise.
-    interpolation : "cubic", "linear" or "hold"
+    interpolation : "cubic", "linear", "hold" or "band-limited"
         Of the inputs between their samples.
     converged : bool
         Whether the fit ended by itself.
@@ -34,7 +34,7 @@ class Refinement:
     segments: int
     longest: int
     noise_sd: Mapping[str, float]
-    interpolation: Literal["cubic", "linear", "hold"]
+    interpolation: Literal["cubic", "linear", "hold", "band-limited"]
     converged: bool
 
     def __str__(self) -> str:

@@ -95,6 +95,9 @@ class Residuals:
     excess : float or None
         Of a regression on smoothed states: the power of the residual over what the noise of the channels makes, bin by
         bin of the band, 1 for an adequate model. None elsewhere, and where the noise of an input is not known.
+    discrepancy : float or None
+        Of the likelihood of the record: standard deviation of what the dictionary does not hold, as a share of the
+        target's.
     """
 
     n: int
@@ -105,6 +108,7 @@ class Residuals:
     normality: float = 1.0
     driver: Driver | None = None
     excess: float | None = None
+    discrepancy: float | None = None
 
     @property
     def excess_text(self) -> str:

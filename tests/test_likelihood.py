@@ -1,0 +1,161 @@
+"""Discovery by the likelihood of the record: what it finds, and that its numbers agree with each other."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+import bayeq as bq
+from bayeq.likelihood.record_fit import suits
+from bayeq.states import Roles, estimate_motion
+
+OSCILLATOR = {"chains": ["x:v:a"], "inputs": ["u"]}
+
+
+def quietly(*arguments, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return bq.discover(*arguments, **options)
+
+
+def states_only(system, noise, seed, n=1000):
+    """States of a system, noise as a share of the pooled standard deviation."""
+    clean = bq.simulate(system, n=n, noise=0.0, seed=seed)
+    names = [name for name in ("x", "y", "z", "v") if name in clean.channels]
+    states = np.column_stack([clean[name] for name in names])
+    noisy = states + noise * states.std() * np.random.default_rng(seed).standard_normal(states.shape)
+    return bq.Record.from_arrays(dict(zip(names, noisy.T, strict=True)), time=clean.time), names
+
+
+def test_lorenz_with_a_fifth_of_noise():
+    for seed in range(2):
+        record, names = states_only("lorenz", 0.2, seed)
+        eq = quietly(record, chains=names, dictionary="polynomial:2")
+        assert [set(one.included) for one in eq] == [{"x", "y"}, {"x", "y", "x*z"}, {"z", "x*y"}]
+        assert not any(one.intercept_matters for one in eq)
+        # no channel measures the targets; the equations are judged by their runs
+        assert eq.verdict.kind == "found"
+
+
+def test_a_force_white_to_half_the_sampling_rate():
+    rng = np.random.default_rng(0)
+    record = bq.simulate("duffing", n=3000, seed=3, force=50 * rng.standard_normal(3000))
+    (one,) = quietly(record, **OSCILLATOR)
+    assert set(one.included) == {"x", "v", "x**3", "u"}
+    truth = record.truth.coefficients["a"]
+    p = one.posterior
+    z = np.array([(p.coef[p.names.index(name)] - value) / p.sd[p.names.index(name)] for name, value in truth.items()])
+    assert (z**2).sum() < 18.5  # chi-square of 4: one in a thousand
+    fit = one.fit.regression.record
+    # the force's own noise, which only the motion tells from the force
+    levels = fit.fitted.state.levels
+    assert np.sqrt(levels.channels[-1] / levels.scales.channels[-1]) == pytest.approx(0.05, rel=0.2)
+
+
+def test_intervals_of_the_paper_s_oscillators():
+    z = []
+    for system in ("linear", "duffing", "quadratic"):
+        for seed in range(3):
+            record = bq.simulate(system, n=2000, seed=100 + seed, perturb=0.1)
+            truth = record.truth.coefficients["a"]
+            (one,) = quietly(record, **OSCILLATOR, dictionary=list(truth), holdout=0.0)
+            p = one.posterior
+            z += [(p.coef[p.names.index(name)] - value) / p.sd[p.names.index(name)] for name, value in truth.items()]
+    # some 33 standardised errors: their mean square within four standard errors
+    assert np.mean(np.square(z)) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(z)))
+
+
+def test_found_typed_and_limited_are_the_same():
+    record = bq.simulate("duffing", n=2000, seed=5)
+    (found,) = quietly(record, **OSCILLATOR)
+    (typed,) = quietly(record, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
+    for name in found.included:
+        i, j = found.posterior.names.index(name), typed.posterior.names.index(name)
+        assert abs(found.posterior.coef[i] - typed.posterior.coef[j]) < 0.2 * typed.posterior.sd[j]
+        assert found.posterior.sd[i] == pytest.approx(typed.posterior.sd[j], rel=0.05)
+    (limited,) = quietly(record, **OSCILLATOR, max_terms=12)
+    assert limited.shown == found.shown
+    np.testing.assert_array_equal(limited.shown_posterior.coef, found.shown_posterior.coef)
+
+
+def test_the_constant_is_judged(tmp_path):
+    record = bq.simulate("linear", n=2000, seed=1)
+    (without,) = quietly(record, **OSCILLATOR)
+    assert without.posterior.intercept_pip < 0.5
+    assert not without.intercept_matters
+    value, sd = without.intercept_estimate
+    assert abs(value) < 4 * sd
+    assert without.posterior.intercept == 0.0
+    pushed = record.with_channels({"a": record["a"] + 0.0, "u": record["u"] - 20.0})
+    (with_it,) = quietly(pushed, **OSCILLATOR)
+    assert with_it.posterior.intercept_pip > 0.5
+    assert with_it.intercept_estimate[0] == pytest.approx(20.0, abs=4 * with_it.intercept_estimate[1])
+    for one, eq in ((without, quietly(record, **OSCILLATOR)), (with_it, quietly(pushed, **OSCILLATOR))):
+        path = tmp_path / "eq.json"
+        eq.save(path)
+        (again,) = bq.load(path)
+        assert again.intercept_matters == one.intercept_matters
+        assert again.intercept_estimate == one.intercept_estimate
+        assert again.text == one.text
+        assert again.residuals.discrepancy == one.residuals.discrepancy
+
+
+def test_every_engine_takes_the_likelihood():
+    record = bq.simulate("duffing", n=1500, seed=2)
+    fits = {method: quietly(record, **OSCILLATOR, method=method)[0] for method in ("auto", "bma", "vb", "gibbs")}
+    for method in ("bma", "vb", "gibbs"):
+        assert fits[method].included == fits["auto"].included
+        np.testing.assert_allclose(fits[method].posterior.coef, fits["auto"].posterior.coef, rtol=1e-3)
+
+
+def test_several_records_share_what_is_learned():
+    parts = [bq.simulate("duffing", n=700, seed=seed) for seed in (1, 2, 3)]
+    together = quietly(parts, **OSCILLATOR, holdout=0.0)[0]
+    alone = quietly(parts[0], **OSCILLATOR, holdout=0.0)[0]
+    assert set(together.included) == {"x", "v", "x**3", "u"}
+    j, k = together.posterior.names.index("x"), alone.posterior.names.index("x")
+    assert together.posterior.sd[j] == pytest.approx(alone.posterior.sd[k] / np.sqrt(3), rel=0.35)
+
+
+def test_an_input_without_noise_is_interpolated_as_the_motion_asks():
+    rng = np.random.default_rng(1)
+    fine = 1600
+    u = np.repeat(rng.normal(size=400), 4)  # held for ten samples
+    x, v, states = 0.0, 0.0, []
+    for force in np.repeat(u, 10):
+        for _ in range(1):
+            a = force - 40.0 * x - 0.5 * v
+            v += a / 4000.0
+            x += v / 4000.0
+        states.append(x)
+    samples = np.array(states)[9::10]
+    assert len(samples) == fine
+    noisy = samples + 1e-3 * samples.std() * rng.normal(size=fine)
+    # the force of a row acts until the next one
+    record = bq.Record.from_arrays(x=noisy[:-1], u=u[1:], fs=400.0)
+    (one,) = quietly(record, chains=["x::"], inputs=["u"], dictionary=["x", "dx", "u"])
+    assert one.shown_coef["u"] == pytest.approx(1.0, rel=0.01)
+    assert one.shown_coef["x"] == pytest.approx(-40.0, rel=0.01)
+    assert not one.fit.regression.record.task.layout.noisy
+
+
+def test_a_missing_term_leaves_a_discrepancy():
+    record = bq.simulate("duffing", n=2000, seed=1)
+    eq = quietly(record, **OSCILLATOR, dictionary=["x", "v", "u"])
+    assert any("only nearly true" in message for message in eq.warnings)
+    assert eq[0].residuals.discrepancy > 0.05
+    assert "discrepancy, what the dictionary does not hold" in str(eq)
+    (whole,) = quietly(record, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
+    assert whole.residuals.discrepancy < 0.02
+
+
+def test_where_it_is_not_used():
+    record = bq.simulate("duffing", n=4000, seed=1)
+    assert suits(estimate_motion([record], Roles.parse(["x:v:a"], inputs=["u"])), 36)
+    assert not suits(estimate_motion([record], Roles.parse(["x:v:a"], inputs=["u"])), 2000)
+    assert not suits(estimate_motion([record], Roles.parse(["::a"], inputs=["u"])), 36)
+    # smoothed rows or bins otherwise
+    assert quietly(record, chains=["::a"], inputs=["u"])[0].fit.regression.record is None
+    assert quietly(record, **OSCILLATOR, smooth="band")[0].fit.regression.record is None
