@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 # Beyond these numbers of rows and of candidates of all equations together, records are left to the band regression.
-MOST_ROWS = 100_000
+MOST_ROWS = 50_000
 MOST_CANDIDATES = 1000
 
 # Ways in which inputs without noise may go on between samples.
@@ -57,6 +57,14 @@ class RecordFit:
     def kappa(self) -> Floats:
         """Standard deviation of each equation's discrepancy as a share of its target's, (C,)."""
         return self.fitted.state.levels.kappa
+
+    @property
+    def least_noise(self) -> float:
+        """Least standard deviation of the noise of a chain's channel, as a share of the channel's."""
+        layout, levels = self.task.layout, self.fitted.state.levels
+        states = layout.kinds >= 0
+        states[len(states) - len(layout.noisy) :] = False
+        return float(np.sqrt((levels.channels / levels.scales.channels)[states].min()))
 
     def block(self, c: int) -> slice:
         """The candidates of an equation among all."""

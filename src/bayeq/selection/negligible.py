@@ -64,6 +64,15 @@ class FreeRuns:
         self.long = self.rows >= LONG
 
     @cached_property
+    def noise(self) -> float:
+        """Least noise of a coordinate as a share of its spread, where the likelihood of the record has found it.
+
+        Runs that differ by more differ visibly.
+        """
+        record = self.fits[0].regression.record
+        return math.inf if record is None else record.least_noise
+
+    @cached_property
     def pieces(self) -> list[Rows]:
         """The training rows with their inputs interpolated."""
         return divided(self.motion, rows_of(self.motion, "a free run"))[0]
@@ -80,9 +89,10 @@ class FreeRuns:
         return all(self._within(fewer[p], whole[p], tolerance) for p, tolerance in TOLERANCES.items())
 
     def _within(self, fewer: Windows, whole: Windows, tolerance: float) -> bool:
+        moved = apart((one, other) for (one, _), (other, _) in zip(fewer, whole, strict=True))
         if self.long:
-            return apart(fewer) <= max(tolerance, WORSE * apart(whole))
-        return apart((one, other) for (one, _), (other, _) in zip(fewer, whole, strict=True)) <= SAME
+            return apart(fewer) <= max(tolerance, WORSE * apart(whole)) and moved <= self.noise
+        return moved <= SAME
 
 
 def less_negligible(
