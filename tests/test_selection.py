@@ -227,8 +227,8 @@ def hysteretic():
 
 
 def test_terms_that_compensate_for_what_the_dictionary_lacks_are_left_out(hysteretic):
-    eq = discover(hysteretic, **OSCILLATOR)
-    shown, everything = eq[0], discover(hysteretic, **OSCILLATOR, negligible=0.0)[0]
+    eq = discover(hysteretic, **OSCILLATOR, smooth="band")
+    shown, everything = eq[0], discover(hysteretic, **OSCILLATOR, negligible=0.0, smooth="band")[0]
     assert set(shown.shown) == DUFFING < set(everything.shown)
     assert shown.included == everything.included == everything.shown
     assert {left.name for left in shown.left_out} == set(everything.shown) - DUFFING
@@ -242,7 +242,7 @@ def test_terms_that_compensate_for_what_the_dictionary_lacks_are_left_out(hyster
 def test_the_damping_of_a_light_structure_stays():
     # damping ratio 0.3 %: v explains 3e-5 of the variance, and without it a run is nowhere after a hundred periods
     rec = bq.simulate("linear", n=20_000, seed=3, noise={"a": 0.01}, parameters={"c": 0.2})
-    one = bq.discover(rec, **OSCILLATOR)[0]
+    one = bq.discover(rec, **OSCILLATOR, smooth="band")[0]
     share = dict(zip((t.text for t in one.terms), one.share, strict=True))
     assert share["v"] < 4e-5
     assert set(one.shown) == {"x", "v", "u"}
@@ -272,7 +272,7 @@ def test_a_form_that_free_runs_leave_undecided_is_warned_of():
     rec = bq.Record.from_arrays(
         time=t, th=th + 5e-4 * rng.standard_normal(len(t)), w=w + 5e-3 * rng.standard_normal(len(t))
     )
-    eq = discover(rec, chains="th:w:", dictionary=["th", "sin(th)", "w", "w*abs(w)", "sign(w)"])
+    eq = discover(rec, chains="th:w:", dictionary=["th", "sin(th)", "w", "w*abs(w)", "sign(w)"], smooth="band")
     assert "sin(th)" in eq[0].shown
     (shown,) = {"w", "w*abs(w)", "sign(w)"} & set(eq[0].shown)
     (message,) = (message for message in eq.warnings if "its form is undecided" in message)
