@@ -1,16 +1,18 @@
 """Which channels are needed, and how fast must they be sampled? The paper's oscillators with channels left out.
 
 Simulated at 2 kHz or finer with 5 % noise and a force of pass band min(100 Hz, fs/4), decimated to fs. Beside the
-default (the kinematic smoother and regression in its band) stand derivatives by central differences and by
-Savitzky-Golay filters; where the acceleration alone is measured, integrals by the trapezoidal rule ("differences").
+likelihood of the record stand the kinematic smoother with regression in its band, and derivatives by central
+differences and by Savitzky-Golay filters; where the acceleration alone is measured, integrals by the trapezoidal rule
+("differences").
 
+    python -m studies.channels --records 5 --methods likelihood > docs/tables/channels_likelihood.csv
     python -m studies.channels --records 5 > docs/tables/channels.csv
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +21,7 @@ from numpy.polynomial import Polynomial
 from bayeq.discovery import discover
 from bayeq.errors import BayeqError, BayeqWarning
 from bayeq.records import Record
-from bayeq.states import derive_states, parse_chains
+from bayeq.states import Smooth, derive_states, parse_chains
 from bayeq.study.config import STUDY_SYSTEMS
 from bayeq.systems import get_system, simulate
 from bayeq.systems.force import band_limited_noise
@@ -38,6 +40,8 @@ CHAINS = {
 RATES = (1000.0, 500.0, 200.0, 100.0)
 FILTER = "savitzky-golay"
 METHODS = ("smoother", FILTER, "differences")
+# How `discover` takes the channels as they are.
+SMOOTH: dict[str, Smooth] = {"likelihood": "auto", "smoother": "band"}
 
 # Rows of a record, and the rate that the motion is simulated at.
 ROWS = 4000
@@ -100,8 +104,8 @@ def measure_cell(system: str, channels: str, fs: float, method: str, records: in
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", BayeqWarning)
             try:
-                if method == "smoother":
-                    eq = discover(record, chains=[chain], inputs=["u"], holdout=0.0)[0]
+                if method in SMOOTH:
+                    eq = discover(record, chains=[chain], inputs=["u"], smooth=SMOOTH[method], holdout=0.0)[0]
                 else:
                     ready = _differentiated(record, chain, method)
                     full = ":".join(parsed.names)
@@ -136,12 +140,14 @@ def speed_free(factor: str, speed: str) -> str:
     return factor.replace(speed, "v")
 
 
-def _cells(records: int) -> Iterator[tuple[str, str, float, str, int]]:
+def _cells(records: int, methods: Sequence[str]) -> Iterator[tuple[str, str, float, str, int]]:
     for system in STUDY_SYSTEMS:
         for channels in CHAINS:
             for fs in RATES:
-                for method in METHODS:
-                    if ("dropped" in channels and method == "differences") or (channels == "a" and method == FILTER):
+                for method in methods:
+                    if ("dropped" in channels and method == "differences") or (
+                        channels == "a" and method in (FILTER, "likelihood")
+                    ):
                         continue
                     yield system, channels, fs, method, records
 
@@ -155,9 +161,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Exact rates and errors with channels left out.")
     parser.add_argument("--records", type=int, default=20, help="records per cell")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--methods", nargs="+", choices=["likelihood", *METHODS], default=METHODS)
     given = parser.parse_args(arguments)
     with Parallel(n_jobs=given.jobs, inner_max_num_threads=1, return_as="generator") as pool:
-        print_table(pool(delayed(measure_cell)(*cell) for cell in _cells(given.records)))
+        print_table(pool(delayed(measure_cell)(*cell) for cell in _cells(given.records, given.methods)))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Do 95 % intervals cover on the paper's oscillators? Not with noisy regressors taken as exact; smoothed they do.
 
 python -m studies.coverage --records 200 --smooth none > docs/tables/coverage.csv
-python -m studies.coverage --records 200 > docs/tables/coverage_smoothed.csv
+python -m studies.coverage --records 200 --smooth band > docs/tables/coverage_smoothed.csv
+python -m studies.coverage --records 60 > docs/tables/coverage_likelihood.csv
 """
 
 from __future__ import annotations

@@ -42,12 +42,18 @@ def study(context: click.Context) -> None:
 @option("--algorithms", default="sindy,rvm,gibbs,vb,vb-rvm", help="Algorithms, separated by commas.")
 @option(
     "--smooth",
-    type=click.Choice(["none", "auto"]),
+    type=click.Choice(["none", "auto", "band"]),
     default="none",
-    help="The paper's raw noisy channels (none), or smoothed ones (auto).",
+    help="The paper's raw noisy channels (none), smoothed ones (band), or the likelihood of the record (auto).",
 )
 def table2(
-    realisations: int, jobs: int, seed: int, store: Path, systems: str, algorithms: str, smooth: Literal["none", "auto"]
+    realisations: int,
+    jobs: int,
+    seed: int,
+    store: Path,
+    systems: str,
+    algorithms: str,
+    smooth: Literal["none", "auto", "band"],
 ) -> None:
     """Run the Monte Carlo study of the paper's Tables 2 and 3, or what is missing of it."""
     from bayeq.study.progress import StudyProgress
