@@ -201,6 +201,10 @@ def fit_record(
             start = start_from(motion, terms, grams)
             odds = np.tile(log_odds, start.layout.chains)
             others = [partial(with_exact_inputs, motion, kind=kind) for kind in EXACT]
-            return RecordFit(*search(Task(start.layout, start.series, start.precision, odds), start.states, others))
+            found = RecordFit(*search(Task(start.layout, start.series, start.precision, odds), start.states, others))
+            # what cannot be solved is found out here
+            for c in range(start.layout.chains):
+                found.standard(c)
+            return found
     except np.linalg.LinAlgError:
         return None
