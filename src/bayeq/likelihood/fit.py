@@ -144,6 +144,7 @@ def maximised(
     held: NDArray[np.bool_] | None = None,
     steps: int = 30,
     tolerance: float = 1e-6,
+    steepest: float = 0.01,
 ) -> Levels:
     """Levels that maximise the marginal likelihood of a linearised model; those `held` stay.
 
@@ -172,7 +173,7 @@ def maximised(
         start / unit,
         low / unit,
         high / unit,
-        gradient_tolerance=0.1,
+        gradient_tolerance=steepest,
         value_tolerance=tolerance,
         most_steps=steps,
     )

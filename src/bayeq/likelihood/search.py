@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ ROUNDS = 8
 STEPS = 2
 
 # Steps and tolerance of the search for the levels about models that are on the way.
-COARSE = (15, 1e-4)
+COARSE: dict[str, Any] = {"steps": 15, "tolerance": 1e-4, "steepest": 0.1}
 
 # A fit has converged when its evidence changes by less [nats]; steps at most.
 SETTLED = 0.05
@@ -191,7 +192,7 @@ def fit(task: Task, state: State, coarse: bool = False) -> Fitted:
     precision, before = task.precision[number], -np.inf
     for _ in range(STEPS if coarse else MOST_STEPS):
         linears = task.linearised(state)
-        levels = maximised(linears, state, precision, steps=COARSE[0], tolerance=COARSE[1]) if coarse else None
+        levels = maximised(linears, state, precision, **COARSE) if coarse else None
         state = replace(state, levels=levels or maximised(linears, state, precision))
         state, curved, found = improved(layout, series, linears, state, precision)
         if abs(found.value - before) < SETTLED:
@@ -272,10 +273,10 @@ def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fi
             best = now
     best = fit(task, best.state)
     log("fit", best)
-    if best.state.levels.kappa.max() > ADEQUATE:
-        again = fit(task, calmed(best.state))
-        log("calmed", again)
-        best = max(best, again, key=lambda one: one.evidence)
+    # as its neighbours will be
+    again = fit(task, calmed(best.state))
+    log("calmed", again)
+    best = max(best, again, key=lambda one: one.evidence)
     return task, best
 
 
