@@ -234,7 +234,8 @@ def test_encoder_pendulum_chooses_the_sine():
     # the record's README: A = 64.22 from the authors' parameters
     path = measured("multiarm_single_pendulum/SinglePendulumDataForParameterEstimation.mat")
     terms = ["th", "th**2", "th**3", "sin(th)", "cos(th)", "w", "w*abs(w)", "sign(w)"]
-    eq = quietly(pendulum_record(path), chains=["th:w:"], dictionary=terms)
+    # a nearly true model: under the likelihood of the record terms that make up for what is missing are certain too
+    eq = quietly(pendulum_record(path), chains=["th:w:"], dictionary=terms, smooth="band")
     assert "sin(th)" in eq[0].shown
     assert not {"th", "th**2", "th**3", "cos(th)"} & set(eq[0].shown)
     assert eq[0].shown_coef["sin(th)"] == pytest.approx(64.22, rel=0.02)
