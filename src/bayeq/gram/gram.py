@@ -228,7 +228,10 @@ class Gram:
         A column without variance is left unscaled.
         """
         sd = self.standard_deviation
-        scale = np.where(sd > 0, sd, 1.0)
+        return self.in_units(np.where(sd > 0, sd, 1.0), target_scale)
+
+    def in_units(self, scale: Floats, target_scale: float) -> Standardised:
+        """Columns of zero mean divided by a scale each, (P,), and y by `target_scale`."""
         gram = Gram(
             names=self.names,
             n=self.n,

@@ -14,7 +14,7 @@ from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.linear import Linear, Series, derivatives_along, linearise
 from bayeq.numerics.minimise import minimise
 
-__all__ = ["Quadratic", "State", "Statistics", "improved", "information", "marginal", "maximised"]
+__all__ = ["Quadratic", "State", "Statistics", "improved", "information", "marginal", "maximised", "solved"]
 
 Floats = NDArray[np.float64]
 
@@ -84,6 +84,12 @@ def quadratic(filtered: Sequence[Filtered]) -> Quadratic:
     product = np.sum([found.product for found in filtered], axis=0)
     logs = sum(found.log_variance for found in filtered)
     return Quadratic(-0.5 * (logs + float(product[0, 0])), product[1:, 0], product[1:, 1:])
+
+
+def solved(A: Floats, B: Floats) -> Floats:
+    """A^-1 B of a positive matrix that may be singular; B (r,) or (r, k)."""
+    unit = 1.0 / np.sqrt(np.diagonal(A))
+    return np.asarray((np.linalg.lstsq(A * unit[:, None] * unit, (B.T * unit).T, rcond=1e-13)[0].T * unit).T)
 
 
 def marginal(linears: Sequence[Linear], state: State, levels: Levels, precision: Floats) -> Statistics:

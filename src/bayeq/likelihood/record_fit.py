@@ -14,7 +14,7 @@ from bayeq.gram import Gram, Standardised
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.fit import Quadratic
+from bayeq.likelihood.fit import Quadratic, solved
 from bayeq.likelihood.search import Fitted, Task, search
 from bayeq.likelihood.start import start_from, with_exact_inputs
 from bayeq.ode.rk4 import Interpolation
@@ -95,12 +95,17 @@ class RecordFit:
 
         return spike_slab_bma(self.task.gram(best.quadratic), self.task.known, revise=revised)
 
-    def gram(self, c: int) -> Gram:
-        """The regression that the likelihood makes of equation c, its constant estimated if it is probably not zero.
+    @cached_property
+    def standards(self) -> tuple[Standardised, ...]:
+        """The regression that the likelihood makes of each equation, in units of the priors and of the noise.
 
-        The coefficients that the posterior includes in the other equations are integrated out. Rows count so that the
-        constant is known as well as the mean of as many independent ones.
+        Its source is in original units, the constant estimated if it is probably not zero. The coefficients that the
+        posterior includes in the other equations are integrated out. Rows count so that the constant is known as well
+        as the mean of as many independent ones.
         """
+        return tuple(self._standard(c) for c in range(self.task.layout.chains))
+
+    def _standard(self, c: int) -> Standardised:
         q, own = self.fitted.quadratic, np.arange(self.block(c).start, self.block(c).stop)
         others = self.posterior.support.copy()
         others[own] = False
@@ -113,8 +118,10 @@ class RecordFit:
         n = round(self.task.rows / len(self.task.layout.channels))
         variance = float(n / A[-1, -1])
         names = tuple(term.text for term in self.task.layout.terms)
-        yty = max(float(targets @ _solved(terms, targets[:, None])[:, 0]), 0.0) + n
-        return Gram(names, n, mean, target_mean, terms * variance, targets * variance, yty * variance, n - 1.0)
+        yty = max(float(targets @ solved(terms, targets)), 0.0) + n
+        gram = Gram(names, n, mean, target_mean, terms * variance, targets * variance, yty * variance, n - 1.0)
+        unit = float(np.sqrt(variance))
+        return gram.in_units(unit * np.sqrt(self.task.precision[own[:-1]]), unit)
 
     def left_out_intercept(self, c: int) -> tuple[float, float] | None:
         """What the constant of equation c would be, with its standard deviation; None if it is in the model."""
@@ -125,25 +132,6 @@ class RecordFit:
         A, b = _marginal(q, np.array([block.stop - 1]), inside, precision)
         return float(b[0] / A[0, 0]), float(1.0 / np.sqrt(A[0, 0]))
 
-    def standard(self, c: int) -> Standardised:
-        """The same in units of the coefficients' priors and of the noise."""
-        source = self.gram(c)
-        unit = self._noise(source)
-        scale = unit * np.sqrt(self.task.precision[self.block(c)][:-1])
-        gram = replace(
-            source,
-            mean=np.zeros_like(source.mean),
-            target_mean=0.0,
-            DtD=source.DtD / scale[:, None] / scale,
-            Dty=source.Dty / scale / unit,
-            yty=source.yty / unit**2,
-        )
-        return Standardised(gram, source, scale, unit)
-
-    def _noise(self, source: Gram) -> float:
-        explained = float(source.Dty @ _solved(source.DtD, source.Dty[:, None])[:, 0])
-        return float(np.sqrt((source.yty - explained) / source.n))
-
 
 def _marginal(q: Quadratic, own: NDArray[np.intp], rest: NDArray[np.intp], precision: Floats) -> tuple[Floats, Floats]:
     """Information on some coefficients and its slope, others integrated out."""
@@ -152,14 +140,8 @@ def _marginal(q: Quadratic, own: NDArray[np.intp], rest: NDArray[np.intp], preci
         return A, b
     across = q.information[np.ix_(own, rest)]
     H = q.information[np.ix_(rest, rest)] + np.diag(precision[rest])
-    carried = _solved(H, np.column_stack([across.T, q.slope[rest]]))
+    carried = solved(H, np.column_stack([across.T, q.slope[rest]]))
     return A - across @ carried[:, :-1], b - across @ carried[:, -1]
-
-
-def _solved(A: Floats, B: Floats) -> Floats:
-    """A^-1 B of a positive matrix that may be singular."""
-    unit = 1.0 / np.sqrt(np.diagonal(A))
-    return np.asarray(unit[:, None] * np.linalg.lstsq(A * unit[:, None] * unit, B * unit[:, None], rcond=1e-13)[0])
 
 
 def suits(motion: Motion, terms: int) -> bool:
@@ -202,9 +184,7 @@ def fit_record(
             odds = np.tile(log_odds, start.layout.chains)
             others = [partial(with_exact_inputs, motion, kind=kind) for kind in EXACT]
             found = RecordFit(*search(Task(start.layout, start.series, start.precision, odds), start.states, others))
-            # what cannot be solved is found out here
-            for c in range(start.layout.chains):
-                found.standard(c)
+            _ = found.standards  # what cannot be solved is found out here
             return found
     except np.linalg.LinAlgError:
         return None

@@ -30,6 +30,7 @@ from bayeq.likelihood.fit import (
     maximised,
     over_sizes,
     quadratic,
+    solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear, Series
@@ -142,11 +143,9 @@ class Task:
         scale = 1.0 / np.sqrt(self.precision)
         DtD = q.information * scale[:, None] * scale
         Dty = q.slope * scale
-        unit = 1.0 / np.sqrt(np.diagonal(DtD))
-        fitted = np.linalg.lstsq(DtD * unit[:, None] * unit, Dty * unit, rcond=1e-13)[0] * unit
         rows = KNOWN * self.rows
         names = tuple(map(str, range(len(Dty))))
-        return Gram(names, rows, np.zeros(len(Dty)), 0.0, DtD, Dty, float(Dty @ fitted) + rows, rows)
+        return Gram(names, rows, np.zeros(len(Dty)), 0.0, DtD, Dty, float(Dty @ solved(DtD, Dty)) + rows, rows)
 
     def problem(self, q: Quadratic) -> Problem:
         """What models are compared on."""

@@ -123,7 +123,7 @@ def _by_engine(
 ) -> RegressionFit:
     """The posterior of one equation by an engine, with the prior of the likelihood."""
     k, engine = regression.k, ENGINES[method]
-    standard = record.standard(k)
+    standard = record.standards[k]
     inclusion = np.asarray(record.task.known.prior_inclusion)[record.block(k)][:-1]
     prior = constraints.prior(Prior(slab_variance=1.0, prior_inclusion=inclusion))
     options = {"seed": seed} if engine.random else {}
@@ -137,7 +137,7 @@ def _equation(regression: Regression, record: RecordFit, constraints: Constraint
     k, joint = regression.k, record.posterior
     block = np.arange(record.block(k).start, record.block(k).stop)
     terms = block[:-1]
-    standard = record.standard(k)
+    standard = record.standards[k]
     prior = Prior(slab_variance=1.0, prior_inclusion=np.asarray(record.task.known.prior_inclusion)[terms])
     support = joint.support[terms]
     coef, covariance = exact_posterior(Problem.of(standard.gram, prior), support, None)

@@ -71,7 +71,7 @@ class Regression:
             rows = _filtered_gram(design, k, motion.train, kept=True)
             held_out = _filtered_gram(design, k, motion.held_out) if motion.held_out else None
         if record is not None:
-            return cls(design, k, rows, held_out, None, record.gram(k), record)
+            return cls(design, k, rows, held_out, None, record.standards[k].source, record)
         band = regress_in_band(design, k)
         return cls(design, k, rows, held_out, band, rows if band is None else band.gram)
 
