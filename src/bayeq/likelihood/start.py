@@ -16,7 +16,7 @@ from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
-from bayeq.likelihood.fit import State, linearised, marginal, maximised
+from bayeq.likelihood.fit import State, adjoints, linearised, marginal, maximised
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.levels import Levels, Scales
 from bayeq.likelihood.linear import Series
@@ -65,20 +65,8 @@ class Start:
     precision: Floats
 
 
-@dataclass(frozen=True)
-class _Input:
-    """An input by itself: how many derivatives are states, and the levels that its samples tell."""
-
-    smoothness: int
-    mean: float
-    noise: float
-    slope: float
-    memory: float
-    paths: tuple[Floats, ...]
-
-
 def start_from(motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram]) -> Start:
-    """The fit of a dictionary to the training rows of some motion, before any coefficient.
+    """Where fits of a dictionary to the training rows of some motion start.
 
     Parameters
     ----------
@@ -91,15 +79,16 @@ def start_from(motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram
     """
     roles, pieces = motion.roles, motion.train
     inputs = [_input(name, pieces) for name in roles.inputs]
-    smoothness = tuple(one.smoothness for one in inputs)
-    centres = tuple(one.mean for one in inputs)
+    alone = [levels for levels, _ in inputs]
+    smoothness = tuple(one.layout.smoothness[0] for one in alone)
+    centres = tuple(one.layout.centres[0] for one in alone)
     layout = Layout(roles, tuple(terms), motion.unit_gains, roles.inputs, smoothness, centres)
     series = tuple(_series(layout, rows) for rows in pieces)
-    paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
+    paths = tuple(_path(layout, rows, [found[i] for _, found in inputs]) for i, rows in enumerate(pieces))
     targets = _targets(roles, pieces)
     scales = _scales(layout, paths, targets.var(axis=0), np.concatenate([one.samples for one in series]))
     noise = FIRST_NOISE * scales.channels
-    noise[len(noise) - len(inputs) :] = [one.noise for one in inputs]
+    noise[len(noise) - len(inputs) :] = [one.channels[0] for one in alone]
     lag1 = [np.corrcoef(column[:-1], column[1:])[0, 1] for column in targets.T]
     levels = Levels(
         layout,
@@ -107,8 +96,8 @@ def start_from(motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram
         noise,
         scales.variance[layout.discrepancy],
         np.clip(lag1, LEAST_MEMORY, MOST_MEMORY),
-        np.array([one.slope for one in inputs]),
-        np.array([one.memory for one in inputs]),
+        np.array([one.slope[0] for one in alone]),
+        np.array([one.slope_memory[0] for one in alone]),
     )
     none = np.zeros(0, dtype=np.int64)
     empty = State(Candidates(none, none), np.zeros(0), paths, levels)
@@ -192,14 +181,15 @@ def _targets(roles: Roles, pieces: Sequence[MotionRows]) -> Floats:
     return np.concatenate([np.column_stack([rows.observed[t] for t in roles.targets]) for rows in pieces])
 
 
-def _input(name: str, pieces: Sequence[MotionRows]) -> _Input:
-    """The smoothness of an input that makes its own samples likeliest, and its path."""
+def _input(name: str, pieces: Sequence[MotionRows]) -> tuple[Levels, tuple[Floats, ...]]:
+    """The smoothness of an input that makes its own samples likeliest, as levels of it alone, and its paths."""
     found = [_alone(name, pieces, smoothness) for smoothness in SMOOTHNESS]
-    return max(found, key=lambda one: one[0])[1]
+    _, state, series = max(found, key=lambda one: one[0])
+    return state.levels, _smoothed(series, state)
 
 
-def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[float, _Input]:
-    """Levels of an input by the likelihood of its own samples, and its path; nothing else is in the model."""
+def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[float, State, list[Series]]:
+    """Levels of an input by the likelihood of its own samples, nothing else in the model; that likelihood first."""
     values = np.concatenate([rows.columns[name] for rows in pieces])
     layout = Layout(Roles((), (name,)), (), (), (name,), (smoothness,), (float(values.mean()),))
     intervals = [np.diff(rows.time) for rows in pieces if rows.time is not None]
@@ -225,17 +215,15 @@ def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[fl
     held = np.array([not smoothness, False, not smoothness])
     levels = maximised(linears, few, none, held, steps=20, tolerance=1e-5)
     value = marginal(linears, replace(few, levels=levels), levels, none).value
-    return value, _smoothed(layout, series, replace(state, levels=levels), smoothness)
+    return value, replace(state, levels=levels), series
 
 
-def _smoothed(layout: Layout, series: Sequence[Series], state: State, smoothness: int) -> _Input:
-    from bayeq.likelihood.fit import adjoints
-
-    linears, levels = linearised(layout, series, state), state.levels
+def _smoothed(series: Sequence[Series], state: State) -> tuple[Floats, ...]:
+    """The paths of an input alone: deviations from zero."""
+    levels = state.levels
+    linears = linearised(levels.layout, series, state)
     found = marginal(linears, state, levels, np.zeros(0))
-    paths = tuple(one.deviation for one in adjoints(linears, state, levels, found, found.delta))
-    mean, noise = layout.centres[0], float(levels.channels[0])
-    return _Input(smoothness, mean, noise, float(levels.slope[0]), float(levels.slope_memory[0]), paths)
+    return tuple(one.deviation for one in adjoints(linears, state, levels, found, found.delta))
 
 
 def _stretch(series: Series, rows: int) -> Series:
