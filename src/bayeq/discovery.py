@@ -78,7 +78,8 @@ def discover(
     method : str
         ``"auto"`` (the optimum of variational Bayes, probabilities by model averaging), ``"vb"``, ``"bma"``,
         ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
-    smooth : "auto" or "none"
+    smooth : "auto", "band" or "none"
+        "auto" is the likelihood of the record where it can be used, "band" the regression of smoothed rows.
         How derivatives that are not measured are estimated, see `bayeq.states.estimate_motion`.
     holdout : float
         Share of the rows, the last of each record, that is not used but predicted.

@@ -90,7 +90,7 @@ class Progress:
     "--smooth",
     type=click.Choice(["auto", "band", "none"]),
     default="auto",
-    help="Derivatives not measured: smoothed (auto) or differences (none).",
+    help="Likelihood of the record (auto), regression of smoothed rows (band), or channels as measured (none).",
 )
 @option(
     "--constraint",

@@ -182,9 +182,9 @@ def _warn_of_undecided(equation: Equation, selection: Selection, log: WarningLog
 
 def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog) -> None:
     target, residuals, regression = equation.target, equation.residuals, selection.fit.regression
-    if regression.record is not None:
+    if residuals.discrepancy is not None:
         if equation.verdict.kind != "none":
-            _warn_of_discrepancy(target, regression, log)
+            _warn_of_discrepancy(target, residuals.discrepancy, log)
         return
     if residuals.correlated and residuals.excess is None:
         reduced = regression.band is None and regression.gram.n < equation.train.n
@@ -210,10 +210,9 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
         )
 
 
-def _warn_of_discrepancy(target: str, regression: Regression, log: WarningLog) -> None:
+def _warn_of_discrepancy(target: str, share: float, log: WarningLog) -> None:
     """The likelihood of the records needs a discrepancy that no dictionary with the right terms needed."""
-    share = _discrepancy(regression)
-    if share is not None and share > NEARLY_TRUE:
+    if share > NEARLY_TRUE:
         log.warn(
             f"{target}: what the dictionary does not hold has {100 * share:.3g} % of its standard deviation:"
             " the equation is only nearly true, or the channels do not fit each other. Included terms may compensate"

@@ -191,8 +191,7 @@ def fit(task: Task, state: State, coarse: bool = False) -> Fitted:
     precision, before = task.precision[number], -np.inf
     for _ in range(STEPS if coarse else MOST_STEPS):
         linears = task.linearised(state)
-        levels = maximised(linears, state, precision, **COARSE) if coarse else None
-        state = replace(state, levels=levels or maximised(linears, state, precision))
+        state = replace(state, levels=maximised(linears, state, precision, **(COARSE if coarse else {})))
         state, curved, found = improved(layout, series, linears, state, precision)
         if abs(found.value - before) < SETTLED:
             break

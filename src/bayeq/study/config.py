@@ -82,7 +82,7 @@ class StudyConfig:
             if not (math.isfinite(value) and value >= 0):
                 raise InputError(f"{name} must be a finite number, not negative, got {value!r}")
         if self.smooth not in ("auto", "band", "none"):
-            raise InputError(f"smooth must be auto or none, got {self.smooth!r}")
+            raise InputError(f"smooth must be auto, band or none, got {self.smooth!r}")
 
     def to_dict(self) -> dict[str, Any]:
         """Field -> value, in the order of the fields."""
