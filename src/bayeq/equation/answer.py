@@ -27,6 +27,8 @@ class DataSummary:
         Names of the records.
     n, n_train, n_held_out : int
         Measured rows in all, used, and held out.
+    refitted : bool
+        Whether, scored on the rows held out, the equations were then found anew from all rows.
     estimated : tuple of str
         Derivatives that were not measured but estimated.
     smoothed : bool
@@ -42,9 +44,10 @@ class DataSummary:
     estimated: tuple[str, ...] = ()
     smoothed: bool = False
     holdout: float = 0.0
+    refitted: bool = False
 
     @classmethod
-    def of(cls, records: Sequence[Record], motion: Motion) -> Self:
+    def of(cls, records: Sequence[Record], motion: Motion, refitted: bool = False) -> Self:
         """The summary of some records and their motion."""
         used, held_out = motion.counts
         return cls(
@@ -55,6 +58,7 @@ class DataSummary:
             estimated=motion.estimated,
             smoothed=bool(motion.smoothing),
             holdout=motion.holdout,
+            refitted=refitted,
         )
 
 

@@ -37,7 +37,7 @@ AMBIGUOUS = math.log(20.0)
 
 
 def build_equations(
-    selections: Sequence[Selection], units: Mapping[str, str], log: WarningLog
+    selections: Sequence[Selection], units: Mapping[str, str], log: WarningLog, scored: Sequence[Equation] = ()
 ) -> tuple[tuple[Equation, ...], Scores | None]:
     """The equations of a system, and how they do on the rows held out.
 
@@ -49,14 +49,19 @@ def build_equations(
         Of channels and their derivatives, as far as they are known.
     log : WarningLog
         Takes the warnings.
+    scored : sequence of Equation
+        The equations found with rows held out, where these are found without: verdicts and fits on those rows are
+        theirs.
     """
     design = selections[0].fit.regression.design
     motion = design.motion
-    dynamics = Dynamics.on(motion, design.terms, [one.fit.expanded(one.shown) for one in selections])
+    dynamics = Dynamics.on(motion, design.terms, [one.shown_fit.expanded(one.shown) for one in selections])
     windows: Sequence[float | None] = window_errors(dynamics, motion) or [None] * len(selections)
     equations = []
-    for selection, window in zip(selections, windows, strict=True):
+    for k, (selection, window) in enumerate(zip(selections, windows, strict=True)):
         equation = replace(build_equation(selection, window), units=units)
+        if scored:
+            equation = replace(equation, held_out=scored[k].held_out, verdict=scored[k].verdict, fit=scored[k].fit)
         warn_of(equation, selection, log)
         equations.append(equation)
     return tuple(equations), held_out_scores(dynamics, motion)
@@ -74,7 +79,7 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
     """
     fit = selection.fit
     regression, motion = fit.regression, fit.regression.motion
-    shown, excess = fit.reported(selection.shown)
+    shown, excess = selection.shown_fit.reported(selection.shown)
     same = selection.shown is fit.posterior
     posterior = shown if same else fit.reported(fit.posterior)[0]
     train, held_out = regression.fit(shown), regression.held_out_fit(shown)

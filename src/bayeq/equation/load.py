@@ -99,6 +99,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
             estimated=tuple(data["estimated"]),
             smoothed=bool(data["smoothed"]),
             holdout=float(data["holdout"]),
+            refitted=bool(data.get("refitted", False)),
         ),
         dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
         warnings=tuple(str(w) for w in diagnostics["warnings"]),

@@ -53,7 +53,10 @@ def render(eq: Answer, with_warnings: bool = True) -> str:
         _render_equation(console, equation, eq.method, eq.scores, terminal)
     names = [name for name in eq.data.files if name]
     source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
-    console.print(f"{eq.data.n} rows{source}, {eq.data.n_train} used; method: {ENGINES[eq.method].title}")
+    used = f"{eq.data.n_train} used"
+    if eq.data.refitted:
+        used = f"all used; fits and free runs on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
+    console.print(f"{eq.data.n} rows{source}, {used}; method: {ENGINES[eq.method].title}")
     if eq.data.estimated:
         how = "smoothing" if eq.data.smoothed else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")

@@ -39,6 +39,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "estimated": list(eq.data.estimated),
             "smoothed": eq.data.smoothed,
             "holdout": eq.data.holdout,
+            "refitted": eq.data.refitted,
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
+from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Roles, rates
 
 __all__ = ["Candidates", "Layout"]
@@ -60,6 +61,8 @@ class Layout:
         independent samples joined by straight lines, whose slope is a state all the same.
     centres : tuple of float
         Mean of each noisy input.
+    interpolation : "cubic", "band-limited", "linear" or "hold"
+        The other inputs between their samples.
     """
 
     roles: Roles
@@ -68,6 +71,7 @@ class Layout:
     noisy: tuple[str, ...] = ()
     smoothness: tuple[int, ...] = ()
     centres: tuple[float, ...] = ()
+    interpolation: Interpolation = "cubic"
 
     @cached_property
     def chains(self) -> int:

@@ -15,19 +15,22 @@ from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.fit import Quadratic, solved
-from bayeq.likelihood.search import Fitted, Task, search
-from bayeq.likelihood.start import start_from, with_exact_inputs
+from bayeq.likelihood.search import Fitted, Task, fit, resumed, search, with_model
+from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
 from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Motion
 
-__all__ = ["RecordFit", "fit_record", "suits"]
+__all__ = ["RecordFit", "fit_record", "refit_record", "suits"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 # Beyond these numbers of rows and of candidates of all equations together, records are left to the band regression.
-MOST_ROWS = 50_000
+MOST_ROWS = 200_000
 MOST_CANDIDATES = 1000
+
+# Of longer records a model is first looked for in this many stretches of so many rows together.
+ROWS_AT_FIRST, STRETCHES = 16_000, 4
 
 # Ways in which inputs without noise may go on between samples.
 EXACT: tuple[Interpolation, ...] = ("cubic", "band-limited", "linear", "hold")
@@ -42,11 +45,29 @@ class RecordFit:
     task : Task
         What was to be explained.
     fitted : Fitted
-        The best model, and the likelihood about it.
+        A model, and the likelihood about it: at first of the included coefficients.
+    posterior : Posterior
+        Over the models of all equations, in units of the coefficients' priors.
     """
 
     task: Task
     fitted: Fitted
+    posterior: Posterior
+
+    @classmethod
+    def of(cls, task: Task, fitted: Fitted) -> RecordFit:
+        """What the best model and those it was compared with tell."""
+        posterior = _averaged(task, fitted)
+        return cls(task, fitted, posterior).about(posterior.support)
+
+    def about(self, model: Bools) -> RecordFit:
+        """The fit of another model, (C (P + 1),) bool; probabilities stay."""
+        if bool((model == self.fitted.model).all()):
+            return self
+        try:
+            return replace(self, fitted=fit(self.task, with_model(self.task, self.fitted, model)))
+        except np.linalg.LinAlgError:  # motion that it does not stay near: as the likelihood about the former tells it
+            return replace(self, fitted=replace(self.fitted, model=model))
 
     @property
     def width(self) -> int:
@@ -71,48 +92,23 @@ class RecordFit:
         return slice(c * self.width, (c + 1) * self.width)
 
     @cached_property
-    def posterior(self) -> Posterior:
-        """Model averaging over the models of all equations, in units of the coefficients' priors.
-
-        Models that were fitted have the evidence of their fit, the others that of the Gram about the best one.
-        """
-        best, tried = self.fitted, self.fitted.tried
-
-        def revised(found: ModelSet) -> ModelSet:
-            keys = [model.tobytes() for model in found.models]
-            own = best.model.tobytes()
-            if own not in keys:
-                return found
-            level = found.log_posterior[keys.index(own)]
-            values = np.array(
-                [
-                    level + tried[key] - best.evidence if key in tried else value
-                    for key, value in zip(keys, found.log_posterior, strict=True)
-                ]
-            )
-            order = np.argsort(-values, kind="stable")
-            return replace(found, models=found.models[order], log_posterior=values[order])
-
-        return spike_slab_bma(self.task.gram(best.quadratic), self.task.known, revise=revised)
-
-    @cached_property
     def standards(self) -> tuple[Standardised, ...]:
         """The regression that the likelihood makes of each equation, in units of the priors and of the noise.
 
-        Its source is in original units, the constant estimated if it is probably not zero. The coefficients that the
-        posterior includes in the other equations are integrated out. Rows count so that the constant is known as well
+        Its source is in original units, the constant estimated if it is in the model. The coefficients of the
+        model in the other equations are integrated out. Rows count so that the constant is known as well
         as the mean of as many independent ones.
         """
         return tuple(self._standard(c) for c in range(self.task.layout.chains))
 
     def _standard(self, c: int) -> Standardised:
         q, own = self.fitted.quadratic, np.arange(self.block(c).start, self.block(c).stop)
-        others = self.posterior.support.copy()
+        others = self.fitted.model.copy()
         others[own] = False
         A, b = _marginal(q, own, np.flatnonzero(others), self.task.precision)
         terms, targets = A[:-1, :-1], b[:-1]
         mean, target_mean = np.zeros(len(targets)), 0.0
-        if self.posterior.support[own[-1]]:
+        if self.fitted.model[own[-1]]:
             mean, target_mean = A[-1, :-1] / A[-1, -1], float(b[-1] / A[-1, -1])
             terms, targets = terms - np.outer(A[:-1, -1], mean), targets - A[:-1, -1] * target_mean
         n = round(self.task.rows / len(self.task.layout.channels))
@@ -126,11 +122,32 @@ class RecordFit:
     def left_out_intercept(self, c: int) -> tuple[float, float] | None:
         """What the constant of equation c would be, with its standard deviation; None if it is in the model."""
         block, q, precision = self.block(c), self.fitted.quadratic, self.task.precision
-        if self.posterior.support[block.stop - 1]:
+        if self.fitted.model[block.stop - 1]:
             return None
-        inside = np.flatnonzero(self.posterior.support)
+        inside = np.flatnonzero(self.fitted.model)
         A, b = _marginal(q, np.array([block.stop - 1]), inside, precision)
         return float(b[0] / A[0, 0]), float(1.0 / np.sqrt(A[0, 0]))
+
+
+def _averaged(task: Task, best: Fitted) -> Posterior:
+    """Model averaging: models that were fitted have the evidence of their fit, the others that of the Gram."""
+
+    def revised(found: ModelSet) -> ModelSet:
+        keys = [model.tobytes() for model in found.models]
+        own = best.model.tobytes()
+        if own not in keys:
+            return found
+        level = found.log_posterior[keys.index(own)]
+        values = np.array(
+            [
+                level + best.tried[key] - best.evidence if key in best.tried else value
+                for key, value in zip(keys, found.log_posterior, strict=True)
+            ]
+        )
+        order = np.argsort(-values, kind="stable")
+        return replace(found, models=found.models[order], log_posterior=values[order])
+
+    return spike_slab_bma(task.gram(best.quadratic), task.known, revise=revised)
 
 
 def _marginal(q: Quadratic, own: NDArray[np.intp], rest: NDArray[np.intp], precision: Floats) -> tuple[Floats, Floats]:
@@ -161,6 +178,8 @@ def fit_record(
 ) -> RecordFit | None:
     """Fit a dictionary to the training rows of some motion.
 
+    Of long records the model is first looked for in stretches.
+
     Parameters
     ----------
     motion : Motion
@@ -180,11 +199,62 @@ def fit_record(
     """
     try:
         with np.errstate(all="ignore"):
-            start = start_from(motion, terms, grams)
+            some, places = _stretches(motion)
+            start = start_from(some, terms, grams)
             odds = np.tile(log_odds, start.layout.chains)
-            others = [partial(with_exact_inputs, motion, kind=kind) for kind in EXACT]
-            found = RecordFit(*search(Task(start.layout, start.series, start.precision, odds), start.states, others))
-            _ = found.standards  # what cannot be solved is found out here
-            return found
+            others = [partial(with_exact_inputs, some, kind=kind) for kind in EXACT]
+            found = search(Task(start.layout, start.series, start.precision, odds), start.states, others)
+            if some is not motion:
+                return _resumed(motion, *found, places)
+            return _checked(RecordFit.of(*found))
     except np.linalg.LinAlgError:
         return None
+
+
+def refit_record(motion: Motion, former: RecordFit) -> RecordFit | None:
+    """Fit all rows of some motion, starting from what was found on the first rows of each record.
+
+    Parameters
+    ----------
+    motion : Motion
+        With all rows for training.
+    former : RecordFit
+        Of the same records with rows held out.
+
+    Returns
+    -------
+    RecordFit or None
+        None where the likelihood cannot be evaluated.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            places = [(record, 0) for record in range(len(motion.train))]
+            return _resumed(motion, former.task, former.fitted, places)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> RecordFit:
+    task, state = carried_over(motion, task, fitted, places)
+    return _checked(RecordFit.of(task, resumed(task, state)))
+
+
+def _checked(found: RecordFit) -> RecordFit:
+    _ = found.standards  # what cannot be solved is found out here
+    return found
+
+
+def _stretches(motion: Motion) -> tuple[Motion, list[tuple[int, int]]]:
+    """Stretches of long records, and where each begins; short ones as they are."""
+    total = sum(rows.n for rows in motion.train)
+    if total <= ROWS_AT_FIRST:
+        return motion, [(record, 0) for record in range(len(motion.train))]
+    places, pieces = [], []
+    for record, rows in enumerate(motion.train):
+        count = max(1, round(STRETCHES * rows.n / total))
+        length = min(ROWS_AT_FIRST // STRETCHES, rows.n // count)
+        for first in np.linspace(0, rows.n - length, count).round().astype(int).tolist():
+            places.append((record, first))
+            pieces.append(rows.part(slice(first, first + length)))
+    cuts = tuple(rows.n for rows in pieces)
+    return replace(motion, records=tuple(pieces), cuts=cuts, holdout=0.0), places

@@ -35,7 +35,7 @@ from bayeq.likelihood.fit import (
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear, Series
 
-__all__ = ["Fitted", "Task", "search"]
+__all__ = ["Fitted", "Task", "fit", "resumed", "search", "with_model"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -55,6 +55,9 @@ MOST_STEPS = 6
 WINDOW = 6.0
 NEIGHBOURS = 8
 MOVES = 5
+
+# With more samples than this the Gram of a fit tells its neighbours apart, and they are not fitted.
+MOST_TO_MOVE = 100_000
 
 # A deviation from the path that grows by more than this factor in a sample, tried at CHECKED of them, or a step that
 # ends further from the path in standard deviations of a state: no motion that was measured.
@@ -339,11 +342,15 @@ def with_other_inputs(
     return max(pairs, key=lambda pair: of_motion(*pair))
 
 
+def _no_log(word: str, fitted: Fitted) -> None:
+    """No trace kept."""
+
+
 def search(
     task: Task,
     starts: Sequence[State],
     others: Sequence[Alternative] = (),
-    log: Callable[..., None] = lambda *a: None,
+    log: Callable[..., None] = _no_log,
 ) -> tuple[Task, Fitted]:
     """The best model that rounds of selection, then single moves, lead to.
 
@@ -378,6 +385,38 @@ def search(
         raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
     task, best = max(settled, key=lambda pair: pair[1].evidence)
     task, best = with_other_inputs(task, best, others, log)
+    return task, among_neighbours(task, best, log)
+
+
+def resumed(task: Task, state: State, log: Callable[..., None] = _no_log) -> Fitted:
+    """The best model of a task, looked for from a fit of some of its rows.
+
+    Parameters
+    ----------
+    task : Task
+        What is to be explained.
+    state : State
+        From `bayeq.likelihood.start.carried_over`.
+    log : callable, optional
+        As in `search`.
+    """
+    best = now = fit(task, state)
+    log("resumed", now)
+    seen = {now.model.tobytes()}
+    for _ in range(ROUNDS):
+        state = likeliest(task, now)
+        if task.model(state.chosen).tobytes() in seen:
+            break
+        now = fit(task, state)
+        seen.add(now.model.tobytes())
+        log("round", now)
+        if now.evidence > best.evidence:
+            best = now
+    return among_neighbours(task, best, log) if task.rows <= MOST_TO_MOVE else best
+
+
+def among_neighbours(task: Task, best: Fitted, log: Callable[..., None]) -> Fitted:
+    """The model that single moves lead to, each compared by its own fit."""
     tried = {best.model.tobytes(): best.evidence}
     for _ in range(MOVES):
         better = best
@@ -394,4 +433,4 @@ def search(
             break
         best = better
         log("move", best)
-    return task, replace(best, tried=tried)
+    return replace(best, tried=tried)

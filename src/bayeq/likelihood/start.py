@@ -24,7 +24,7 @@ from bayeq.likelihood.search import Fitted, Task
 from bayeq.ode.rk4 import Interpolation, interpolant
 from bayeq.states import Motion, MotionRows, Roles
 
-__all__ = ["Start", "start_from", "with_exact_inputs"]
+__all__ = ["Start", "carried_over", "start_from", "with_exact_inputs"]
 
 Floats = NDArray[np.float64]
 
@@ -127,13 +127,13 @@ def _by_rows(empty: State, grams: Sequence[Gram]) -> State:
 def with_exact_inputs(motion: Motion, task: Task, fitted: Fitted, kind: Interpolation) -> tuple[Task, State]:
     """The task with all inputs as measured, interpolated in one way, and a fit as its start."""
     old, state = task.layout, fitted.state
-    layout = replace(old, noisy=(), smoothness=(), centres=())
+    layout = replace(old, noisy=(), smoothness=(), centres=(), interpolation=kind)
     levels, kept = state.levels, layout.size
     channels = len(layout.channels)
     scales = Scales(levels.scales.mean[:kept], levels.scales.variance[:kept], levels.scales.channels[:channels])
     none = np.zeros(0)
     return (
-        replace(task, layout=layout, series=tuple(_series(layout, rows, kind) for rows in motion.train)),
+        replace(task, layout=layout, series=tuple(_series(layout, rows) for rows in motion.train)),
         replace(
             state,
             paths=tuple(np.ascontiguousarray(path[:, :kept]) for path in state.paths),
@@ -142,13 +142,33 @@ def with_exact_inputs(motion: Motion, task: Task, fitted: Fitted, kind: Interpol
     )
 
 
-def _series(layout: Layout, rows: MotionRows, kind: Interpolation = "cubic") -> Series:
+def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> tuple[Task, State]:
+    """The task on more rows, and a fit of some of them as its start.
+
+    Parameters
+    ----------
+    motion : Motion
+        The records whose training rows are to be explained.
+    task, fitted : Task, Fitted
+        What explains some of them.
+    places : sequence of (int, int)
+        The record that each path of the fit belongs to, and its first row there.
+    """
+    layout, pieces = task.layout, motion.train
+    paths = [_path(layout, rows, [rows.columns[name][:, None] for name in layout.noisy]) for rows in pieces]
+    for path, (record, first) in zip(fitted.state.paths, places, strict=True):
+        paths[record][first : first + len(path)] = path
+    series = tuple(_series(layout, rows) for rows in pieces)
+    return replace(task, series=series), replace(fitted.state, paths=tuple(paths))
+
+
+def _series(layout: Layout, rows: MotionRows) -> Series:
     assert rows.time is not None
     samples = np.empty((rows.n, len(layout.channels)))
     for i, (name, _) in enumerate(layout.channels):
         samples[:, i] = rows.samples[name] if name in rows.samples else np.where(rows.known, rows.columns[name], np.nan)
     exact = np.column_stack([rows.columns[name] for name in layout.exact]) if layout.exact else np.zeros((rows.n, 0))
-    return Series(np.diff(rows.time), samples, interpolant(rows.time, exact, kind))
+    return Series(np.diff(rows.time), samples, interpolant(rows.time, exact, layout.interpolation))
 
 
 def _path(layout: Layout, rows: MotionRows, inputs: Sequence[Floats]) -> Floats:

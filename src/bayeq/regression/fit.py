@@ -15,6 +15,7 @@ from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.engines import Engine
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
+from bayeq.likelihood.record_fit import RecordFit
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.covariance import propagated_covariance
 from bayeq.regression.regression import Regression
@@ -70,11 +71,24 @@ class RegressionFit:
 
     def given(self, model: Bools) -> Posterior:
         """The posterior given a model of other terms, (F,) bool, in units of `standard`; probabilities stay."""
-        if bool((model == self.posterior.support).all()):
-            return self.posterior
+        return self.posterior if bool((model == self.posterior.support).all()) else self.conditional(model)
+
+    def conditional(self, model: Bools) -> Posterior:
+        """As `given`, of the included terms too by `standard`."""
         coef, covariance = exact_posterior(self.problem, model, self.prior.known_signs)
         noise = noise_given_model(self.problem, model)
         return replace(self.posterior, support=model, coef=coef, covariance=covariance, noise_variance=noise)
+
+    def about(self, record: RecordFit) -> RegressionFit:
+        """The same posterior with the likelihood of the record about another model."""
+        k = self.regression.k
+        standard = record.standards[k]
+        return replace(
+            self,
+            regression=replace(self.regression, gram=standard.source, record=record),
+            standard=standard,
+            posterior=replace(self.posterior, left_out_intercept=record.left_out_intercept(k)),
+        )
 
     def expanded(self, posterior: Posterior) -> Posterior:
         """A posterior of `standard` in original units and of all P terms."""

@@ -113,17 +113,25 @@ class Selection:
     fit : RegressionFit
         What they were chosen from.
     shown : Posterior
-        Given the terms shown, in units of `fit.standard`; probabilities are those of `fit.posterior`.
+        Given the terms shown, in units of `shown_fit.standard`; probabilities are those of `fit.posterior`.
     why : mapping of str to str
         Terms that are included or shown and not both, with the rule that decided.
     undecided : mapping of str to tuple of str
         Terms that are shown, each with terms left out that could as well take its place.
+    own : RegressionFit, optional
+        What the coefficients shown come from, where the likelihood of the record is about them.
     """
 
     fit: RegressionFit
     shown: Posterior
     why: Mapping[str, str] = field(default_factory=dict)
     undecided: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    own: RegressionFit | None = None
+
+    @property
+    def shown_fit(self) -> RegressionFit:
+        """What the coefficients shown come from."""
+        return self.own or self.fit
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
@@ -163,16 +171,35 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
         More terms are forced in than `max_terms`.
     """
     chosen = [_limited(_plausible(Selection(fit, fit.posterior)), rules.max_terms) for fit in fits]
-    if not rules.negligible or not motion.timed or not all(ENGINES[fit.posterior.method].spike_slab for fit in fits):
+    if rules.negligible and motion.timed and all(ENGINES[fit.posterior.method].spike_slab for fit in fits):
+        runs = FreeRuns(motion, fits)
+        for k, fit in enumerate(fits):
+            shown = [one.shown for one in chosen]
+            fewer = less_negligible(fit, k, shown, rules.negligible, runs)
+            if fewer is not None:
+                undecided = undecided_forms(fit, k, shown, fewer, rules.negligible, runs)
+                chosen[k] = replace(chosen[k].given(fewer, "negligible"), undecided=undecided)
+    return _refitted(chosen)
+
+
+def _refitted(chosen: list[Selection]) -> list[Selection]:
+    """Coefficients shown by a fit of their own, where others are shown than are included.
+
+    So the same terms have the same coefficients however they were come by.
+    """
+    found = [one.fit for one in chosen]
+    record = found[0].regression.record
+    differ = any(bool((one.shown.support != one.fit.posterior.support).any()) for one in chosen)
+    if record is None or not differ or any(len(fit.constraints.equalities.eliminated) for fit in found):
         return chosen
-    runs = FreeRuns(motion, fits)
-    for k, fit in enumerate(fits):
-        shown = [one.shown for one in chosen]
-        fewer = less_negligible(fit, k, shown, rules.negligible, runs)
-        if fewer is not None:
-            undecided = undecided_forms(fit, k, shown, fewer, rules.negligible, runs)
-            chosen[k] = replace(chosen[k].given(fewer, "negligible"), undecided=undecided)
-    return chosen
+    model = record.fitted.model.copy()
+    for k, one in enumerate(chosen):
+        model[record.block(k)][:-1] = one.shown.support
+    about = record.about(model)
+    fits = [fit.about(about) for fit in found]
+    return [
+        replace(one, own=fit, shown=fit.conditional(one.shown.support)) for one, fit in zip(chosen, fits, strict=True)
+    ]
 
 
 def _plausible(selection: Selection) -> Selection:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -119,6 +119,11 @@ class Motion:
         return tuple(
             rows.part(slice(cut, rows.n)) for rows, cut in zip(self.records, self.cuts, strict=True) if cut < rows.n
         )
+
+    @property
+    def whole(self) -> Motion:
+        """The same motion with no rows held out; those that were are smoothed apart."""
+        return replace(self, cuts=tuple(rows.n for rows in self.records), holdout=0.0)
 
     @property
     def counts(self) -> tuple[int, int]:
