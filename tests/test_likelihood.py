@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 import bayeq as bq
+from bayeq.expressions import Evaluator, Expression, parse
 from bayeq.likelihood.record_fit import suits
+from bayeq.likelihood.signs import arguments_of_signs, error_where_it_changes, mean_of_signs
 from bayeq.states import Roles, estimate_motion
+from bayeq.systems import get_system
 
 OSCILLATOR = {"chains": ["x:v:a"], "inputs": ["u"]}
 
@@ -160,3 +165,95 @@ def test_where_it_is_not_used():
     # smoothed rows or bins otherwise
     assert quietly(record, chains=["::a"], inputs=["u"])[0].fit.regression.record is None
     assert quietly(record, **OSCILLATOR, smooth="band")[0].fit.regression.record is None
+
+
+# --- all rows --------------------------------------------------------------------------------------------------------
+
+
+def test_an_equation_is_scored_and_then_found_from_all_rows():
+    record = bq.simulate("duffing", n=1500, seed=4)
+    eq = quietly(record, **OSCILLATOR)
+    whole = quietly(record, **OSCILLATOR, holdout=0.0)
+    assert eq.data.refitted
+    assert not whole.data.refitted
+    assert "all used" in str(eq)
+    assert eq[0].shown == whole[0].shown
+    sd = dict(zip(whole[0].posterior.names, whole[0].posterior.sd, strict=True))
+    # the same maximum, looked for from two sides
+    assert all(abs(eq[0].coef[name] - whole[0].coef[name]) < 0.05 * sd[name] for name in eq[0].shown)
+    # scores are those of the equation that did not see the rows
+    former = eq[0].scored
+    assert former is not None
+    assert eq[0].held_out == former.held_out
+    assert former.posterior.sd.max() > eq[0].posterior.sd.max()
+
+
+def test_terms_have_the_same_coefficients_found_typed_or_reached_by_a_limit():
+    record = bq.simulate("duffing", n=1500, seed=5)
+    true = ["x", "v", "x**3", "u"]
+    found = quietly(record, **OSCILLATOR)[0]
+    typed = quietly(record, **OSCILLATOR, dictionary=true)[0]
+    assert set(found.shown) == set(typed.shown) == set(true)
+    sd = dict(zip(typed.posterior.names, typed.posterior.sd, strict=True))
+    assert all(abs(found.coef[name] - typed.coef[name]) < 0.2 * sd[name] for name in true)
+    # without the cubic spring
+    limited = quietly(record, **OSCILLATOR, max_terms=3)[0]
+    fewer = quietly(record, **OSCILLATOR, dictionary=list(limited.shown))[0]
+    sd = dict(zip(fewer.posterior.names, fewer.posterior.sd, strict=True))
+    assert len(limited.shown) == 3
+    assert all(abs(limited.shown_coef[name] - fewer.coef[name]) < 0.2 * sd[name] for name in limited.shown)
+
+
+def test_a_long_record_from_stretches_is_the_whole_record(monkeypatch):
+    record = bq.simulate("duffing", n=6000, seed=6)
+    whole = quietly(record, **OSCILLATOR, holdout=0.0)[0]
+    monkeypatch.setattr("bayeq.likelihood.record_fit.ROWS_AT_FIRST", 2000)
+    first = quietly(record, **OSCILLATOR, holdout=0.0)[0]
+    assert first.shown == whole.shown
+    sd = dict(zip(whole.posterior.names, whole.posterior.sd, strict=True))
+    assert all(abs(first.coef[name] - whole.coef[name]) < 0.1 * sd[name] for name in whole.shown)
+
+
+# --- jumps -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_force_that_jumps_with_the_displacement():
+    # twice 22 at every passage through zero, beside an acceleration of standard deviation 77
+    law = {"x": -1000.0, "u": 1.0, "sign(x)": 22.0, "v**4": 0.019}
+    system = replace(
+        get_system("linear"),
+        rhs={"x": "v", "v": "+".join(f"({c})*{t}" for t, c in law.items())},
+        terms={"a": {t: str(c) for t, c in law.items()}},
+        parameters={},
+    )
+    record = bq.simulate(system, n=4000, seed=15, noise=0.05)
+    (one,) = quietly(record, **OSCILLATOR, holdout=0.0)
+    assert set(one.included) == set(law)
+    p = one.posterior
+    z = np.array([(p.coef[p.names.index(name)] - value) / p.sd[p.names.index(name)] for name, value in law.items()])
+    assert (z**2).sum() < 18.5  # chi-square of 4: one in a thousand
+
+
+def test_the_mean_of_a_sign():
+    argument = parse("x-v").tree
+    term = parse("sign(x-v)*v").tree
+    assert list(arguments_of_signs(term)) == [argument]
+    assert mean_of_signs(term, {}) == term
+    rng = np.random.default_rng(0)
+    x, v, width = rng.normal(size=200), rng.normal(size=200), 0.3
+    blurred = Evaluator({"x": x, "v": v})(Expression(mean_of_signs(term, {argument: width})))
+    exact = v * erf((x - v) / (np.sqrt(2.0) * width))
+    # tanh of the same slope differs from erf by less than 0.06
+    np.testing.assert_allclose(blurred, exact, atol=0.06 * np.abs(v).max())
+
+
+def test_the_error_of_an_argument_where_its_sign_changes():
+    n, h = 4000, 0.01
+    time = h * np.arange(n)
+    columns = {"x": np.sin(time), "v": np.cos(time)}
+    covariance = np.tile(np.diag([0.02**2, 0.0]), (n, 1, 1))
+    # beside zero x changes by h in a sample
+    assert error_where_it_changes(parse("x").tree, columns, covariance) == pytest.approx(
+        np.sqrt(0.02**2 + h**2 / 12), rel=1e-3
+    )
+    assert error_where_it_changes(parse("x+3").tree, columns, covariance) == 0.0

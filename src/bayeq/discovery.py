@@ -92,7 +92,7 @@ def discover(
         How derivatives that are not measured are estimated, see `bayeq.states.estimate_motion`.
     holdout : float
         Share of the rows, the last of each record, that the equations of the other rows are judged by. Under the
-        likelihood of the record the equations are then found anew from all rows. 0 skips that.
+        likelihood of the record the equations are then found once more, from all rows. 0 skips that.
     max_terms : int, optional
         Largest number of terms that are shown: the likeliest such model where the method includes more. The path of
         each equation (`Equation.path`) tells what each further term brings. Probabilities and the included terms stay;

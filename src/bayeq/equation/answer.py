@@ -28,7 +28,7 @@ class DataSummary:
     n, n_train, n_held_out : int
         Measured rows in all, used, and held out.
     refitted : bool
-        Whether, scored on the rows held out, the equations were then found anew from all rows.
+        Whether, scored on the rows held out, the equations were then found once more, from all rows.
     estimated : tuple of str
         Derivatives that were not measured but estimated.
     smoothed : bool

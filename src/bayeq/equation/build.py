@@ -61,7 +61,10 @@ def build_equations(
     for k, (selection, window) in enumerate(zip(selections, windows, strict=True)):
         equation = replace(build_equation(selection, window), units=units)
         if scored:
-            equation = replace(equation, held_out=scored[k].held_out, verdict=scored[k].verdict, fit=scored[k].fit)
+            former = scored[k]
+            equation = replace(
+                equation, train=former.train, held_out=former.held_out, verdict=former.verdict, scored=former
+            )
         warn_of(equation, selection, log)
         equations.append(equation)
     return tuple(equations), held_out_scores(dynamics, motion)

@@ -112,6 +112,9 @@ class Equation:
     unit_gains : tuple of float
         Factor of each derivative's channel to the derivative by seconds of the chain's lowest measured channel: 0.001
         of v in m/s beside x in mm. Empty where all are 1.
+    scored : Equation or None
+        What was found with rows held out, where this one was then found from all rows: fits and verdict are its, and
+        the path.
     """
 
     chain: Chain
@@ -129,6 +132,7 @@ class Equation:
     left_out: tuple[LeftOut, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     unit_gains: tuple[float, ...] = ()
+    scored: Equation | None = field(default=None, repr=False, compare=False)
 
     @property
     def law(self) -> Law:
@@ -346,7 +350,8 @@ class Equation:
         InputError
             An equation that was loaded from a file; `most` no whole number, or below the number of forced terms.
         """
-        return parsimony_path(self._solved(), self.shown_posterior.support, most)
+        judged = self.scored or self
+        return parsimony_path(judged._solved(), judged.shown_posterior.support, most)
 
     def sensitivity(
         self, slab_variances: ArrayLike | None = None, prior_inclusions: ArrayLike | None = None

@@ -7,8 +7,8 @@ inputs are constant.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
+from bayeq.likelihood.signs import mean_of_signs
 from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Roles, rates
 
@@ -63,6 +64,9 @@ class Layout:
         Mean of each noisy input.
     interpolation : "cubic", "band-limited", "linear" or "hold"
         The other inputs between their samples.
+    blur : mapping of Expression to float
+        What the terms take the sign of, and the standard deviation with which that is known along the path: there the
+        sign is its mean.
     """
 
     roles: Roles
@@ -72,6 +76,7 @@ class Layout:
     smoothness: tuple[int, ...] = ()
     centres: tuple[float, ...] = ()
     interpolation: Interpolation = "cubic"
+    blur: Mapping[Node, float] = field(default_factory=dict)
 
     @cached_property
     def chains(self) -> int:
@@ -155,6 +160,11 @@ class Layout:
         index = np.arange(self.chains * width, dtype=np.int64)
         return Candidates(index // width, index % width)
 
+    @cached_property
+    def blurred(self) -> tuple[Expression, ...]:
+        """The terms with the mean of each sign in its place."""
+        return tuple(Expression(mean_of_signs(term.tree, self.blur)) for term in self.terms)
+
     def tape(self, chosen: Candidates) -> Tape:
         """Rates of the states, then the targets, in states, exact inputs and the chosen coefficients."""
         parameters = [f"theta[{j}]" for j in range(len(chosen.chain))]
@@ -162,7 +172,7 @@ class Layout:
         for name, c, j in zip(parameters, chosen.chain, chosen.term, strict=True):
             part: Node = Symbol(name)
             if j < len(self.terms):
-                part = Binary("*", part, self.terms[j].tree)
+                part = Binary("*", part, self.blurred[j].tree)
             targets[c] = Binary("+", targets[c], part)
         out: list[Node] = []
         for chain, factors, target in zip(self.roles.chains, self.rates, targets, strict=True):
@@ -175,5 +185,5 @@ class Layout:
 
     def terms_tape(self) -> Tape:
         """The candidate terms and the constant, in states and exact inputs."""
-        trees: Sequence[Node] = [*(term.tree for term in self.terms), Number(1)]
+        trees: Sequence[Node] = [*(term.tree for term in self.blurred), Number(1)]
         return Tape.compile(map(Expression, trees), [*self.names, *self.exact])

@@ -181,7 +181,7 @@ def _terms(layout: Layout, states: Floats, inputs: Floats) -> Floats:
     columns = dict(zip(layout.names, np.asfortranarray(states).T, strict=True))
     columns |= dict(zip(layout.exact, inputs.T, strict=True))
     out = np.ones((len(states), len(layout.terms) + 1))
-    out[:, :-1] = evaluate_terms(layout.terms, columns)
+    out[:, :-1] = evaluate_terms(layout.blurred, columns)
     return out
 
 

@@ -29,7 +29,7 @@ Bools = NDArray[np.bool_]
 MOST_ROWS = 200_000
 MOST_CANDIDATES = 1000
 
-# Of longer records a model is first looked for in this many stretches of so many rows together.
+# Longer records are searched at first in stretches: rows in all, and number of stretches.
 ROWS_AT_FIRST, STRETCHES = 16_000, 4
 
 # Ways in which inputs without noise may go on between samples.

@@ -34,6 +34,7 @@ from bayeq.likelihood.fit import (
 )
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear, Series
+from bayeq.likelihood.signs import arguments_of_signs, error_where_it_changes
 
 __all__ = ["Fitted", "Task", "fit", "resumed", "search", "with_model"]
 
@@ -257,7 +258,7 @@ def steady(task: Task, state: State) -> bool:
 
 def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fitted]:
     """Rounds of selection and fit from one start, until the model stays; the task with steps as fine as they need."""
-    task = finer(task, state)
+    task = suited(task, state)
     best = now = fit(task, state, coarse=True)
     seen = {now.model.tobytes()}
     log("start", now)
@@ -267,7 +268,7 @@ def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fi
         if model.tobytes() in seen:
             break
         seen.add(model.tobytes())
-        task = finer(task, state)
+        task = suited(task, state)
         now = fit(task, state, coarse=True)
         log("round", now)
         if now.evidence > best.evidence:
@@ -288,6 +289,29 @@ def all_together(task: Task, empty: State) -> State | None:
     fitted = fit(task, empty, coarse=True)
     state = with_model(task, fitted, task.log_odds > -np.inf)
     return fit(task, state).state if steady(task, state) else None
+
+
+def suited(task: Task, state: State) -> Task:
+    """The task with signs averaged, and steps as fine, as the motion of a state needs."""
+    return finer(with_mean_signs(task, state), state)
+
+
+def with_mean_signs(task: Task, state: State) -> Task:
+    """The task with signs averaged over the errors of what they are taken of."""
+    layout = task.layout
+    arguments = {argument for term in layout.terms for argument in arguments_of_signs(term.tree)}
+    if not arguments:
+        return task
+    errors = dict.fromkeys(arguments, 0.0)
+    for one, linear in zip(task.series, task.linearised(state), strict=True):
+        columns = dict(zip(layout.names, linear.path.T, strict=True))
+        columns |= dict(zip(layout.exact, one.inputs[:, :, 0].T, strict=True))
+        # the future determines a sample as well as the past does
+        covariance = 0.5 * run_filter(linear, state.chosen, state.levels.noise).covariance
+        for argument in arguments:
+            error = error_where_it_changes(argument, columns, covariance)
+            errors[argument] = max(errors[argument], error)
+    return replace(task, layout=replace(layout, blur=errors))
 
 
 def finer(task: Task, state: State) -> Task:
