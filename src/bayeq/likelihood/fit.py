@@ -21,6 +21,9 @@ Floats = NDArray[np.float64]
 # Sizes of a discrepancy at which the likelihood is averaged: standard deviations a factor of about 3 apart.
 SIZES = 10
 
+# Levels move by no more than this in a step, of logarithms mostly.
+LONGEST = 2.0
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -92,9 +95,11 @@ def solved(A: Floats, B: Floats) -> Floats:
     return np.asarray((np.linalg.lstsq(A * unit[:, None] * unit, (B.T * unit).T, rcond=1e-13)[0].T * unit).T)
 
 
-def marginal(linears: Sequence[Linear], state: State, levels: Levels, precision: Floats) -> Statistics:
-    """The likelihood with the chosen coefficients integrated out under N(0, 1/precision)."""
-    filtered = tuple(run_filter(linear, state.chosen, levels.noise) for linear in linears)
+def marginal(
+    linears: Sequence[Linear], state: State, levels: Levels, precision: Floats, keep: bool = True
+) -> Statistics:
+    """The likelihood with the chosen coefficients integrated out under N(0, 1/precision); `keep` as in `run_filter`."""
+    filtered = tuple(run_filter(linear, state.chosen, levels.noise, keep) for linear in linears)
     q = quadratic(filtered)
     if not len(state.theta):
         return Statistics(q.level, np.zeros(0), np.zeros((0, 0)), filtered)
@@ -128,7 +133,8 @@ def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value
         for size in grid:
             sizes = levels.discrepancy.copy()
             sizes[c] = size
-            logs.append(marginal(linears, state, replace(levels, discrepancy=sizes), precision).value - value)
+            found = marginal(linears, state, replace(levels, discrepancy=sizes), precision, keep=False)
+            logs.append(found.value - value)
         total += float(np.logaddexp.reduce(np.array(logs))) - np.log(SIZES)
     return total
 
@@ -162,15 +168,19 @@ def maximised(
     if held is not None:
         low, high = np.where(held, start, low), np.where(held, start, high)
     unit = 1.0 / np.sqrt(np.maximum(levels.curvature(linears), 1.0))
-    # what is compared does not depend on the units of the channels
-    base = marginal(linears, state, levels.moved(start), precision).value
+    # less that at the start: what is compared does not depend on the units of the channels
+    base: float | None = None
 
     def negative(moved: Floats) -> tuple[float, Floats]:
+        nonlocal base
         trial = levels.moved(moved * unit)
         try:
             found = marginal(linears, state, trial, precision)
         except np.linalg.LinAlgError:
+            if base is None:
+                raise
             return np.inf, np.zeros(len(moved))
+        base = found.value if base is None else base
         slope = sum(trial.slopes(one) for one in adjoints(linears, state, trial, found, found.delta))
         return base - found.value, -np.asarray(slope) * unit
 
@@ -179,6 +189,8 @@ def maximised(
         start / unit,
         low / unit,
         high / unit,
+        hessian=np.eye(len(unit)),
+        longest=LONGEST / unit,
         gradient_tolerance=steepest,
         value_tolerance=tolerance,
         most_steps=steps,

@@ -28,8 +28,10 @@ MOST_POSSIBLE = 1e1
 MEMORY = (0.02, 0.999)
 SLOPE_MEMORY = (-0.9, 1.0)
 
-# The likelihood is about as sharp in the sizes and memories of discrepancies and inputs as this many samples make it.
+# The likelihood is about as sharp in the sizes and memories of discrepancies as this many samples make it, for they are
+# hardly there; in the size and the memory of an input's slope as these shares of the samples make it.
 SHARPNESS = 25.0
+SLOPE_SHARPNESS, SLOPE_MEMORY_SHARPNESS = 0.25, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,9 +152,10 @@ class Levels:
 
     def curvature(self, linears: Sequence[Linear]) -> Floats:
         """About how sharply the likelihood peaks in each of `free`: half of the samples for the noise of a channel."""
-        samples = sum(np.isfinite(linear.residual).sum(axis=0) for linear in linears)
-        few = np.full(len(self.free) - len(self.channels), SHARPNESS)
-        return np.concatenate([0.5 * np.asarray(samples), few])
+        samples = np.asarray(sum(np.isfinite(linear.residual).sum(axis=0) for linear in linears), dtype=np.float64)
+        inputs = samples[len(samples) - len(self.slope) :]
+        few = np.full(2 * len(self.discrepancy), SHARPNESS)
+        return np.concatenate([0.5 * samples, few, SLOPE_SHARPNESS * inputs, SLOPE_MEMORY_SHARPNESS * inputs])
 
     def slopes(self, found: Adjoint) -> Floats:
         """Derivatives of the likelihood by `free`."""

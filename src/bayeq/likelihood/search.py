@@ -197,7 +197,7 @@ def fit(task: Task, state: State, coarse: bool = False) -> Fitted:
             break
         before = found.value
     linears = task.linearised(state)
-    value = marginal(linears, state, state.levels, precision).value
+    value = marginal(linears, state, state.levels, precision, keep=False).value
     if not coarse:
         value += over_sizes(linears, state, precision, value)
     model = task.model(state.chosen)
@@ -310,7 +310,7 @@ def of_motion(task: Task, fitted: Fitted) -> float:
     for linear in task.linearised(fitted.state):
         residual = linear.residual.copy()
         residual[:, : -len(layout.noisy)] = np.nan
-        found = run_filter(linear._replace(residual=residual), nothing, levels.noise)
+        found = run_filter(linear._replace(residual=residual), nothing, levels.noise, keep=False)
         alone += quadratic([found]).level
     return fitted.evidence - alone
 

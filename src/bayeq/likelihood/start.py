@@ -214,7 +214,7 @@ def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[fl
     # of a random sequence noise cannot be told
     held = np.array([not smoothness, False, not smoothness])
     levels = maximised(linears, few, none, held, steps=20, tolerance=1e-5)
-    value = marginal(linears, replace(few, levels=levels), levels, none).value
+    value = marginal(linears, replace(few, levels=levels), levels, none, keep=False).value
     return value, replace(state, levels=levels), series
 
 
