@@ -189,13 +189,13 @@ def maximised(
         start / unit,
         low / unit,
         high / unit,
-        hessian=np.eye(len(unit)),
+        hessian=np.eye(len(unit)) if levels.hessian is None else levels.hessian,
         longest=LONGEST / unit,
         gradient_tolerance=steepest,
         value_tolerance=tolerance,
         most_steps=steps,
     )
-    return levels.moved(found.x * unit)
+    return replace(levels.moved(found.x * unit), hessian=found.hessian)
 
 
 def corrections(

@@ -69,6 +69,9 @@ class Levels:
         Variance of what is added to each noisy input's slope at a sample.
     slope_memory : (L,) array
         What is left of the slope: 1 is an integrated Wiener process, 0 straight lines between random samples.
+    hessian : (F, F) array or None
+        How the likelihood curves downwards in `free`, as the search that led here has found it, in the units of that
+        search.
     """
 
     layout: Layout
@@ -78,6 +81,7 @@ class Levels:
     memory: Floats
     slope: Floats
     slope_memory: Floats
+    hessian: Floats | None = None
 
     @cached_property
     def noise(self) -> Noise:

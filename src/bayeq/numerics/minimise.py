@@ -48,6 +48,8 @@ class Minimum(NamedTuple):
         Whether the search ended because of one of its tolerances.
     evaluations : int
         Points at which the function was computed, those of differences left out.
+    hessian : (n, n) array or None
+        What the steps told of it; None where they told nothing, and none was given.
     """
 
     x: Floats
@@ -55,6 +57,7 @@ class Minimum(NamedTuple):
     gradient: Floats
     converged: bool
     evaluations: int
+    hessian: Floats | None
 
 
 def minimise(
@@ -141,7 +144,7 @@ def minimise(
         here = there
         if converged:
             break
-    return Minimum(here.x, here.value, here.gradient, converged, counted.evaluations)
+    return Minimum(here.x, here.value, here.gradient, converged, counted.evaluations, known if learnt is None else learnt)
 
 
 class _Point(NamedTuple):
