@@ -105,7 +105,7 @@ def test_is_the_joint_gaussian_of_all_samples(seed, which):
         close(q.slope, slope, 1e-9)
         close(q.information, information, 1e-9)
     delta = 0.1 * np.random.default_rng(seed).normal(size=r)
-    deviation = adjoint(linear, noise, found, delta, np.zeros((r, r)), layout.last).deviation
+    deviation = adjoint(linear, noise, found, delta, np.zeros((r, r))).deviation
     close(deviation, smoothed(delta), 1e-9)
 
 
@@ -128,12 +128,24 @@ def test_long_records_are_filtered_in_parts(monkeypatch):
 
     def results():
         found = run_filter(linear, state.chosen, noise)
-        return [*found, *adjoint(linear, noise, found, root[0], root @ root.T, layout.last, True)]
+        return [*found, *adjoint(linear, noise, found, root[0], root @ root.T, True)]
 
     whole = results()
     monkeypatch.setattr("bayeq.likelihood.filter.ROWS", 5)
     for one, other in zip(results(), whole, strict=True):
         close(one, other, 1e-10)
+
+
+def test_the_path_and_the_directions_need_no_columns():
+    layout, series, state = system(30)
+    [linear] = linearised(layout, [series], state)
+    noise, r = state.levels.noise, len(state.theta)
+    found = run_filter(linear, state.chosen, noise)
+    delta = 0.1 * np.random.default_rng(5).normal(size=r)
+    whole, lean = adjoint(linear, noise, found, delta, np.eye(r), True), adjoint(linear, noise, found, delta, None, True)
+    for one, other in zip(lean[4:], whole[4:], strict=True):
+        close(one, other, 1e-10)
+    assert not any(part.any() for part in lean[:4])
 
 
 def test_sums_need_no_rows():
@@ -153,8 +165,8 @@ def test_coefficients_of_no_uncertainty_leave_their_columns_out():
     V = np.zeros((r, r))
     V[1, 1] = 0.04
     one = state.chosen.take(np.array([1]))
-    alone = adjoint(linear, noise, run_filter(linear, one, noise), np.zeros(1), V[1:2, 1:2], layout.last)
-    for part, other in zip(adjoint(linear, noise, found, np.zeros(r), V, layout.last), alone, strict=True):
+    alone = adjoint(linear, noise, run_filter(linear, one, noise), np.zeros(1), V[1:2, 1:2])
+    for part, other in zip(adjoint(linear, noise, found, np.zeros(r), V), alone, strict=True):
         if other.size:
             close(part, other, 1e-10)
 
@@ -164,7 +176,7 @@ def test_slopes_of_the_levels_are_those_of_the_marginal_likelihood():
     levels, linears = state.levels, linearised(layout, [series], state)
     precision = 1.0 / (1.0 + state.theta**2)
     found = marginal(linears, state, levels, precision)
-    [adj] = adjoints(linears, state, levels, found, found.delta)
+    [adj] = adjoints(linears, levels, found, found.delta, found.covariance)
     free, step, differences = levels.free, 1e-4, []
     for i in range(len(free)):
         move = step * (np.arange(len(free)) == i)
@@ -179,7 +191,7 @@ def settled(layout, series, state, rounds=6):
     for _ in range(rounds):
         [linear] = linearised(layout, [series], state)
         found = run_filter(linear, state.chosen, state.levels.noise)
-        adj = adjoint(linear, state.levels.noise, found, zero, np.outer(zero, zero), layout.last, True)
+        adj = adjoint(linear, state.levels.noise, found, zero, np.outer(zero, zero), True)
         state, before = replace(state, paths=(state.paths[0] + adj.deviation,)), state
     return before, linear, found, adj
 
@@ -317,7 +329,7 @@ def test_scores_at_the_truth_are_those_of_draws_from_the_linear_model():
         found = run_filter(one, state.chosen, noise)
         q = quadratic([found])
         scores.append(q.slope - q.information @ delta)
-        slopes.append(state.levels.slopes(adjoint(one, noise, found, delta, np.zeros((r, r)), layout.last)))
+        slopes.append(state.levels.slopes(adjoint(one, noise, found, delta, np.zeros((r, r)))))
     assert centred(np.array(scores))
     assert centred(np.array(slopes))
     distance = sum(s @ np.linalg.solve(q.information, s) for s in scores)  # the information is that of every draw

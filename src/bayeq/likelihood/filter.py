@@ -368,22 +368,23 @@ class _Returning(NamedTuple):
     mean: Floats
 
     @classmethod
-    def at_end(cls, noise: Noise, r: int) -> _Returning:
-        """After the last sample."""
+    def at_end(cls, noise: Noise, r: int, scored: bool) -> _Returning:
+        """After the last sample; `scored` if derivatives by the noise are wanted."""
         size, channels = len(noise.memory), len(noise.channels)
-        lasting = np.flatnonzero((noise.memory != 1.0) | (noise.steps > 0.0))
+        lasting = np.flatnonzero(scored & ((noise.memory != 1.0) | (noise.steps > 0.0)))
         work = np.zeros((4, size, _padded(1 + r + size)))
         lines, innovation = np.zeros((4, work.shape[2])), np.empty((ROWS, channels, 1 + r))
         return cls(work, lines, innovation, lasting, np.empty((ROWS, len(lasting), r)))
 
     def take(self, found: Filtered, rows: slice, delta: Floats, root: Floats) -> None:
         """Some rows of a filtered record, at deviations `delta` of the coefficients with covariance `root` `root`'."""
-        r, count = len(delta), rows.stop - rows.start
+        (r, columns), count = root.shape, rows.stop - rows.start
         # derivatives by the coefficients enter with the other sign: e = E_0 - E theta
-        units = np.zeros((1 + r, 1 + r))
+        units = np.zeros((1 + r, 1 + columns))
         units[0, 0], units[1:, 0], units[1:, 1:] = 1.0, -delta, root
-        np.matmul(found.innovation[rows].reshape(-1, 1 + r), units, out=self.innovation[:count].reshape(-1, 1 + r))
-        if r:
+        out = self.innovation[:count].reshape(-1, 1 + columns)
+        np.matmul(found.innovation[rows].reshape(-1, 1 + r), units, out=out)
+        if self.mean.size:
             mean = found.mean[rows][:, self.lasting, 1:]
             np.matmul(mean.reshape(-1, r), root, out=self.mean[:count].reshape(-1, r))
 
@@ -539,7 +540,7 @@ def _backward(
 
 
 def adjoint(
-    linear: Linear, noise: Noise, found: Filtered, delta: Floats, V: Floats, last: Ints, curved: bool = False
+    linear: Linear, noise: Noise, found: Filtered, delta: Floats, V: Floats | None = None, curved: bool = False
 ) -> Adjoint:
     """The adjoint recursion of a filtered record.
 
@@ -547,15 +548,16 @@ def adjoint(
     ----------
     linear, noise, found
         What was filtered, by `run_filter` with `keep`.
-    delta, V : (r,) and (r, r) arrays
-        Mean and covariance of the coefficients' deviations: derivatives are those of the likelihood marginal over them.
-    last : (C,) int array
-        `Layout.last`.
+    delta : (r,) array
+        The coefficients' deviations.
+    V : (r, r) array, optional
+        Their covariance: derivatives are those of the likelihood marginal over them. Without, those by the noise are
+        left out, and 0.
     curved : bool
         Whether `at_samples` and `between` are wanted.
     """
     (n, size), r = linear.path.shape, len(delta)
-    chains, root = linear.gradient.shape[1], _root(V)
+    chains, root = linear.gradient.shape[1], np.zeros((r, 0)) if V is None else _root(V)
     out = Adjoint(
         channels=np.zeros(len(linear.kinds)),
         memory=np.zeros(size),
@@ -565,12 +567,15 @@ def adjoint(
         at_samples=np.zeros((n if curved else 0, chains, size)),
         between=np.empty((n - 1 if curved else 0, chains, size)),
     )
-    at = _Returning.at_end(noise, r)
+    at = _Returning.at_end(noise, root.shape[1], V is not None)
     for first in reversed(range(0, n, ROWS)):
         rows = slice(first, min(first + ROWS, n))
         at.take(found, rows, delta, root)
         np.matmul(found.mean[rows].reshape(-1, 1 + r), np.append(1.0, delta), out=out.deviation[rows].reshape(-1))
         _backward(linear, noise, found, first, rows.stop, at, out)
+    if V is None:
+        out.channels[:] = 0.0
+        return out
     adjoints = at.work[0]
     out.start[:] = 0.5 * ((adjoints[:, : 1 + r] ** 2).sum(axis=1) - np.diagonal(adjoints[:, 1 + r : 1 + r + size]))
     return out

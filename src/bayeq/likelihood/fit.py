@@ -140,11 +140,16 @@ def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value
 
 
 def adjoints(
-    linears: Sequence[Linear], state: State, levels: Levels, found: Statistics, delta: Floats, curved: bool = False
+    linears: Sequence[Linear],
+    levels: Levels,
+    found: Statistics,
+    delta: Floats,
+    covariance: Floats | None = None,
+    curved: bool = False,
 ) -> list[Adjoint]:
     """The adjoint of every record."""
     return [
-        adjoint(linear, levels.noise, filtered, delta, found.covariance, levels.layout.last, curved)
+        adjoint(linear, levels.noise, filtered, delta, covariance, curved)
         for linear, filtered in zip(linears, found.filtered, strict=True)
     ]
 
@@ -157,8 +162,8 @@ def maximised(
     steps: int = 30,
     tolerance: float = 1e-6,
     steepest: float = 0.01,
-) -> Levels:
-    """Levels that maximise the marginal likelihood of a linearised model; those `held` stay.
+) -> tuple[Levels, Statistics]:
+    """Levels that maximise the marginal likelihood of a linearised model, and that; those `held` stay.
 
     The search moves each number in units of what its own samples tell of it, were nothing else unknown.
     """
@@ -170,21 +175,22 @@ def maximised(
     unit = 1.0 / np.sqrt(np.maximum(levels.curvature(linears), 1.0))
     # less that at the start: what is compared does not depend on the units of the channels
     base: float | None = None
+    last: tuple[Floats, Statistics] | None = None
 
     def negative(moved: Floats) -> tuple[float, Floats]:
-        nonlocal base
-        trial = levels.moved(moved * unit)
+        nonlocal base, last
+        trial, last = levels.moved(moved * unit), None
         try:
             found = marginal(linears, state, trial, precision)
         except np.linalg.LinAlgError:
             if base is None:
                 raise
             return np.inf, np.zeros(len(moved))
-        base = found.value if base is None else base
-        slope = sum(trial.slopes(one) for one in adjoints(linears, state, trial, found, found.delta))
+        base, last = found.value if base is None else base, (moved, found)
+        slope = sum(trial.slopes(one) for one in adjoints(linears, trial, found, found.delta, found.covariance))
         return base - found.value, -np.asarray(slope) * unit
 
-    found = minimise(
+    least = minimise(
         negative,
         start / unit,
         low / unit,
@@ -195,7 +201,9 @@ def maximised(
         value_tolerance=tolerance,
         most_steps=steps,
     )
-    return replace(levels.moved(found.x * unit), hessian=found.hessian)
+    levels = replace(levels.moved(least.x * unit), hessian=least.hessian)
+    at_least = last is not None and np.array_equal(last[0], least.x)
+    return levels, last[1] if last is not None and at_least else marginal(linears, state, levels, precision)
 
 
 def corrections(
@@ -211,17 +219,15 @@ def corrections(
 
 
 def improved(
-    layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, precision: Floats
-) -> tuple[State, Floats, Statistics]:
-    """One Gauss-Newton step of coefficients and paths, and the derivatives of the determinant."""
-    levels = state.levels
-    found = marginal(linears, state, levels, precision)
-    first = adjoints(linears, state, levels, found, found.delta, curved=True)
+    layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, found: Statistics
+) -> tuple[State, Floats]:
+    """One Gauss-Newton step of coefficients and paths from the likelihood there; the derivatives of the determinant."""
+    first = adjoints(linears, state.levels, found, found.delta, curved=True)
     curved = corrections(layout, series, linears, first)
     delta = found.delta + found.covariance @ curved[state.chosen.chain, state.chosen.term]
-    second = adjoints(linears, state, levels, found, delta)
+    second = adjoints(linears, state.levels, found, delta)
     paths = tuple(path + adj.deviation for path, adj in zip(state.paths, second, strict=True))
-    return replace(state, theta=state.theta + delta, paths=paths), curved, found
+    return replace(state, theta=state.theta + delta, paths=paths), curved
 
 
 def information(

@@ -191,8 +191,8 @@ def fit(task: Task, state: State, coarse: bool = False) -> Fitted:
     precision, before = task.precision[number], -np.inf
     for _ in range(STEPS if coarse else MOST_STEPS):
         linears = task.linearised(state)
-        state = replace(state, levels=maximised(linears, state, precision, **(COARSE if coarse else {})))
-        state, curved, found = improved(layout, series, linears, state, precision)
+        levels, found = maximised(linears, state, precision, **(COARSE if coarse else {}))
+        state, curved = improved(layout, series, linears, replace(state, levels=levels), found)
         if abs(found.value - before) < SETTLED:
             break
         before = found.value
