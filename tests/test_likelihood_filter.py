@@ -131,7 +131,7 @@ def test_long_records_are_filtered_in_parts(monkeypatch):
         return [*found, *adjoint(linear, noise, found, root[0], root @ root.T, True)]
 
     whole = results()
-    monkeypatch.setattr("bayeq.likelihood.filter.ROWS", 5)
+    monkeypatch.setattr("bayeq.likelihood.filter.TOGETHER", 200)
     for one, other in zip(results(), whole, strict=True):
         close(one, other, 1e-10)
 
