@@ -101,6 +101,8 @@ class Task:
         Of each coefficient not being zero.
     substeps : int
         Runge-Kutta steps between two samples.
+    recent : list
+        The last two linearisations and what they are of: fits go on from where others have stood.
     """
 
     layout: Layout
@@ -108,10 +110,17 @@ class Task:
     precision: Floats
     log_odds: Floats
     substeps: int = 1
+    recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
 
     def linearised(self, state: State) -> list[Linear]:
         """Every record linearised where a fit stands."""
-        return linearised(self.layout, self.series, state, self.substeps)
+        about = (self.layout, self.series, self.substeps, state.chosen, state.theta, state.paths)
+        for other, linears in self.recent:
+            if all(one is another for one, another in zip(other, about, strict=True)):
+                return linears
+        del self.recent[:-1]
+        self.recent.append((about, linearised(self.layout, self.series, state, self.substeps)))
+        return self.recent[-1][1]
 
     @property
     def rows(self) -> float:
@@ -394,4 +403,5 @@ def search(
             break
         best = better
         log("move", best)
+    task.recent.clear()
     return task, replace(best, tried=tried)
