@@ -10,10 +10,11 @@ from scipy import stats
 
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.likelihood.filter import adjoint, run_filter
-from bayeq.likelihood.fit import State, adjoints, corrections, linearised, marginal, quadratic
+from bayeq.likelihood.fit import State, adjoints, corrections, linearised, marginal, maximised, quadratic
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.levels import Levels, Scales
 from bayeq.likelihood.linear import Series
+from bayeq.likelihood.search import Task
 from bayeq.ode.rk4 import interpolant
 from bayeq.states import Roles
 
@@ -109,6 +110,36 @@ def test_is_the_joint_gaussian_of_all_samples(seed, which):
     close(deviation, smoothed(delta), 1e-9)
 
 
+def test_the_likeliest_levels_come_with_their_likelihood():
+    layout, series, state = system(80, smoothness=2)
+    linears = linearised(layout, [series], state)
+    precision = np.ones(len(state.theta))
+    levels, found = maximised(linears, state, precision)
+    at_levels = marginal(linears, state, levels, precision)
+    assert found.value == pytest.approx(at_levels.value, rel=1e-12)
+    close(found.delta, at_levels.delta, 1e-9)
+    assert found.value > marginal(linears, state, state.levels, precision).value
+    # a search that starts there with what was learnt has nothing to do
+    again, same = maximised(linears, replace(state, levels=levels), precision)
+    assert same.value - found.value < 1e-3
+    np.testing.assert_allclose(again.free, levels.free, atol=0.02)
+
+
+def test_where_a_fit_has_stood_it_is_not_linearised_again():
+    layout, series, state = system(20)
+    width = layout.chains * (len(layout.terms) + 1)
+    task = Task(layout, (series,), np.ones(width), np.zeros(width))
+    one = task.linearised(state)
+    assert task.linearised(replace(state, levels=state.levels.moved(state.levels.free + 0.1))) is one
+    twice = replace(task, substeps=2)
+    assert not np.array_equal(twice.linearised(state)[0].end, one[0].end)
+    assert task.linearised(state) is one
+    other = task.linearised(replace(state, theta=1.1 * state.theta))
+    [slow] = linearised(layout, [series], replace(state, theta=1.1 * state.theta))
+    np.testing.assert_array_equal(other[0].end, slow.end)
+    assert len(task.recent) == 2
+
+
 def test_several_records_add_up():
     layout, one, state = system(12, 1)
     _, other, second = system(9, 2)
@@ -142,7 +173,10 @@ def test_the_path_and_the_directions_need_no_columns():
     noise, r = state.levels.noise, len(state.theta)
     found = run_filter(linear, state.chosen, noise)
     delta = 0.1 * np.random.default_rng(5).normal(size=r)
-    whole, lean = adjoint(linear, noise, found, delta, np.eye(r), True), adjoint(linear, noise, found, delta, None, True)
+    whole, lean = (
+        adjoint(linear, noise, found, delta, np.eye(r), True),
+        adjoint(linear, noise, found, delta, None, True),
+    )
     for one, other in zip(lean[4:], whole[4:], strict=True):
         close(one, other, 1e-10)
     assert not any(part.any() for part in lean[:4])

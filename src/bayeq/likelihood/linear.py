@@ -176,8 +176,8 @@ def _others(related: NDArray[np.bool_]) -> Ints:
     """In each row the number of entries beside the diagonal, then where they stand."""
     out = np.zeros(related.shape, dtype=np.int64)
     for i, row in enumerate(related):
-        others = [o for o in np.flatnonzero(row) if o != i]
-        out[i, : 1 + len(others)] = [len(others), *others]
+        others = np.setdiff1d(np.flatnonzero(row), [i])
+        out[i, 0], out[i, 1 : 1 + len(others)] = len(others), others
     return out
 
 

@@ -144,7 +144,9 @@ def minimise(
         here = there
         if converged:
             break
-    return Minimum(here.x, here.value, here.gradient, converged, counted.evaluations, known if learnt is None else learnt)
+    return Minimum(
+        here.x, here.value, here.gradient, converged, counted.evaluations, known if learnt is None else learnt
+    )
 
 
 class _Point(NamedTuple):
