@@ -28,9 +28,8 @@ MOST_POSSIBLE = 1e1
 MEMORY = (0.02, 0.999)
 SLOPE_MEMORY = (-0.9, 1.0)
 
-# The likelihood is about as sharp in the sizes and memories of discrepancies as this many samples make it, for they are
-# hardly there; in the size and the memory of an input's slope as these shares of the samples make it.
-SHARPNESS = 25.0
+# The likelihood is about as sharp in the size and the memory of an input's slope as these shares of its samples make it.
+# Of discrepancies, which may be hardly there, it tells between nothing and as much: the geometric mean stands for that.
 SLOPE_SHARPNESS, SLOPE_MEMORY_SHARPNESS = 0.25, 1.5
 
 
@@ -158,7 +157,7 @@ class Levels:
         """About how sharply the likelihood peaks in each of `free`: half of the samples for the noise of a channel."""
         samples = np.asarray(sum(np.isfinite(linear.residual).sum(axis=0) for linear in linears), dtype=np.float64)
         inputs = samples[len(samples) - len(self.slope) :]
-        few = np.full(2 * len(self.discrepancy), SHARPNESS)
+        few = np.full(2 * len(self.discrepancy), np.sqrt(samples.mean()))
         return np.concatenate([0.5 * samples, few, SLOPE_SHARPNESS * inputs, SLOPE_MEMORY_SHARPNESS * inputs])
 
     def slopes(self, found: Adjoint) -> Floats:
