@@ -10,10 +10,11 @@ from scipy import stats
 
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.likelihood.filter import adjoint, run_filter
-from bayeq.likelihood.fit import State, adjoints, corrections, linearised, marginal, quadratic
+from bayeq.likelihood.fit import State, adjoints, corrections, linearised, marginal, maximised, quadratic
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.levels import Levels, Scales
 from bayeq.likelihood.linear import Series
+from bayeq.likelihood.search import Task
 from bayeq.ode.rk4 import interpolant
 from bayeq.states import Roles
 
@@ -105,8 +106,38 @@ def test_is_the_joint_gaussian_of_all_samples(seed, which):
         close(q.slope, slope, 1e-9)
         close(q.information, information, 1e-9)
     delta = 0.1 * np.random.default_rng(seed).normal(size=r)
-    deviation = adjoint(linear, noise, found, delta, np.zeros((r, r)), layout.last).deviation
+    deviation = adjoint(linear, noise, found, delta, np.zeros((r, r))).deviation
     close(deviation, smoothed(delta), 1e-9)
+
+
+def test_the_likeliest_levels_come_with_their_likelihood():
+    layout, series, state = system(80, smoothness=2)
+    linears = linearised(layout, [series], state)
+    precision = np.ones(len(state.theta))
+    levels, found = maximised(linears, state, precision)
+    at_levels = marginal(linears, state, levels, precision)
+    assert found.value == pytest.approx(at_levels.value, rel=1e-12)
+    close(found.delta, at_levels.delta, 1e-9)
+    assert found.value > marginal(linears, state, state.levels, precision).value
+    # a search that starts there with what was learnt has nothing to do
+    again, same = maximised(linears, replace(state, levels=levels), precision)
+    assert same.value - found.value < 1e-3
+    np.testing.assert_allclose(again.free, levels.free, atol=0.02)
+
+
+def test_where_a_fit_has_stood_it_is_not_linearised_again():
+    layout, series, state = system(20)
+    width = layout.chains * (len(layout.terms) + 1)
+    task = Task(layout, (series,), np.ones(width), np.zeros(width))
+    one = task.linearised(state)
+    assert task.linearised(replace(state, levels=state.levels.moved(state.levels.free + 0.1))) is one
+    twice = replace(task, substeps=2)
+    assert not np.array_equal(twice.linearised(state)[0].end, one[0].end)
+    assert task.linearised(state) is one
+    other = task.linearised(replace(state, theta=1.1 * state.theta))
+    [slow] = linearised(layout, [series], replace(state, theta=1.1 * state.theta))
+    np.testing.assert_array_equal(other[0].end, slow.end)
+    assert len(task.recent) == 2
 
 
 def test_several_records_add_up():
@@ -128,12 +159,27 @@ def test_long_records_are_filtered_in_parts(monkeypatch):
 
     def results():
         found = run_filter(linear, state.chosen, noise)
-        return [*found, *adjoint(linear, noise, found, root[0], root @ root.T, layout.last, True)]
+        return [*found, *adjoint(linear, noise, found, root[0], root @ root.T, True)]
 
     whole = results()
-    monkeypatch.setattr("bayeq.likelihood.filter.ROWS", 5)
+    monkeypatch.setattr("bayeq.likelihood.filter.TOGETHER", 200)
     for one, other in zip(results(), whole, strict=True):
         close(one, other, 1e-10)
+
+
+def test_the_path_and_the_directions_need_no_columns():
+    layout, series, state = system(30)
+    [linear] = linearised(layout, [series], state)
+    noise, r = state.levels.noise, len(state.theta)
+    found = run_filter(linear, state.chosen, noise)
+    delta = 0.1 * np.random.default_rng(5).normal(size=r)
+    whole, lean = (
+        adjoint(linear, noise, found, delta, np.eye(r), True),
+        adjoint(linear, noise, found, delta, None, True),
+    )
+    for one, other in zip(lean[4:], whole[4:], strict=True):
+        close(one, other, 1e-10)
+    assert not any(part.any() for part in lean[:4])
 
 
 def test_sums_need_no_rows():
@@ -153,8 +199,8 @@ def test_coefficients_of_no_uncertainty_leave_their_columns_out():
     V = np.zeros((r, r))
     V[1, 1] = 0.04
     one = state.chosen.take(np.array([1]))
-    alone = adjoint(linear, noise, run_filter(linear, one, noise), np.zeros(1), V[1:2, 1:2], layout.last)
-    for part, other in zip(adjoint(linear, noise, found, np.zeros(r), V, layout.last), alone, strict=True):
+    alone = adjoint(linear, noise, run_filter(linear, one, noise), np.zeros(1), V[1:2, 1:2])
+    for part, other in zip(adjoint(linear, noise, found, np.zeros(r), V), alone, strict=True):
         if other.size:
             close(part, other, 1e-10)
 
@@ -164,7 +210,7 @@ def test_slopes_of_the_levels_are_those_of_the_marginal_likelihood():
     levels, linears = state.levels, linearised(layout, [series], state)
     precision = 1.0 / (1.0 + state.theta**2)
     found = marginal(linears, state, levels, precision)
-    [adj] = adjoints(linears, state, levels, found, found.delta)
+    [adj] = adjoints(linears, levels, found, found.delta, found.covariance)
     free, step, differences = levels.free, 1e-4, []
     for i in range(len(free)):
         move = step * (np.arange(len(free)) == i)
@@ -179,7 +225,7 @@ def settled(layout, series, state, rounds=6):
     for _ in range(rounds):
         [linear] = linearised(layout, [series], state)
         found = run_filter(linear, state.chosen, state.levels.noise)
-        adj = adjoint(linear, state.levels.noise, found, zero, np.outer(zero, zero), layout.last, True)
+        adj = adjoint(linear, state.levels.noise, found, zero, np.outer(zero, zero), True)
         state, before = replace(state, paths=(state.paths[0] + adj.deviation,)), state
     return before, linear, found, adj
 
@@ -317,7 +363,7 @@ def test_scores_at_the_truth_are_those_of_draws_from_the_linear_model():
         found = run_filter(one, state.chosen, noise)
         q = quadratic([found])
         scores.append(q.slope - q.information @ delta)
-        slopes.append(state.levels.slopes(adjoint(one, noise, found, delta, np.zeros((r, r)), layout.last)))
+        slopes.append(state.levels.slopes(adjoint(one, noise, found, delta, np.zeros((r, r)))))
     assert centred(np.array(scores))
     assert centred(np.array(slopes))
     distance = sum(s @ np.linalg.solve(q.information, s) for s in scores)  # the information is that of every draw

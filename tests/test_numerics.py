@@ -103,6 +103,45 @@ def test_where_the_value_is_not_finite_steps_are_cut():
     np.testing.assert_allclose(found.x, 1.0, atol=1e-5)
 
 
+@given(seed=st.integers(0, 10**6), n=st.integers(1, 8))
+@settings(max_examples=30, deadline=None)
+def test_with_its_hessian_a_quadratic_function_takes_one_step(seed, n):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(2 * n, n))
+    hessian, centre = A.T @ A + np.eye(n), rng.normal(size=n)
+
+    def fun(x):
+        pull = hessian @ (x - centre)
+        return 0.5 * float((x - centre) @ pull), pull
+
+    found = minimise(fun, centre + rng.normal(size=n), hessian=hessian)
+    assert found.converged
+    assert found.evaluations <= 3  # the start, the minimum, and rounding
+    np.testing.assert_allclose(found.x, centre, atol=1e-6)
+    # what it has learnt is still that: an update with an exact difference changes nothing
+    np.testing.assert_allclose(found.hessian, hessian, rtol=1e-6, atol=1e-6 * np.abs(hessian).max())
+
+
+def test_a_wrong_hessian_only_takes_longer():
+    start = np.full(4, 1.5)
+    for hessian in (1e-3 * np.eye(4), 1e3 * np.eye(4)):
+        found = minimise(lambda x: (rosen(x), rosen_der(x)), start, hessian=hessian, gradient_tolerance=1e-8)
+        np.testing.assert_allclose(found.x, 1.0, atol=1e-7)
+
+
+def test_steps_are_no_longer_than_allowed():
+    points = []
+
+    def fun(x):
+        points.append(x.copy())
+        return float(np.sum((x - 50.0) ** 2)), 2.0 * (x - 50.0)
+
+    found = minimise(fun, [0.0, 49.0], hessian=2.0 * np.eye(2), longest=[3.0, 10.0])
+    np.testing.assert_allclose(found.x, 50.0)
+    # the direction is kept: the other parameter moves as much less
+    np.testing.assert_allclose(points[1], [3.0, 49.06])
+
+
 def test_what_it_cannot_minimise_has_not_converged():
     assert not minimise(lambda x: (math.nan, x), [1.0]).converged
     # a gradient of the wrong sign

@@ -29,8 +29,8 @@ Ints = NDArray[np.int64]
 # Numbers that a processor handles at once, at least.
 LANES = 16
 
-# Samples that are filtered before their innovations are added to the information.
-ROWS = 256
+# Numbers of innovations, 256 kB, that stay in a processor's cache until they are summed.
+TOGETHER = 2**15
 
 
 class Noise(NamedTuple):
@@ -90,17 +90,21 @@ class _Running(NamedTuple):
 
     Attributes
     ----------
-    work : (4, S, W) array
-        The rows: vectors, one for the data and one for each coefficient, then a matrix; and three times as much room.
+    work : (2, S, W) array
+        The rows: vectors, one for the data and one for each coefficient, then a matrix. At even samples they stand in
+        ``work[0]``, at odd ones in ``work[1]``.
+    step : (S, S) array
+        Work space of a transition.
     lines : (4, W) array
         What is left of a sample; the coefficients' terms at the sample before, between, and at this one.
     starts : (blocks + 1,) int array
         Where coefficients of one equation follow each other: the first of each such block.
-    scaled, variance : (ROWS M, 1 + r) and (ROWS M,) arrays
+    scaled, variance : (rows M, 1 + r) and (rows M,) arrays
         Innovations over their standard deviation, and their variances.
     """
 
     work: Floats
+    step: Floats
     lines: Floats
     starts: Ints
     scaled: Floats
@@ -110,55 +114,64 @@ class _Running(NamedTuple):
     def at_start(cls, linear: Linear, chosen: Candidates, noise: Noise) -> _Running:
         """Before the first sample: means of the deviation, its derivatives by each coefficient; covariance."""
         size, channels, r = linear.path.shape[1], len(linear.kinds), len(chosen.chain)
-        work = np.zeros((4, size, _padded(1 + r + size)))
+        work = np.zeros((2, size, _padded(1 + r + size)))
         work[0, :, 0] = noise.mean - linear.path[0]
         work[0, :, 1 + r : 1 + r + size] = np.diag(noise.start)
         lines = np.zeros((4, work.shape[2]))
         lines[3, 1 : 1 + r] = linear.terms[0, chosen.term]
         blocks = np.flatnonzero(np.diff(chosen.chain)) + 1
         starts = np.concatenate([[0], blocks, [r]] if r else [[0]]).astype(np.int64)
-        return cls(work, lines, starts, np.empty((ROWS * channels, 1 + r)), np.empty(ROWS * channels))
+        rows = _rows(channels, r)
+        return cls(
+            work, np.empty((size, size)), lines, starts, np.empty((rows * channels, 1 + r)), np.empty(rows * channels)
+        )
 
 
 def _padded(width: int) -> int:
     return -(-width // LANES) * LANES
 
 
+def _rows(channels: int, r: int) -> int:
+    """Samples that are filtered before their innovations are summed."""
+    return max(1, TOGETHER // (channels * (1 + r)))
+
+
 # Kernels that are called for every row take arrays: to take these out of a tuple, or a view, is not free.
 @kernel
-def _multiply(A: Floats, k: int, memory: Floats, back: bool, work: Floats, which: int, width: int) -> None:
-    """``work[which + 1]`` := B ``work[which]`` with B = diag(memory) A[k] or its transpose; most of B is 0."""
-    size = work.shape[1]
+def _multiply(
+    A: Floats, k: int, memory: Floats, back: bool, related: Ints, step: Floats, work: Floats, now: int
+) -> None:
+    """B times the rows of ``work[now]``, into the other ones; B = diag(memory) A[k], or its transpose, into `step`.
+
+    Most of B is 0: `step` holds, as `related` lists them, the diagonal and what may be other than 0 beside it.
+    """
+    size, width = work.shape[1:]
+    then = 1 - now
     for i in range(size):
         factor = memory[i] * A[k, i, i]
+        step[i, 0] = factor
         for j in range(width):
-            work[which + 1, i, j] = factor * work[which, i, j]
-        for o in range(size):
+            work[then, i, j] = factor * work[now, i, j]
+        for s in range(1, 1 + related[i, 0]):
+            o = related[i, s]
             factor = memory[o] * A[k, o, i] if back else memory[i] * A[k, i, o]
-            if factor != 0.0 and o != i:
-                for j in range(width):
-                    work[which + 1, i, j] += factor * work[which, o, j]
+            step[i, s] = factor
+            for j in range(width):
+                work[then, i, j] += factor * work[now, o, j]
 
 
 @kernel
-def _carry(A: Floats, k: int, memory: Floats, work: Floats, start: int, back: bool) -> None:
-    """With B of `_multiply`: B times rows into ``work[1]``, their matrix M as B M B' into ``work[3]``."""
-    size, width = work.shape[1:]
-    _multiply(A, k, memory, back, work, 0, width)
+def _close(related: Ints, step: Floats, work: Floats, then: int, lines: Floats, start: int) -> None:
+    """The matrix B M of `_multiply` becomes B M B', exactly symmetric."""
+    size = work.shape[1]
     for i in range(size):
-        for j in range(size):
-            work[2, j, i] = work[1, i, start + j]
-    _multiply(A, k, memory, back, work, 2, -(-size // LANES) * LANES)
-
-
-@kernel
-def _arrive(work: Floats, start: int) -> None:
-    """The rows become what they were carried to; their matrix exactly symmetric."""
-    for i in range(work.shape[1]):
-        for j in range(start):
-            work[0, i, j] = work[1, i, j]
         for j in range(i + 1):
-            work[0, i, start + j] = work[0, j, start + i] = work[3, i, j]
+            total = step[j, 0] * work[then, i, start + j]
+            for s in range(1, 1 + related[j, 0]):
+                total += step[j, s] * work[then, i, start + related[j, s]]
+            lines[0, j] = total
+        for j in range(i + 1):
+            work[then, i, start + j] = work[then, j, start + i] = lines[0, j]
 
 
 @kernel
@@ -189,7 +202,7 @@ def _next_terms(terms: Floats, middle: Floats, k: int, term: Ints, lines: Floats
 
 @kernel
 def _add_sources(
-    weights: Floats, k: int, c: int, memory: Floats, lines: Floats, work: Floats, first: int, stop: int
+    weights: Floats, k: int, c: int, memory: Floats, lines: Floats, work: Floats, now: int, first: int, stop: int
 ) -> None:
     """What coefficients `first` to `stop`, of equation c, add to a step: to the derivatives of the means."""
     for i in range(len(memory)):
@@ -197,18 +210,18 @@ def _add_sources(
         if before != 0.0 or middle != 0.0 or after != 0.0:
             before, middle, after = memory[i] * before, memory[i] * middle, memory[i] * after
             for j in range(1 + first, 1 + stop):
-                work[0, i, j] += before * lines[1, j] + middle * lines[2, j] + after * lines[3, j]
+                work[now, i, j] += before * lines[1, j] + middle * lines[2, j] + after * lines[3, j]
 
 
 @kernel
-def _condition(work: Floats, lines: Floats, variance: float, start: int) -> None:
+def _condition(work: Floats, now: int, lines: Floats, variance: float, start: int) -> None:
     """On a sample, by what is left of it."""
     size, width = work.shape[1:]
     share = 1.0 / variance
     for i in range(size):
         gain = share * lines[0, start + i]
         for j in range(width):
-            work[0, i, j] -= gain * lines[0, j]
+            work[now, i, j] -= gain * lines[0, j]
 
 
 @kernel
@@ -225,13 +238,13 @@ def _keep_sample(
 
 
 @kernel
-def _keep_state(k: int, work: Floats, mean: Floats, covariance: Floats) -> None:
+def _keep_state(k: int, work: Floats, now: int, mean: Floats, covariance: Floats) -> None:
     start = mean.shape[2]
     for i in range(mean.shape[1]):
         for j in range(start):
-            mean[k, i, j] = work[0, i, j]
+            mean[k, i, j] = work[now, i, j]
         for j in range(mean.shape[1]):
-            covariance[k, i, j] = work[0, i, start + j]
+            covariance[k, i, j] = work[now, i, start + j]
 
 
 @kernel
@@ -240,32 +253,33 @@ def _forward(
 ) -> int:
     """Samples from `first` to `stop`; returns how many innovations now stand in ``at.scaled``."""
     path, end, transition, gradient, residual = linear[:5]
-    terms, middle, weights, kinds = linear[5:]
+    terms, middle, weights, kinds, follows = linear[5:10]
     added, memory, steps = noise.channels, noise.memory, noise.steps
-    work, lines, starts, scaled, variances = at
+    work, step, lines, starts, scaled, variances = at
     innovation, variance, gain, mean, covariance = out[:5]
     size, start, blocks, used = path.shape[1], 1 + len(chosen.chain), len(starts) - 1, 0
     chain, term = chosen
     for k in range(first, stop):
+        now = k % 2
         if k > 0:
-            _carry(transition, k - 1, memory, work, start, False)
-            _arrive(work, start)
+            _multiply(transition, k - 1, memory, False, follows, step, work, 1 - now)
+            _close(follows, step, work, now, lines, start)
             for i in range(size):
-                work[0, i, 0] += memory[i] * end[k - 1, i] - path[k, i]
-                work[0, i, start + i] += steps[i]
+                work[now, i, 0] += memory[i] * end[k - 1, i] - path[k, i]
+                work[now, i, start + i] += steps[i]
             _next_terms(terms, middle, k, term, lines)
             for b in range(blocks):
-                _add_sources(weights, k - 1, chain[starts[b]], memory, lines, work, starts[b], starts[b + 1])
+                _add_sources(weights, k - 1, chain[starts[b]], memory, lines, work, now, starts[b], starts[b + 1])
         for channel in range(len(kinds)):
             S, kind = 0.0, kinds[channel]
             if not np.isnan(residual[k, channel]):
                 S = added[channel]
                 if kind >= 0:
                     for j in range(work.shape[2]):
-                        lines[0, j] = work[0, kind, j]
+                        lines[0, j] = work[now, kind, j]
                     S += lines[0, start + kind]
                 else:
-                    _combine(gradient, k, -1 - kind, work, 0, lines)
+                    _combine(gradient, k, -1 - kind, work, now, lines)
                     for i in range(size):
                         S += gradient[k, -1 - kind, i] * lines[0, start + i]
                     for b in range(blocks):
@@ -281,9 +295,9 @@ def _forward(
             if keep:
                 _keep_sample(k, channel, lines, S, innovation, variance, gain)
             if S > 0.0:
-                _condition(work, lines, S, start)
+                _condition(work, now, lines, S, start)
         if keep:
-            _keep_state(k, work, mean, covariance)
+            _keep_state(k, work, now, mean, covariance)
     return used
 
 
@@ -305,8 +319,9 @@ def run_filter(linear: Linear, chosen: Candidates, noise: Noise, keep: bool = Tr
     )
     out = Filtered(innovation, variance, gain, mean, covariance, np.zeros((1 + r, 1 + r)), 0.0)
     at, logs = _Running.at_start(linear, chosen, noise), 0.0
-    for first in range(0, n, ROWS):
-        used = _forward(linear, chosen, noise, first, min(first + ROWS, n), keep, at, out)
+    together = _rows(channels, r)
+    for first in range(0, n, together):
+        used = _forward(linear, chosen, noise, first, min(first + together, n), keep, at, out)
         scaled = at.scaled[:used]
         out.product[:] += scaled.T @ scaled
         logs += float(np.log(2.0 * np.pi * at.variance[:used]).sum())
@@ -349,51 +364,53 @@ class _Returning(NamedTuple):
 
     Attributes
     ----------
-    work : (4, S, W) array
+    work, step : (2, S, W) and (S, S) arrays
         As in `_Running`: adjoints of the data, at the coefficients' mean, and of each coefficient; their information N.
     lines : (4, W) array
         Work space of a sample.
-    innovation : (ROWS, M, 1 + r) array
+    innovation : (rows, M, 1 + r) array
         At the coefficients' mean, and its derivatives.
     lasting : (s,) int array
         States that change at samples.
-    mean : (ROWS, s, r) array
+    mean : (rows, s, r) array
         Derivatives of their filtered means.
     """
 
     work: Floats
+    step: Floats
     lines: Floats
     innovation: Floats
     lasting: Ints
     mean: Floats
 
     @classmethod
-    def at_end(cls, noise: Noise, r: int) -> _Returning:
-        """After the last sample."""
+    def at_end(cls, noise: Noise, r: int, scored: bool) -> _Returning:
+        """After the last sample; `scored` if derivatives by the noise are wanted."""
         size, channels = len(noise.memory), len(noise.channels)
-        lasting = np.flatnonzero((noise.memory != 1.0) | (noise.steps > 0.0))
-        work = np.zeros((4, size, _padded(1 + r + size)))
-        lines, innovation = np.zeros((4, work.shape[2])), np.empty((ROWS, channels, 1 + r))
-        return cls(work, lines, innovation, lasting, np.empty((ROWS, len(lasting), r)))
+        lasting = np.flatnonzero(scored & ((noise.memory != 1.0) | (noise.steps > 0.0)))
+        work, rows = np.zeros((2, size, _padded(1 + r + size))), _rows(channels, r)
+        lines, innovation = np.zeros((4, work.shape[2])), np.empty((rows, channels, 1 + r))
+        return cls(work, np.empty((size, size)), lines, innovation, lasting, np.empty((rows, len(lasting), r)))
 
     def take(self, found: Filtered, rows: slice, delta: Floats, root: Floats) -> None:
         """Some rows of a filtered record, at deviations `delta` of the coefficients with covariance `root` `root`'."""
-        r, count = len(delta), rows.stop - rows.start
+        (r, columns), count = root.shape, rows.stop - rows.start
         # derivatives by the coefficients enter with the other sign: e = E_0 - E theta
-        units = np.zeros((1 + r, 1 + r))
+        units = np.zeros((1 + r, 1 + columns))
         units[0, 0], units[1:, 0], units[1:, 1:] = 1.0, -delta, root
-        np.matmul(found.innovation[rows].reshape(-1, 1 + r), units, out=self.innovation[:count].reshape(-1, 1 + r))
-        if r:
+        out = self.innovation[:count].reshape(-1, 1 + columns)
+        np.matmul(found.innovation[rows].reshape(-1, 1 + r), units, out=out)
+        if self.mean.size:
             mean = found.mean[rows][:, self.lasting, 1:]
             np.matmul(mean.reshape(-1, r), root, out=self.mean[:count].reshape(-1, r))
 
 
 @kernel
-def _excess(work: Floats, i: int, start: int) -> float:
+def _excess(work: Floats, then: int, i: int, start: int) -> float:
     """Squares of the adjoints of a state less their variance."""
-    total = -work[0, i, start + i]
+    total = -work[then, i, start + i]
     for j in range(start):
-        total += work[0, i, j] ** 2
+        total += work[then, i, j] ** 2
     return total
 
 
@@ -412,40 +429,50 @@ def _leftover(
 
 
 @kernel
-def _absorb_state(kind: int, spread: float, work: Floats, lines: Floats, start: int) -> None:
+def _absorb_state(kind: int, spread: float, work: Floats, now: int, lines: Floats, start: int) -> None:
     """A sample of a state: r + h (E/S - gain'r), and N likewise."""
     for i in range(work.shape[1]):
-        work[0, i, start + kind] += lines[0, start + i]
+        work[now, i, start + kind] += lines[0, start + i]
     lines[0, start + kind] += spread
     for j in range(work.shape[2]):
-        work[0, kind, j] += lines[0, j]
+        work[now, kind, j] += lines[0, j]
 
 
 @kernel
-def _absorb_target(gradient: Floats, k: int, c: int, spread: float, work: Floats, lines: Floats, start: int) -> None:
+def _absorb_target(
+    gradient: Floats, k: int, c: int, spread: float, work: Floats, now: int, lines: Floats, start: int
+) -> None:
     """A sample of a target, whose h is its gradient."""
     size, width = work.shape[1:]
     for i in range(size):
         for j in range(size):
-            work[0, i, start + j] += lines[0, start + i] * gradient[k, c, j]
+            work[now, i, start + j] += lines[0, start + i] * gradient[k, c, j]
     for i in range(size):
         lines[0, start + i] += spread * gradient[k, c, i]
     for i in range(size):
         factor = gradient[k, c, i]
         for j in range(width):
-            work[0, i, j] += factor * lines[0, j]
+            work[now, i, j] += factor * lines[0, j]
 
 
 @kernel
 def _curve_between(
-    transition: Floats, covariance: Floats, k: int, c: int, work: Floats, lines: Floats, between: Floats, start: int
+    transition: Floats,
+    covariance: Floats,
+    k: int,
+    c: int,
+    work: Floats,
+    now: int,
+    lines: Floats,
+    between: Floats,
+    start: int,
 ) -> None:
     """-(1 + Phi)/2 P G' N w, w in ``lines[1]``: what the determinant makes of a gradient in the middle of a step."""
     size = work.shape[1]
     for i in range(size):
         lines[2, i] = 0.0
         for o in range(size):
-            lines[2, i] += work[1, i, start + o] * lines[1, o]
+            lines[2, i] += work[now, i, start + o] * lines[1, o]
     for i in range(size):
         lines[1, i] = 0.0
         for o in range(size):
@@ -459,7 +486,15 @@ def _curve_between(
 
 @kernel
 def _curve_at(
-    gradient: Floats, covariance: Floats, k: int, c: int, work: Floats, lines: Floats, at_samples: Floats, start: int
+    gradient: Floats,
+    covariance: Floats,
+    k: int,
+    c: int,
+    work: Floats,
+    now: int,
+    lines: Floats,
+    at_samples: Floats,
+    start: int,
 ) -> None:
     """-(P - P N P) h: the same of a target that is measured."""
     size = work.shape[1]
@@ -470,7 +505,7 @@ def _curve_at(
     for i in range(size):
         lines[2, i] = 0.0
         for o in range(size):
-            lines[2, i] += work[0, i, start + o] * lines[1, o]
+            lines[2, i] += work[now, i, start + o] * lines[1, o]
     for i in range(size):
         total = lines[1, i]
         for o in range(size):
@@ -483,63 +518,66 @@ def _backward(
     linear: Linear, noise: Noise, found: Filtered, first: int, stop: int, at: _Returning, out: Adjoint
 ) -> None:
     """Samples from the one before `stop` back to `first`."""
-    path, transition, gradient, weights, kinds = (
+    path, transition, gradient, weights, kinds, leads = (
         linear.path,
         linear.transition,
         linear.gradient,
         linear.weights,
         linear.kinds,
+        linear.leads,
     )
     memory, added = noise.memory, noise.channels
     variance, gain, covariance = found.variance, found.gain, found.covariance
-    work, lines, innovation, lasting, mean = at
+    work, step, lines, innovation, lasting, mean = at
     by_channels, by_memory, by_steps, _, deviation, at_samples, between = out
     (n, size), start = path.shape, innovation.shape[2]
     for k in range(stop - 1, first - 1, -1):
+        now = k % 2
+        then = 1 - now
         if k < n - 1:
-            _carry(transition, k, memory, work, start, True)
+            _multiply(transition, k, memory, True, leads, step, work, then)
             for i in range(size):
                 total = deviation[k, i]
                 for o in range(size):
-                    total += covariance[k, i, o] * work[1, o, 0]
+                    total += covariance[k, i, o] * work[now, o, 0]
                 deviation[k, i] = total
             for s in range(len(lasting)):
                 i = lasting[s]
-                by_steps[i] += 0.5 * _excess(work, i, start)
-                _combine(covariance, k, i, work, 1, lines)
-                total = work[0, i, 0] * (path[k, i] + deviation[k, i]) - lines[0, start + i]
+                by_steps[i] += 0.5 * _excess(work, then, i, start)
+                _combine(covariance, k, i, work, now, lines)
+                total = work[then, i, 0] * (path[k, i] + deviation[k, i]) - lines[0, start + i]
                 for j in range(1, start):
-                    total += work[0, i, j] * (lines[0, j] - mean[k - first, s, j - 1])
+                    total += work[then, i, j] * (lines[0, j] - mean[k - first, s, j - 1])
                 by_memory[i] += total
             if len(between) > 0:
                 for c in range(between.shape[1]):
                     for i in range(size):
                         lines[1, i] = memory[i] * (weights[k, 0, c, i] + weights[k, 1, c, i] + weights[k, 2, c, i])
-                    _curve_between(transition, covariance, k, c, work, lines, between, start)
-            _arrive(work, start)
+                    _curve_between(transition, covariance, k, c, work, now, lines, between, start)
+            _close(leads, step, work, now, lines, start)
         if len(at_samples) > 0:
             for channel in range(len(kinds)):
                 if kinds[channel] < 0 and variance[k, channel] > 0.0:
-                    _curve_at(gradient, covariance, k, -1 - kinds[channel], work, lines, at_samples, start)
+                    _curve_at(gradient, covariance, k, -1 - kinds[channel], work, now, lines, at_samples, start)
                     for i in range(size):
                         at_samples[k, -1 - kinds[channel], i] /= added[channel]
         for channel in range(len(kinds) - 1, -1, -1):
             S, kind = variance[k, channel], kinds[channel]
             if S > 0.0:
-                _combine(gain, k, channel, work, 0, lines)
+                _combine(gain, k, channel, work, now, lines)
                 spread = _leftover(gain, k, channel, innovation, k - first, S, lines, start)
                 total = -spread
                 for j in range(start):
                     total += lines[0, j] ** 2
                 by_channels[channel] += 0.5 * total
                 if kind >= 0:
-                    _absorb_state(kind, spread, work, lines, start)
+                    _absorb_state(kind, spread, work, now, lines, start)
                 else:
-                    _absorb_target(gradient, k, -1 - kind, spread, work, lines, start)
+                    _absorb_target(gradient, k, -1 - kind, spread, work, now, lines, start)
 
 
 def adjoint(
-    linear: Linear, noise: Noise, found: Filtered, delta: Floats, V: Floats, last: Ints, curved: bool = False
+    linear: Linear, noise: Noise, found: Filtered, delta: Floats, V: Floats | None = None, curved: bool = False
 ) -> Adjoint:
     """The adjoint recursion of a filtered record.
 
@@ -547,15 +585,16 @@ def adjoint(
     ----------
     linear, noise, found
         What was filtered, by `run_filter` with `keep`.
-    delta, V : (r,) and (r, r) arrays
-        Mean and covariance of the coefficients' deviations: derivatives are those of the likelihood marginal over them.
-    last : (C,) int array
-        `Layout.last`.
+    delta : (r,) array
+        The coefficients' deviations.
+    V : (r, r) array, optional
+        Their covariance: derivatives are those of the likelihood marginal over them. Without, those by the noise are
+        left out, and 0.
     curved : bool
         Whether `at_samples` and `between` are wanted.
     """
     (n, size), r = linear.path.shape, len(delta)
-    chains, root = linear.gradient.shape[1], _root(V)
+    chains, root = linear.gradient.shape[1], np.zeros((r, 0)) if V is None else _root(V)
     out = Adjoint(
         channels=np.zeros(len(linear.kinds)),
         memory=np.zeros(size),
@@ -565,12 +604,16 @@ def adjoint(
         at_samples=np.zeros((n if curved else 0, chains, size)),
         between=np.empty((n - 1 if curved else 0, chains, size)),
     )
-    at = _Returning.at_end(noise, r)
-    for first in reversed(range(0, n, ROWS)):
-        rows = slice(first, min(first + ROWS, n))
+    at = _Returning.at_end(noise, root.shape[1], V is not None)
+    together = _rows(len(linear.kinds), root.shape[1])
+    for first in reversed(range(0, n, together)):
+        rows = slice(first, min(first + together, n))
         at.take(found, rows, delta, root)
         np.matmul(found.mean[rows].reshape(-1, 1 + r), np.append(1.0, delta), out=out.deviation[rows].reshape(-1))
         _backward(linear, noise, found, first, rows.stop, at, out)
+    if V is None:
+        out.channels[:] = 0.0
+        return out
     adjoints = at.work[0]
     out.start[:] = 0.5 * ((adjoints[:, : 1 + r] ** 2).sum(axis=1) - np.diagonal(adjoints[:, 1 + r : 1 + r + size]))
     return out

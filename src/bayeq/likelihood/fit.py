@@ -21,6 +21,9 @@ Floats = NDArray[np.float64]
 # Sizes of a discrepancy at which the likelihood is averaged: standard deviations a factor of about 3 apart.
 SIZES = 10
 
+# Levels move by no more than this in a step, of logarithms mostly.
+LONGEST = 2.0
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -92,9 +95,11 @@ def solved(A: Floats, B: Floats) -> Floats:
     return np.asarray((np.linalg.lstsq(A * unit[:, None] * unit, (B.T * unit).T, rcond=1e-13)[0].T * unit).T)
 
 
-def marginal(linears: Sequence[Linear], state: State, levels: Levels, precision: Floats) -> Statistics:
-    """The likelihood with the chosen coefficients integrated out under N(0, 1/precision)."""
-    filtered = tuple(run_filter(linear, state.chosen, levels.noise) for linear in linears)
+def marginal(
+    linears: Sequence[Linear], state: State, levels: Levels, precision: Floats, keep: bool = True
+) -> Statistics:
+    """The likelihood with the chosen coefficients integrated out under N(0, 1/precision); `keep` as in `run_filter`."""
+    filtered = tuple(run_filter(linear, state.chosen, levels.noise, keep) for linear in linears)
     q = quadratic(filtered)
     if not len(state.theta):
         return Statistics(q.level, np.zeros(0), np.zeros((0, 0)), filtered)
@@ -128,17 +133,23 @@ def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value
         for size in grid:
             sizes = levels.discrepancy.copy()
             sizes[c] = size
-            logs.append(marginal(linears, state, replace(levels, discrepancy=sizes), precision).value - value)
+            found = marginal(linears, state, replace(levels, discrepancy=sizes), precision, keep=False)
+            logs.append(found.value - value)
         total += float(np.logaddexp.reduce(np.array(logs))) - np.log(SIZES)
     return total
 
 
 def adjoints(
-    linears: Sequence[Linear], state: State, levels: Levels, found: Statistics, delta: Floats, curved: bool = False
+    linears: Sequence[Linear],
+    levels: Levels,
+    found: Statistics,
+    delta: Floats,
+    covariance: Floats | None = None,
+    curved: bool = False,
 ) -> list[Adjoint]:
     """The adjoint of every record."""
     return [
-        adjoint(linear, levels.noise, filtered, delta, found.covariance, levels.layout.last, curved)
+        adjoint(linear, levels.noise, filtered, delta, covariance, curved)
         for linear, filtered in zip(linears, found.filtered, strict=True)
     ]
 
@@ -151,8 +162,8 @@ def maximised(
     steps: int = 30,
     tolerance: float = 1e-6,
     steepest: float = 0.01,
-) -> Levels:
-    """Levels that maximise the marginal likelihood of a linearised model; those `held` stay.
+) -> tuple[Levels, Statistics]:
+    """Levels that maximise the marginal likelihood of a linearised model, and that; those `held` stay.
 
     The search moves each number in units of what its own samples tell of it, were nothing else unknown.
     """
@@ -162,28 +173,37 @@ def maximised(
     if held is not None:
         low, high = np.where(held, start, low), np.where(held, start, high)
     unit = 1.0 / np.sqrt(np.maximum(levels.curvature(linears), 1.0))
-    # what is compared does not depend on the units of the channels
-    base = marginal(linears, state, levels.moved(start), precision).value
+    # less that at the start: what is compared does not depend on the units of the channels
+    base: float | None = None
+    last: tuple[Floats, Statistics] | None = None
 
     def negative(moved: Floats) -> tuple[float, Floats]:
-        trial = levels.moved(moved * unit)
+        nonlocal base, last
+        trial, last = levels.moved(moved * unit), None
         try:
             found = marginal(linears, state, trial, precision)
         except np.linalg.LinAlgError:
+            if base is None:
+                raise
             return np.inf, np.zeros(len(moved))
-        slope = sum(trial.slopes(one) for one in adjoints(linears, state, trial, found, found.delta))
+        base, last = found.value if base is None else base, (moved, found)
+        slope = sum(trial.slopes(one) for one in adjoints(linears, trial, found, found.delta, found.covariance))
         return base - found.value, -np.asarray(slope) * unit
 
-    found = minimise(
+    least = minimise(
         negative,
         start / unit,
         low / unit,
         high / unit,
+        hessian=np.eye(len(unit)) if levels.hessian is None else levels.hessian,
+        longest=LONGEST / unit,
         gradient_tolerance=steepest,
         value_tolerance=tolerance,
         most_steps=steps,
     )
-    return levels.moved(found.x * unit)
+    levels = replace(levels.moved(least.x * unit), hessian=least.hessian)
+    at_least = last is not None and np.array_equal(last[0], least.x)
+    return levels, last[1] if last is not None and at_least else marginal(linears, state, levels, precision)
 
 
 def corrections(
@@ -199,17 +219,15 @@ def corrections(
 
 
 def improved(
-    layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, precision: Floats
-) -> tuple[State, Floats, Statistics]:
-    """One Gauss-Newton step of coefficients and paths, and the derivatives of the determinant."""
-    levels = state.levels
-    found = marginal(linears, state, levels, precision)
-    first = adjoints(linears, state, levels, found, found.delta, curved=True)
+    layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, found: Statistics
+) -> tuple[State, Floats]:
+    """One Gauss-Newton step of coefficients and paths from the likelihood there; the derivatives of the determinant."""
+    first = adjoints(linears, state.levels, found, found.delta, curved=True)
     curved = corrections(layout, series, linears, first)
     delta = found.delta + found.covariance @ curved[state.chosen.chain, state.chosen.term]
-    second = adjoints(linears, state, levels, found, delta)
+    second = adjoints(linears, state.levels, found, delta)
     paths = tuple(path + adj.deviation for path, adj in zip(state.paths, second, strict=True))
-    return replace(state, theta=state.theta + delta, paths=paths), curved, found
+    return replace(state, theta=state.theta + delta, paths=paths), curved
 
 
 def information(

@@ -28,8 +28,9 @@ MOST_POSSIBLE = 1e1
 MEMORY = (0.02, 0.999)
 SLOPE_MEMORY = (-0.9, 1.0)
 
-# The likelihood is about as sharp in the sizes and memories of discrepancies and inputs as this many samples make it.
-SHARPNESS = 25.0
+# The likelihood is about as sharp in size and memory of an input's slope as these shares of its samples make it.
+# Of discrepancies, which may be hardly there, it tells between nothing and as much: the geometric mean stands for that.
+SLOPE_SHARPNESS, SLOPE_MEMORY_SHARPNESS = 0.25, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,9 @@ class Levels:
         Variance of what is added to each noisy input's slope at a sample.
     slope_memory : (L,) array
         What is left of the slope: 1 is an integrated Wiener process, 0 straight lines between random samples.
+    hessian : (F, F) array or None
+        How the likelihood curves downwards in `free`, as the search that led here has found it, in the units of that
+        search.
     """
 
     layout: Layout
@@ -76,6 +80,7 @@ class Levels:
     memory: Floats
     slope: Floats
     slope_memory: Floats
+    hessian: Floats | None = None
 
     @cached_property
     def noise(self) -> Noise:
@@ -150,9 +155,10 @@ class Levels:
 
     def curvature(self, linears: Sequence[Linear]) -> Floats:
         """About how sharply the likelihood peaks in each of `free`: half of the samples for the noise of a channel."""
-        samples = sum(np.isfinite(linear.residual).sum(axis=0) for linear in linears)
-        few = np.full(len(self.free) - len(self.channels), SHARPNESS)
-        return np.concatenate([0.5 * np.asarray(samples), few])
+        samples = np.asarray(sum(np.isfinite(linear.residual).sum(axis=0) for linear in linears), dtype=np.float64)
+        inputs = samples[len(samples) - len(self.slope) :]
+        few = np.full(2 * len(self.discrepancy), np.sqrt(samples.mean()))
+        return np.concatenate([0.5 * samples, few, SLOPE_SHARPNESS * inputs, SLOPE_MEMORY_SHARPNESS * inputs])
 
     def slopes(self, found: Adjoint) -> Floats:
         """Derivatives of the likelihood by `free`."""

@@ -59,6 +59,8 @@ class Linear(NamedTuple):
         What a term at the start, in the middle and at the end of a step, as part of each equation, adds to `end`.
     kinds : (M,) array
         See `Layout.channels`.
+    follows, leads : (S, S) int arrays
+        Of each state, how many others its next value may depend on, and which; and how many depend on it, and which.
     """
 
     path: Floats
@@ -70,6 +72,8 @@ class Linear(NamedTuple):
     middle: Floats
     weights: Floats
     kinds: Ints
+    follows: Ints
+    leads: Ints
 
 
 @kernel
@@ -152,6 +156,7 @@ def linearise(
         seen[:, channel] = target[:, -1 - layout.kinds[channel]]
     exact = series.inputs
     halfway = 0.5 * (exact[:, :, 0] + exact[:, :, 1]) + 0.25 * (exact[:, :, 2] + 0.5 * exact[:, :, 3])
+    related = (transition != 0.0).any(axis=0)
     return Linear(
         path=path,
         end=end,
@@ -162,7 +167,18 @@ def linearise(
         middle=_terms(layout, between, halfway[:-1]),
         weights=_weights(layout, series.intervals, transition),
         kinds=layout.kinds,
+        follows=_others(related),
+        leads=_others(related.T),
     )
+
+
+def _others(related: NDArray[np.bool_]) -> Ints:
+    """In each row the number of entries beside the diagonal, then where they stand."""
+    out = np.zeros(related.shape, dtype=np.int64)
+    for i, row in enumerate(related):
+        others = np.setdiff1d(np.flatnonzero(row), [i])
+        out[i, 0], out[i, 1 : 1 + len(others)] = len(others), others
+    return out
 
 
 def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats) -> None:

@@ -105,6 +105,8 @@ class Task:
         Of each coefficient not being zero.
     substeps : int
         Runge-Kutta steps between two samples.
+    recent : list
+        The last two linearisations and what they are of: fits go on from where others have stood.
     """
 
     layout: Layout
@@ -112,10 +114,17 @@ class Task:
     precision: Floats
     log_odds: Floats
     substeps: int = 1
+    recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
 
     def linearised(self, state: State) -> list[Linear]:
         """Every record linearised where a fit stands."""
-        return linearised(self.layout, self.series, state, self.substeps)
+        about = (self.layout, self.series, self.substeps, state.chosen, state.theta, state.paths)
+        for other, linears in self.recent:
+            if all(one is another for one, another in zip(other, about, strict=True)):
+                return linears
+        del self.recent[:-1]
+        self.recent.append((about, linearised(self.layout, self.series, state, self.substeps)))
+        return self.recent[-1][1]
 
     @property
     def rows(self) -> float:
@@ -195,13 +204,13 @@ def fit(task: Task, state: State, coarse: bool = False) -> Fitted:
     precision, before = task.precision[number], -np.inf
     for _ in range(STEPS if coarse else MOST_STEPS):
         linears = task.linearised(state)
-        state = replace(state, levels=maximised(linears, state, precision, **(COARSE if coarse else {})))
-        state, curved, found = improved(layout, series, linears, state, precision)
+        levels, found = maximised(linears, state, precision, **(COARSE if coarse else {}))
+        state, curved = improved(layout, series, linears, replace(state, levels=levels), found)
         if abs(found.value - before) < SETTLED:
             break
         before = found.value
     linears = task.linearised(state)
-    value = marginal(linears, state, state.levels, precision).value
+    value = marginal(linears, state, state.levels, precision, keep=False).value
     if not coarse:
         value += over_sizes(linears, state, precision, value)
     model = task.model(state.chosen)
@@ -337,7 +346,7 @@ def of_motion(task: Task, fitted: Fitted) -> float:
     for linear in task.linearised(fitted.state):
         residual = linear.residual.copy()
         residual[:, : -len(layout.noisy)] = np.nan
-        found = run_filter(linear._replace(residual=residual), nothing, levels.noise)
+        found = run_filter(linear._replace(residual=residual), nothing, levels.noise, keep=False)
         alone += quadratic([found]).level
     return fitted.evidence - alone
 
@@ -436,7 +445,10 @@ def resumed(task: Task, state: State, log: Callable[..., None] = _no_log) -> Fit
         log("round", now)
         if now.evidence > best.evidence:
             best = now
-    return among_neighbours(task, best, log) if task.rows <= MOST_TO_MOVE else best
+    if task.rows <= MOST_TO_MOVE:
+        return among_neighbours(task, best, log)
+    task.recent.clear()
+    return best
 
 
 def among_neighbours(task: Task, best: Fitted, log: Callable[..., None]) -> Fitted:
@@ -457,4 +469,5 @@ def among_neighbours(task: Task, best: Fitted, log: Callable[..., None]) -> Fitt
             break
         best = better
         log("move", best)
+    task.recent.clear()
     return replace(best, tried=tried)

@@ -233,9 +233,8 @@ def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[fl
     linears = linearised(layout, short, few)
     # of a random sequence noise cannot be told
     held = np.array([not smoothness, False, not smoothness])
-    levels = maximised(linears, few, none, held, steps=20, tolerance=1e-5)
-    value = marginal(linears, replace(few, levels=levels), levels, none).value
-    return value, replace(state, levels=levels), series
+    levels, found = maximised(linears, few, none, held, steps=20, tolerance=1e-5)
+    return found.value, replace(state, levels=levels), series
 
 
 def _smoothed(series: Sequence[Series], state: State) -> tuple[Floats, ...]:
@@ -243,7 +242,7 @@ def _smoothed(series: Sequence[Series], state: State) -> tuple[Floats, ...]:
     levels = state.levels
     linears = linearised(levels.layout, series, state)
     found = marginal(linears, state, levels, np.zeros(0))
-    return tuple(one.deviation for one in adjoints(linears, state, levels, found, found.delta))
+    return tuple(one.deviation for one in adjoints(linears, levels, found, found.delta))
 
 
 def _stretch(series: Series, rows: int) -> Series:

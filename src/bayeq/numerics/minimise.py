@@ -48,6 +48,8 @@ class Minimum(NamedTuple):
         Whether the search ended because of one of its tolerances.
     evaluations : int
         Points at which the function was computed, those of differences left out.
+    hessian : (n, n) array or None
+        What the steps told of it; None where they told nothing, and none was given.
     """
 
     x: Floats
@@ -55,6 +57,7 @@ class Minimum(NamedTuple):
     gradient: Floats
     converged: bool
     evaluations: int
+    hessian: Floats | None
 
 
 def minimise(
@@ -63,6 +66,8 @@ def minimise(
     lower: ArrayLike = -math.inf,
     upper: ArrayLike = math.inf,
     *,
+    hessian: ArrayLike | None = None,
+    longest: ArrayLike = math.inf,
     gradient_tolerance: float = 1e-6,
     value_tolerance: float = 1e-13,
     most_steps: int = 200,
@@ -83,6 +88,10 @@ def minimise(
         Where the search starts; moved into the bounds.
     lower, upper : (n,) array_like or float
         Bounds, infinite where there is none. Parameters with equal bounds stay.
+    hessian : (n, n) array_like, optional
+        About what it is near the minimum; without, the first step only follows the gradient.
+    longest : (n,) array_like or float
+        How far a step goes in each parameter at most, before it is found to be too short.
     gradient_tolerance : float
         The search ends where the projected gradient, ``x - P(x - gradient)``, has no larger element.
     value_tolerance : float
@@ -111,27 +120,33 @@ def minimise(
     """
     at = np.array(start, dtype=np.float64)
     box = _Box(np.broadcast_to(lower, at.shape).astype(np.float64), np.broadcast_to(upper, at.shape).astype(np.float64))
-    counted = _Counted(fun, box)
+    counted, limit = _Counted(fun, box), np.broadcast_to(longest, at.shape).astype(np.float64)
+    known = None if hessian is None else np.asarray(hessian, dtype=np.float64)
     here = counted(box.project(at))
-    hessian, converged = None, False
+    learnt, converged = None, False
     for _ in range(most_steps if here.finite else 0):
         left = box.projected(here)
         converged = bool(np.abs(left).max(initial=0.0) <= gradient_tolerance)
         if converged:
             break
-        fresh = np.eye(len(at)) * (float(np.linalg.norm(left)) / FIRST_STEP)
-        there = _search(counted, box, here, box.direction(here, fresh if hessian is None else hessian))
-        if there is None and hessian is None:
+        fresh = np.eye(len(at)) * (float(np.linalg.norm(left)) / FIRST_STEP) if known is None else known
+        step = box.direction(here, fresh if learnt is None else learnt)
+        step *= np.min(limit / np.maximum(np.abs(step), np.finfo(np.float64).tiny), initial=1.0)
+        there = _search(counted, box, here, step)
+        if there is None and learnt is None:
             break
         if there is None:
             # what was learnt elsewhere may not hold here
-            hessian = None
+            learnt = None
             continue
         converged = here.value - there.value <= value_tolerance * max(1.0, abs(here.value))
-        hessian, here = _updated(hessian, there.x - here.x, there.gradient - here.gradient), there
+        learnt = _updated(known if learnt is None else learnt, there.x - here.x, there.gradient - here.gradient)
+        here = there
         if converged:
             break
-    return Minimum(here.x, here.value, here.gradient, converged, counted.evaluations)
+    return Minimum(
+        here.x, here.value, here.gradient, converged, counted.evaluations, known if learnt is None else learnt
+    )
 
 
 class _Point(NamedTuple):
