@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
+from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import mean_of_signs
 from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Roles, rates
@@ -58,10 +59,13 @@ class Layout:
     noisy : tuple of str
         Inputs whose noise is part of the model; the others are taken as they were measured.
     smoothness : tuple of int
-        Number of derivatives of each noisy input that are states and change smoothly; 0 stands for a sequence of
-        independent samples joined by straight lines, whose slope is a state all the same.
+        Number of derivatives of each noisy input that are states: it is low-passed noise, see
+        `bayeq.likelihood.low_pass`. 0 stands for a sequence of independent samples joined by straight lines, whose
+        slope is a state all the same.
     centres : tuple of float
         Mean of each noisy input.
+    corners : tuple of float
+        Of the spectrum of each noisy input [rad/s]; not used of a random sequence.
     interpolation : "cubic", "band-limited", "linear" or "hold"
         The other inputs between their samples.
     blur : mapping of Expression to float
@@ -75,6 +79,7 @@ class Layout:
     noisy: tuple[str, ...] = ()
     smoothness: tuple[int, ...] = ()
     centres: tuple[float, ...] = ()
+    corners: tuple[float, ...] = ()
     interpolation: Interpolation = "cubic"
     blur: Mapping[Node, float] = field(default_factory=dict)
 
@@ -117,6 +122,15 @@ class Layout:
     def slope(self) -> Ints:
         """The highest derivative of each noisy input, (L,)."""
         return self.driven + self.widths - 1
+
+    def feedback(self, k: int, intervals: Floats) -> Floats:
+        """What the highest derivative of noisy input k becomes at the end of steps, on average: factors of its states.
+
+        Of a random sequence straight lines lead from any sample back to its mean.
+        """
+        if self.smoothness[k] == 0:
+            return np.column_stack([-1.0 / intervals, np.zeros(len(intervals))])
+        return feedback(int(self.widths[k]), self.corners[k], intervals)
 
     @cached_property
     def exact(self) -> tuple[str, ...]:

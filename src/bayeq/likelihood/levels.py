@@ -21,16 +21,15 @@ Floats = NDArray[np.float64]
 VAGUE = 10.0
 
 # Bounds: of noise and discrepancy as shares of the variance of channel and target, of what is left of a discrepancy
-# after a sample, and of a slope.
+# after a sample, and of an input's steps.
 LEAST_NOISE, MOST_NOISE = 1e-10, 1e2
 LEAST_DISCREPANCY, MOST_DISCREPANCY = 1e-8, 1e2
 MOST_POSSIBLE = 1e1
 MEMORY = (0.02, 0.999)
-SLOPE_MEMORY = (-0.9, 1.0)
 
-# The likelihood is about as sharp in size and memory of an input's slope as these shares of its samples make it.
+# The likelihood is about as sharp in the size of an input's steps as this share of its samples makes it.
 # Of discrepancies, which may be hardly there, it tells between nothing and as much: the geometric mean stands for that.
-SLOPE_SHARPNESS, SLOPE_MEMORY_SHARPNESS = 0.25, 1.5
+STEP_SHARPNESS = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +64,7 @@ class Levels:
     memory : (C,) array
         What is left of a discrepancy after a sample.
     slope : (L,) array
-        Variance of what is added to each noisy input's slope at a sample.
-    slope_memory : (L,) array
-        What is left of the slope: 1 is an integrated Wiener process, 0 straight lines between random samples.
+        Variance of what is added to the highest derivative of each noisy input at a sample.
     hessian : (F, F) array or None
         How the likelihood curves downwards in `free`, as the search that led here has found it, in the units of that
         search.
@@ -79,7 +76,6 @@ class Levels:
     discrepancy: Floats
     memory: Floats
     slope: Floats
-    slope_memory: Floats
     hessian: Floats | None = None
 
     @cached_property
@@ -91,7 +87,7 @@ class Levels:
         memory[layout.discrepancy] = self.memory
         steps[layout.discrepancy] = self.discrepancy * (1.0 - self.memory**2)
         start[layout.discrepancy] = self.discrepancy
-        memory[layout.slope], steps[layout.slope] = self.slope_memory, self.slope
+        steps[layout.slope] = self.slope
         return Noise(self.channels, memory, steps, self.scales.mean, start)
 
     @property
@@ -114,14 +110,13 @@ class Levels:
                 np.log(self.discrepancy),
                 _logit(self.memory),
                 np.log(self.slope),
-                self.slope_memory,
             ]
         )
 
     def moved(self, free: Floats) -> Levels:
         """The levels of other numbers."""
-        m, c, s = len(self.channels), len(self.discrepancy), len(self.slope)
-        parts = np.split(free, np.cumsum([m, c, c, s]))
+        m, c = len(self.channels), len(self.discrepancy)
+        parts = np.split(free, np.cumsum([m, c, c]))
         return Levels(
             self.layout,
             self.scales,
@@ -129,7 +124,6 @@ class Levels:
             np.exp(parts[1]),
             1.0 / (1.0 + np.exp(-parts[2])),
             np.exp(parts[3]),
-            parts[4],
         )
 
     @property
@@ -142,14 +136,12 @@ class Levels:
             np.log(LEAST_DISCREPANCY * target),
             np.full(len(target), _logit(np.array(MEMORY[0]))),
             np.log(LEAST_DISCREPANCY * slope),
-            np.where(np.array(self.layout.smoothness) == 0, self.slope_memory, SLOPE_MEMORY[0]),
         ]
         high = [
             np.log(MOST_NOISE * self.scales.channels),
             np.log(MOST_DISCREPANCY * target),
             np.full(len(target), _logit(np.array(MEMORY[1]))),
             np.log(1e4 * slope),
-            np.where(np.array(self.layout.smoothness) == 0, self.slope_memory, SLOPE_MEMORY[1]),
         ]
         return np.concatenate(low), np.concatenate(high)
 
@@ -158,7 +150,7 @@ class Levels:
         samples = np.asarray(sum(np.isfinite(linear.residual).sum(axis=0) for linear in linears), dtype=np.float64)
         inputs = samples[len(samples) - len(self.slope) :]
         few = np.full(2 * len(self.discrepancy), np.sqrt(samples.mean()))
-        return np.concatenate([0.5 * samples, few, SLOPE_SHARPNESS * inputs, SLOPE_MEMORY_SHARPNESS * inputs])
+        return np.concatenate([0.5 * samples, few, STEP_SHARPNESS * inputs])
 
     def slopes(self, found: Adjoint) -> Floats:
         """Derivatives of the likelihood by `free`."""
@@ -172,7 +164,6 @@ class Levels:
                 by_size * size,
                 by_memory * memory * (1.0 - memory),
                 found.steps[s] * self.slope,
-                found.memory[s],
             ]
         )
 

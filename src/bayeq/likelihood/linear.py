@@ -182,14 +182,17 @@ def _others(related: NDArray[np.bool_]) -> Ints:
 
 
 def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats) -> None:
-    """Inputs that are a random sequence: from any sample straight lines lead, on average, back to its mean.
+    """The highest derivative of each input at the end of steps: what it becomes at the next sample, on average.
 
-    `end` and `transition` receive the mean of the next slope.
+    `end` and `transition` receive it.
     """
-    for first, slope, order, centre in zip(layout.driven, layout.slope, layout.smoothness, layout.centres, strict=True):
-        if order == 0:
-            end[:, slope] = (centre - end[:, first]) / intervals
-            transition[:, slope] = -transition[:, first] / intervals[:, None]
+    for k, (first, slope, centre) in enumerate(zip(layout.driven, layout.slope, layout.centres, strict=True)):
+        states = slice(first, slope + 1)
+        factors = layout.feedback(k, intervals)
+        deviation = end[:, states].copy()
+        deviation[:, 0] -= centre
+        end[:, slope] = np.einsum("nj,nj->n", factors, deviation)
+        transition[:, slope] = np.einsum("nj,njs->ns", factors, transition[:, states])
 
 
 def _terms(layout: Layout, states: Floats, inputs: Floats) -> Floats:

@@ -20,6 +20,7 @@ from bayeq.likelihood.fit import State, adjoints, linearised, marginal, maximise
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.levels import Levels, Scales
 from bayeq.likelihood.linear import Series
+from bayeq.likelihood.low_pass import spectrum_of, step_variance
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.ode.rk4 import Interpolation, interpolant
 from bayeq.states import Motion, MotionRows, Roles
@@ -40,9 +41,8 @@ FIRST_NOISE, INPUT_NOISE = 1e-3, 2.5e-3
 SMOOTHNESS = (0, 1, 2, 3)
 INPUT_ROWS = 2000
 
-# Memory of discrepancies and of slopes at first.
+# Memory of discrepancies at first.
 LEAST_MEMORY, MOST_MEMORY = 0.05, 0.99
-SLOPE_MEMORY = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,8 @@ def start_from(motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram
     alone = [levels for levels, _ in inputs]
     smoothness = tuple(one.layout.smoothness[0] for one in alone)
     centres = tuple(one.layout.centres[0] for one in alone)
-    layout = Layout(roles, tuple(terms), motion.unit_gains, roles.inputs, smoothness, centres)
+    corners = tuple(one.layout.corners[0] for one in alone)
+    layout = Layout(roles, tuple(terms), motion.unit_gains, roles.inputs, smoothness, centres, corners)
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [found[i] for _, found in inputs]) for i, rows in enumerate(pieces))
     targets = _targets(roles, pieces)
@@ -97,7 +98,6 @@ def start_from(motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram
         scales.variance[layout.discrepancy],
         np.clip(lag1, LEAST_MEMORY, MOST_MEMORY),
         np.array([one.slope[0] for one in alone]),
-        np.array([one.slope_memory[0] for one in alone]),
     )
     none = np.zeros(0, dtype=np.int64)
     empty = State(Candidates(none, none), np.zeros(0), paths, levels)
@@ -127,7 +127,7 @@ def _by_rows(empty: State, grams: Sequence[Gram]) -> State:
 def with_exact_inputs(motion: Motion, task: Task, fitted: Fitted, kind: Interpolation) -> tuple[Task, State]:
     """The task with all inputs as measured, interpolated in one way, and a fit as its start."""
     old, state = task.layout, fitted.state
-    layout = replace(old, noisy=(), smoothness=(), centres=(), interpolation=kind)
+    layout = replace(old, noisy=(), smoothness=(), centres=(), corners=(), interpolation=kind)
     levels, kept = state.levels, layout.size
     channels = len(layout.channels)
     scales = Scales(levels.scales.mean[:kept], levels.scales.variance[:kept], levels.scales.channels[:channels])
@@ -137,7 +137,7 @@ def with_exact_inputs(motion: Motion, task: Task, fitted: Fitted, kind: Interpol
         replace(
             state,
             paths=tuple(np.ascontiguousarray(path[:, :kept]) for path in state.paths),
-            levels=Levels(layout, scales, levels.channels[:channels], levels.discrepancy, levels.memory, none, none),
+            levels=Levels(layout, scales, levels.channels[:channels], levels.discrepancy, levels.memory, none),
         ),
     )
 
@@ -211,29 +211,30 @@ def _input(name: str, pieces: Sequence[MotionRows]) -> tuple[Levels, tuple[Float
 def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[float, State, list[Series]]:
     """Levels of an input by the likelihood of its own samples, nothing else in the model; that likelihood first."""
     values = np.concatenate([rows.columns[name] for rows in pieces])
-    layout = Layout(Roles((), (name,)), (), (), (name,), (smoothness,), (float(values.mean()),))
+    mean, variance = float(values.mean()), float(values.var()) or 1.0
     intervals = [np.diff(rows.time) for rows in pieces if rows.time is not None]
     step = float(np.median(np.concatenate(intervals)))
-    variance = float(values.var()) or 1.0
-    sizes = [variance]
-    for k in range(smoothness):
-        sizes.append(sizes[-1] / step**2 * (2.0 if k else float(np.mean(np.diff(values) ** 2)) / variance))
-    if not smoothness:
-        sizes.append(variance / step**2)
-    scales = Scales(np.array([float(values.mean()), *[0.0] * (len(sizes) - 1)]), np.array(sizes), np.array([variance]))
+    noise, corner, slope = INPUT_NOISE * variance, 0.0, variance / step**2
+    sizes = [variance, slope]
+    if smoothness:
+        order, few = smoothness + 1, [rows.columns[name][:INPUT_ROWS] - mean for rows in pieces]
+        corner, level, noise = spectrum_of(few, order, step)
+        slope = step_variance(order, corner, step, level)
+        sizes = [variance * corner ** (2 * k) for k in range(order)]
+    layout = Layout(Roles((), (name,)), (), (), (name,), (smoothness,), (mean,), (corner,))
+    scales = Scales(np.array([mean, *[0.0] * (len(sizes) - 1)]), np.array(sizes), np.array([variance]))
     none = np.zeros(0)
-    memory = np.array([SLOPE_MEMORY if smoothness else 1.0])
-    levels = Levels(layout, scales, np.array([INPUT_NOISE * variance]), none, none, np.array([0.1 * sizes[-1]]), memory)
+    levels = Levels(layout, scales, np.array([noise]), none, none, np.array([slope]))
     series = [_series(layout, rows) for rows in pieces]
     nothing = Candidates(none.astype(np.int64), none.astype(np.int64))
     zero = tuple(np.zeros((len(one.samples), layout.size)) for one in series)
     state = State(nothing, none, zero, levels)
     short = [_stretch(one, INPUT_ROWS) for one in series]
-    few = replace(state, paths=tuple(path[: len(one.samples)] for path, one in zip(zero, short, strict=True)))
-    linears = linearised(layout, short, few)
+    few_rows = replace(state, paths=tuple(path[: len(one.samples)] for path, one in zip(zero, short, strict=True)))
+    linears = linearised(layout, short, few_rows)
     # of a random sequence noise cannot be told
-    held = np.array([not smoothness, False, not smoothness])
-    levels, found = maximised(linears, few, none, held, steps=20, tolerance=1e-5)
+    held = np.array([not smoothness, False])
+    levels, found = maximised(linears, few_rows, none, held, steps=20, tolerance=1e-5)
     return found.value, replace(state, levels=levels), series
 
 

@@ -1,0 +1,127 @@
+"""Inputs as low-passed noise: their spectrum is flat up to a corner and falls beyond, as that of a shaker's force.
+
+An input with p states, itself and p - 1 derivatives, is a Butterworth process of order p: white noise through a filter
+whose p poles lie evenly on a half circle with the corner as its radius (Butterworth 1930). Between samples the highest
+derivative is constant; at each it becomes a combination of the states there, such that the poles are those of the
+filter (Ackermann 1972), plus a random step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.numerics.minimise import minimise
+
+__all__ = ["feedback", "spectrum_of", "step_variance"]
+
+Floats = NDArray[np.float64]
+
+# Bounds of a spectrum: corner as a share of half the sampling rate, level and noise as shares of the variance.
+CORNERS = (1e-3, 0.9)
+LEVELS, NOISES = (1e-8, 1e8), (1e-8, 1.0)
+
+# Share of the power below the first corner that is tried, and of the bins that noise is at first read from.
+POWER, HIGHEST = 0.9, 0.1
+
+
+def feedback(order: int, corner: float, intervals: Floats) -> Floats:
+    """What the highest derivative becomes at the end of steps, but for the random part: factors of the states there.
+
+    Parameters
+    ----------
+    order : int
+        p, the number of states.
+    corner : float
+        [rad/s].
+    intervals : (n,) array
+        Lengths of the steps [s].
+
+    Returns
+    -------
+    (n, p) array
+    """
+    different, which = np.unique(intervals, return_inverse=True)
+    return np.array([_feedback(order, corner * h)[0] * h ** np.arange(1.0 - order, 1.0) for h in different])[which]
+
+
+def _feedback(order: int, corner: float) -> tuple[Floats, Floats]:
+    """`feedback` of steps of length 1, and the transition matrix (p, p) of the states from one to the next."""
+    poles = np.exp(corner * np.exp(1j * math.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)))
+    free = np.array([[1.0 / math.factorial(j - i) if j >= i else 0.0 for j in range(order)] for i in range(order)])
+    held = free.copy()
+    held[-1] = 0.0
+    last = np.zeros(order)
+    last[-1] = 1.0
+    reached = np.column_stack([np.linalg.matrix_power(held, k) @ last for k in range(order)])
+    wanted = sum(c * np.linalg.matrix_power(held, order - k) for k, c in enumerate(np.real(np.poly(poles)).tolist()))
+    row = -np.linalg.solve(reached.T, last) @ wanted
+    held[-1] = row
+    return np.linalg.solve(free.T, row), held
+
+
+def step_variance(order: int, corner: float, interval: float, level: float) -> float:
+    """Variance of the random steps of the highest derivative, given the spectrum's level at zero.
+
+    The level is that of the periodogram, whose mean over all frequencies is the variance.
+    """
+    _, transition = _feedback(order, corner * interval)
+    last = np.zeros(order)
+    last[-1] = 1.0
+    gain = float(np.linalg.solve(np.eye(order) - transition, last)[0])
+    return level / gain**2 / interval ** (2 * (order - 1))
+
+
+def spectrum_of(pieces: Sequence[Floats], order: int, interval: float) -> tuple[float, float, float]:
+    """Corner [rad/s], level at zero, and noise of samples, at the maximum of Whittle's likelihood (Whittle 1953).
+
+    Parameters
+    ----------
+    pieces : sequence of (n,) arrays
+        Samples, their mean taken off.
+    order : int
+        Of the process.
+    interval : float
+        Between samples [s].
+    """
+    power, omega = [], []
+    for values in pieces:
+        n = len(values)
+        bins = np.abs(np.fft.rfft(values * np.hanning(n)))[1 : (n + 1) // 2] ** 2 / (0.375 * n)
+        power.append(bins)
+        omega.append(2.0 * math.pi * np.arange(1, len(bins) + 1) / n)
+    P, w = np.concatenate(power), np.concatenate(omega)
+    if not len(P):
+        return math.pi / interval, 1.0, NOISES[0]
+    P = P / P.mean()
+    by_frequency = np.argsort(w, kind="stable")
+    below = np.cumsum(P[by_frequency]) <= POWER * P.sum()
+    first = w[by_frequency][min(int(below.sum()), len(w) - 1)]
+    noise = P[by_frequency][-max(1, int(HIGHEST * len(P))) :].mean()
+    start = np.log([first, math.pi / first, noise])
+    low = np.log([CORNERS[0] * math.pi, LEVELS[0], NOISES[0]])
+    high = np.log([CORNERS[1] * math.pi, LEVELS[1], NOISES[1]])
+
+    def negative(x: Floats) -> tuple[float, Floats]:
+        beyond = np.exp(2.0 * order * (np.log(w) - x[0]))
+        signal = np.exp(x[1]) / (1.0 + beyond)
+        total = signal + np.exp(x[2])
+        by_total = 1.0 / total - P / total**2
+        by_corner = 2.0 * order * signal * beyond / (1.0 + beyond)
+        slopes = [float(by_total @ by_corner), float(by_total @ signal), float(by_total.sum() * np.exp(x[2]))]
+        return float(np.sum(np.log(total) + P / total)), np.array(slopes)
+
+    unit = 1.0 / math.sqrt(len(P))
+    found = minimise(
+        lambda x: _scaled(negative(x * unit), unit), np.clip(start, low, high) / unit, low / unit, high / unit
+    )
+    corner, level, noise = np.exp(found.x * unit).tolist()
+    variance = float(np.concatenate([np.asarray(values) for values in pieces]).var())
+    return corner / interval, level * variance, noise * variance
+
+
+def _scaled(found: tuple[float, Floats], unit: float) -> tuple[float, Floats]:
+    return found[0], found[1] * unit
