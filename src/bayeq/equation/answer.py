@@ -9,6 +9,7 @@ from typing import Protocol, Self
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict
 from bayeq.forecast.results import Scores
+from bayeq.plan.measured import Measured
 from bayeq.records import Record
 from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
@@ -33,6 +34,8 @@ class DataSummary:
         Whether by the kinematic smoother.
     holdout : float
         Share of the rows of each record that was held out.
+    measured : Measured
+        Rates and ranges, for the plan of a next measurement.
     """
 
     files: tuple[str, ...]
@@ -42,6 +45,7 @@ class DataSummary:
     estimated: tuple[str, ...] = ()
     smoothed: bool = False
     holdout: float = 0.0
+    measured: Measured = Measured()
 
     @classmethod
     def of(cls, records: Sequence[Record], motion: Motion) -> Self:
@@ -55,6 +59,7 @@ class DataSummary:
             estimated=motion.estimated,
             smoothed=bool(motion.smoothing),
             holdout=motion.holdout,
+            measured=Measured.of(records, motion.roles.measured, motion.roles.inputs),
         )
 
 

@@ -25,6 +25,7 @@ from bayeq.errors import InputError
 from bayeq.expressions import Evaluator, Expression, to_sympy
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.posterior import Posterior
+from bayeq.plan.models import CandidateModel
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.residuals import Fit, Residuals
 from bayeq.selection.select import LeftOut
@@ -112,6 +113,8 @@ class Equation:
     unit_gains : tuple of float
         Factor of each derivative's channel to the derivative by seconds of the chain's lowest measured channel: 0.001
         of v in m/s beside x in mm. Empty where all are 1.
+    models : tuple of CandidateModel
+        The likeliest models with their coefficients, the likeliest first.
     """
 
     chain: Chain
@@ -129,6 +132,7 @@ class Equation:
     left_out: tuple[LeftOut, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     unit_gains: tuple[float, ...] = ()
+    models: tuple[CandidateModel, ...] = ()
 
     @property
     def law(self) -> Law:

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from bayeq.forecast.dynamics import Dynamics
     from bayeq.forecast.run import Forecast
     from bayeq.ode.rk4 import Interpolation
+    from bayeq.plan.conditions import Amplitude
+    from bayeq.plan.plan import Progress
+    from bayeq.plan.result import Plan
 
 __all__ = ["DataSummary", "Equations"]
 
@@ -384,6 +387,87 @@ class Equations:
             refined=found.summary,
         )
 
+    def plan(
+        self,
+        *,
+        amplitude: Amplitude | Mapping[str, Amplitude] | None = None,
+        band: tuple[float, float] | None = None,
+        seconds: float | None = None,
+        fs: float | None = None,
+        noise: Mapping[str, float] | None = None,
+        limits: Mapping[str, float] | None = None,
+        odds: float = 100.0,
+        realisations: int = 5,
+        seed: int = 0,
+        progress: Progress | None = None,
+    ) -> Plan:
+        """Which excitation of a next measurement would tell the likeliest models apart best.
+
+        Band-limited noise, sweep and multisine, each in several bands and two amplitudes, are simulated from rest. The
+        information of a design is that between the likeliest model of an equation and the rival that it tells least of
+        (Atkinson and Fedorov 1975; Box and Hill 1967): what neither can imitate of the other, fitted to the new record.
+        Models within `odds` of the likeliest are compared; where there is none, the plan is for the coefficients
+        (Lindley 1956; Chaloner and Verdinelli 1995).
+
+        Parameters
+        ----------
+        amplitude : float, pair or mapping, optional
+            Largest magnitude of the inputs, or their lowest and highest value, by input where they differ; by default
+            the range in the record.
+        band : (float, float), optional
+            [Hz]; by default where the power of the inputs was.
+        seconds, fs : float, optional
+            Length and sampling rate; by default those of the record, of at most 4000 samples.
+        noise : mapping of str to float, optional
+            Standard deviation of the noise of targets; by default that of the equation.
+        limits : mapping of str to float, optional
+            Largest magnitude of states. A design whose motion would exceed one is scaled down until it keeps it.
+        odds : float
+            At which two models count as told apart.
+        realisations, seed : int
+            Of every design; at least two.
+        progress : callable, optional
+            Called with (stage, done, total).
+
+        Returns
+        -------
+        Plan
+            Print it; ``best``, ``table()``, ``plot()``, ``write("best.csv")``.
+
+        Raises
+        ------
+        InputError
+            Equations without input, or whose file holds no models; names that are not there, numbers out of range.
+        """
+        from bayeq.plan.conditions import conditions_of
+        from bayeq.plan.plan import plan_excitation
+
+        if not self.inputs:
+            raise InputError("the equations have no input: there is nothing to excite")
+        if not all(equation.models for equation in self.equations):
+            raise InputError("the likeliest models are not in the file of the equations: find and save them again")
+        conditions = conditions_of(
+            self.data.measured,
+            self.states,
+            self.inputs,
+            {equation.target: equation.noise_sd for equation in self.equations},
+            amplitude=amplitude,
+            band=band,
+            seconds=seconds,
+            fs=fs,
+            given_noise=noise or {},
+            limits=limits or {},
+        )
+        return plan_excitation(
+            self.equations,
+            self.inputs,
+            conditions,
+            odds=odds,
+            realisations=realisations,
+            seed=seed,
+            progress=progress or _silent,
+        )
+
     def physical(
         self,
         mass: float | None = None,
@@ -454,6 +538,10 @@ class Equations:
 
 def _between(equations: Equations, interpolation: Interpolation | None) -> Interpolation:
     return interpolation or (equations.refined.interpolation if equations.refined else "cubic")
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """No progress shown."""
 
 
 def _as_list(records: Record | Sequence[Record], purpose: str) -> list[Record]:

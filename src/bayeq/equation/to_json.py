@@ -39,6 +39,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "estimated": list(eq.data.estimated),
             "smoothed": eq.data.smoothed,
             "holdout": eq.data.holdout,
+            "measured": asdict(eq.data.measured),
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],
@@ -170,6 +171,7 @@ def to_saved(eq: Answer) -> dict[str, Any]:
                 "elbo_trace": e.posterior.elbo_trace.tolist(),
                 "optimum": None if e.posterior.optimum is None else np.flatnonzero(e.posterior.optimum).tolist(),
                 "average": None if e.posterior.average is None else _saved_average(e.posterior.average),
+                "models": [asdict(model) for model in e.models],
             }
             for e in eq.equations
         ],

@@ -20,6 +20,9 @@ Amplitude = float | tuple[float, float]
 # A plan is made for this many samples by default: longer ones take longer to simulate and rank the same.
 SAMPLES = 4000
 
+# An input has both signs if its extremes are within this ratio: those of 100 samples of noise are; pulses are not.
+SIGNED = 0.5
+
 # Fewer samples than this are no spectrum.
 LEAST_SAMPLES = 16
 
@@ -143,7 +146,7 @@ def _span(
     if amplitude is None:
         if name not in measured.ranges:
             raise InputError(f"the range of {name} is not known from the record: give amplitude")
-        low, high = measured.ranges[name]
+        low, high = _evened(*measured.ranges[name])
     elif isinstance(amplitude, (int, float)):
         high = _positive(f"amplitude of {name}", amplitude)
         low = -high
@@ -152,6 +155,12 @@ def _span(
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise InputError(f"amplitude of {name}: {low:g} to {high:g} is no range; give a positive number, or low and high")
     return low, high
+
+
+def _evened(low: float, high: float) -> tuple[float, float]:
+    """The range of an input in a record; of one of both signs, as far as both go."""
+    least, most = sorted((-low, high))
+    return (-least, least) if least > SIGNED * most else (low, high)
 
 
 def _band(

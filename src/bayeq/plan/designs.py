@@ -1,4 +1,4 @@
-"""Designs that a plan compares: a kind of excitation, a band and an amplitude each."""
+"""Designs that a plan compares: a kind of excitation and a band each, at several amplitudes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bayeq.plan.conditions import Conditions
 from bayeq.plan.excitations import EXCITATIONS
 from bayeq.plan.excitations.lines import lines_within
 
-__all__ = ["Design", "designs_for", "shapes"]
+__all__ = ["SHARES", "Design", "designs_for", "shapes"]
 
 # Amplitudes, as shares of the range allowed: where the range is the best amplitude, the half says by how much.
 SHARES = (1.0, 0.5)
@@ -24,7 +24,7 @@ PARTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """An excitation that could be applied.
+    """An excitation that could be applied, at the whole amplitude or less.
 
     Attributes
     ----------
@@ -32,13 +32,10 @@ class Design:
         A row of `bayeq.plan.excitations.EXCITATIONS`.
     band : (float, float)
         [Hz].
-    share : float
-        Amplitude as a share of the range allowed.
     """
 
     kind: str
     band: tuple[float, float]
-    share: float
 
 
 def designs_for(conditions: Conditions, parameters: int) -> list[Design]:
@@ -55,7 +52,7 @@ def designs_for(conditions: Conditions, parameters: int) -> list[Design]:
     """
     bands = [conditions.band, *(part for part in _parts(conditions) if _lines(conditions, part) * 2 >= parameters)]
     lines_within(conditions.n, conditions.fs, conditions.band, odd=True)  # raises where there are none
-    return [Design(kind, band, share) for kind in EXCITATIONS for band in bands for share in SHARES]
+    return [Design(kind, band) for kind in EXCITATIONS for band in bands]
 
 
 def _parts(conditions: Conditions) -> Iterator[tuple[float, float]]:
