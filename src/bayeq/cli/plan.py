@@ -28,10 +28,14 @@ __all__ = ["plan"]
     " the record.",
 )
 @option("--band", help="Frequencies that may be excited, LO:HI [Hz]; by default where the power of the input was.")
-@option("--seconds", type=float, help="Length of the measurement [s]; by default that of the record, up to 4000 samples.")
+@option(
+    "--seconds", type=float, help="Length of the measurement [s]; by default that of the record, up to 4000 samples."
+)
 @option("--fs", type=float, help="Sampling rate [Hz]; by default that of the record.")
 @option("--noise", "noises", multiple=True, help="Noise sd of a target, a=0.1; by default that of the equation.")
-@option("--limit", "limits", multiple=True, help="Largest magnitude of a state, x=0.01: amplitudes are lowered to keep it.")
+@option(
+    "--limit", "limits", multiple=True, help="Largest magnitude of a state, x=0.01: amplitudes are lowered to keep it."
+)
 @option("--odds", type=float, default=100.0, help="Odds at which two models count as told apart.")
 @option("--realisations", type=int, default=5, help="Of every excitation.")
 @option("--seed", type=int, default=0, help="Seed.")
@@ -88,7 +92,9 @@ def _check_outputs(file: Path, figure: Path | None, output: Path | None) -> None
         from bayeq.figures.style import UNSIGNED, require_matplotlib
 
         if figure.suffix.lower()[1:] not in UNSIGNED:
-            raise InputError(f"{figure}: is to be written as a figure: end it in {', '.join('.' + s for s in UNSIGNED)}")
+            raise InputError(
+                f"{figure}: is to be written as a figure: end it in {', '.join('.' + s for s in UNSIGNED)}"
+            )
         require_matplotlib()
     if output is not None and output.suffix.lower() != ".csv":
         raise InputError(f"{output}: the excitation is written as a table: end it in .csv")

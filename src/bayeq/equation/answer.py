@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, Self
 
 from bayeq.equation.equation import Equation
@@ -45,7 +45,7 @@ class DataSummary:
     estimated: tuple[str, ...] = ()
     smoothed: bool = False
     holdout: float = 0.0
-    measured: Measured = Measured()
+    measured: Measured = field(default_factory=Measured)
 
     @classmethod
     def of(cls, records: Sequence[Record], motion: Motion) -> Self:

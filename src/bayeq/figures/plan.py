@@ -88,7 +88,7 @@ def draw_plan(plan: Planned) -> Figure:
     shown = plan.outcomes[:DRAWN]
     height = ROW * max(len(shown), LEAST_ROWS)
     figure = new_figure(FULL_WIDTH, TOP + height + BELOW)
-    _rates(add_axes(figure, NAMES, TOP, BARS, height), shown, plan.purpose)
+    _rates(add_axes(figure, NAMES, TOP, BARS, height), shown, plan.units, plan.purpose)
     half = 0.5 * (height - GAP)
     left = NAMES + BARS + BETWEEN
     _spectrum(add_axes(figure, left, TOP, SIDE, half), plan)
@@ -96,31 +96,32 @@ def draw_plan(plan: Planned) -> Figure:
     return figure
 
 
-def _rates(ax: Axes, shown: Sequence[_Outcome], purpose: str) -> None:
+def _rates(ax: Axes, shown: Sequence[_Outcome], units: Mapping[str, str], purpose: str) -> None:
     """A row per design, the mean and one standard deviation to either side."""
     kinds = list(dict.fromkeys(one.design.kind for one in shown))
     best = max(shown[0].rate, np.finfo(float).tiny)
+    # a spread that reaches down to nothing ends at the edge
+    least = max(0.5 * min(one.rate for one in shown), LEAST * best)
     for row, one in enumerate(shown):
         colour, marker = LOOKS[kinds.index(one.design.kind) % len(LOOKS)]
-        rate = max(one.rate, LEAST * best)
-        low, high = max(one.rate - one.sd, LEAST * best), one.rate + one.sd
-        ax.plot([min(low, rate), max(high, rate)], [row, row], color=colour, linewidth=1.0)
-        ax.plot([rate], [row], color=colour, marker=marker, markersize=3.6)
+        ax.plot([max(one.rate - one.sd, least), one.rate + one.sd], [row, row], color=colour, linewidth=1.0)
+        ax.plot([max(one.rate, least)], [row], color=colour, marker=marker, markersize=3.6)
     ax.set_xscale("log")
-    low, high = ax.get_xlim()
-    ax.set_xlim(min(low, 0.5 * shown[-1].rate if shown[-1].rate > LEAST * best else low), high)
+    ax.set_xlim(least, 1.5 * max(one.rate + one.sd for one in shown))
     log_ticks(ax.xaxis)
     ax.set_ylim(len(shown) - 0.4, -0.6)
-    ax.set_yticks(range(len(shown)), [_label(one) for one in shown])
+    ax.set_yticks(range(len(shown)), [_label(one, units) for one in shown])
     ax.grid(axis="y", linewidth=0.3, alpha=0.4)
     told = "against the closest rival" if purpose == "models" else "about the coefficients"
     ax.set_xlabel(f"information {told} [nats/s]")
     ax.set_title("designs, mean \N{PLUS-MINUS SIGN} sd over realisations")
 
 
-def _label(one: _Outcome) -> str:
+def _label(one: _Outcome, units: Mapping[str, str]) -> str:
     low, high = one.design.band
-    size = ", ".join(f"\N{PLUS-MINUS SIGN}{value:.3g}" for value in one.amplitudes.values())
+    size = ", ".join(
+        f"\N{PLUS-MINUS SIGN}{value:.3g} {units.get(name, '')}".rstrip() for name, value in one.amplitudes.items()
+    )
     return f"{one.design.kind}, {low:.3g} to {high:.3g} Hz, {size}"
 
 

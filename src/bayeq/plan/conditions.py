@@ -153,7 +153,9 @@ def _span(
     else:
         low, high = amplitude
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise InputError(f"amplitude of {name}: {low:g} to {high:g} is no range; give a positive number, or low and high")
+        raise InputError(
+            f"amplitude of {name}: {low:g} to {high:g} is no range; give a positive number, or low and high"
+        )
     return low, high
 
 

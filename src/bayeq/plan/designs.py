@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,7 @@ def designs_for(conditions: Conditions, parameters: int) -> list[Design]:
     Parameters
     ----------
     conditions : Conditions
+        Of the measurement.
     parameters : int
         Coefficients of the largest model.
     """
@@ -60,7 +62,7 @@ def _parts(conditions: Conditions) -> Iterator[tuple[float, float]]:
     if low >= high:
         return
     edges = np.geomspace(low, high, PARTS + 1).tolist()
-    yield from zip(edges[:-1], edges[1:], strict=True)
+    yield from pairwise(edges)
 
 
 def _lines(conditions: Conditions, band: tuple[float, float]) -> int:

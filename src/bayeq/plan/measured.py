@@ -13,8 +13,8 @@ from bayeq.records import Record
 
 __all__ = ["Measured"]
 
-# The band of an input holds its power but for these shares below and above. Noise of the channel is spread up to half of
-# the sampling rate, so that more is left out there: 5 % is the power of 20 % noise.
+# The band of an input holds its power but for these shares below and above. Noise of the channel is spread up to half
+# of the sampling rate, so that more is left out there: 5 % is the power of 20 % noise.
 BELOW, ABOVE = 0.005, 0.05
 
 

@@ -113,10 +113,14 @@ def plan_excitation(
         for share in SHARES:
             if most > 0.0 and (share < most or share == SHARES[0]):
                 amplitude = min(share, most)
-                outcomes.append(_outcome(equations, leading, lead, rivals, design, realised, amplitude, conditions, odds))
+                outcomes.append(
+                    _outcome(equations, leading, lead, rivals, design, realised, amplitude, conditions, odds)
+                )
     progress("designs", len(designs), len(designs))
     if not outcomes:
-        raise InputError("no excitation keeps the motion within the limits and bounded: lower the amplitude, or raise limits")
+        raise InputError(
+            "no excitation keeps the motion within the limits and bounded: lower the amplitude, or raise limits"
+        )
     outcomes.sort(key=lambda one: -one.rate)
     best = outcomes[0]
     shape = shapes(best.design, conditions, (seed, 0))
@@ -249,9 +253,9 @@ def _separation(
     """How some realisations tell a rival: of the leading model's motion, and of the rival's own."""
     scale = 2.0 * conditions.noise[rival.k] ** 2 * conditions.seconds
     ahead = np.array([_inimitable(equation, leading, rival.model, run) for run in runs]) / scale
-    back = np.array(
-        [math.nan if run is None else _inimitable(equation, rival.model, leading, run) for run in own]
-    ) / scale
+    back = (
+        np.array([math.nan if run is None else _inimitable(equation, rival.model, leading, run) for run in own]) / scale
+    )
     both = np.array([np.nanmean(pair) for pair in zip(ahead, back, strict=True)])
     if_rival = None if np.isnan(back).all() else float(np.nanmean(back))
     occam = int(rival.model.support.sum()) - int(leading.support.sum())

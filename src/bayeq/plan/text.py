@@ -58,7 +58,9 @@ def advice(plan: Plan) -> str:
             if best.seconds < NEVER
             else f"odds of {plan.odds:g}:1 are not to be expected"
         )
-        return f"{what}: {length} tells {_of(plan, rival)} by {best.rate * plan.conditions['seconds']:.3g} nats; {until}"
+        return (
+            f"{what}: {length} tells {_of(plan, rival)} by {best.rate * plan.conditions['seconds']:.3g} nats; {until}"
+        )
     return (
         f"{what}: {length} brings {best.rate * plan.conditions['seconds']:.3g} nats about the coefficients, whose"
         f" standard deviations are expected to be halved after {duration(best.seconds)}"
