@@ -358,8 +358,9 @@ def test_the_record_is_remembered(found):
     assert measured.ranges["u"] == (rec["u"].min(), rec["u"].max())
     low, high = measured.bands["u"]
     power = np.abs(np.fft.rfft(rec["u"])) ** 2
-    line = np.arange(501)
-    assert power[(line >= low) & (line <= high)].sum() / power[1:].sum() == pytest.approx(0.95, abs=0.01)
+    share, lowest, highest = np.cumsum(power[1:]) / power[1:].sum(), round(low), round(high)  # lines are 1 Hz apart
+    assert share[highest - 1] >= 0.95 > share[highest - 2]
+    assert share[lowest - 1] >= 0.005
 
 
 def test_models_have_the_coefficients_of_their_own_regression():
@@ -375,8 +376,10 @@ def test_models_have_the_coefficients_of_their_own_regression():
         terms = [eq.terms[j] for j in model.members]
         D = np.column_stack([np.ones(800), *(Evaluator(columns)(term) for term in terms)])
         fitted = np.linalg.lstsq(D, columns["a"], rcond=None)[0]
-        np.testing.assert_allclose(model.coef, fitted[1:], rtol=0.02)
-        assert model.intercept == pytest.approx(fitted[0], abs=0.02 * columns["a"].std())
+        # the prior draws a little to zero what the record hardly tells
+        different = D @ (np.array([model.intercept, *model.coef]) - fitted)
+        assert different.std() < 1e-3 * columns["a"].std()
+        assert abs(different.mean()) < 1e-3 * columns["a"].std()
 
 
 @pytest.mark.parametrize(("method", "several"), [("vb", True), ("gibbs", True), ("rvm", False), ("stlsq", False)])

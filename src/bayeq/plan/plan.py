@@ -21,7 +21,8 @@ from bayeq.plan.designs import SHARES, Design, designs_for, shapes
 from bayeq.plan.information import coefficient_gain, seconds_to_halve, seconds_until, unexplained
 from bayeq.plan.models import CandidateModel
 from bayeq.plan.motion import Motions, largest_share
-from bayeq.plan.result import Compared, Outcome, Plan, Separation
+from bayeq.plan.outcome import Compared, Outcome, Separation
+from bayeq.plan.result import Plan
 from bayeq.states import Chain
 
 __all__ = ["Found", "plan_excitation"]

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from bayeq.plan.excitations import EXCITATIONS
-from bayeq.plan.result import Compared, Outcome, Plan
+from bayeq.plan.outcome import Compared, Outcome, Planned
 
 __all__ = ["advice", "duration", "render"]
 
@@ -40,7 +40,7 @@ def duration(seconds: float) -> str:
     return f"{seconds:.2g} s" if seconds < 99.5 else f"{seconds:.0f} s"
 
 
-def advice(plan: Plan) -> str:
+def advice(plan: Planned) -> str:
     """Which excitation to use and what it is expected to tell, as a sentence."""
     best = plan.best
     low, high = best.design.band
@@ -67,7 +67,7 @@ def advice(plan: Plan) -> str:
     )
 
 
-def amplitudes(plan: Plan, outcome: Outcome) -> str:
+def amplitudes(plan: Planned, outcome: Outcome) -> str:
     """The ranges of the inputs: ``+-0.5 N``, or ``2 .. 4 V`` about a middle that is not zero."""
     out = []
     for name, size in outcome.amplitudes.items():
@@ -77,14 +77,14 @@ def amplitudes(plan: Plan, outcome: Outcome) -> str:
     return ", ".join(out)
 
 
-def _of(plan: Plan, rival: Compared) -> str:
+def _of(plan: Planned, rival: Compared) -> str:
     """What is told apart."""
     where = f"{rival.target}: " if len(plan.leading) > 1 else ""
     leading = next(model for model in plan.leading if model.target == rival.target)
     return f"{where}{leading.name} from the closest rival ({rival.name})"
 
 
-def render(plan: Plan) -> str:
+def render(plan: Planned) -> str:
     """The plan: styled if standard output is a terminal, plain Markdown otherwise."""
     terminal = sys.stdout.isatty()
     buffer = io.StringIO()
@@ -125,11 +125,11 @@ def render(plan: Plan) -> str:
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
 
 
-def _short(plan: Plan, rival: Compared) -> str:
+def _short(plan: Planned, rival: Compared) -> str:
     return f"{rival.target}: {rival.name}" if len(plan.leading) > 1 else rival.name
 
 
-def _models(plan: Plan) -> list[str]:
+def _models(plan: Planned) -> list[str]:
     """The models compared."""
     out = []
     for model in plan.leading:
@@ -150,7 +150,7 @@ def _models(plan: Plan) -> list[str]:
     return [*out, ""]
 
 
-def _extrapolation(plan: Plan) -> list[str]:
+def _extrapolation(plan: Planned) -> list[str]:
     """How far the motion goes beyond the record."""
     ratios = {
         name: peak / plan.ranges[name] for name, peak in plan.best.peaks.items() if plan.ranges.get(name, 0.0) > 0
@@ -162,7 +162,7 @@ def _extrapolation(plan: Plan) -> list[str]:
     return [f"motion under the best, largest magnitude over that of the record: {listed}{beyond}"]
 
 
-def _conditions(plan: Plan) -> list[str]:
+def _conditions(plan: Planned) -> list[str]:
     c = plan.conditions
     noise = ", ".join(f"{name} {sd:.3g}" for name, sd in c["noise"].items())
     limits = "".join(f", |{name}| at most {limit:g}" for name, limit in c["limits"].items())
