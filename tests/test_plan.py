@@ -183,7 +183,7 @@ def test_the_rate_is_that_of_the_simulated_motion():
     from scipy.integrate import solve_ivp
     from scipy.interpolate import CubicSpline
 
-    found = plan(Given((CUBIC, LINEAR), (0.6, 0.4)), realisations=2, amplitude=20.0)
+    found = plan(Given((CUBIC, LINEAR), (0.6, 0.4)), realisations=2, amplitude=1.0)
     force = CubicSpline(found.time, found.inputs["u"])
     best = found.best
     seen = {}
@@ -202,6 +202,11 @@ def test_the_rate_is_that_of_the_simulated_motion():
     # the mean of two realisations whose sd is known: the first is one sd / sqrt(2) off
     separation = best.separations[0]
     assert separation.if_rival == 0.0
+    # the cube shows itself; without it, twice (ln n - 1)/2 would be needed of 100:1 and the odds 3:2 against it
+    assert separation.by_size == pytest.approx(math.e * 150**2 / 100.0)
+    needed = math.log(100 / 1.5) + 0.5 * (math.log(100 * separation.seconds) - 1)
+    assert separation.if_leading * separation.seconds == pytest.approx(needed, rel=1e-6)
+    assert "if the smaller of nested models is, after 10 min, whatever the excitation" in found.text
     first = 2 * np.array([separation.rate - best.sd / math.sqrt(2), separation.rate + best.sd / math.sqrt(2)])
     assert np.abs(first / seen["cubic"] - 1).min() < 0.01
 

@@ -44,7 +44,11 @@ class Separation:
     if_leading, if_rival : float or None
         The two halves of the mean. None of a rival whose run leaves every range.
     seconds : float
-        Until the odds for the true one of the two are expected to reach those wanted; the longer of both cases.
+        Until the odds for the true one of the two are expected to reach those wanted; the longer of both cases. Where
+        one contains the other, if the larger is true.
+    by_size : float or None
+        Where one contains the other, the same time if the smaller is true: motion cannot show that, and only the Occam
+        factor grows.
     """
 
     rival: int
@@ -53,6 +57,7 @@ class Separation:
     if_leading: float
     if_rival: float | None
     seconds: float
+    by_size: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +75,8 @@ class Outcome:
         Information by second [nats/s], mean and standard deviation over realisations: against the closest rival, or of
         the coefficients.
     seconds : float
-        Until the models are told apart, or until standard deviations of the coefficients are halved.
+        Until the models are told apart (if the larger of nested ones is true), or until standard deviations of the
+        coefficients are halved.
     peaks : mapping of str to float
         Largest magnitude of every state, in the mean over realisations.
     separations : tuple of Separation

@@ -259,25 +259,37 @@ def _separation(
     )
     both = np.array([np.nanmean(pair) for pair in zip(ahead, back, strict=True)])
     if_rival = None if np.isnan(back).all() else float(np.nanmean(back))
-    occam = int(rival.model.support.sum()) - int(leading.support.sum())
+    extra = int(rival.model.support.sum()) - int(leading.support.sum())
     wanted, fs = math.log(odds), conditions.fs
-    seconds = seconds_until(wanted - rival.log_odds, float(ahead.mean()), occam, fs)
-    if if_rival is not None:
-        seconds = max(seconds, seconds_until(wanted + rival.log_odds, if_rival, -occam, fs))
+    cases = [
+        (leading, rival.model, seconds_until(wanted - rival.log_odds, float(ahead.mean()), extra, fs)),
+        *(
+            []
+            if if_rival is None
+            else [(rival.model, leading, seconds_until(wanted + rival.log_odds, if_rival, -extra, fs))]
+        ),
+    ]
+    by_size = [seconds for true, other, seconds in cases if _contains(other, true)]
     return Separation(
         rival=place,
         rate=float(both.mean()),
         sd=float(both.std(ddof=1)),
         if_leading=float(ahead.mean()),
         if_rival=if_rival,
-        seconds=seconds,
+        # a larger model that runs away is never seen to be true
+        seconds=max((seconds for true, other, seconds in cases if not _contains(other, true)), default=math.inf),
+        by_size=by_size[0] if by_size else None,
     )
+
+
+def _contains(one: Posterior, other: Posterior) -> bool:
+    return not (other.support & ~one.support).any()
 
 
 def _inimitable(equation: Found, true: Posterior, other: Posterior, run: Mapping[str, Floats]) -> float:
     """Sum of squares of the true model's target along a motion that the other one, fitted to it, leaves."""
-    if not (true.support & ~other.support).any():
-        return 0.0  # the other contains it
+    if _contains(other, true):
+        return 0.0
     y = _columns(equation, true, run) @ true.coef[true.support]
     return unexplained(y, _columns(equation, other, run))
 

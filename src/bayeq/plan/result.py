@@ -115,12 +115,18 @@ class Plan:
         """The plan as plain data; an infinite time is null."""
         from bayeq.plan.text import advice
 
-        def finite(value: float) -> float | None:
-            return value if math.isfinite(value) else None
+        def finite(value: float | None) -> float | None:
+            return value if value is not None and math.isfinite(value) else None
 
         def pair(one: Separation) -> dict[str, Any]:
             rival = self.rivals[one.rival]
-            return {**asdict(one), "target": rival.target, "rival": rival.name, "seconds": finite(one.seconds)}
+            return {
+                **asdict(one),
+                "target": rival.target,
+                "rival": rival.name,
+                "seconds": finite(one.seconds),
+                "by_size": finite(one.by_size),
+            }
 
         return {
             "advice": advice(self),

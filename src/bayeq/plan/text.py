@@ -53,11 +53,14 @@ def advice(plan: Planned) -> str:
         rival = plan.closest(best)
         assert rival is not None
         until = (
-            f"odds of {plan.odds:g}:1 for whichever is true, against every rival listed, are expected after"
+            f"odds of {plan.odds:g}:1 for the true one, against every rival listed, are expected after"
             f" {duration(best.seconds)}"
             if best.seconds < NEVER
             else f"odds of {plan.odds:g}:1 are not to be expected"
         )
+        by_size = [one.by_size for one in best.separations if one.by_size is not None]
+        if by_size:
+            until += f" (if the smaller of nested models is, after {duration(max(by_size))}, whatever the excitation)"
         return (
             f"{what}: {length} tells {_of(plan, rival)} by {best.rate * plan.conditions['seconds']:.3g} nats; {until}"
         )
@@ -142,8 +145,8 @@ def _models(plan: Planned) -> list[str]:
         ]
     if plan.decided is not None:
         out.append(
-            f"no rival is within odds of {plan.odds:g}:1 (the likeliest: {plan.decided.target},"
-            f" {plan.decided.name}, probability {plan.decided.probability:.2g}): the plan is for the coefficients"
+            f"no rival is within odds of {plan.odds:g}:1 (the likeliest: {_short(plan, plan.decided)}, probability"
+            f" {plan.decided.probability:.2g}): the plan is for the coefficients"
         )
     elif not plan.rivals:
         out.append("no other model is known: the plan is for the coefficients")
