@@ -207,7 +207,7 @@ def test_the_rate_is_that_of_the_simulated_motion():
     needed = math.log(100 / 1.5) + 0.5 * (math.log(100 * separation.seconds) - 1)
     assert separation.if_leading * separation.seconds == pytest.approx(needed, rel=1e-6)
     assert "if the smaller of nested models is, after 10 min, whatever the excitation" in found.text
-    first = 2 * np.array([separation.rate - best.sd / math.sqrt(2), separation.rate + best.sd / math.sqrt(2)])
+    first = np.array([separation.rate - best.sd / math.sqrt(2), separation.rate + best.sd / math.sqrt(2)])
     assert np.abs(first / seen["cubic"] - 1).min() < 0.01
 
 
@@ -218,6 +218,10 @@ def test_designs_are_ranked_and_the_closest_rival_counts():
     assert rates == sorted(rates, reverse=True)
     for outcome in found.outcomes:
         assert outcome.rate == min(one.rate for one in outcome.separations)
+        for one in outcome.separations:  # without x**3 is contained: x**3 is true where they differ
+            nested = found.rivals[one.rival].name == "without x**3"
+            assert one.rate == pytest.approx(one.if_leading if nested else min(one.if_leading, one.if_rival))
+            assert (one.by_size is not None) == nested
         assert outcome.seconds == max(one.seconds for one in outcome.separations)
         assert found.closest(outcome).name in ("x*abs(x) instead of x**3", "without x**3")
     assert found.purpose == "models"

@@ -39,10 +39,11 @@ class Separation:
     rival : int
         Place among the rivals of the plan.
     rate, sd : float
-        What neither model can imitate of the other, lambda per second, in the mean over which of the two is true;
+        What the wrong one of the two cannot imitate of the true one, lambda per second, in the less favourable case;
         mean and standard deviation over realisations [nats/s].
     if_leading, if_rival : float or None
-        The two halves of the mean. None of a rival whose run leaves every range.
+        The same if the leading model is true, and if the rival is. None of a rival whose run leaves every range; where
+        one model contains the other, only the case counts in which the larger is true.
     seconds : float
         Until the odds for the true one of the two are expected to reach those wanted; the longer of both cases. Where
         one contains the other, if the larger is true.

@@ -257,27 +257,26 @@ def _separation(
     back = (
         np.array([math.nan if run is None else _inimitable(equation, rival.model, leading, run) for run in own]) / scale
     )
-    both = np.array([np.nanmean(pair) for pair in zip(ahead, back, strict=True)])
     if_rival = None if np.isnan(back).all() else float(np.nanmean(back))
     extra = int(rival.model.support.sum()) - int(leading.support.sum())
     wanted, fs = math.log(odds), conditions.fs
-    cases = [
-        (leading, rival.model, seconds_until(wanted - rival.log_odds, float(ahead.mean()), extra, fs)),
-        *(
-            []
-            if if_rival is None
-            else [(rival.model, leading, seconds_until(wanted + rival.log_odds, if_rival, -extra, fs))]
-        ),
-    ]
-    by_size = [seconds for true, other, seconds in cases if _contains(other, true)]
+    cases = [(leading, rival.model, ahead, seconds_until(wanted - rival.log_odds, float(ahead.mean()), extra, fs))]
+    if if_rival is not None:
+        seconds = seconds_until(wanted + rival.log_odds, if_rival, -extra, fs)
+        cases.append((rival.model, leading, back[np.isfinite(back)], seconds))
+    # of nested models the smaller is never shown by the motion
+    shown = [(rates, seconds) for true, other, rates, seconds in cases if not _contains(other, true)]
+    by_size = [seconds for true, other, _, seconds in cases if _contains(other, true)]
+    if not shown:  # the larger of nested models runs away
+        shown = [(np.zeros(len(ahead)), math.inf)]
+    rates = min((rates for rates, _ in shown), key=np.mean)
     return Separation(
         rival=place,
-        rate=float(both.mean()),
-        sd=float(both.std(ddof=1)),
+        rate=float(rates.mean()),
+        sd=float(rates.std(ddof=1)) if len(rates) > 1 else 0.0,
         if_leading=float(ahead.mean()),
         if_rival=if_rival,
-        # a larger model that runs away is never seen to be true
-        seconds=max((seconds for true, other, seconds in cases if not _contains(other, true)), default=math.inf),
+        seconds=max(seconds for _, seconds in shown),
         by_size=by_size[0] if by_size else None,
     )
 
