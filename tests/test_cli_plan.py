@@ -40,7 +40,7 @@ def test_from_a_file_to_an_excitation(saved, tmp_path, capsys):
     assert (code, err) == (0, "")
     sentence = out.splitlines()[0]
     assert sentence.startswith("excite u with ")
-    assert " Hz: 0.5 s of it tells " in sentence
+    assert " Hz: 0.5 s of it separates " in sentence
     assert "| excitation |" in out
     assert "simulated from rest: 0.5 s at 1000 Hz, noise sd a " in out
     best = pd.read_csv(tmp_path / "best.csv")

@@ -405,7 +405,7 @@ class Equations:
 
         Band-limited noise, sweep and multisine, each in several bands and two amplitudes, are simulated from rest. The
         information of a design is that between the likeliest model of an equation and its closest rival, whichever is
-        true (Atkinson and Fedorov 1975; Box and Hill 1967): what the wrong one, fitted to the new record, does not give.
+        true (Atkinson and Fedorov 1975; Box and Hill 1967): what the wrong one, fitted to the new record, leaves.
         Models within `odds` of the likeliest are compared; where there is none, the plan is for the coefficients
         (Lindley 1956; Chaloner and Verdinelli 1995).
 

@@ -98,7 +98,7 @@ def draw_plan(plan: Planned) -> Figure:
 
 def _rates(ax: Axes, shown: Sequence[_Outcome], units: Mapping[str, str], purpose: str) -> None:
     """A row per design, the mean and one standard deviation to either side."""
-    kinds = list(dict.fromkeys(one.design.kind for one in shown))
+    kinds = sorted({one.design.kind for one in shown})
     best = max(shown[0].rate, np.finfo(float).tiny)
     # a spread that reaches down to nothing ends at the edge
     least = max(0.5 * min(one.rate for one in shown), LEAST * best)

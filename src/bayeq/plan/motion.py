@@ -16,7 +16,7 @@ __all__ = ["Motions", "largest_share"]
 
 Floats = NDArray[np.float64]
 
-# An amplitude is halved towards the largest within limits so many times: it is found to 0.1 % of the range.
+# Bisections towards the largest amplitude within limits: it is found to 0.1 % of the range.
 HALVINGS = 10
 
 

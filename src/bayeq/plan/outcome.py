@@ -76,7 +76,7 @@ class Outcome:
         Information by second [nats/s], mean and standard deviation over realisations: against the closest rival, or of
         the coefficients.
     seconds : float
-        Until the models are told apart (if the larger of nested ones is true), or until standard deviations of the
+        Until the models can be told apart (if the larger of nested ones is true), or until standard deviations of the
         coefficients are halved.
     peaks : mapping of str to float
         Largest magnitude of every state, in the mean over realisations.

@@ -62,7 +62,7 @@ def advice(plan: Planned) -> str:
         if by_size:
             until += f" (if the smaller of nested models is, after {duration(max(by_size))}, whatever the excitation)"
         return (
-            f"{what}: {length} tells {_of(plan, rival)} by {best.rate * plan.conditions['seconds']:.3g} nats; {until}"
+            f"{what}: {length} separates {_of(plan, rival)} by {best.rate * plan.conditions['seconds']:.3g} nats; {until}"
         )
     return (
         f"{what}: {length} brings {best.rate * plan.conditions['seconds']:.3g} nats about the coefficients, whose"
@@ -81,7 +81,7 @@ def amplitudes(plan: Planned, outcome: Outcome) -> str:
 
 
 def _of(plan: Planned, rival: Compared) -> str:
-    """What is told apart."""
+    """The two models that are compared."""
     where = f"{rival.target}: " if len(plan.leading) > 1 else ""
     leading = next(model for model in plan.leading if model.target == rival.target)
     return f"{where}{leading.name} from the closest rival ({rival.name})"
