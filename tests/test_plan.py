@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import bayeq as bq
-from bayeq.errors import InputError
+from bayeq.errors import DataWarning, InputError
 from bayeq.expressions import Evaluator, parse
 from bayeq.inference.posterior import Posterior
 from bayeq.plan.conditions import conditions_of
@@ -428,3 +428,9 @@ def test_amplitudes_of_one_sign_keep_it():
     even = plan(given, amplitude=None, ranges={"u": (-3.0, 4.0)})
     assert even.offsets == {"u": 0.0}
     assert even.outcomes[0].amplitudes["u"] == pytest.approx(3.0)
+
+
+def test_a_plan_for_equations_that_were_not_found_warns(found):
+    bad = replace(found, equations=tuple(replace(e, verdict=replace(e.verdict, kind="none")) for e in found.equations))
+    with pytest.warns(DataWarning, match="equations that were not found"):
+        bad.plan(realisations=2, seconds=0.1)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayeq.equation.answer import DataSummary
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict, worst
-from bayeq.errors import ConvergenceWarning, InputError, UnknownNameError
+from bayeq.errors import ConvergenceWarning, DataWarning, InputError, UnknownNameError
 from bayeq.forecast.results import Scores
 from bayeq.records import Record
 from bayeq.records.atomic import replacing
@@ -438,6 +438,11 @@ class Equations:
         ------
         InputError
             Equations without input, or whose file holds no models; names that are not there, numbers out of range.
+
+        Warns
+        -----
+        DataWarning
+            The verdict on the equations is that none was found.
         """
         from bayeq.plan.conditions import conditions_of
         from bayeq.plan.plan import plan_excitation
@@ -446,6 +451,9 @@ class Equations:
             raise InputError("the equations have no input: there is nothing to excite")
         if not all(equation.models for equation in self.equations):
             raise InputError("the likeliest models are not in the file of the equations: find and save them again")
+        if self.verdict.kind == "none":
+            message = f"the plan is for equations that were not found ({self.verdict.reason}): do not rely on it"
+            warnings.warn(message, DataWarning, stacklevel=2)
         conditions = conditions_of(
             self.data.measured,
             self.states,

@@ -61,9 +61,7 @@ def advice(plan: Planned) -> str:
         by_size = [one.by_size for one in best.separations if one.by_size is not None]
         if by_size:
             until += f" (if the smaller of nested models is, after {duration(max(by_size))}, whatever the excitation)"
-        return (
-            f"{what}: {length} separates {_of(plan, rival)} by {best.rate * plan.conditions['seconds']:.3g} nats; {until}"
-        )
+        return f"{what}: {length} separates {_of(plan, rival)} by {best.rate * plan.conditions['seconds']:.3g} nats; {until}"
     return (
         f"{what}: {length} brings {best.rate * plan.conditions['seconds']:.3g} nats about the coefficients, whose"
         f" standard deviations are expected to be halved after {duration(best.seconds)}"
