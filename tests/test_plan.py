@@ -434,3 +434,10 @@ def test_a_plan_for_equations_that_were_not_found_warns(found):
     bad = replace(found, equations=tuple(replace(e, verdict=replace(e.verdict, kind="none")) for e in found.equations))
     with pytest.warns(DataWarning, match="equations that were not found"):
         bad.plan(realisations=2, seconds=0.1)
+
+
+def test_correlated_residuals_count_for_their_effective_number(found):
+    quarter = replace(found[0].residuals, n_eff=found[0].residuals.n / 4)
+    doubtful = replace(found, equations=(replace(found[0], residuals=quarter),))
+    noise = doubtful.plan(realisations=2, seconds=0.1).conditions["noise"]["a"]
+    assert noise == pytest.approx(2 * found[0].noise_sd)

@@ -6,6 +6,7 @@ import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -419,7 +420,8 @@ class Equations:
         seconds, fs : float, optional
             Length and sampling rate; by default those of the record, of at most 4000 samples.
         noise : mapping of str to float, optional
-            Standard deviation of the noise of targets; by default that of the equation.
+            Standard deviation of the noise of targets, white; by default that of the equation, more where its residuals
+            are correlated in time.
         limits : mapping of str to float, optional
             Largest magnitude of states. A design whose motion would exceed one is scaled down until it keeps it.
         odds : float
@@ -458,7 +460,7 @@ class Equations:
             self.data.measured,
             self.states,
             self.inputs,
-            {equation.target: equation.noise_sd for equation in self.equations},
+            {equation.target: _white_noise(equation) for equation in self.equations},
             amplitude=amplitude,
             band=band,
             seconds=seconds,
@@ -546,6 +548,12 @@ class Equations:
 
 def _between(equations: Equations, interpolation: Interpolation | None) -> Interpolation:
     return interpolation or (equations.refined.interpolation if equations.refined else "cubic")
+
+
+def _white_noise(equation: Equation) -> float:
+    """Standard deviation of white noise that hides as much as the residuals, which may be correlated in time."""
+    residuals = equation.residuals
+    return equation.noise_sd * sqrt(residuals.n / residuals.n_eff)
 
 
 def _silent(stage: str, done: int, total: int) -> None:

@@ -49,6 +49,7 @@ def advice(plan: Planned) -> str:
         f" from {low:.3g} to {high:.3g} Hz"
     )
     length = f"{plan.conditions['seconds']:.3g} s of it"
+    nats = best.rate * plan.conditions["seconds"]
     if plan.purpose == "models":
         rival = plan.closest(best)
         assert rival is not None
@@ -61,9 +62,9 @@ def advice(plan: Planned) -> str:
         by_size = [one.by_size for one in best.separations if one.by_size is not None]
         if by_size:
             until += f" (if the smaller of nested models is, after {duration(max(by_size))}, whatever the excitation)"
-        return f"{what}: {length} separates {_of(plan, rival)} by {best.rate * plan.conditions['seconds']:.3g} nats; {until}"
+        return f"{what}: {length} separates {_of(plan, rival)} by {nats:.3g} nats; {until}"
     return (
-        f"{what}: {length} brings {best.rate * plan.conditions['seconds']:.3g} nats about the coefficients, whose"
+        f"{what}: {length} brings {nats:.3g} nats about the coefficients, whose"
         f" standard deviations are expected to be halved after {duration(best.seconds)}"
     )
 
