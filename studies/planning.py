@@ -1,9 +1,9 @@
 """What a plan brings: the probability of the true model after a second record, by the excitation of that record.
 
-A Duffing oscillator with 20 % noise, 1000 samples: too few for one model. A plan is made within the range of the force
-and of the displacement. Second records of the same length and the same noise are then made with the best excitation of
-the plan, with the one in the middle of its ranking, and with the force of the first record drawn again; both records
-together are what the equation is found from.
+A Duffing oscillator with 20 % noise, 1000 samples: too few for one model. A plan is made within the range of the force.
+Second records of the same length and the same noise are then made with the best excitation of the plan, with the one in
+the middle of its ranking, and with the force of the first record drawn again; both records together are what the
+equation is found from.
 
     python -m studies.planning > docs/tables/planning.csv
 """
@@ -62,7 +62,7 @@ def measure_record(seed: int) -> dict[str, float]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)
         before = _found([first])
-        plan = before.plan(limits={"x": float(np.abs(first["x"]).max())}, realisations=3)
+        plan = before.plan(realisations=3)
         middle = plan.outcomes[len(plan.outcomes) // 2]
         rng = np.random.default_rng([seed, 1])
         shape = EXCITATIONS[middle.design.kind].samples(N, FS, middle.design.band, rng)
