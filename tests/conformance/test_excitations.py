@@ -15,9 +15,9 @@ pytestmark = pytest.mark.parametrize("kind", EXCITATIONS.values(), ids=list(EXCI
 
 @st.composite
 def settings_of(draw):
-    """n, fs and a band that holds at least ten periods of its width, anywhere up to half the sampling rate."""
+    """n, fs and a band that holds twenty lines or more, anywhere up to half the sampling rate."""
     n, fs = draw(st.integers(200, 3000)), draw(st.sampled_from([0.5, 50.0, 1000.0]))
-    width = draw(st.floats(10.0 / n, 0.5))
+    width = draw(st.floats(20.0 / n, 0.5))
     low = draw(st.floats(0.0, 0.5 - width))
     return n, fs, (low * fs, (low + width) * fs)
 

@@ -12,7 +12,7 @@ from bayeq.plan.excitations.lines import lines_within, normalised
 __all__ = ["samples"]
 
 # The spectrum of a sweep of B Hz in T s falls off over some sqrt(B/T) beyond its ends. The sweep stays this multiple of
-# that off the ends of the band: 0.5 leaves more than 95 % of the power inside for B T from 8 on.
+# that off the ends of the band: of 6000 bands at least 96 % of the power was inside for B T above 20, 93 % above 10.
 INSET = 0.5
 
 
@@ -23,7 +23,7 @@ def samples(n: int, fs: float, band: tuple[float, float], rng: np.random.Generat
     low, high = band[0], min(band[1], 0.5 * fs)
     inset = min(INSET * math.sqrt((high - low) / seconds), 0.25 * (high - low))
     # below frequency 0 there is nothing to fall off to
-    start, end = low + inset if low * seconds >= 1.0 else low, high - inset
+    start, end = low + inset if low > 0.0 else low, high - inset
     if rng.random() < 0.5:
         start, end = end, start
     time = np.arange(n) / fs
