@@ -17,7 +17,7 @@ ORDER = [
     "dictionary figures inference ode states",
     "adapters forecast likelihood systems",
     "regression",
-    "refine selection",
+    "plan refine selection",
     "equation study",
     "discovery estimators",
     "cli",

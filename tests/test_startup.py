@@ -27,7 +27,16 @@ def run(*arguments, cwd=None):
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["--version"], ["--cite"], ["discover", "--help"], ["simulate", "--help"], ["discover"]]
+    "arguments",
+    [
+        ["--help"],
+        ["--version"],
+        ["--cite"],
+        ["discover", "--help"],
+        ["plan", "--help"],
+        ["simulate", "--help"],
+        ["discover"],
+    ],
 )
 def test_help_loads_no_numerical_library(arguments):
     _, loaded = run(*arguments)

@@ -25,6 +25,7 @@ _NAMES = {
     "gram": "Gram",
     "inference.posterior": "Posterior",
     "inference.prior": "Prior",
+    "plan.result": "Plan",
     "records": "Finding Record Truth check_record correct_delay read remove_offset write",
     "systems": "SYSTEMS System simulate",
 }
@@ -49,6 +50,7 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.gram import Gram as Gram
     from bayeq.inference.posterior import Posterior as Posterior
     from bayeq.inference.prior import Prior as Prior
+    from bayeq.plan.result import Plan as Plan
     from bayeq.records import Finding as Finding, Record as Record, Truth as Truth, check_record as check_record
     from bayeq.records import correct_delay as correct_delay, read as read, remove_offset as remove_offset
     from bayeq.records import write as write

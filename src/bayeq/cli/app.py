@@ -17,6 +17,7 @@ import click
 
 from bayeq.cli.discover import discover
 from bayeq.cli.options import FILE, option
+from bayeq.cli.plan import plan
 from bayeq.cli.streams import prepare_streams, say
 from bayeq.cli.study import study
 from bayeq.errors import BayeqError, BayeqWarning, InputError, InterruptedRun, MissingExtraError
@@ -97,7 +98,7 @@ def systems(as_json: bool) -> None:
         click.echo(f"    {', '.join(f'{k} = {v:g}' for k, v in s.parameters.items())}")
 
 
-for command in (discover, simulate, systems, study):
+for command in (discover, plan, simulate, systems, study):
     app.add_command(command)
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bayeq.equation.physical import PhysicalParameters
     from bayeq.records import Record
 
-__all__ = ["OUTPUTS", "Outputs"]
+__all__ = ["OUTPUTS", "Outputs", "require_place"]
 
 # What a file is for, by option.
 PURPOSES = {
@@ -60,7 +60,7 @@ class Outputs:
             output: Path | None = getattr(self, name)
             if output is None:
                 continue
-            _require_place(output, files)
+            require_place(output, files)
             if output in seen:
                 raise InputError(f"{output}: named twice, {seen[output]} and {purpose}")
             seen[output] = purpose
@@ -171,7 +171,7 @@ def _write_forecast(path: Path, answer: Equations, records: Sequence[Record], ho
 OUTPUTS = tuple(field.name for field in fields(Outputs))
 
 
-def _require_place(path: Path, files: Sequence[Path]) -> None:
+def require_place(path: Path, files: Sequence[Path]) -> None:
     """Refuse a file to write that cannot be there, or that is read."""
     if path.is_dir():
         raise InputError(f"{path}: is a directory; name a file in it")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, Self
 
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict
 from bayeq.forecast.results import Scores
+from bayeq.plan.measured import Measured
 from bayeq.records import Record
 from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
@@ -35,6 +36,8 @@ class DataSummary:
         Whether by the kinematic smoother.
     holdout : float
         Share of the rows of each record that was held out.
+    measured : Measured
+        Rates and ranges, for the plan of a next measurement.
     """
 
     files: tuple[str, ...]
@@ -45,6 +48,7 @@ class DataSummary:
     smoothed: bool = False
     holdout: float = 0.0
     refitted: bool = False
+    measured: Measured = field(default_factory=Measured)
 
     @classmethod
     def of(cls, records: Sequence[Record], motion: Motion, refitted: bool = False) -> Self:
@@ -59,6 +63,7 @@ class DataSummary:
             smoothed=bool(motion.smoothing),
             holdout=motion.holdout,
             refitted=refitted,
+            measured=Measured.of(records, motion.roles.measured, motion.roles.inputs),
         )
 
 

@@ -16,6 +16,7 @@ from bayeq.inference.collapsed.path import model_log_posterior, partial_shares
 from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
+from bayeq.plan.models import likeliest_models
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
 from bayeq.selection.select import Selection
@@ -111,6 +112,7 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
         share=partial_shares(regression.rows, shown.support),
         why=differ,
         left_out=selection.left_out,
+        models=likeliest_models(fit),
     )
 
 

@@ -25,6 +25,7 @@ from bayeq.errors import InputError
 from bayeq.expressions import Evaluator, Expression, to_sympy
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.posterior import Posterior
+from bayeq.plan.models import CandidateModel
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.residuals import Fit, Residuals
 from bayeq.selection.select import LeftOut
@@ -115,6 +116,8 @@ class Equation:
     scored : Equation or None
         What was found with rows held out, where this one was then found from all rows: fits and verdict are its, and
         the path.
+    models : tuple of CandidateModel
+        The likeliest models with their coefficients, the likeliest first.
     """
 
     chain: Chain
@@ -133,6 +136,7 @@ class Equation:
     units: Mapping[str, str] = field(default_factory=dict)
     unit_gains: tuple[float, ...] = ()
     scored: Equation | None = field(default=None, repr=False, compare=False)
+    models: tuple[CandidateModel, ...] = ()
 
     @property
     def law(self) -> Law:

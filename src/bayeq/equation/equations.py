@@ -6,6 +6,7 @@ import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayeq.equation.answer import DataSummary
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict, worst
-from bayeq.errors import ConvergenceWarning, InputError, UnknownNameError
+from bayeq.errors import ConvergenceWarning, DataWarning, InputError, UnknownNameError
 from bayeq.forecast.results import Scores
 from bayeq.records import Record
 from bayeq.records.atomic import replacing
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
     from bayeq.forecast.dynamics import Dynamics
     from bayeq.forecast.run import Forecast
     from bayeq.ode.rk4 import Interpolation
+    from bayeq.plan.conditions import Amplitude
+    from bayeq.plan.plan import Progress
+    from bayeq.plan.result import Plan
 
 __all__ = ["DataSummary", "Equations"]
 
@@ -384,6 +388,96 @@ class Equations:
             refined=found.summary,
         )
 
+    def plan(
+        self,
+        *,
+        amplitude: Amplitude | Mapping[str, Amplitude] | None = None,
+        band: tuple[float, float] | None = None,
+        seconds: float | None = None,
+        fs: float | None = None,
+        noise: Mapping[str, float] | None = None,
+        limits: Mapping[str, float] | None = None,
+        odds: float = 100.0,
+        realisations: int = 5,
+        seed: int = 0,
+        progress: Progress | None = None,
+    ) -> Plan:
+        """Which excitation of a next measurement would tell the likeliest models apart best.
+
+        Band-limited noise, sweep and multisine, each in several bands and two amplitudes, are simulated from rest. The
+        information of a design is that between the likeliest model of an equation and its closest rival, whichever is
+        true (Atkinson and Fedorov 1975; Box and Hill 1967): what the wrong one, fitted to the new record, leaves.
+        Models within `odds` of the likeliest are compared; where there is none, the plan is for the coefficients
+        (Lindley 1956; Chaloner and Verdinelli 1995).
+
+        Parameters
+        ----------
+        amplitude : float, pair or mapping, optional
+            Largest magnitude of the inputs, or their lowest and highest value, by input where they differ; by default
+            the range in the record.
+        band : (float, float), optional
+            [Hz]; by default where the power of the inputs was.
+        seconds, fs : float, optional
+            Length and sampling rate; by default those of the record, of at most 4000 samples.
+        noise : mapping of str to float, optional
+            Standard deviation of the noise of targets, white; by default that of the equation, more where its residuals
+            are correlated in time.
+        limits : mapping of str to float, optional
+            Largest magnitude of states. A design whose motion would exceed one is scaled down until it keeps it.
+        odds : float
+            At which two models count as told apart.
+        realisations, seed : int
+            Of every design; at least two.
+        progress : callable, optional
+            Called with (stage, done, total).
+
+        Returns
+        -------
+        Plan
+            Print it; ``best``, ``table()``, ``plot()``, ``write("best.csv")``.
+
+        Raises
+        ------
+        InputError
+            Equations without input, or whose file holds no models; names that are not there, numbers out of range.
+
+        Warns
+        -----
+        DataWarning
+            The verdict on the equations is that none was found.
+        """
+        from bayeq.plan.conditions import conditions_of
+        from bayeq.plan.plan import plan_excitation
+
+        if not self.inputs:
+            raise InputError("the equations have no input: there is nothing to excite")
+        if not all(equation.models for equation in self.equations):
+            raise InputError("the likeliest models are not in the file of the equations: find and save them again")
+        if self.verdict.kind == "none":
+            message = f"the plan is for equations that were not found ({self.verdict.reason}): do not rely on it"
+            warnings.warn(message, DataWarning, stacklevel=2)
+        conditions = conditions_of(
+            self.data.measured,
+            self.states,
+            self.inputs,
+            {equation.target: _white_noise(equation) for equation in self.equations},
+            amplitude=amplitude,
+            band=band,
+            seconds=seconds,
+            fs=fs,
+            given_noise=noise or {},
+            limits=limits or {},
+        )
+        return plan_excitation(
+            self.equations,
+            self.inputs,
+            conditions,
+            odds=odds,
+            realisations=realisations,
+            seed=seed,
+            progress=progress or _silent,
+        )
+
     def physical(
         self,
         mass: float | None = None,
@@ -454,6 +548,16 @@ class Equations:
 
 def _between(equations: Equations, interpolation: Interpolation | None) -> Interpolation:
     return interpolation or (equations.refined.interpolation if equations.refined else "cubic")
+
+
+def _white_noise(equation: Equation) -> float:
+    """Standard deviation of white noise that hides as much as the residuals, which may be correlated in time."""
+    residuals = equation.residuals
+    return equation.noise_sd * sqrt(residuals.n / residuals.n_eff)
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """No progress shown."""
 
 
 def _as_list(records: Record | Sequence[Record], purpose: str) -> list[Record]:

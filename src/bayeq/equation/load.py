@@ -20,6 +20,8 @@ from bayeq.errors import BayeqError, FileFormatError
 from bayeq.expressions import parse
 from bayeq.forecast.results import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
+from bayeq.plan.measured import Measured
+from bayeq.plan.models import CandidateModel
 from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Residuals
@@ -100,6 +102,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
             smoothed=bool(data["smoothed"]),
             holdout=float(data["holdout"]),
             refitted=bool(data.get("refitted", False)),
+            measured=_restored_measured(data.get("measured")),
         ),
         dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
         warnings=tuple(str(w) for w in diagnostics["warnings"]),
@@ -204,6 +207,31 @@ def _restore_equation(
         left_out=tuple(LeftOut(**term) for term in checks.get("left_out", [])),
         units=units,
         unit_gains=tuple(float(gain) for gain in saved.get("unit_gains", ())),
+        models=tuple(_restored_model(model, len(terms)) for model in state.get("models", ())),
+    )
+
+
+def _restored_model(saved: Mapping[str, Any], terms: int) -> CandidateModel:
+    members, coef = tuple(int(j) for j in saved["members"]), tuple(float(c) for c in saved["coef"])
+    numbers = (float(saved["probability"]), float(saved["intercept"]), *coef)
+    if len(coef) != len(members) or not all(0 <= j < terms for j in members) or not all(map(math.isfinite, numbers)):
+        raise ValueError("a model whose coefficients are not those of its terms")
+    return CandidateModel(numbers[0], members, coef, numbers[1])
+
+
+def _restored_measured(saved: Mapping[str, Any] | None) -> Measured:
+    """What is known of the records; nothing in a file of an earlier version."""
+    if saved is None:
+        return Measured()
+
+    def spans(of: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+        return {str(name): (float(low), float(high)) for name, (low, high) in of.items()}
+
+    return Measured(
+        fs=None if saved["fs"] is None else float(saved["fs"]),
+        seconds=None if saved["seconds"] is None else float(saved["seconds"]),
+        ranges=spans(saved["ranges"]),
+        bands=spans(saved["bands"]),
     )
 
 

@@ -40,6 +40,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "smoothed": eq.data.smoothed,
             "holdout": eq.data.holdout,
             "refitted": eq.data.refitted,
+            "measured": asdict(eq.data.measured),
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],
@@ -171,6 +172,7 @@ def to_saved(eq: Answer) -> dict[str, Any]:
                 "elbo_trace": e.posterior.elbo_trace.tolist(),
                 "optimum": None if e.posterior.optimum is None else np.flatnonzero(e.posterior.optimum).tolist(),
                 "average": None if e.posterior.average is None else _saved_average(e.posterior.average),
+                "models": [asdict(model) for model in e.models],
             }
             for e in eq.equations
         ],

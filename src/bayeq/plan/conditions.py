@@ -1,0 +1,181 @@
+"""The conditions of a next measurement: amplitudes, band, length, rate, noise and limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.plan.measured import Measured
+
+__all__ = ["Conditions", "conditions_of"]
+
+Floats = NDArray[np.float64]
+Amplitude = float | tuple[float, float]
+
+# A plan is made for this many samples by default: longer ones take longer to simulate and rank the same.
+SAMPLES = 4000
+
+# An input has both signs if its extremes are within this ratio: those of 100 samples of noise are; pulses are not.
+SIGNED = 0.5
+
+# Fewer samples than this are no spectrum.
+LEAST_SAMPLES = 16
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What may be done, and what is known.
+
+    Attributes
+    ----------
+    offset, reach : (m,) arrays
+        Middle and half width of the range of each input.
+    band : (float, float)
+        [Hz].
+    n : int
+        Samples.
+    fs : float
+        [Hz].
+    noise : tuple of float
+        Standard deviation of the noise of every target.
+    limits : mapping of str to float
+        Largest magnitude of states.
+    ranges : mapping of str to (float, float)
+        Of the channels of the record.
+    """
+
+    offset: Floats
+    reach: Floats
+    band: tuple[float, float]
+    n: int
+    fs: float
+    noise: tuple[float, ...]
+    limits: Mapping[str, float]
+    ranges: Mapping[str, tuple[float, float]]
+
+    @property
+    def seconds(self) -> float:
+        """Length of the measurement."""
+        return self.n / self.fs
+
+
+def conditions_of(
+    measured: Measured,
+    states: Sequence[str],
+    inputs: Sequence[str],
+    noise: Mapping[str, float],
+    *,
+    amplitude: Amplitude | Mapping[str, Amplitude] | None,
+    band: tuple[float, float] | None,
+    seconds: float | None,
+    fs: float | None,
+    given_noise: Mapping[str, float],
+    limits: Mapping[str, float],
+) -> Conditions:
+    """What was asked for, and the rest from the record.
+
+    Parameters
+    ----------
+    measured : Measured
+        The record that the equations were found from.
+    states, inputs : sequence of str
+        Of the equations; there is at least one input.
+    noise : mapping of str to float
+        Of every target, as the equations state it.
+    amplitude, band, seconds, fs, given_noise, limits
+        As for `bayeq.Equations.plan`.
+
+    Raises
+    ------
+    InputError
+        Names that are not there, numbers out of range, or something that neither was given nor is known.
+    """
+    rate = _positive("fs", fs if fs is not None else _known(measured.fs, "the sampling rate", "fs"))
+    length = seconds
+    if length is None:
+        length = min(_known(measured.seconds, "the length of the record", "seconds"), SAMPLES / rate)
+    n = round(_positive("seconds", length) * rate)
+    if n < LEAST_SAMPLES:
+        raise InputError(f"{length:g} s at {rate:g} Hz are {n} samples: at least {LEAST_SAMPLES} are needed")
+    spans = [_span(name, amplitude, measured, inputs) for name in inputs]
+    for name in given_noise:
+        if name not in noise:
+            raise UnknownNameError("target", name, noise, "noise")
+    for name in limits:
+        if name not in states:
+            raise UnknownNameError("state", name, states, "limit")
+    sds = {name: _positive(f"noise of {name}", given_noise.get(name, sd)) for name, sd in noise.items()}
+    return Conditions(
+        offset=np.array([0.5 * (low + high) for low, high in spans]),
+        reach=np.array([0.5 * (high - low) for low, high in spans]),
+        band=_band(band, measured, inputs, rate),
+        n=n,
+        fs=rate,
+        noise=tuple(sds.values()),
+        limits={name: _positive(f"limit of {name}", limit) for name, limit in limits.items()},
+        ranges=measured.ranges,
+    )
+
+
+def _positive(what: str, value: float) -> float:
+    if not (math.isfinite(value) and value > 0):
+        raise InputError(f"{what} must be a positive number, not {value!r}")
+    return float(value)
+
+
+def _known(value: float | None, what: str, argument: str) -> float:
+    if value is None:
+        raise InputError(f"{what} is not known from the record: give {argument}")
+    return value
+
+
+def _span(
+    name: str, amplitude: Amplitude | Mapping[str, Amplitude] | None, measured: Measured, inputs: Sequence[str]
+) -> tuple[float, float]:
+    """The range of an input: that given, else that of the record."""
+    if isinstance(amplitude, Mapping):
+        for key in amplitude:
+            if key not in inputs:
+                raise UnknownNameError("input", key, inputs, "amplitude")
+        amplitude = amplitude.get(name)
+    if amplitude is None:
+        if name not in measured.ranges:
+            raise InputError(f"the range of {name} is not known from the record: give amplitude")
+        low, high = _evened(*measured.ranges[name])
+    elif isinstance(amplitude, (int, float)):
+        high = _positive(f"amplitude of {name}", amplitude)
+        low = -high
+    else:
+        low, high = amplitude
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise InputError(
+            f"amplitude of {name}: {low:g} to {high:g} is no range; give a positive number, or low and high"
+        )
+    return low, high
+
+
+def _evened(low: float, high: float) -> tuple[float, float]:
+    """The range of an input in a record; of one of both signs, as far as both go."""
+    least, most = sorted((-low, high))
+    return (-least, least) if least > SIGNED * most else (low, high)
+
+
+def _band(
+    band: tuple[float, float] | None, measured: Measured, inputs: Sequence[str], fs: float
+) -> tuple[float, float]:
+    if band is None:
+        found = [measured.bands[name] for name in inputs if name in measured.bands]
+        if not found:
+            raise InputError("the band of the input is not known from the record: give band")
+        return min(low for low, _ in found), min(max(high for _, high in found), 0.5 * fs)
+    low, high = band
+    if not (math.isfinite(low) and math.isfinite(high) and 0 <= low < high):
+        raise InputError(f"band {low:g} to {high:g} Hz: give two frequencies, the lower one first")
+    if high > 0.5 * fs:
+        raise InputError(f"band {low:g} to {high:g} Hz: beyond half the sampling rate ({0.5 * fs:g} Hz)")
+    return float(low), float(high)

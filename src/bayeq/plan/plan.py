@@ -1,0 +1,305 @@
+"""`plan_excitation`: designs simulated, and ranked by what they are expected to tell per second."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary import evaluate_terms
+from bayeq.errors import InputError
+from bayeq.expressions import Expression
+from bayeq.forecast.dynamics import Dynamics, Law
+from bayeq.forecast.rows import whole_number
+from bayeq.inference.posterior import Posterior
+from bayeq.plan.conditions import Conditions
+from bayeq.plan.designs import SHARES, Design, designs_for, shapes
+from bayeq.plan.information import coefficient_gain, seconds_to_halve, seconds_until, unexplained
+from bayeq.plan.models import CandidateModel
+from bayeq.plan.motion import Motions, largest_share
+from bayeq.plan.outcome import Compared, Outcome, Separation
+from bayeq.plan.result import Plan
+from bayeq.states import Chain
+
+__all__ = ["Found", "plan_excitation"]
+
+Floats = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+# Rivals that a plan tells the leading model from, in all equations: each is simulated under every design.
+MOST_RIVALS = 4
+
+
+class Found(Protocol):
+    """What a plan needs of an equation; see `bayeq.Equation`."""
+
+    @property
+    def chain(self) -> Chain: ...
+    @property
+    def terms(self) -> tuple[Expression, ...]: ...
+    @property
+    def shown_posterior(self) -> Posterior: ...
+    @property
+    def models(self) -> tuple[CandidateModel, ...]: ...
+    @property
+    def unit_gains(self) -> tuple[float, ...]: ...
+    @property
+    def units(self) -> Mapping[str, str]: ...
+    @property
+    def target(self) -> str: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A model to tell the leading one of equation `k` from, and motion if it were true."""
+
+    k: int
+    model: Posterior
+    compared: Compared
+    log_odds: float
+    motions: Motions
+
+
+def plan_excitation(
+    equations: Sequence[Found],
+    inputs: Sequence[str],
+    conditions: Conditions,
+    *,
+    odds: float,
+    realisations: int,
+    seed: int,
+    progress: Progress,
+) -> Plan:
+    """Compare excitations by what they are expected to tell.
+
+    Parameters
+    ----------
+    equations : sequence of Found
+        With their models.
+    inputs : sequence of str
+        All of which are excited.
+    conditions : Conditions
+        Of the measurement.
+    odds, realisations, seed, progress
+        As for `bayeq.Equations.plan`.
+
+    Raises
+    ------
+    InputError
+        Numbers out of range; no design keeps the limits.
+    """
+    if not (math.isfinite(odds) and odds > 1):
+        raise InputError(f"odds must be a number above 1, not {odds!r}")
+    whole_number("realisations", realisations, 2)
+    whole_number("seed", seed, 0)
+    leading = [_leading(equation) for equation in equations]
+    listed = [(k, model) for k, equation in enumerate(equations) for model in equation.models[1:]]
+    listed.sort(key=lambda one: -one[1].probability / equations[one[0]].models[0].probability)
+    within = [one for one in listed if one[1].probability * odds > equations[one[0]].models[0].probability]
+    rivals = [_rival(equations, leading, inputs, conditions, *one) for one in within[:MOST_RIVALS]]
+    if not rivals:  # the coefficients to learn are those of the terms shown
+        leading = [equation.shown_posterior for equation in equations]
+    lead = Motions(_dynamics(equations, leading, inputs), conditions)
+    largest = max(int(model.support.sum()) for model in [*leading, *(rival.model for rival in rivals)])
+    designs = designs_for(conditions, largest)
+    outcomes = []
+    for k, design in enumerate(designs):
+        progress("designs", k, len(designs))
+        realised = [shapes(design, conditions, (seed, r)) for r in range(realisations)]
+        most = largest_share(lead, realised)
+        for share in SHARES:
+            if most > 0.0 and (share < most or share == SHARES[0]):
+                amplitude = min(share, most)
+                outcomes.append(
+                    _outcome(equations, leading, lead, rivals, design, realised, amplitude, conditions, odds)
+                )
+    progress("designs", len(designs), len(designs))
+    if not outcomes:
+        raise InputError(
+            "no excitation keeps the motion within the limits and bounded: lower the amplitude, or raise limits"
+        )
+    outcomes.sort(key=lambda one: -one.rate)
+    best = outcomes[0]
+    shape = shapes(best.design, conditions, (seed, 0))
+    sizes = np.array(list(best.amplitudes.values()))
+    samples = conditions.offset + sizes * shape
+    purpose: Literal["models", "coefficients"] = "models" if rivals else "coefficients"
+    return Plan(
+        purpose=purpose,
+        leading=tuple(_named(e, model) for e, model in zip(equations, leading, strict=True)),
+        rivals=tuple(rival.compared for rival in rivals),
+        decided=_decided(equations, listed) if not rivals and listed else None,
+        outcomes=tuple(outcomes),
+        time=np.arange(conditions.n) / conditions.fs,
+        inputs=dict(zip(inputs, samples.T, strict=True)),
+        offsets=dict(zip(inputs, conditions.offset.tolist(), strict=True)),
+        odds=float(odds),
+        conditions={
+            "band": list(conditions.band),
+            "seconds": conditions.seconds,
+            "fs": conditions.fs,
+            "noise": dict(zip((e.target for e in equations), conditions.noise, strict=True)),
+            "limits": dict(conditions.limits),
+            "realisations": realisations,
+            "seed": seed,
+        },
+        units={name: unit for equation in equations for name, unit in equation.units.items()},
+        ranges={name: max(abs(low), abs(high)) for name, (low, high) in conditions.ranges.items()},
+    )
+
+
+def _leading(equation: Found) -> Posterior:
+    """The likeliest model; with the coefficients of the terms shown, where it is theirs: these may be refined."""
+    shown = equation.shown_posterior
+    likeliest = equation.models[0]
+    if tuple(np.flatnonzero(shown.support).tolist()) == likeliest.members:
+        return shown
+    return likeliest.posterior(shown)
+
+
+def _dynamics(equations: Sequence[Found], models: Sequence[Posterior], inputs: Sequence[str]) -> Dynamics:
+    laws = [Law(e.chain, e.terms, model, e.unit_gains) for e, model in zip(equations, models, strict=True)]
+    return Dynamics.of(laws, inputs)
+
+
+def _rival(
+    equations: Sequence[Found],
+    leading: Sequence[Posterior],
+    inputs: Sequence[str],
+    conditions: Conditions,
+    k: int,
+    model: CandidateModel,
+) -> Rival:
+    found = model.posterior(equations[k].shown_posterior)
+    others = [*leading[:k], found, *leading[k + 1 :]]
+    return Rival(
+        k=k,
+        model=found,
+        compared=_compared(equations[k], leading[k], model),
+        log_odds=math.log(equations[k].models[0].probability / model.probability),
+        motions=Motions(_dynamics(equations, others, inputs), conditions),
+    )
+
+
+def _decided(equations: Sequence[Found], listed: Sequence[tuple[int, CandidateModel]]) -> Compared:
+    """The likeliest model of those that none is within the odds of."""
+    k, model = listed[0]
+    return _compared(equations[k], equations[k].models[0].posterior(equations[k].shown_posterior), model)
+
+
+def _named(equation: Found, leading: Posterior) -> Compared:
+    """A leading model by its terms."""
+    members = tuple(np.flatnonzero(leading.support).tolist())
+    probability = next((model.probability for model in equation.models if model.members == members), None)
+    return Compared(equation.target, ", ".join(equation.terms[j].text for j in members) or "no terms", probability)
+
+
+def _compared(equation: Found, leading: Posterior, model: CandidateModel) -> Compared:
+    """A rival by the terms that it has more and less than the leading model."""
+    names = [equation.terms[j].text for j in model.members]
+    own = [t.text for t, kept in zip(equation.terms, leading.support, strict=True) if kept]
+    more = ", ".join(name for name in names if name not in own)
+    less = ", ".join(name for name in own if name not in names)
+    if more and less:
+        return Compared(equation.target, f"{more} instead of {less}", model.probability)
+    return Compared(equation.target, f"with {more} added" if more else f"without {less}", model.probability)
+
+
+def _outcome(
+    equations: Sequence[Found],
+    leading: Sequence[Posterior],
+    lead: Motions,
+    rivals: Sequence[Rival],
+    design: Design,
+    realised: Sequence[Floats],
+    share: float,
+    conditions: Conditions,
+    odds: float,
+) -> Outcome:
+    """What realisations of a design, at a share of the amplitude that keeps the limits, are expected to tell."""
+    runs = [run for shape in realised if (run := lead.run(shape, share)) is not None]
+    peaks = {name: float(np.mean([np.abs(run[name]).max() for run in runs])) for name in lead.dynamics.states}
+    separations: list[Separation] = []
+    if rivals:
+        for place, rival in enumerate(rivals):
+            own = [rival.motions.run(shape, share) for shape in realised]
+            separations.append(
+                _separation(equations[rival.k], leading[rival.k], rival, place, runs, own, conditions, odds)
+            )
+        separations.sort(key=lambda one: one.rate)
+        rate, sd, seconds = separations[0].rate, separations[0].sd, max(one.seconds for one in separations)
+    else:
+        gains = [np.concatenate(list(_gains(equations, leading, run, conditions))) for run in runs]
+        rates = np.array([0.5 * float(np.log1p(gain).sum()) for gain in gains]) / conditions.seconds
+        rate, sd = float(rates.mean()), float(rates.std(ddof=1))
+        seconds = float(np.mean([seconds_to_halve(gain, conditions.seconds) for gain in gains]))
+    amplitudes = dict(zip(lead.dynamics.inputs, (share * conditions.reach).tolist(), strict=True))
+    return Outcome(design, amplitudes, share not in SHARES, rate, sd, seconds, peaks, tuple(separations))
+
+
+def _separation(
+    equation: Found,
+    leading: Posterior,
+    rival: Rival,
+    place: int,
+    runs: Sequence[Mapping[str, Floats]],
+    own: Sequence[Mapping[str, Floats] | None],
+    conditions: Conditions,
+    odds: float,
+) -> Separation:
+    """How some realisations tell a rival: of the leading model's motion, and of the rival's own."""
+    scale = 2.0 * conditions.noise[rival.k] ** 2 * conditions.seconds
+    ahead = np.array([_inimitable(equation, leading, rival.model, run) for run in runs]) / scale
+    back = (
+        np.array([math.nan if run is None else _inimitable(equation, rival.model, leading, run) for run in own]) / scale
+    )
+    if_rival = None if np.isnan(back).all() else float(np.nanmean(back))
+    extra = int(rival.model.support.sum()) - int(leading.support.sum())
+    wanted, fs = math.log(odds), conditions.fs
+    cases = [(leading, rival.model, ahead, seconds_until(wanted - rival.log_odds, float(ahead.mean()), extra, fs))]
+    if if_rival is not None:
+        seconds = seconds_until(wanted + rival.log_odds, if_rival, -extra, fs)
+        cases.append((rival.model, leading, back[np.isfinite(back)], seconds))
+    # of nested models the smaller is never shown by the motion
+    shown = [(rates, seconds) for true, other, rates, seconds in cases if not _contains(other, true)]
+    by_size = [seconds for true, other, _, seconds in cases if _contains(other, true)]
+    if not shown:  # the larger of nested models runs away
+        shown = [(np.zeros(len(ahead)), math.inf)]
+    rates = min((rates for rates, _ in shown), key=np.mean)
+    return Separation(
+        rival=place,
+        rate=float(rates.mean()),
+        sd=float(rates.std(ddof=1)) if len(rates) > 1 else 0.0,
+        if_leading=float(ahead.mean()),
+        if_rival=if_rival,
+        seconds=max(seconds for _, seconds in shown),
+        by_size=by_size[0] if by_size else None,
+    )
+
+
+def _contains(one: Posterior, other: Posterior) -> bool:
+    return not (other.support & ~one.support).any()
+
+
+def _inimitable(equation: Found, true: Posterior, other: Posterior, run: Mapping[str, Floats]) -> float:
+    """Sum of squares of the true model's target along a motion that the other one, fitted to it, leaves."""
+    if _contains(other, true):
+        return 0.0
+    y = _columns(equation, true, run) @ true.coef[true.support]
+    return unexplained(y, _columns(equation, other, run))
+
+
+def _columns(equation: Found, model: Posterior, run: Mapping[str, Floats]) -> Floats:
+    terms = [term for term, kept in zip(equation.terms, model.support, strict=True) if kept]
+    return evaluate_terms(terms, run)
+
+
+def _gains(
+    equations: Sequence[Found], leading: Sequence[Posterior], run: Mapping[str, Floats], conditions: Conditions
+) -> Iterator[Floats]:
+    for equation, model, noise in zip(equations, leading, conditions.noise, strict=True):
+        yield coefficient_gain(_columns(equation, model, run), model.covariance, noise**2)
