@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from bayeq.dictionary import Variables, build_dictionary
-from bayeq.equation.build import build_equations
+from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations
 from bayeq.equation.units import channel_units
@@ -168,7 +168,8 @@ def discover(
     fits = fit_equations(regressions, constrained, method, prior, coarsen, seed)
     units = _units(pieces, roles, log)
     first = WarningLog()
-    equations, scores = build_equations(select(fits, rules, motion), units, first)
+    selections = select(fits, rules, motion)
+    equations, scores = build_equations(selections, units, first)
     whole = refit_record(motion.whole, record) if record is not None and motion.held_out else None
     if whole is not None:
         step("inference", 0, len(roles.chains))
@@ -176,14 +177,15 @@ def discover(
         design = build_design(design.terms, motion.whole)
         regressions = [Regression.of(design, k, whole) for k in range(len(roles.chains))]
         fits = fit_equations(regressions, constrained, method, prior, coarsen, seed)
-        equations, _ = build_equations(select(fits, rules, motion.whole), units, first, scored)
+        selections = select(fits, rules, motion.whole)
+        equations, _ = build_equations(selections, units, first, scored)
         _warn_of_other_terms(equations, scored, first)
     log.collected += first.collected
     step("inference", len(roles.chains), len(roles.chains))
 
     log.emit(stacklevel=3)
     return Equations(
-        equations=equations,
+        equations=with_doubts(equations, selections),
         inputs=roles.inputs,
         method=method,
         dictionary=dictionary if isinstance(dictionary, str) else ", ".join(str(t) for t in dictionary),

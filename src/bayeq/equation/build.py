@@ -6,8 +6,10 @@ import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
+import numpy as np
+
 from bayeq.equation.equation import Equation, RunnerUp
-from bayeq.equation.verdict import judge, noise_share, window_errors
+from bayeq.equation.verdict import Verdict, doubted, judge, noise_share, window_errors
 from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidualsWarning, DataWarning, WarningLog
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.results import Scores
@@ -19,17 +21,14 @@ from bayeq.inference.posterior import Posterior
 from bayeq.plan.models import likeliest_models
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
+from bayeq.selection.alternatives import alternatives_to
 from bayeq.selection.select import Selection
 
-__all__ = ["build_equations"]
+__all__ = ["build_equations", "with_doubts"]
 
 # The residual of an adequate model has 0.9 to 1.3 times the power that the noise of the channels explains; a multiple
 # above this one is reported in a warning.
 INADEQUATE = 1.75
-
-# Standard deviation of the discrepancy, as a share of its target's: with a true term left out of the dictionary it was
-# larger in 25 of 27 records, with the right terms in none of 185 with up to 20 % noise.
-NEARLY_TRUE = 0.05
 
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
 RUNNER_UP_WINDOW = 12.0
@@ -116,6 +115,24 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
     )
 
 
+def with_doubts(equations: Sequence[Equation], selections: Sequence[Selection]) -> tuple[Equation, ...]:
+    """Equations with verdicts that consider other equations, and what is left of the record."""
+    pairs = zip(equations, selections, strict=True)
+    return tuple(replace(equation, verdict=_doubted(equation, selection)) for equation, selection in pairs)
+
+
+def _doubted(equation: Equation, selection: Selection) -> Verdict:
+    fit, regression = selection.shown_fit, selection.shown_fit.regression
+    lacking, coloured = None, None
+    if regression.record is not None:
+        adequacy = regression.record.adequacy
+        lacking = adequacy.lacks(regression.k)
+        coloured = adequacy.coloured([name for name in regression.chain.measured if name is not None])
+    others = alternatives_to(fit, equation.shown_posterior)
+    spread = float(np.sqrt(regression.rows.yty / regression.rows.n))
+    return doubted(equation.verdict, equation.target, others, lacking, coloured, spread)
+
+
 def _rule(selection: Selection, name: str) -> str:
     """The rule that decided on a term; on one that equalities tie to others, the rule that decided on these."""
     return selection.why.get(name) or next(iter(selection.why.values()))
@@ -193,8 +210,6 @@ def _warn_of_undecided(equation: Equation, selection: Selection, log: WarningLog
 def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog) -> None:
     target, residuals, regression = equation.target, equation.residuals, selection.fit.regression
     if residuals.discrepancy is not None:
-        if equation.verdict.kind != "none":
-            _warn_of_discrepancy(target, residuals.discrepancy, log)
         return
     if residuals.correlated and residuals.excess is None:
         reduced = regression.band is None and regression.gram.n < equation.train.n
@@ -217,17 +232,6 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
             f"{target}: the residuals follow {residuals.driver}: the equation misses dynamics, or channels are"
             " delayed against each other",
             CorrelatedResidualsWarning,
-        )
-
-
-def _warn_of_discrepancy(target: str, share: float, log: WarningLog) -> None:
-    """The likelihood of the records needs a discrepancy that no dictionary with the right terms needed."""
-    if share > NEARLY_TRUE:
-        log.warn(
-            f"{target}: what the dictionary does not hold has {100 * share:.3g} % of its standard deviation:"
-            " the equation is only nearly true, or the channels do not fit each other. Included terms may compensate"
-            " for what is missing",
-            DataWarning,
         )
 
 

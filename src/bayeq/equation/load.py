@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bayeq.equation.equation import Equation, Fit, RunnerUp
 from bayeq.equation.equations import DataSummary, Equations
 from bayeq.equation.to_json import FORMAT
-from bayeq.equation.verdict import Verdict
+from bayeq.equation.verdict import KINDS, Verdict
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.expressions import parse
 from bayeq.forecast.results import Scores
@@ -252,9 +252,9 @@ def _restored_shown(posterior: Posterior, terms: list[Mapping[str, Any]], saved:
 
 def _restored_verdict(saved: Mapping[str, Any]) -> Verdict:
     kind = saved["kind"]
-    if kind not in ("none", "found"):
+    if kind not in KINDS:
         raise ValueError(f"no such verdict: {kind!r}")
-    return Verdict(kind, str(saved["reason"]))
+    return Verdict(kind, str(saved["reason"]), str(saved.get("advice", "")))
 
 
 def _restored_residuals(saved: Mapping[str, Any]) -> Residuals:

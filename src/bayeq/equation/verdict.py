@@ -13,16 +13,26 @@ from numpy.typing import NDArray
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.forecast.windows import typical_period, window_runs
+from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
+from bayeq.selection.alternatives import Alternatives
 from bayeq.states import Motion
 
-__all__ = ["Verdict", "judge", "noise_share", "window_errors", "worst"]
+__all__ = ["KINDS", "Verdict", "doubted", "judge", "noise_share", "window_errors", "worst"]
 
 Floats = NDArray[np.float64]
 
 # An equation explains at least this share of what stands above the noise of its target.
 LEAST_R2 = 0.5
+
+# More probability of equations that predict otherwise than this leaves an equation undetermined.
+DOUBT = 0.05
+
+Kind = Literal["none", "not determined", "nearly true", "found"]
+
+# The worst first.
+KINDS: tuple[Kind, ...] = ("none", "not determined", "nearly true", "found")
 
 # An R2 that two decimals show as zero.
 NOTHING = 0.005
@@ -37,18 +47,24 @@ class Verdict:
 
     Attributes
     ----------
-    kind : "none" or "found"
+    kind : "none", "not determined", "nearly true" or "found"
         ``none``: on the rows held out (on the training rows, if none are) the equation explains less than half of what
         stands above the noise of the target, or free runs over windows of one period are no better than the mean.
+        ``not determined``: equations that predict otherwise have more than 5 % of the probability.
+        ``nearly true``: the motion needs a force that the dictionary does not hold, or what is left of a channel is not
+        white noise (`bayeq.likelihood.adequacy`).
     reason : str
         In a sentence.
+    advice : str
+        What to do about it, in a sentence; empty where there is nothing.
     """
 
-    kind: Literal["none", "found"]
+    kind: Kind
     reason: str
+    advice: str = ""
 
     def __str__(self) -> str:
-        return f"{self.kind}: {self.reason}"
+        return f"{self.kind}: {self.reason}" + (f"; {self.advice}" if self.advice else "")
 
 
 def judge(
@@ -97,11 +113,72 @@ def judge(
     return Verdict("found", f"{explained} on {where}; free runs over one period within {100 * window:.2g} %")
 
 
+def doubted(
+    verdict: Verdict,
+    target: str,
+    others: Alternatives,
+    lacking: Discrepancy | None,
+    coloured: Octave | None,
+    noise_sd: float,
+) -> Verdict:
+    """The verdict of an equation that is not wrong: is it determined, and is it all there is?
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Of `judge`.
+    target : str
+        Left-hand side.
+    others : Alternatives
+        Equations that predict otherwise.
+    lacking : Discrepancy or None
+        What the motion needs and the equation does not hold.
+    coloured : Octave or None
+        Where what is left of a channel is not white.
+    noise_sd : float
+        Standard deviation of the target, in its unit.
+    """
+    if verdict.kind == "none":
+        return verdict
+    if others.probability > DOUBT:
+        change = [f"with {', '.join(others.enter)}"] if others.enter else []
+        change += [f"without {', '.join(others.leave)}"] if others.leave else []
+        return Verdict(
+            "not determined",
+            f"equations that predict {target} otherwise have {100 * others.probability:.2g} % of the probability,"
+            f" the likeliest {' and '.join(change) or 'with another constant'}",
+            "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand",
+        )
+    if lacking is not None:
+        low, high = lacking.octave
+        return Verdict(
+            "nearly true",
+            f"the motion needs what the dictionary does not hold, {100 * lacking.size:.2g} %"
+            f" ({100 * lacking.low:.2g} to {100 * lacking.high:.2g}) of the standard deviation of {target}"
+            f" ({lacking.size * noise_sd:.2g}), mostly between {low:.2g} and {high:.2g} Hz",
+            "add terms or inputs that may be missing, and check the timing of the channels; included terms may stand in"
+            " for what is missing",
+        )
+    if coloured is not None:
+        return Verdict(
+            "nearly true",
+            f"what is left of {coloured.channel} is not white noise: {coloured.ratio:.2g} times as much between"
+            f" {coloured.low:.2g} and {coloured.high:.2g} Hz (p {_chance(coloured.p)})",
+            f"check {coloured.channel} against the other channels: calibration, timing, filters, hum",
+        )
+    return verdict
+
+
+def _chance(p: float) -> str:
+    return f"= {p:.1g}" if p >= 1e-4 else "< 0.0001"
+
+
 def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
     """The verdict on a system of equations, by their targets: the worst of them."""
-    failed = [(target, one) for target, one in verdicts if one.kind == "none"]
-    if failed:
-        return failed[0][1]
+    for kind in KINDS[:-1]:
+        failed = [one for _, one in verdicts if one.kind == kind]
+        if failed:
+            return failed[0]
     if len(verdicts) == 1:
         return verdicts[0][1]
     return Verdict("found", "; ".join(f"{target}: {one.reason}" for target, one in verdicts))

@@ -14,6 +14,7 @@ from bayeq.gram import Gram, Standardised
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.fit import Quadratic, solved
 from bayeq.likelihood.search import Fitted, Task, fit, resumed, search, with_model
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
@@ -78,6 +79,12 @@ class RecordFit:
     def kappa(self) -> Floats:
         """Standard deviation of each equation's discrepancy as a share of its target's, (C,)."""
         return self.fitted.state.levels.kappa
+
+    @cached_property
+    def adequacy(self) -> Adequacy:
+        """Tests of the fit."""
+        with np.errstate(all="ignore"):
+            return adequacy_of(self.task, self.fitted)
 
     @property
     def least_noise(self) -> float:

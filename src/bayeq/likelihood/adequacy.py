@@ -1,0 +1,224 @@
+"""Whether a record is as its likelihood says: does the motion need a discrepancy, and is what is left of it noise?
+
+If the equations are right the likeliest discrepancy is as good as none, and the standardised innovations of every
+channel are white: the power of each octave is a share of the whole that a beta distribution tells, whatever the level
+(predictive checks: Box 1980; Gelman, Meng and Stern 1996).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence, Set
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.likelihood.filter import run_filter
+from bayeq.likelihood.fit import marginal
+from bayeq.likelihood.search import Fitted, Task
+from bayeq.numerics.beta import incomplete_beta
+
+__all__ = ["Adequacy", "Discrepancy", "Octave", "adequacy_of", "octaves_of"]
+
+Floats = NDArray[np.float64]
+
+# Level of all tests of a record together (Holm 1979).
+LEVEL = 0.01
+
+# Octaves below half the sampling rate, and the least number of bins of one.
+OCTAVES, LEAST_BINS = 9, 8
+
+# Half of the width of a 95 % interval, in standard deviations.
+HALF = 1.96
+
+# Step in ln size that the curvature of the likelihood is read from.
+STEP = 0.1
+
+
+class Discrepancy(NamedTuple):
+    """What an equation does not hold.
+
+    Attributes
+    ----------
+    size : float
+        Standard deviation of the discrepancy as a share of the target's.
+    low, high : float
+        Ends of its 95 % interval.
+    p : float
+        Probability by chance of a likelihood so much greater than without.
+    octave : (float, float)
+        Between these frequencies [Hz] lies most of its power.
+    """
+
+    size: float
+    low: float
+    high: float
+    p: float
+    octave: tuple[float, float]
+
+
+class Octave(NamedTuple):
+    """Power of the innovations of a channel in an octave.
+
+    Attributes
+    ----------
+    channel : str
+    low, high : float
+        Of the octave [Hz].
+    ratio : float
+        The power over that of white noise.
+    p : float
+        Probability by chance of a share so far from its median.
+    """
+
+    channel: str
+    low: float
+    high: float
+    ratio: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """Tests of a fit.
+
+    Attributes
+    ----------
+    discrepancies : tuple of Discrepancy
+        One per equation.
+    octaves : tuple of Octave
+        Of the channels of all chains.
+    """
+
+    discrepancies: tuple[Discrepancy, ...]
+    octaves: tuple[Octave, ...]
+
+    @property
+    def limit(self) -> float:
+        """Probability below which a test rejects at 1 %, all tests together (Holm)."""
+        p = sorted([one.p for one in self.discrepancies] + [one.p for one in self.octaves])
+        for k, value in enumerate(p):
+            if value > LEVEL / (len(p) - k):
+                return LEVEL / (len(p) - k)
+        return LEVEL
+
+    def lacks(self, c: int) -> Discrepancy | None:
+        """The discrepancy of equation c, if the motion needs it."""
+        one = self.discrepancies[c]
+        return one if one.p <= self.limit else None
+
+    def coloured(self, channels: Sequence[str]) -> Octave | None:
+        """The least probable octave of some channels, if it is rejected."""
+        rejected = [one for one in self.octaves if one.channel in channels and one.p <= self.limit]
+        return min(rejected, key=lambda one: (one.p, -abs(math.log(one.ratio))), default=None)
+
+
+def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
+    """Tests of a fit.
+
+    Parameters
+    ----------
+    task, fitted : Task, Fitted
+        What was explained, and how.
+    """
+    layout, state = task.layout, fitted.state
+    linears = task.linearised(state)
+    precision = task.precision[task.number(state.chosen)]
+    levels = state.levels
+    interval = float(np.median(np.concatenate([one.intervals for one in task.series])))
+
+    def log_likelihood(c: int, factor: float) -> float:
+        sizes = levels.discrepancy.copy()
+        sizes[c] = max(sizes[c] * factor, levels.sizes[0][c])
+        return marginal(linears, state, replace(levels, discrepancy=sizes), precision, keep=False).value
+
+    here = marginal(linears, state, levels, precision)
+    discrepancies = []
+    for c, size in enumerate(levels.kappa.tolist()):
+        gain = 2.0 * (here.value - log_likelihood(c, 0.0))
+        # of no discrepancy the ratio is zero in half of the records, else chi-square of one degree of freedom
+        p = 0.5 * math.erfc(math.sqrt(0.5 * gain)) if gain > 0.0 else 1.0
+        bend = -(log_likelihood(c, math.exp(STEP)) - 2.0 * here.value + log_likelihood(c, math.exp(-STEP))) / STEP**2
+        factor = math.exp(0.5 * HALF / math.sqrt(bend)) if bend > 0.0 else math.inf
+        paths = [path[:, layout.discrepancy[c]] for path in state.paths]
+        discrepancies.append(Discrepancy(size, size / factor, size * factor, p, _main_octave(paths, interval)))
+
+    # inputs first: their course need not be that of low-passed noise
+    noisy = len(layout.noisy)
+    order = np.roll(np.arange(len(layout.channels)), noisy)
+    noise = levels.noise._replace(channels=levels.noise.channels[order])
+    filtered = [
+        run_filter(
+            one._replace(residual=np.ascontiguousarray(one.residual[:, order]), kinds=one.kinds[order]),
+            state.chosen,
+            noise,
+        )
+        for one in linears
+    ]
+    octaves: list[Octave] = []
+    otherwise: set[tuple[float, float]] = set()
+    for k, (channel, kind) in enumerate(layout.channels[i] for i in order):
+        left = []
+        for found in filtered:
+            measured = found.variance[:, k] > 0.0
+            innovation = found.innovation[measured, k]
+            left.append((innovation[:, 0] - innovation[:, 1:] @ here.delta) / np.sqrt(found.variance[measured, k]))
+        if k < noisy:
+            otherwise |= {(one.low, one.high) for one in octaves_of(channel, left, interval) if one.p < LEVEL}
+        else:
+            octaves += octaves_of(channel, left, interval, otherwise if kind < 0 else set())
+    return Adequacy(tuple(discrepancies), tuple(octaves))
+
+
+def octaves_of(
+    channel: str, pieces: Sequence[Floats], interval: float, without: Set[tuple[float, float]] = frozenset()
+) -> list[Octave]:
+    """Tests of the octaves of what should be white noise.
+
+    Parameters
+    ----------
+    channel : str
+        Whose it is.
+    pieces : sequence of (n,) arrays
+        Consecutive samples.
+    interval : float
+        Between them [s].
+    without : set of (float, float)
+        Octaves that are left out, as if there were none: in a target those in which the course of an input is not that
+        of low-passed noise.
+    """
+    power, below = _spectrum(pieces)
+    highest, out = 0.5 / interval, []
+    edges = [(highest * 0.5 ** (k + 1), highest * 0.5**k) for k in range(OCTAVES)]
+    kept = ~np.isin(below, [k for k, edge in enumerate(edges) if edge in without])
+    power, below = power[kept], below[kept]
+    total = float(power.sum())
+    for k, (low, high) in enumerate(edges):
+        inside = below == k
+        bins = int(inside.sum())
+        if bins < LEAST_BINS or bins == len(power):
+            continue
+        share = float(power[inside].sum()) / total
+        lower = incomplete_beta(bins, len(power) - bins, share)
+        out.append(Octave(channel, low, high, share * len(power) / bins, 2.0 * min(lower, 1.0 - lower)))
+    return out
+
+
+def _spectrum(pieces: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
+    """Powers of all bins between 0 and half the sampling rate, and how many octaves below that each lies."""
+    power, below = [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+    for values in pieces:
+        bins = np.arange(1, (len(values) + 1) // 2)
+        power.append(np.abs(np.fft.rfft(values)[bins]) ** 2)
+        below.append(np.minimum(np.floor(-np.log2(2.0 * bins / len(values))).astype(np.int64), OCTAVES - 1))
+    return np.concatenate(power), np.concatenate(below)
+
+
+def _main_octave(pieces: Sequence[Floats], interval: float) -> tuple[float, float]:
+    """The octave [Hz] with most of the power."""
+    power, below = _spectrum(pieces)
+    k = int(np.argmax(np.bincount(below, weights=power, minlength=1)))
+    highest = 0.5 / interval
+    return highest * 0.5 ** (k + 1), highest * 0.5**k
