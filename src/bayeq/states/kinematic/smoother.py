@@ -24,6 +24,7 @@ __all__ = [
     "SmoothedStates",
     "fit_kinematic",
     "kinematic_log_likelihood",
+    "leave_one_out",
     "smooth_kinematic",
 ]
 
@@ -116,6 +117,32 @@ def kinematic_log_likelihood(series: Sequence[ChainSeries], model: KinematicMode
         As `smooth_kinematic`.
     """
     return sum(_filtered(s, model, keep=False)[1].log_likelihood for s in series)
+
+
+def leave_one_out(series: ChainSeries, model: KinematicModel) -> Floats:
+    """Each sample against what all others of the record predict, the same channel's and those of its derivatives.
+
+    Parameters
+    ----------
+    series : ChainSeries
+        The record.
+    model : KinematicModel
+        From `fit_kinematic`, or with levels of your own.
+
+    Returns
+    -------
+    (n, K+1, 2) array
+        Sample less prediction, and the standard deviation that this has under the model; NaN without a sample.
+
+    Raises
+    ------
+    InputError
+        As `smooth_kinematic`.
+    """
+    rows, filtered = _filtered(series, model)
+    out = np.full((series.n, len(series.channels), 2), np.nan)
+    out[:, rows.measured] = rows.left_out(filtered)
+    return out
 
 
 def _filtered(

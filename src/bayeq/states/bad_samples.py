@@ -1,0 +1,465 @@
+"""Samples that are no measurement of the motion: spikes, stuck and clipped stretches, found before anything is fitted.
+
+A spike is what all other samples of its chain contradict, on both sides of it, and nothing is contradicted any more once
+it is left out. That distinguishes it from what motion does: after a jump of the acceleration, or in a burst, the samples
+beside the one that was left out are missed as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import InputError
+from bayeq.records import Record
+from bayeq.records.findings import clipped_levels, equal_runs
+from bayeq.states.chain import Chain
+from bayeq.states.kinematic.smoother import (
+    ChainSeries,
+    KinematicModel,
+    fit_kinematic,
+    leave_one_out,
+    smooth_kinematic,
+)
+from bayeq.states.roles import Roles
+from bayeq.states.unit_gains import unit_gains
+
+__all__ = ["BAD", "BadSamples", "find_bad_samples", "without_bad_samples"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# Kinds of bad samples.
+BAD = ("spikes", "stuck", "clipped")
+
+# A spike errs by this many standard deviations: two Gaussian samples in 1e9 do.
+SPIKE = 6.0
+
+# ... and by this many levels, in a channel of few.
+LEVELS = 2.5
+FEW_LEVELS = 0.5
+
+# The standard deviation is a robust one of the whole record, or of this many rows on either side if that is larger: the
+# errors of a smoother grow where the motion is not its model's. A fifth of them may be spikes.
+LOCAL = 16
+UPPER, UPPER_NORMAL = 0.8, 1.2816
+MEDIAN_NORMAL = 0.6745
+
+# With a spike left out, the samples of its channel within NEAR rows err by less than SPIKE standard deviations, or by a
+# fraction 1/STANDS_OUT of the spike, and those of other channels by no more than WORSE times what they did: of a jump
+# half is left.
+NEAR = 5
+STANDS_OUT = 5.0
+WORSE = 1.5
+
+# Errors this near to each other have one cause, of at most so many samples.
+TOGETHER = 8
+MOST_TOGETHER = 3
+
+# Noise levels are learned again without what was found, up to this many times.
+PASSES = 6
+
+# Where there are more spikes, as a share of a channel, they are what it measures.
+MOST_SPIKES = 0.05
+
+# A stretch that may be stuck: this many equal samples, and this many times as many as the usual sample has beside it.
+LEAST_STUCK = 10
+TIMES_USUAL = 4.0
+
+# It is stuck if the other channels of its chain say that it moved, by this many standard deviations on average.
+MOVED = 3.0
+
+# Alone, a channel is stuck that stops without a jump and goes on with one of this many usual steps.
+JUMP = 3.0
+
+# An input's spike is real if the motion answers it within this many rows.
+ANSWER = 2
+
+# Fewer rows tell nothing.
+LEAST_ROWS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class BadSamples:
+    """Bad samples of one channel in one record.
+
+    Attributes
+    ----------
+    kinds : mapping of str to (n,) bool array
+        Which samples are bad, by kind.
+    """
+
+    kinds: dict[str, Bools] = field(default_factory=dict)
+
+    @property
+    def any(self) -> Bools:
+        """Samples that are bad in some way."""
+        return np.any(list(self.kinds.values()), axis=0)
+
+
+def find_bad_samples(records: Sequence[Record], roles: Roles) -> list[dict[str, BadSamples]]:
+    """Bad samples of every channel that is used.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of one system; NaN is a missing sample. Records without time, or of fewer than 40 rows, are not looked at.
+    roles : Roles
+        Chains and inputs.
+
+    Returns
+    -------
+    list of dict
+        For each record the channels that have some.
+    """
+    out: list[dict[str, BadSamples]] = [{} for _ in records]
+    timed = [i for i, record in enumerate(records) if record.time is not None and record.n >= LEAST_ROWS]
+    if not timed:
+        return out
+    chosen = [records[i] for i in timed]
+    inputs = {name: _Group.of_input(chosen, name).searched() for name in roles.inputs}
+    chains = [_Group.of_chain(chosen, chain).searched() for chain in roles.chains]
+    for group in inputs.values():
+        _keep_answered(group, chains)
+    for group in (*inputs.values(), *chains):
+        for i, name, found in group.found():
+            out[timed[i]][name] = found
+    return out
+
+
+def without_bad_samples(records: Sequence[Record], roles: Roles) -> tuple[list[Record], list[str]]:
+    """The records with NaN in place of bad samples, and a message for each channel and kind.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of one system.
+    roles : Roles
+        Chains and inputs.
+    """
+    found = find_bad_samples(records, roles)
+    out, messages = [], []
+    for record, channels in zip(records, found, strict=True):
+        changed = {name: np.where(bad.any, np.nan, record[name]) for name, bad in channels.items()}
+        units = {name: record.units[name] for name in changed if name in record.units}
+        out.append(record.with_channels(changed, units) if changed else record)
+        where = f"{record.name or 'record'}: " if len(records) > 1 else ""
+        for name, bad in channels.items():
+            for kind, rows in bad.kinds.items():
+                messages.append(where + _message(name, kind, rows))
+    return out, messages
+
+
+ADVICE = {
+    "spikes": "check the sensor",
+    "stuck": "check the sensor",
+    "clipped": "measure in a wider range",
+}
+
+
+def _message(name: str, kind: str, rows: Bools) -> str:
+    count = int(rows.sum())
+    samples = f"{count} sample{'s' * (count > 1)} left out as {kind[:-1] if kind == 'spikes' and count == 1 else kind}"
+    return f"{name}: {samples} ({listed(rows)}: {100 * count / len(rows):.2g} %); {ADVICE[kind]}"
+
+
+def listed(rows: Bools, most: int = 3) -> str:
+    """Rows, counted from 1, in words."""
+    numbers = np.flatnonzero(rows) + 1
+    stretches = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    texts = [f"{s[0]}" if len(s) == 1 else f"{s[0]} to {s[-1]}" for s in stretches[:most]]
+    more = ", ..." if len(stretches) > most else ""
+    return f"row{'s' * (len(numbers) > 1)} {', '.join(texts)}{more}"
+
+
+class _Group:
+    """Channels that are judged by one smoother: a chain's, or one input."""
+
+    def __init__(self, names: Sequence[str | None], series: Sequence[ChainSeries]) -> None:
+        self.names, self.series = names, list(series)
+        self.spikes = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
+        self.stuck = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
+        self.clipped = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
+        # rows that the smoother misses, of each record
+        self.missed = [np.zeros(s.n, dtype=np.bool_) for s in series]
+
+    @classmethod
+    def of_input(cls, records: Sequence[Record], name: str) -> _Group:
+        return cls((name,), [ChainSeries(_time(record), (record[name],)) for record in records])
+
+    @classmethod
+    def of_chain(cls, records: Sequence[Record], chain: Chain) -> _Group:
+        """A chain from its lowest measured derivative on, in units that belong together.
+
+        These are estimated without the spikes that each channel shows alone.
+        """
+        names = chain.measured[chain.lowest :]
+        if sum(name is not None for name in names) == 1:
+            gains = np.ones(len(names))
+        else:
+            alone = {name: cls.of_input(records, name).searched() for name in names if name is not None}
+            calm = [
+                record.with_channels(
+                    {name: np.where(group.spikes[i][:, 0], np.nan, record[name]) for name, group in alone.items()},
+                    record.units,
+                )
+                for i, record in enumerate(records)
+            ]
+            gains = unit_gains(calm, chain)[chain.lowest :]
+        series = [
+            ChainSeries(
+                _time(record),
+                tuple(None if n is None else record[n] / gain for n, gain in zip(names, gains, strict=True)),
+            )
+            for record in records
+        ]
+        return cls(names, series)
+
+    def searched(self) -> _Group:
+        """The group itself, with what was found in it; nothing where there is no noise level to judge by."""
+        doubtful = [_long_runs(s) for s in self.series]
+        levels = _levels(self.series)
+        model = None
+        for _ in range(PASSES):
+            used = [
+                _without(s, spikes | stuck)
+                for s, spikes, stuck in zip(self.series, self.spikes, doubtful, strict=True)
+            ]
+            try:
+                model = fit_kinematic(used)
+            except InputError:  # too few samples, or a constant channel: nothing to tell a spike by
+                return self
+            factor = _factor(used, model)
+            new = [_isolated(s, model, factor, levels) for s in used]
+            for mask, more in zip(self.spikes, new, strict=True):
+                mask |= more
+            if not any(more.any() for more in new):
+                break
+        assert model is not None
+        total = np.sum([np.isfinite(_samples(s)).sum(axis=0) for s in self.series], axis=0)
+        frequent = np.sum([mask.sum(axis=0) for mask in self.spikes], axis=0) > MOST_SPIKES * total
+        for mask in self.spikes:
+            mask[:, frequent] = False
+        for i, (s, runs) in enumerate(zip(self.series, doubtful, strict=True)):
+            calm = _without(s, self.spikes[i] | runs)
+            self.stuck[i] = _stuck(s, runs, calm, model)
+            self.clipped[i] = _clipped(_without(s, self.spikes[i] | self.stuck[i]))
+            with np.errstate(invalid="ignore"):
+                self.missed[i] = (_standard(leave_one_out(calm, model)) > SPIKE * _factor([calm], model)).any(axis=1)
+        return self
+
+    def found(self) -> Iterator[tuple[int, str, BadSamples]]:
+        """Record, channel and its bad samples."""
+        for i in range(len(self.series)):
+            for k, name in enumerate(self.names):
+                masks = dict(zip(BAD, (self.spikes[i][:, k], self.stuck[i][:, k], self.clipped[i][:, k]), strict=True))
+                kinds = {kind: mask for kind, mask in masks.items() if mask.any()}
+                if name is not None and kinds:
+                    yield i, name, BadSamples(kinds)
+
+
+def _keep_answered(group: _Group, chains: Sequence[_Group]) -> None:
+    """Put back spikes of an input that a chain's motion answers, and the answers."""
+    for i, spikes in enumerate(group.spikes):
+        for row in np.flatnonzero(spikes[:, 0]):
+            rows = slice(max(row - ANSWER, 0), row + ANSWER + 1)
+            answers = [chain for chain in chains if chain.missed[i][rows].any() or chain.spikes[i][rows, -1].any()]
+            if answers:
+                spikes[row] = False
+            for chain in answers:
+                chain.spikes[i][rows, -1] = False
+
+
+def _time(record: Record) -> Floats:
+    assert record.time is not None
+    return np.asarray(record.time)
+
+
+def _shape(series: ChainSeries) -> tuple[int, int]:
+    return series.n, len(series.channels)
+
+
+def _samples(series: ChainSeries) -> Floats:
+    """(n, K+1), NaN where nothing is measured."""
+    return np.column_stack([np.full(series.n, np.nan) if c is None else c for c in series.channels])
+
+
+def _without(series: ChainSeries, mask: Bools) -> ChainSeries:
+    channels = (None if c is None else np.where(mask[:, k], np.nan, c) for k, c in enumerate(series.channels))
+    return ChainSeries(series.times, tuple(channels))
+
+
+# --- spikes ----------------------------------------------------------------------------------------------------------
+
+
+def _standard(errors: Floats) -> Floats:
+    """Errors of samples that were left out over their standard deviations; 0 without a sample."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.nan_to_num(np.abs(errors[..., 0]) / errors[..., 1])
+
+
+def _factor(series: Sequence[ChainSeries], model: KinematicModel) -> Floats:
+    """Of each channel: what the model's standard deviations are to be multiplied by, for half of the errors to fit."""
+    errors = [leave_one_out(s, model) for s in series]
+    whole = np.concatenate([np.where(np.isfinite(e[..., 0]), _standard(e), np.nan) for e in errors])
+    present = np.isfinite(whole).any(axis=0)
+    out = np.ones(whole.shape[1])
+    out[present] = np.nanmedian(whole[:, present], axis=0) / MEDIAN_NORMAL
+    return np.maximum(out, np.finfo(np.float64).tiny)
+
+
+def _levels(series: Sequence[ChainSeries]) -> Floats:
+    """Distance between the levels of each channel, 0 where samples are hardly ever the same."""
+    whole = np.concatenate([_samples(s) for s in series])
+    out = np.zeros(whole.shape[1])
+    for k, values in enumerate(whole.T):
+        known = values[np.isfinite(values)]
+        levels = np.unique(known)
+        if 1 < len(levels) < FEW_LEVELS * len(known):
+            out[k] = np.quantile(np.diff(levels), 0.1)
+    return out
+
+
+def _isolated(series: ChainSeries, model: KinematicModel, factor: Floats, levels: Floats) -> Bools:
+    """Spikes of a record: what errs, and leaves nothing that errs once it is left out."""
+    out = np.zeros(_shape(series), dtype=np.bool_)
+    errors = leave_one_out(series, model)
+    before = _standard(errors) / factor
+    high = (before > SPIKE) & (np.abs(np.nan_to_num(errors[..., 0])) > LEVELS * levels)
+    # at the ends there is but one side
+    high[[0, -1]] = False
+    rows = np.flatnonzero(high.any(axis=1))
+    if not len(rows):
+        return out
+    causes = [
+        _Cause([_largest(np.where(high, before, 0.0), part[0], part[-1])])
+        for part in np.split(rows, np.flatnonzero(np.diff(rows) > TOGETHER) + 1)
+    ]
+    samples = _samples(series)
+    for _ in range(MOST_TOGETHER):
+        trial = np.zeros_like(out)
+        for cause in causes:
+            for at in cause.samples:
+                trial[at] = True
+        after = _after(series, samples, trial, model) / factor
+        going_on = []
+        for cause in causes:
+            worst = cause.left_over(before, after)
+            if worst is None:
+                for at in cause.samples:
+                    out[at] = cause.stands_out(at, after) and bool(high[at] or before[at] > 0.0)
+            elif len(cause.samples) < MOST_TOGETHER:
+                going_on.append(_Cause([*cause.samples, worst]))
+        causes = going_on
+        if not causes:
+            break
+    return out
+
+
+def _largest(values: Floats, first: int, last: int) -> tuple[int, int]:
+    """Row and channel of the largest value in some rows."""
+    row, k = np.unravel_index(int(np.argmax(values[first : last + 1])), values[first : last + 1].shape)
+    return int(row) + first, int(k)
+
+
+def _after(series: ChainSeries, samples: Floats, trial: Bools, model: KinematicModel) -> Floats:
+    """Standard errors of all samples where those on trial are missing."""
+    masked = _without(series, trial)
+    out = _standard(leave_one_out(masked, model))
+    smoothed = smooth_kinematic(masked, model)
+    rows, k = np.nonzero(trial)
+    noise = np.array([np.nan if sd is None else sd for sd in model.noise_sd])
+    out[rows, k] = np.abs(samples[rows, k] - smoothed.mean[rows, k]) / np.hypot(smoothed.sd[rows, k], noise[k])
+    return out
+
+
+@dataclass(frozen=True)
+class _Cause:
+    """Samples, (row, channel), that may be all that is wrong in their neighbourhood."""
+
+    samples: list[tuple[int, int]]
+
+    def left_over(self, before: Floats, after: Floats) -> tuple[int, int] | None:
+        """The sample nearby that errs most, though those of the cause are left out; None if all is well."""
+        rows = [row for row, _ in self.samples]
+        first, last = max(min(rows) - NEAR, 0), max(rows) + NEAR
+        limit = np.maximum(SPIKE, WORSE * before[first : last + 1])
+        for k in {k for _, k in self.samples}:
+            limit[:, k] = max(SPIKE, min(after[at] for at in self.samples if at[1] == k) / STANDS_OUT)
+        excess = after[first : last + 1] / limit
+        for row, k in self.samples:
+            excess[row - first, k] = 0.0
+        row, k = _largest(excess, 0, len(excess) - 1)
+        return (row + first, k) if excess[row, k] > 1.0 else None
+
+    def stands_out(self, at: tuple[int, int], after: Floats) -> bool:
+        """Whether a sample errs by much more than those around it."""
+        row, k = at
+        first = max(row - LOCAL, 0)
+        around = after[first : row + LOCAL + 1, k].copy()
+        for other, channel in self.samples:
+            if channel == k and first <= other < first + len(around):
+                around[other - first] = np.nan
+        usual = float(np.nanquantile(around, UPPER)) / UPPER_NORMAL
+        return bool(after[at] > SPIKE * max(1.0, usual))
+
+
+# --- stretches -------------------------------------------------------------------------------------------------------
+
+
+def _long_runs(series: ChainSeries) -> Bools:
+    """Stretches of equal samples that are longer than the channel's usual ones."""
+    out = np.zeros(_shape(series), dtype=np.bool_)
+    for k, values in enumerate(series.channels):
+        if values is None:
+            continue
+        starts, lengths = equal_runs(values)
+        usual = float(np.median(np.repeat(lengths, lengths)))
+        for start, length in zip(starts, lengths, strict=True):
+            if length >= max(LEAST_STUCK, TIMES_USUAL * usual) and np.isfinite(values[start]):
+                out[start : start + length, k] = True
+    return out
+
+
+def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: KinematicModel) -> Bools:
+    """Those of the long stretches in which a channel should have moved."""
+    out = np.zeros_like(runs)
+    if not runs.any():
+        return out
+    samples = _samples(series)
+    smoothed = smooth_kinematic(calm, model)
+    measured = [k for k, values in enumerate(series.channels) if values is not None]
+    for k in measured:
+        values, sd = samples[:, k], float(model.noise_sd[k] or 0.0)
+        steps = np.abs(np.diff(values))
+        usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], runs[:, k].astype(np.int8), [0]])))
+        for first, last in _parts(values, edges):
+            rows = slice(first, last)
+            if len(measured) > 1:
+                error = (values[rows] - smoothed.mean[rows, k]) / np.hypot(smoothed.sd[rows, k], sd)
+                out[rows, k] = np.mean(error**2) > MOVED**2
+            elif 0 < first and last < len(values):
+                stops = abs(values[first] - values[first - 1]) <= JUMP * usual
+                out[rows, k] = stops and abs(values[last] - values[last - 1]) > JUMP * usual
+    return out
+
+
+def _parts(values: Floats, edges: NDArray[np.intp]) -> Iterator[tuple[int, int]]:
+    """First rows and ends of stretches of one value each."""
+    for first, last in edges.reshape(-1, 2):
+        cuts = first + 1 + np.flatnonzero(np.diff(values[first:last]))
+        yield from zip([int(first), *cuts.tolist()], [*cuts.tolist(), int(last)], strict=True)
+
+
+def _clipped(series: ChainSeries) -> Bools:
+    """Samples at an extreme that a channel is clipped at."""
+    out = np.zeros(_shape(series), dtype=np.bool_)
+    for k, values in enumerate(series.channels):
+        if values is not None and np.isfinite(values).any():
+            for found in clipped_levels(values[np.isfinite(values)]):
+                out[:, k] |= values == found.level
+    return out
