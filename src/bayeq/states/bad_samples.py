@@ -1,8 +1,8 @@
 """Samples that are no measurement of the motion: spikes, stuck and clipped stretches, found before anything is fitted.
 
-A spike is what all other samples of its chain contradict, on both sides of it, and nothing is contradicted any more once
-it is left out. That distinguishes it from what motion does: after a jump of the acceleration, or in a burst, the samples
-beside the one that was left out are missed as well.
+A spike is what the other samples of its chain contradict, those before it and those after it, and nothing is
+contradicted any more once it is left out. That distinguishes it from what motion does: a sample beside a jump of the
+acceleration agrees with one side, and in a burst the samples around the one that was left out are missed as well.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from bayeq.states.kinematic.smoother import (
     KinematicModel,
     fit_kinematic,
     leave_one_out,
+    one_sided,
     smooth_kinematic,
 )
 from bayeq.states.roles import Roles
@@ -38,7 +39,9 @@ BAD = ("spikes", "stuck", "clipped")
 # A spike errs by this many standard deviations: two Gaussian samples in 1e9 do.
 SPIKE = 6.0
 
-# ... and by this many levels, in a channel of few.
+# ... by this share of that of the channel (friction in a record of 0.1 % noise jumps by 2 %; one sample of so little does
+# no harm), and by this many levels, in a channel of few.
+LEAST_SHARE = 0.03
 LEVELS = 2.5
 FEW_LEVELS = 0.5
 
@@ -55,9 +58,17 @@ NEAR = 5
 STANDS_OUT = 5.0
 WORSE = 1.5
 
+# Neither the nearest sample on one side, nor what all of that side predict, comes nearer to a spike than this share of
+# its error: before and after a jump one side does.
+AGREES = 0.5
+
 # Errors this near to each other have one cause, of at most so many samples.
 TOGETHER = 8
 MOST_TOGETHER = 3
+
+# Of the places where a channel errs as much or more, at least this share are spikes: elsewhere it is the motion that
+# the smoother misses.
+MOSTLY = 0.75
 
 # Noise levels are learned again without what was found, up to this many times.
 PASSES = 6
@@ -221,22 +232,22 @@ class _Group:
     def searched(self) -> _Group:
         """The group itself, with what was found in it; nothing where there is no noise level to judge by."""
         doubtful = [_long_runs(s) for s in self.series]
-        levels = _levels(self.series)
+        least = _least(self.series)
         model = None
         for _ in range(PASSES):
             used = [
-                _without(s, spikes | stuck)
-                for s, spikes, stuck in zip(self.series, self.spikes, doubtful, strict=True)
+                _without(s, spikes | stuck) for s, spikes, stuck in zip(self.series, self.spikes, doubtful, strict=True)
             ]
             try:
                 model = fit_kinematic(used)
             except InputError:  # too few samples, or a constant channel: nothing to tell a spike by
                 return self
             factor = _factor(used, model)
-            new = [_isolated(s, model, factor, levels) for s in used]
-            for mask, more in zip(self.spikes, new, strict=True):
-                mask |= more
-            if not any(more.any() for more in new):
+            judged = [_judged(s, model, factor, least) for s in used]
+            found = _standing_out(judged)
+            for i, at in found:
+                self.spikes[i][at] = True
+            if not found:
                 break
         assert model is not None
         total = np.sum([np.isfinite(_samples(s)).sum(axis=0) for s in self.series], axis=0)
@@ -245,8 +256,8 @@ class _Group:
             mask[:, frequent] = False
         for i, (s, runs) in enumerate(zip(self.series, doubtful, strict=True)):
             calm = _without(s, self.spikes[i] | runs)
-            self.stuck[i] = _stuck(s, runs, calm, model)
-            self.clipped[i] = _clipped(_without(s, self.spikes[i] | self.stuck[i]))
+            self.clipped[i] = _clipped(_without(s, self.spikes[i]))
+            self.stuck[i] = _stuck(s, runs & ~self.clipped[i], calm, model)
             with np.errstate(invalid="ignore"):
                 self.missed[i] = (_standard(leave_one_out(calm, model)) > SPIKE * _factor([calm], model)).any(axis=1)
         return self
@@ -311,48 +322,91 @@ def _factor(series: Sequence[ChainSeries], model: KinematicModel) -> Floats:
     return np.maximum(out, np.finfo(np.float64).tiny)
 
 
-def _levels(series: Sequence[ChainSeries]) -> Floats:
-    """Distance between the levels of each channel, 0 where samples are hardly ever the same."""
+def _least(series: Sequence[ChainSeries]) -> Floats:
+    """Errors of each channel that may matter: a share of its standard deviation, or some of its levels."""
     whole = np.concatenate([_samples(s) for s in series])
     out = np.zeros(whole.shape[1])
     for k, values in enumerate(whole.T):
         known = values[np.isfinite(values)]
+        if len(known) < LEAST_ROWS:
+            continue
+        # of the middle half, which spikes do not widen
+        spread = float(np.subtract(*np.quantile(known, (0.75, 0.25)))) / (2.0 * MEDIAN_NORMAL)
         levels = np.unique(known)
-        if 1 < len(levels) < FEW_LEVELS * len(known):
-            out[k] = np.quantile(np.diff(levels), 0.1)
+        few = 1 < len(levels) < FEW_LEVELS * len(known)
+        out[k] = max(LEAST_SHARE * spread, LEVELS * float(np.quantile(np.diff(levels), 0.1)) if few else 0.0)
     return out
 
 
-def _isolated(series: ChainSeries, model: KinematicModel, factor: Floats, levels: Floats) -> Bools:
-    """Spikes of a record: what errs, and leaves nothing that errs once it is left out."""
-    out = np.zeros(_shape(series), dtype=np.bool_)
+@dataclass(frozen=True)
+class _Verdict:
+    """A place where samples err: how much the worst one does, of which channel, and which samples are spikes."""
+
+    error: float
+    channel: int
+    spikes: list[tuple[int, int]]
+
+
+def _standing_out(judged: Sequence[Sequence[_Verdict]]) -> list[tuple[int, tuple[int, int]]]:
+    """Record, row and channel of the spikes, without those that err no more than what is mostly motion."""
+    out = []
+    for k in {verdict.channel for one in judged for verdict in one}:
+        ranked = sorted(
+            ((verdict, i) for i, one in enumerate(judged) for verdict in one if verdict.channel == k),
+            key=lambda pair: -pair[0].error,
+        )
+        count = np.cumsum([bool(verdict.spikes) for verdict, _ in ranked])
+        for rank, ((verdict, i), spikes) in enumerate(zip(ranked, count, strict=True), 1):
+            if spikes >= MOSTLY * rank:
+                out += [(i, at) for at in verdict.spikes]
+    return out
+
+
+def _judged(series: ChainSeries, model: KinematicModel, factor: Floats, least: Floats) -> list[_Verdict]:
+    """Places of a record where samples err: spikes leave nothing that errs once they are left out."""
     errors = leave_one_out(series, model)
     before = _standard(errors) / factor
-    high = (before > SPIKE) & (np.abs(np.nan_to_num(errors[..., 0])) > LEVELS * levels)
+    high = (before > SPIKE) & (np.abs(np.nan_to_num(errors[..., 0])) > least)
     # at the ends there is but one side
     high[[0, -1]] = False
     rows = np.flatnonzero(high.any(axis=1))
     if not len(rows):
-        return out
+        return []
+    worst = np.where(high, before, 0.0)
     causes = [
-        _Cause([_largest(np.where(high, before, 0.0), part[0], part[-1])])
+        _Cause([_largest(worst, int(part[0]), int(part[-1]))])
         for part in np.split(rows, np.flatnonzero(np.diff(rows) > TOGETHER) + 1)
     ]
-    samples = _samples(series)
+    noise = np.array([np.nan if sd is None else sd for sd in model.noise_sd])
+    samples, out = _samples(series), []
+    present = np.isfinite(samples)
     for _ in range(MOST_TOGETHER):
-        trial = np.zeros_like(out)
+        trial = np.zeros_like(high)
         for cause in causes:
             for at in cause.samples:
                 trial[at] = True
-        after = _after(series, samples, trial, model) / factor
+        masked = _without(series, trial)
+        smoothed = smooth_kinematic(masked, model)
+        predicted = (smoothed.mean, *one_sided(masked, model))
+        after = _standard(leave_one_out(masked, model))
+        rows, k = np.nonzero(trial)
+        spread = np.hypot(smoothed.sd[rows, k], noise[k])
+        after[rows, k] = np.abs(samples[rows, k] - smoothed.mean[rows, k]) / spread
+        after /= factor
         going_on = []
         for cause in causes:
-            worst = cause.left_over(before, after)
-            if worst is None:
-                for at in cause.samples:
-                    out[at] = cause.stands_out(at, after) and bool(high[at] or before[at] > 0.0)
-            elif len(cause.samples) < MOST_TOGETHER:
-                going_on.append(_Cause([*cause.samples, worst]))
+            first, spikes = cause.samples[0], []
+            left = cause.left_over(before, after)
+            if left is not None and high[left] and len(cause.samples) < MOST_TOGETHER:
+                going_on.append(_Cause([*cause.samples, left]))
+                continue
+            if left is None:
+                spikes = [
+                    at
+                    for at in cause.samples
+                    if cause.stands_out(at, after) and not _goes_on(at, samples, predicted, present & ~trial)
+                ]
+            out.append(_Verdict(float(before[first]), first[1], spikes))
         causes = going_on
         if not causes:
             break
@@ -365,15 +419,16 @@ def _largest(values: Floats, first: int, last: int) -> tuple[int, int]:
     return int(row) + first, int(k)
 
 
-def _after(series: ChainSeries, samples: Floats, trial: Bools, model: KinematicModel) -> Floats:
-    """Standard errors of all samples where those on trial are missing."""
-    masked = _without(series, trial)
-    out = _standard(leave_one_out(masked, model))
-    smoothed = smooth_kinematic(masked, model)
-    rows, k = np.nonzero(trial)
-    noise = np.array([np.nan if sd is None else sd for sd in model.noise_sd])
-    out[rows, k] = np.abs(samples[rows, k] - smoothed.mean[rows, k]) / np.hypot(smoothed.sd[rows, k], noise[k])
-    return out
+def _goes_on(at: tuple[int, int], samples: Floats, predicted: Sequence[Floats], usable: Bools) -> bool:
+    """Whether a sample agrees with those before or those after it: their prediction, or the nearest of its channel.
+
+    `predicted` are the states from both sides, from those before, and from those after.
+    """
+    row, k = at
+    beside = [np.flatnonzero(usable[max(row - LOCAL, 0) : row, k])[-1:] + max(row - LOCAL, 0)]
+    beside += [np.flatnonzero(usable[row + 1 : row + 1 + LOCAL, k])[:1] + row + 1]
+    sides = [*(samples[rows[0], k] for rows in beside if len(rows)), *(mean[at] for mean in predicted[1:])]
+    return bool(np.abs(samples[at] - np.array(sides)).min() < AGREES * abs(samples[at] - predicted[0][at]))
 
 
 @dataclass(frozen=True)
@@ -442,7 +497,7 @@ def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: Kinematic
             if len(measured) > 1:
                 error = (values[rows] - smoothed.mean[rows, k]) / np.hypot(smoothed.sd[rows, k], sd)
                 out[rows, k] = np.mean(error**2) > MOVED**2
-            elif 0 < first and last < len(values):
+            elif first > 0 and last < len(values):
                 stops = abs(values[first] - values[first - 1]) <= JUMP * usual
                 out[rows, k] = stops and abs(values[last] - values[last - 1]) > JUMP * usual
     return out
