@@ -39,7 +39,7 @@ BAD = ("spikes", "stuck", "clipped")
 # A spike errs by this many standard deviations: two Gaussian samples in 1e9 do.
 SPIKE = 6.0
 
-# ... by this share of that of the channel (friction in a record of 0.1 % noise jumps by 2 %; one sample of so little does
+# ... by this share of the channel's (friction in records of 0.1 % noise jumps by 2 %, and single samples of so little do
 # no harm), and by this many levels, in a channel of few.
 LEAST_SHARE = 0.03
 LEVELS = 2.5
