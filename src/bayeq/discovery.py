@@ -21,6 +21,7 @@ from bayeq.selection.negligible import NEGLIGIBLE
 from bayeq.selection.select import Rules, select
 from bayeq.states import Motion, Roles, Smooth, estimate_motion, measured_apart, require_varying
 from bayeq.states.bad_samples import without_bad_samples
+from bayeq.states.derive import require_usable
 from bayeq.states.missing import bridged_record, missing_messages, require_enough, without_empty_rows
 from bayeq.states.motion import held_out_share
 
@@ -211,6 +212,8 @@ def _prepared(
     require_varying(records, [*roles.measured, *roles.inputs])
     if smooth != "none":
         missing = missing_messages(records, roles)
+        for record in records:
+            require_usable(bridged_record(record, roles), [*roles.measured, *roles.inputs])
         records, bad = without_bad_samples(records, roles)
         log.extend([*missing, *bad], DataWarning)
     require_enough(records, roles)

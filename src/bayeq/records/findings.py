@@ -356,7 +356,7 @@ class Clipping(NamedTuple):
 
     which: str
     level: float
-    count: int
+    samples: int
     longest: int
 
 
@@ -389,7 +389,7 @@ def _clipped(name: str, values: Floats) -> list[Finding]:
         Finding(
             "clipping",
             (name,),
-            f"{name} is clipped: {one.count} samples stand at its {one.which} value {one.level:.4g}, up to"
+            f"{name} is clipped: {one.samples} samples stand at its {one.which} value {one.level:.4g}, up to"
             f" {one.longest} in a row; measure in a wider range, or leave them out",
             one.level,
         )

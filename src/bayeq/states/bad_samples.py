@@ -7,13 +7,14 @@ acceleration agrees with one side, and in a burst the samples around the one tha
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import InputError
+from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
 from bayeq.states.chain import Chain
@@ -39,8 +40,8 @@ BAD = ("spikes", "stuck", "clipped")
 # A spike errs by this many standard deviations: two Gaussian samples in 1e9 do.
 SPIKE = 6.0
 
-# ... by this share of the channel's (friction in records of 0.1 % noise jumps by 2 %, and single samples of so little do
-# no harm), and by this many levels, in a channel of few.
+# ... by this share of the channel's (friction in records of 0.1 % noise jumps by 2 %, and a few samples that err by so
+# little do no harm), and by this many levels, in a channel of few.
 LEAST_SHARE = 0.03
 LEVELS = 2.5
 FEW_LEVELS = 0.5
@@ -195,7 +196,7 @@ class _Group:
         self.stuck = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
         self.clipped = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
         # rows that the smoother misses, of each record
-        self.missed = [np.zeros(s.n, dtype=np.bool_) for s in series]
+        self.missed: list[Bools] = [np.zeros(s.n, dtype=np.bool_) for s in series]
 
     @classmethod
     def of_input(cls, records: Sequence[Record], name: str) -> _Group:
@@ -232,35 +233,39 @@ class _Group:
     def searched(self) -> _Group:
         """The group itself, with what was found in it; nothing where there is no noise level to judge by."""
         doubtful = [_long_runs(s) for s in self.series]
-        least = _least(self.series)
-        model = None
-        for _ in range(PASSES):
-            used = [
-                _without(s, spikes | stuck) for s, spikes, stuck in zip(self.series, self.spikes, doubtful, strict=True)
-            ]
-            try:
-                model = fit_kinematic(used)
-            except InputError:  # too few samples, or a constant channel: nothing to tell a spike by
-                return self
-            factor = _factor(used, model)
-            judged = [_judged(s, model, factor, least) for s in used]
-            found = _standing_out(judged)
-            for i, at in found:
-                self.spikes[i][at] = True
-            if not found:
-                break
-        assert model is not None
-        total = np.sum([np.isfinite(_samples(s)).sum(axis=0) for s in self.series], axis=0)
-        frequent = np.sum([mask.sum(axis=0) for mask in self.spikes], axis=0) > MOST_SPIKES * total
-        for mask in self.spikes:
-            mask[:, frequent] = False
+        model = self._search_spikes(doubtful)
+        if model is None:
+            return self
         for i, (s, runs) in enumerate(zip(self.series, doubtful, strict=True)):
             calm = _without(s, self.spikes[i] | runs)
             self.clipped[i] = _clipped(_without(s, self.spikes[i]))
             self.stuck[i] = _stuck(s, runs & ~self.clipped[i], calm, model)
-            with np.errstate(invalid="ignore"):
-                self.missed[i] = (_standard(leave_one_out(calm, model)) > SPIKE * _factor([calm], model)).any(axis=1)
+            self.missed[i] = (_standard(leave_one_out(calm, model)) > SPIKE * _factor([calm], model)).any(axis=1)
         return self
+
+    def _search_spikes(self, doubtful: Sequence[Bools]) -> KinematicModel | None:
+        """Find spikes outside of doubtful stretches, until there are no more; the model without them."""
+        least, model = _least(self.series), None
+        for _ in range(PASSES):
+            used = [_without(s, spikes | d) for s, spikes, d in zip(self.series, self.spikes, doubtful, strict=True)]
+            try:
+                with warnings.catch_warnings():
+                    # noise levels that are not quite the likeliest do as well
+                    warnings.simplefilter("ignore", ConvergenceWarning)
+                    model = fit_kinematic(used)
+            except InputError:  # too few samples, or a constant channel
+                return None
+            factor = _factor(used, model)
+            found = _standing_out([_judged(s, model, factor, least) for s in used])
+            for i, at in found:
+                self.spikes[i][at] = True
+            if not found:
+                break
+        total = np.sum([np.isfinite(_samples(s)).sum(axis=0) for s in self.series], axis=0)
+        frequent = np.sum([mask.sum(axis=0) for mask in self.spikes], axis=0) > MOST_SPIKES * total
+        for mask in self.spikes:
+            mask[:, frequent] = False
+        return model
 
     def found(self) -> Iterator[tuple[int, str, BadSamples]]:
         """Record, channel and its bad samples."""

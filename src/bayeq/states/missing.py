@@ -27,29 +27,17 @@ Bools = NDArray[np.bool_]
 # Fewer rows with all channels are no record.
 LEAST_USABLE = 20
 
-# An input is bridged over this many samples as if they had been measured; over more the row counts as missing, and the
-# record is divided where the gap is too long.
-BRIDGED_INPUT = 2
+# Stretches of more than this many rows without an input, or without any sample of the chains, become gaps of time: the
+# record is divided at those that are too long to be bridged.
+SHORT = 2
 
 
 def missing_messages(records: Sequence[Record], roles: Roles) -> list[str]:
-    """A sentence for each channel of which samples are missing.
-
-    Raises
-    ------
-    RecordError
-        Infinite samples: no measurement, and not missing either.
-    """
+    """A sentence for each channel of which samples are missing."""
     out = []
     for record in records:
         where = f"{record.name or 'record'}: " if len(records) > 1 else ""
         for name in (*roles.measured, *roles.inputs):
-            infinite = np.flatnonzero(np.isinf(record[name]))
-            if len(infinite):
-                raise RecordError(
-                    f"{record.name or 'record'}: channel {name!r} is infinite in row {infinite[0] + 1}"
-                    f" ({len(infinite)} such row{'s' * (len(infinite) > 1)}); correct it, or leave it empty"
-                )
             rows = np.isnan(record[name])
             count = int(rows.sum())
             if count:
@@ -83,7 +71,7 @@ def complete_rows(record: Record, roles: Roles) -> Record:
 def without_empty_rows(records: Sequence[Record], roles: Roles) -> list[Record]:
     """Records without rows that tell nothing of the motion, and so with a gap of time there.
 
-    These are rows without a sample of any chain, and those of longer stretches without an input. Without time there is
+    These are stretches of more than two rows without a sample of any chain, or without an input. Without time there is
     nothing to bridge by: rows without a sample of every channel go.
     """
     out = []
@@ -91,7 +79,7 @@ def without_empty_rows(records: Sequence[Record], roles: Roles) -> list[Record]:
         if record.time is None:
             out.append(complete_rows(record, roles))
             continue
-        kept = np.any([np.isfinite(record[name]) for name in roles.measured], axis=0)
+        kept = ~_long(np.all([np.isnan(record[name]) for name in roles.measured], axis=0))
         for name in roles.inputs:
             kept &= ~_long(np.isnan(record[name]))
         out.append(record if kept.all() else record.take(kept))
@@ -103,7 +91,7 @@ def _long(missing: Bools) -> Bools:
     out = np.zeros_like(missing)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.int8), [0]]))).reshape(-1, 2)
     for first, last in edges:
-        out[first:last] = last - first > BRIDGED_INPUT
+        out[first:last] = last - first > SHORT
     return out
 
 

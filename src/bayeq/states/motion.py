@@ -162,8 +162,8 @@ def estimate_motion(records: Sequence[Record], roles: Roles, smooth: Smooth = "a
 
     With "auto" the kinematic smoother fuses all measured channels of a chain (`bayeq.states.kinematic`), and samples
     that were dropped from a uniform grid, or are missing (NaN), are bridged: the states then have a row for each. Where
-    nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Records of fewer than
-    40 rows are differentiated as they are. Records without time, and states and targets that are all measured with hardly
+    nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Records of less than 40
+    rows are differentiated as they are. Records without time, and states and targets that are all measured with hardly
     any noise, are left to `derive_states`, whose errors are those of this function. Noise levels are learned from the
     training rows; the rows held out are smoothed apart.
 
