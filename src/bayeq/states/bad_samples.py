@@ -257,8 +257,8 @@ class _Group:
                 return None
             factor = _factor(used, model)
             found = _standing_out([_judged(s, model, factor, least) for s in used])
-            for i, at in found:
-                self.spikes[i][at] = True
+            for i, (row, k) in found:
+                self.spikes[i][row, k] = True
             if not found:
                 break
         total = np.sum([np.isfinite(_samples(s)).sum(axis=0) for s in self.series], axis=0)
@@ -489,19 +489,20 @@ def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: Kinematic
     out = np.zeros_like(runs)
     if not runs.any():
         return out
-    samples = _samples(series)
+    samples, seen = _samples(series), _samples(calm)
     smoothed = smooth_kinematic(calm, model)
     measured = [k for k, values in enumerate(series.channels) if values is not None]
     for k in measured:
-        values, sd = samples[:, k], float(model.noise_sd[k] or 0.0)
+        values, sd, others = samples[:, k], float(model.noise_sd[k] or 0.0), [j for j in measured if j != k]
         steps = np.abs(np.diff(values))
         usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
         edges = np.flatnonzero(np.diff(np.concatenate([[0], runs[:, k].astype(np.int8), [0]])))
         for first, last in _parts(values, edges):
             rows = slice(first, last)
-            if len(measured) > 1:
+            judged = np.isfinite(seen[rows][:, others]).any(axis=1) if others else np.zeros(0, dtype=np.bool_)
+            if judged.sum() >= LEAST_STUCK:
                 error = (values[rows] - smoothed.mean[rows, k]) / np.hypot(smoothed.sd[rows, k], sd)
-                out[rows, k] = np.mean(error**2) > MOVED**2
+                out[rows, k] = np.mean(error[judged] ** 2) > MOVED**2
             elif first > 0 and last < len(values):
                 stops = abs(values[first] - values[first - 1]) <= JUMP * usual
                 out[rows, k] = stops and abs(values[last] - values[last - 1]) > JUMP * usual
