@@ -7,6 +7,7 @@ acceleration agrees with one side, and in a burst the samples around the one tha
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -52,6 +53,9 @@ LOCAL = 16
 UPPER, UPPER_NORMAL = 0.8, 1.2816
 MEDIAN_NORMAL = 0.6745
 
+# Where more than half of the samples are predicted exactly, their errors count as this share of the model's.
+ROUNDING = 1e-9
+
 # With a spike left out, the samples of its channel within NEAR rows err by less than SPIKE standard deviations, or by a
 # fraction 1/STANDS_OUT of the spike, and those of other channels by no more than WORSE times what they did: of a jump
 # half is left.
@@ -87,8 +91,14 @@ MOVED = 3.0
 # Alone, a channel is stuck that stops without a jump and goes on with one of this many usual steps.
 JUMP = 3.0
 
-# An input's spike is real if the motion answers it within this many rows.
+# A spike of an input is a blow if the motion answers it within this many rows. An answer is no spike: the input is then
+# further from where it was and will be than BLOW times what a share BLOW_SHARE of its changes stay within.
 ANSWER = 2
+BLOW, BLOW_SHARE = 3.0, 0.9
+
+# Where no answer can be seen, an input that is but noise between this many spikes or more is a series of blows.
+LEAST_BLOWS = 3
+ONLY_NOISE = 0.7
 
 # Fewer rows tell nothing.
 LEAST_ROWS = 40
@@ -132,11 +142,10 @@ def find_bad_samples(records: Sequence[Record], roles: Roles) -> list[dict[str, 
     if not timed:
         return out
     chosen = [records[i] for i in timed]
-    inputs = {name: _Group.of_input(chosen, name).searched() for name in roles.inputs}
+    inputs = [_Group.of_input(chosen, name).searched() for name in roles.inputs]
     chains = [_Group.of_chain(chosen, chain).searched() for chain in roles.chains]
-    for group in inputs.values():
-        _keep_answered(group, chains)
-    for group in (*inputs.values(), *chains):
+    _keep_answered(inputs, chains)
+    for group in (*inputs, *chains):
         for i, name, found in group.found():
             out[timed[i]][name] = found
     return out
@@ -237,10 +246,11 @@ class _Group:
         if model is None:
             return self
         for i, (s, runs) in enumerate(zip(self.series, doubtful, strict=True)):
-            calm = _without(s, self.spikes[i] | runs)
+            calm = _without(s, np.logical_or(self.spikes[i], runs))
             self.clipped[i] = _clipped(_without(s, self.spikes[i]))
             self.stuck[i] = _stuck(s, runs & ~self.clipped[i], calm, model)
-            self.missed[i] = (_standard(leave_one_out(calm, model)) > SPIKE * _factor([calm], model)).any(axis=1)
+            errors = leave_one_out(calm, model)
+            self.missed[i] = np.any(_standard(errors) > SPIKE * _factor(errors), axis=1)
         return self
 
     def _search_spikes(self, doubtful: Sequence[Bools]) -> KinematicModel | None:
@@ -255,8 +265,7 @@ class _Group:
                     model = fit_kinematic(used)
             except InputError:  # too few samples, or a constant channel
                 return None
-            factor = _factor(used, model)
-            found = _standing_out([_judged(s, model, factor, least) for s in used])
+            found = _standing_out([_judged(s, model, least) for s in used])
             for i, (row, k) in found:
                 self.spikes[i][row, k] = True
             if not found:
@@ -266,6 +275,14 @@ class _Group:
         for mask in self.spikes:
             mask[:, frequent] = False
         return model
+
+    def is_noise(self, i: int) -> bool:
+        """Whether there is nothing but noise in the first channel of a record besides its spikes."""
+        values = np.asarray(self.series[i].channels[0])[~self.spikes[i][:, 0]]
+        values = values[np.isfinite(values)]
+        # of white noise steps have twice the variance
+        steps, spread = np.median(np.abs(np.diff(values))), np.median(np.abs(values - np.median(values)))
+        return bool(steps >= ONLY_NOISE * math.sqrt(2.0) * spread)
 
     def found(self) -> Iterator[tuple[int, str, BadSamples]]:
         """Record, channel and its bad samples."""
@@ -277,16 +294,38 @@ class _Group:
                     yield i, name, BadSamples(kinds)
 
 
-def _keep_answered(group: _Group, chains: Sequence[_Group]) -> None:
-    """Put back spikes of an input that a chain's motion answers, and the answers."""
-    for i, spikes in enumerate(group.spikes):
-        for row in np.flatnonzero(spikes[:, 0]):
-            rows = slice(max(row - ANSWER, 0), row + ANSWER + 1)
-            answers = [chain for chain in chains if chain.missed[i][rows].any() or chain.spikes[i][rows, -1].any()]
-            if answers:
-                spikes[row] = False
-            for chain in answers:
-                chain.spikes[i][rows, -1] = False
+def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
+    """Put back blows: spikes of an input that a chain's motion answers, and the answers of its highest derivative."""
+    seen = [chain for chain in chains if chain.names[-1] is not None]
+    for group in inputs:
+        for i, spikes in enumerate(group.spikes):
+            blows = _blows(np.asarray(group.series[i].channels[0]))
+            answered = np.zeros_like(blows)
+            for chain in seen:
+                answer = np.asarray(chain.series[i].channels[-1])
+                answered |= _wider(chain.spikes[i][:, -1] | chain.missed[i] | _blows(answer))
+                chain.spikes[i][_wider(blows), -1] = False
+            rows = np.flatnonzero(spikes[:, 0])
+            places = [p for p in np.split(rows, np.flatnonzero(np.diff(rows) > ANSWER) + 1) if len(p)]
+            unseen = not seen and len(places) >= LEAST_BLOWS and group.is_noise(i)
+            for place in places:
+                if unseen or answered[place].any():
+                    spikes[place] = False
+
+
+def _wider(rows: Bools) -> Bools:
+    """The rows, and those within reach of an answer."""
+    return np.convolve(rows, np.ones(2 * ANSWER + 1), "same") > 0.0
+
+
+def _blows(values: Floats) -> Bools:
+    """Rows in which an input is far from where it was before and is afterwards."""
+    apart = np.abs(values[ANSWER + 1 :] - values[: -ANSWER - 1])
+    usual = float(np.nanquantile(apart, BLOW_SHARE))
+    filled = np.concatenate([np.full(ANSWER + 1, np.inf), apart])
+    before, after = filled, np.append(filled[ANSWER + 1 :], np.full(ANSWER + 1, np.inf))
+    with np.errstate(invalid="ignore"):
+        return np.fmin(before, after) > BLOW * usual
 
 
 def _time(record: Record) -> Floats:
@@ -317,14 +356,13 @@ def _standard(errors: Floats) -> Floats:
         return np.nan_to_num(np.abs(errors[..., 0]) / errors[..., 1])
 
 
-def _factor(series: Sequence[ChainSeries], model: KinematicModel) -> Floats:
+def _factor(errors: Floats) -> Floats:
     """Of each channel: what the model's standard deviations are to be multiplied by, for half of the errors to fit."""
-    errors = [leave_one_out(s, model) for s in series]
-    whole = np.concatenate([np.where(np.isfinite(e[..., 0]), _standard(e), np.nan) for e in errors])
-    present = np.isfinite(whole).any(axis=0)
-    out = np.ones(whole.shape[1])
-    out[present] = np.nanmedian(whole[:, present], axis=0) / MEDIAN_NORMAL
-    return np.maximum(out, np.finfo(np.float64).tiny)
+    standard = np.where(np.isfinite(errors[..., 0]), _standard(errors), np.nan)
+    present = np.isfinite(standard).any(axis=0)
+    out = np.ones(standard.shape[1])
+    out[present] = np.nanmedian(standard[:, present], axis=0) / MEDIAN_NORMAL
+    return np.maximum(out, ROUNDING)
 
 
 def _least(series: Sequence[ChainSeries]) -> Floats:
@@ -367,9 +405,10 @@ def _standing_out(judged: Sequence[Sequence[_Verdict]]) -> list[tuple[int, tuple
     return out
 
 
-def _judged(series: ChainSeries, model: KinematicModel, factor: Floats, least: Floats) -> list[_Verdict]:
+def _judged(series: ChainSeries, model: KinematicModel, least: Floats) -> list[_Verdict]:
     """Places of a record where samples err: spikes leave nothing that errs once they are left out."""
     errors = leave_one_out(series, model)
+    factor = _factor(errors)
     before = _standard(errors) / factor
     high = (before > SPIKE) & (np.abs(np.nan_to_num(errors[..., 0])) > least)
     # at the ends there is but one side
