@@ -116,9 +116,11 @@ class Motion:
 
     @cached_property
     def held_out(self) -> tuple[MotionRows, ...]:
-        """The rows held out of each record that has some."""
+        """The rows held out of each record that has some with a sample of every channel."""
         return tuple(
-            rows.part(slice(cut, rows.n)) for rows, cut in zip(self.records, self.cuts, strict=True) if cut < rows.n
+            rows.part(slice(cut, rows.n))
+            for rows, cut in zip(self.records, self.cuts, strict=True)
+            if rows.known[cut:].any()
         )
 
     @property
