@@ -86,7 +86,9 @@ def discover(
         ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
     smooth : "auto", "band" or "none"
         "auto" is the likelihood of the record where it can be used, "band" the regression of smoothed rows.
-        How derivatives that are not measured are estimated, see `bayeq.states.estimate_motion`.
+        How derivatives that are not measured are estimated, see `bayeq.states.estimate_motion`. Spikes, stuck and
+        clipped stretches are left out first, and missing samples (NaN) are bridged; with "none" nothing is left out,
+        and NaN is an error.
     holdout : float
         Share of the rows, the last of each record, that is not used but predicted.
     max_terms : int, optional

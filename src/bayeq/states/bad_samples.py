@@ -67,7 +67,7 @@ WORSE = 1.5
 # its error: before and after a jump one side does.
 AGREES = 0.5
 
-# Errors this near to each other have one cause, of at most so many samples.
+# Errors this near to each other have one cause, of a few samples at most.
 TOGETHER = 8
 MOST_TOGETHER = 3
 
