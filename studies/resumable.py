@@ -36,11 +36,20 @@ class Cell:
         How many are measured unless the command says otherwise.
     measure : callable
         From a seed to what is kept of that record, as JSON can hold it.
+    on_request : bool
+        Whether the cell takes part only where ``--only`` chooses it.
     """
 
     labels: Mapping[str, str | float]
     records: int
     measure: Callable[[int], Outcome]
+    on_request: bool = False
+
+    def chosen_by(self, only: str) -> bool:
+        """Whether the cell is one of those that are asked for; no word asks for all that need none."""
+        if not only:
+            return not self.on_request
+        return only in " ".join(map(str, self.labels.values()))
 
 
 class Store:
@@ -118,7 +127,7 @@ def run_study(
     parser.add_argument("--show", action="store_true", help="the table of what the store holds; nothing is measured")
     given = parser.parse_args(arguments)
     store = Store(given.store, code_state())
-    chosen = [cell for cell in cells if given.only in " ".join(map(str, cell.labels.values()))]
+    chosen = [cell for cell in cells if cell.chosen_by(given.only)]
     if not given.show:
         for cell in chosen:
             _measure(cell, given.records or cell.records, given.first_seed, store)

@@ -21,6 +21,8 @@ from bayeq.states.kinematic.smoother import (
     KinematicModel,
     fit_kinematic,
     kinematic_log_likelihood,
+    leave_one_out,
+    one_sided,
     smooth_kinematic,
 )
 
@@ -265,6 +267,36 @@ def test_leave_one_out_density_is_what_it_says():
             variance = moved.covariance_at(row)[k, k] + model.noise_sd[k] ** 2
             total -= 0.5 * (math.log(2 * math.pi * variance) + error**2 / variance)
     assert fitted.left_out == pytest.approx(total, rel=1e-4)
+
+
+def test_errors_of_samples_that_are_left_out_are_those_without_them():
+    model = KinematicModel(4, 2.0, (0.1, 0.2, 0.3), initial_sd=(20.0,) * 4)
+    series, _ = drawn(model, np.cumsum([0.5] * 30 + [0.8] + [0.5] * 30), 3)
+    channels = [c - (centre_of(series) if k == 0 else 0.0) for k, c in enumerate(series.channels)]
+    channels[1][7] = np.nan
+    whole = ChainSeries(series.times, tuple(channels))
+    errors = leave_one_out(whole, model)
+    assert np.isnan(errors[7, 1]).all()
+    for k in range(3):
+        for row in range(0, whole.n, 6):
+            one = [c.copy() for c in channels]
+            one[k][row] = np.nan
+            without = smooth_kinematic(ChainSeries(whole.times, tuple(one)), model)
+            # the mean of q moves by what is missing, and the vague start with it
+            assert errors[row, k, 0] == pytest.approx(channels[k][row] - without.mean[row, k], rel=2e-3, abs=1e-3)
+            spread = math.hypot(without.sd[row, k], model.noise_sd[k])
+            assert errors[row, k, 1] == pytest.approx(spread, rel=1e-4)
+
+
+def test_one_sided_states_are_those_of_the_samples_on_that_side():
+    model = KinematicModel(3, 2.0, (0.1, 0.2, None), initial_sd=(1e3,) * 3)
+    series, _ = drawn(model, np.cumsum([0.5] * 40), 4)
+    before, after = one_sided(series, model)
+    for row in (10, 20, 30):
+        left = smooth_kinematic(series.take(slice(0, row + 1)), model).mean[-1]
+        right = smooth_kinematic(series.take(slice(row, series.n)), model).mean[0]
+        np.testing.assert_allclose(before[row], left, rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(after[row], right, rtol=1e-3, atol=1e-3)
 
 
 def test_records_add_up():

@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import importlib
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from studies import circuit, coupled, known_terms, servo, states_only, white_force
+from studies import adverse_records, circuit, coupled, known_terms, servo, states_only, white_force
 from studies.judge import coefficient_lines, judged, rates
 from studies.resumable import Cell, Store, code_state, run_study
 
@@ -23,6 +24,7 @@ QUICK = {
     "coupled": "three masses, displacements auto",
     "servo": "band",
     "circuit": "true band",
+    "adverse": "few rows 60",
 }
 
 
@@ -73,6 +75,46 @@ def test_a_killed_study_goes_on_where_it_was(tmp_path, capsys):
     assert seen == [10, 11, 12, 13]
     assert path.read_text().startswith(whole)
     assert table(capsys.readouterr().out)[1] == [{"kind": "a", "records": "4", "sum": "46"}]
+
+
+def test_cells_on_request_take_part_only_where_they_are_named(tmp_path, capsys):
+    cells = [Cell({"rows": rows}, 1, lambda seed: {}, on_request=rows > 1) for rows in (1, 22)]
+    summary = lambda outcomes: [{"n": len(outcomes)}]  # noqa: E731
+    for words, rows in ((), ["1"]), (("--only", "22"), ["22"]), (("--only", "7"), []):
+        run_study("none", "", cells, summary, [*words, "--store", str(tmp_path / "store.jsonl")])
+        assert [line["rows"] for line in table(capsys.readouterr().out)[1]] == rows
+
+
+@pytest.mark.parametrize("name", adverse_records.CASES)
+def test_the_adverse_truth_is_what_moves_the_simulation(name):
+    case = adverse_records.CASES[name]
+    record = adverse_records.draw_record(case, 500, 3)
+    clean = record.truth.clean
+    true = record.truth.coefficients["a"]
+    total = sum(value * Evaluator({k: clean[k] for k in "xvu"})(parse(term)) for term, value in true.items())
+    # what the terms do not say: a second force, a drifting stiffness, friction that is not a sign
+    other = {"stiffness drifts": 0.05, "second force of 10 %": 0.3, "second force of 30 %": 0.8, "tanh friction": 0.6}
+    assert np.std(clean["a"] - total) <= other.get(name, 1e-9) * np.std(clean["a"])
+    assert set(true) - {"x**3", "sign(v)"} == {"x", "v", "u"}
+    spoiled = {channel for channel in "xvau" if not np.array_equal(record[channel], plain(case, 3)[channel])}
+    assert spoiled == SPOILED.get(name, set())
+
+
+# Channels in which a case changes what was measured.
+SPOILED = {
+    **{f"spike in {name}": {name} for name in "xua"},
+    **{key: set("xvau") for key in ("t3 noise", "1/f noise", "noise at the resonance", "hum", "8 bit", "jitter")},
+    "0.5 % of samples times 10": set("xvau"),
+    "clipped at 80 %": set("xva"),
+    "stuck a": {"a"},
+    "gain of v": {"v"},
+    "delay of u": {"u"},
+    "drift of x": {"x"},
+}
+
+
+def plain(case, seed):
+    return adverse_records.draw_record(replace(case, spoil=adverse_records.Case().spoil), 500, seed)
 
 
 def test_records_of_another_program_or_cell_are_not_used(tmp_path):
@@ -133,6 +175,10 @@ def test_rates_are_shares_of_the_records_and_coverage_is_that_of_right_equations
         (lambda seed: known_terms.draw_record("hindmarsh-rose", 0.1, seed), ("x", "y", "z")),
         (lambda seed: white_force.draw_record(500, seed), ("x", "v", "a", "u")),
         (lambda seed: coupled.draw_record(coupled.MASSES, seed), ("x1", "dx1", "a1", "x2", "dx2", "a2", "x3")),
+        *(
+            (lambda seed, case=case: adverse_records.draw_record(case, 400, seed), ("x", "v", "a", "u"))
+            for case in adverse_records.CASES.values()
+        ),
     ],
 )
 def test_records_are_those_of_their_seed(draw, channels):

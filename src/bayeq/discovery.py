@@ -29,6 +29,9 @@ from bayeq.regression.regression import Regression
 from bayeq.selection.negligible import NEGLIGIBLE
 from bayeq.selection.select import Rules, select
 from bayeq.states import Motion, Roles, Smooth, estimate_motion, measured_apart, require_varying
+from bayeq.states.bad_samples import without_bad_samples
+from bayeq.states.derive import require_usable
+from bayeq.states.missing import bridged_record, missing_messages, require_enough, without_empty_rows
 from bayeq.states.motion import held_out_share
 
 __all__ = ["discover"]
@@ -42,6 +45,9 @@ NO_LIKELIHOOD = (
 
 # With fewer training rows there is no regression.
 LEAST_TRAINING_ROWS = 3
+
+# Channels are checked against each other with straight lines over missing samples if these are a smaller share.
+MOST_BRIDGED = 0.05
 
 
 # The parameters are those of the public contract; all but the records have defaults.
@@ -89,7 +95,9 @@ def discover(
         ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
     smooth : "auto", "band" or "none"
         "auto" is the likelihood of the record where it can be used, "band" the regression of smoothed rows.
-        How derivatives that are not measured are estimated, see `bayeq.states.estimate_motion`.
+        How derivatives that are not measured are estimated, see `bayeq.states.estimate_motion`. Spikes, stuck and
+        clipped stretches are left out first, and missing samples (NaN) are bridged; with "none" nothing is left out,
+        and NaN is an error.
     holdout : float
         Share of the rows, the last of each record, that the equations of the other rows are judged by. Under the
         likelihood of the record the equations are then found once more, from all rows. 0 skips that.
@@ -224,11 +232,19 @@ def _as_records(records: Record | Sequence[Record]) -> list[Record]:
 def _prepared(
     records: list[Record], roles: Roles, smooth: Smooth, holdout: float, log: WarningLog
 ) -> tuple[list[Record], Roles, float]:
-    """Records divided at gaps that cannot be bridged, chains without channels that were computed from others, and the
-    share of the rows to hold out."""
+    """Records without bad samples, divided at gaps that cannot be bridged, chains without channels that were computed
+    from others, and the share of the rows to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
     require_varying(records, [*roles.measured, *roles.inputs])
     if smooth != "none":
+        missing = missing_messages(records, roles)
+        for record in records:
+            require_usable(bridged_record(record, roles), [*roles.measured, *roles.inputs])
+        records, bad = without_bad_samples(records, roles)
+        log.extend([*missing, *bad], DataWarning)
+    require_enough(records, roles)
+    if smooth != "none":
+        records = without_empty_rows(records, roles)
         records, messages = split_at_gaps(records, [*roles.measured, *roles.inputs])
         if all(record.time is not None for record in records):
             chains, computed = measured_apart(records, roles.chains, share)
@@ -239,17 +255,15 @@ def _prepared(
 
 def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: WarningLog) -> None:
     """Refuse too few rows, and warn of channels that do not fit each other and of rows that cannot be used in full."""
-    where, total = ", ".join(record.name or "record" for record in records[:3]), sum(record.n for record in records)
-    if total < LEAST_TRAINING_ROWS:
-        rows = f"{total} row{'s' * (total != 1)}"
-        raise RecordError(f"{where}: {rows}: too few for a regression (at least {LEAST_TRAINING_ROWS}); measure more")
+    total = sum(record.n for record in records)
     used, _ = motion.counts
     if used < LEAST_TRAINING_ROWS:
         raise RecordError(f"holdout {holdout:g} leaves {used} training rows, too few for a regression; lower it")
     if holdout > 0 and motion.holdout == 0:
         log.warn(f"only {total} rows: all are used, none held out to judge the equation by", DataWarning)
+    present = [bridged_record(record, motion.roles, MOST_BRIDGED) for record in records]
     log.extend(
-        check_messages(records, [chain.measured for chain in motion.roles.chains], motion.roles.inputs), DataWarning
+        check_messages(present, [chain.measured for chain in motion.roles.chains], motion.roles.inputs), DataWarning
     )
     if any(smoothing.fs is None for smoothing in motion.smoothing):
         log.warn(

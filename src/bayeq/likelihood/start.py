@@ -166,7 +166,7 @@ def _series(layout: Layout, rows: MotionRows) -> Series:
     assert rows.time is not None
     samples = np.empty((rows.n, len(layout.channels)))
     for i, (name, _) in enumerate(layout.channels):
-        samples[:, i] = rows.samples[name] if name in rows.samples else np.where(rows.known, rows.columns[name], np.nan)
+        samples[:, i] = rows.samples[name]
     exact = np.column_stack([rows.columns[name] for name in layout.exact]) if layout.exact else np.zeros((rows.n, 0))
     return Series(np.diff(rows.time), samples, interpolant(rows.time, exact, layout.interpolation))
 

@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from bayeq.records.consistency import Frames, Relation, relate, shift_of, unifor
 from bayeq.records.record import Record
 from bayeq.records.units import derivative_ratio
 
-__all__ = ["Finding", "check_messages", "check_record"]
+__all__ = ["Clipping", "Finding", "check_messages", "check_record", "clipped_levels", "equal_runs"]
 
 Floats = NDArray[np.float64]
 
@@ -344,14 +345,23 @@ def _dropped(record: Record, name: str) -> list[Finding]:
     return [Finding("dropped", (name,), message, float(missing))]
 
 
-def _runs(values: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def equal_runs(values: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First rows and lengths of runs of equal consecutive samples."""
     starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
     return starts, np.diff(np.append(starts, len(values)))
 
 
-def _clipped(name: str, values: Floats) -> list[Finding]:
-    """An extreme that samples stay at, more often than at the levels next to it."""
+class Clipping(NamedTuple):
+    """An extreme that samples stay at: the level, how many are there, and how many of them in a row at most."""
+
+    which: str
+    level: float
+    samples: int
+    longest: int
+
+
+def clipped_levels(values: Floats) -> list[Clipping]:
+    """Extremes that samples stay at more often than at the levels next to them."""
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < LEAST_LEVELS:
         return []
@@ -364,18 +374,27 @@ def _clipped(name: str, values: Floats) -> list[Finding]:
         # a record that begins or ends at its extreme is that of something held, or come to rest
         moving = np.flatnonzero(~beyond)
         inner = values[moving[0] : moving[-1] + 1]
-        level = levels[-1] if which == "greatest" else levels[0]
-        starts, lengths = _runs(inner)
+        level = float(levels[-1] if which == "greatest" else levels[0])
+        starts, lengths = equal_runs(inner)
         lengths = lengths[inner[starts] == level]
         count, longest = int(lengths.sum()), int(lengths.max(initial=0))
         beyond_chance = unlike or count >= max(LEAST_CLIPPED, TIMES_NEXT * int(near.max()))
         if longest >= LEAST_RUN and beyond_chance and count < MOST_AT_REST * len(values):
-            message = (
-                f"{name} is clipped: {count} samples stand at its {which} value {level:.4g}, up to {longest} in a row;"
-                " measure in a wider range, or leave them out"
-            )
-            found.append(Finding("clipping", (name,), message, float(level)))
+            found.append(Clipping(which, level, count, longest))
     return found
+
+
+def _clipped(name: str, values: Floats) -> list[Finding]:
+    return [
+        Finding(
+            "clipping",
+            (name,),
+            f"{name} is clipped: {one.samples} samples stand at its {one.which} value {one.level:.4g}, up to"
+            f" {one.longest} in a row; measure in a wider range, or leave them out",
+            one.level,
+        )
+        for one in clipped_levels(values)
+    ]
 
 
 def _repeated(name: str, values: Floats) -> list[Finding]:
@@ -388,7 +407,7 @@ def _repeated(name: str, values: Floats) -> list[Finding]:
     moving = 0.5 * float(np.median(steps))
     if moving < LEVELS_PER_STEP * level:
         return []
-    starts, lengths = _runs(values)
+    starts, lengths = equal_runs(values)
     inner = (lengths > 1) & (starts > 0) & (starts + lengths < len(values))
     starts, lengths = starts[inner], lengths[inner]
     sudden = (steps[starts - 1] > moving) & (steps[starts + lengths - 1] > moving)

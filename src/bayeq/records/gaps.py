@@ -85,7 +85,7 @@ def _ends(record: Record, channels: Sequence[str]) -> tuple[list[int], str]:
     half_periods = {
         name: LONGEST_GAP * _shortest_period(np.split(record.time, cuts), np.split(record[name], cuts), step)
         for name in channels
-        if name in record.channels and np.isfinite(record[name]).all() and np.ptp(record[name]) > 0
+        if name in record.channels and len(np.unique(record[name][np.isfinite(record[name])])) > 1
     }
     if not half_periods:
         return [], ""
@@ -103,6 +103,9 @@ def _missing(record: Record, ends: list[int]) -> float:
 
 def _shortest_period(times: Sequence[Floats], stretches: Sequence[Floats], step: float) -> float:
     """Period [s] of the frequency that 99 % of a channel's power lies below, without noise; 0 of short stretches."""
+    known = [np.isfinite(samples) for samples in stretches]
+    times = [time[one] for time, one in zip(times, known, strict=True) if one.any()]
+    stretches = [samples[one] for samples, one in zip(stretches, known, strict=True) if one.any()]
     counts = [round(float(time[-1] - time[0]) / step) + 1 for time in times]
     if max(counts) < SHORTEST_PIECE:
         return 0.0

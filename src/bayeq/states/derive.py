@@ -17,7 +17,7 @@ from bayeq.records import Record
 from bayeq.states.chain import Chain
 from bayeq.states.savitzky_golay import smooth_derivative
 
-__all__ = ["Smooth", "States", "derive_states", "require_usable", "require_varying", "usable"]
+__all__ = ["Smooth", "States", "derive_states", "known", "require_usable", "require_varying", "usable"]
 
 Floats = NDArray[np.float64]
 Smooth = Literal["auto", "band", "none"]
@@ -100,15 +100,22 @@ def derive_states(
     return States(columns=columns, estimated=tuple(estimated))
 
 
+def known(values: Floats) -> Floats:
+    """Samples that are not missing."""
+    return values[~np.isnan(values)]
+
+
 def usable(values: Floats) -> bool:
     """Whether samples are finite, vary, and have squares in floating point."""
-    if not np.isfinite(values).all() or np.abs(values).max() > LARGEST:
+    if not len(values) or not np.isfinite(values).all() or np.abs(values).max() > LARGEST:
         return False
     return bool(values.max() - values.min() >= 1 / LARGEST)
 
 
 def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
     """Raise unless each channel varies, though not in every record: in a free decay the force is zero throughout.
+
+    Missing samples, NaN, are passed over.
 
     Raises
     ------
@@ -120,8 +127,11 @@ def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
     where = (records[0].name or "record") if len(records) == 1 else f"{len(records)} records"
     rows = sum(record.n for record in records)
     for name in names:
-        low = float(np.min([record[name].min() for record in records]))
-        high = float(np.max([record[name].max() for record in records]))
+        samples = [values for record in records if len(values := known(record[name]))]
+        if not samples:
+            raise RecordError(f"{where}: channel {name!r} has no samples: every one is missing; leave the channel out")
+        low = float(np.min([values.min() for values in samples]))
+        high = float(np.max([values.max() for values in samples]))
         if rows > 1 and low == high:
             raise RecordError(
                 f"{where}: channel {name!r} is constant ({low:g} in all {rows} rows): nothing can be learned from it;"

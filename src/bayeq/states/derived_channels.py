@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bayeq.errors import RecordError
 from bayeq.records import Record
 from bayeq.states.chain import Chain
-from bayeq.states.derive import usable
+from bayeq.states.derive import known, usable
 from bayeq.states.kinematic.chain_smoother import smooth_chain
 from bayeq.states.motion import cut_at
 from bayeq.states.uniform_grid import on_grid
@@ -87,7 +87,7 @@ def measured_apart(
 def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int]:
     """Orders of the derivatives that were computed from the lowest measured one."""
     names = [name for name in chain.measured if name is not None]
-    if not all(name in record.channels and usable(record[name]) for record in records for name in names):
+    if not all(name in record.channels and usable(known(record[name])) for record in records for name in names):
         # reported where channels are checked
         return []
     even = [on_grid(record, names, ()) for record in records]

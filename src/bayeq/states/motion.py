@@ -14,8 +14,9 @@ from bayeq.records import Record
 from bayeq.states.chain import Chain
 from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain
+from bayeq.states.missing import bridged_record, complete_rows
 from bayeq.states.roles import Roles
-from bayeq.states.uniform_grid import on_grid
+from bayeq.states.uniform_grid import filled_in, on_grid
 from bayeq.states.unit_gains import unit_gains
 
 __all__ = ["FEW_ROWS", "Motion", "MotionRows", "cut_at", "estimate_motion", "held_out_share"]
@@ -45,13 +46,13 @@ class MotionRows:
     time : (n,) array or None
         [s].
     columns : mapping of str to (n,) array
-        What regressions are made of: states and targets (smoothed, where they were) and inputs.
+        What regressions are made of: states and targets (smoothed, where they were) and inputs, missing ones bridged.
     observed : mapping of str to (n,) array
         What equations are judged by: each target as it was measured, as in `columns` where it was not.
     samples : mapping of str to (n,) array
-        Measured channels of the chains; NaN where a sample is missing.
+        Measured channels of the chains, and inputs; NaN where a sample is missing.
     known : (n,) bool array
-        Rows that the record has. The others were missing on its grid of time and are bridged.
+        Rows with a sample of every channel. The others are bridged.
     """
 
     name: str
@@ -115,9 +116,11 @@ class Motion:
 
     @cached_property
     def held_out(self) -> tuple[MotionRows, ...]:
-        """The rows held out of each record that has some."""
+        """The rows held out of each record that has some with a sample of every channel."""
         return tuple(
-            rows.part(slice(cut, rows.n)) for rows, cut in zip(self.records, self.cuts, strict=True) if cut < rows.n
+            rows.part(slice(cut, rows.n))
+            for rows, cut in zip(self.records, self.cuts, strict=True)
+            if rows.known[cut:].any()
         )
 
     @property
@@ -165,7 +168,8 @@ def estimate_motion(records: Sequence[Record], roles: Roles, smooth: Smooth = "a
     """States, targets and inputs of records of one system, which share their noise levels.
 
     With "auto" the kinematic smoother fuses all measured channels of a chain (`bayeq.states.kinematic`), and samples
-    that were dropped from a uniform grid are bridged: the states then have a row for each. Records of fewer than 40
+    that were dropped from a uniform grid, or are missing (NaN), are bridged: the states then have a row for each. Where
+    nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Records of less than 40
     rows are differentiated as they are. Records without time, and states and targets that are all measured with hardly
     any noise, are left to `derive_states`, whose errors are those of this function. Noise levels are learned from the
     training rows; the rows held out are smoothed apart.
@@ -186,11 +190,14 @@ def estimate_motion(records: Sequence[Record], roles: Roles, smooth: Smooth = "a
     UnknownNameError, RecordError, ChainError
         Channels that are missing or cannot be used.
     """
+    whole = smooth == "none"
     if all(record.time is not None for record in records) and max(record.n for record in records) < FEW_ROWS:
         smooth = "none"
+        records = records if whole else [complete_rows(record, roles) for record in records]
     smoothed = _smoothed(records, roles, smooth, share)
     no_smoothing: tuple[ChainSmoothing, ...] = ()
     if smoothed is None:
+        records = records if whole else [complete_rows(record, roles) for record in records]
         pieces = tuple(_as_measured(record, roles, smooth) for record in records)
         cuts, smoothing = tuple(cut_at(rows.n, share) for rows in pieces), no_smoothing
         even = [on_grid(record, roles.measured, ()) for record in records]
@@ -204,7 +211,7 @@ def estimate_motion(records: Sequence[Record], roles: Roles, smooth: Smooth = "a
 def _as_measured(record: Record, roles: Roles, smooth: Smooth) -> MotionRows:
     """States and targets as measured, missing derivatives by a filter of each record."""
     columns = derive_states(record, roles.chains, roles.inputs, smooth).columns
-    samples = {name: np.asarray(record[name]) for name in roles.measured}
+    samples = {name: np.asarray(record[name]) for name in (*roles.measured, *roles.inputs)}
     observed = {target: columns[target] for target in roles.targets}
     return MotionRows(record.name, record.time, columns, observed, samples, np.ones(record.n, dtype=np.bool_))
 
@@ -217,14 +224,15 @@ def _smoothed(
     wanted = timed and smooth != "none"
     # what is checked is checked before the work
     whole = [chain for chain in roles.chains if chain.lowest == 0]
-    for record in records:
+    present = records if smooth == "none" else [bridged_record(record, roles) for record in records]
+    for record in present:
         derive_states(record, whole, roles.inputs, "none" if timed else smooth)
     integrated = [chain for chain in roles.chains if chain.lowest > 0]
     for chain in integrated:
-        _require_integrable(records, chain, smooth)
+        _require_integrable(present, chain, smooth)
     if not wanted:
         return None
-    filled = [on_grid(record, roles.measured, roles.inputs) for record in records]
+    filled = [on_grid(record, (*roles.measured, *roles.inputs), ()) for record in records]
     cuts = tuple(cut_at(record.n, share) for record in filled)
     try:
         found = [smooth_chain(filled, chain, cuts) for chain in roles.chains]
@@ -241,9 +249,10 @@ def _smoothed(
 
 def _rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
     """Rows of a record on its grid with the smoothed derivatives (n, K + 1) of each chain."""
-    columns = {name: np.asarray(record[name]) for name in roles.inputs}
+    samples = {name: np.asarray(record[name]) for name in (*roles.measured, *roles.inputs)}
+    assert record.time is not None
+    columns = {name: filled_in(np.asarray(record.time), samples[name]) for name in roles.inputs}
     columns.update(_named(roles.chains, means))
-    samples = {name: np.asarray(record[name]) for name in roles.measured}
     observed = {
         target: np.where(np.isnan(samples[target]), columns[target], samples[target])
         if target in samples

@@ -12,7 +12,7 @@ from bayeq.records import Record
 from bayeq.records.sampling import JITTER, is_step
 from bayeq.states.kinematic.smoother import ChainSeries, fit_kinematic, smooth_kinematic
 
-__all__ = ["on_grid"]
+__all__ = ["filled_in", "on_grid"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -59,13 +59,15 @@ def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]
     for name in (*chain_channels, *inputs):
         values = np.full(n, np.nan)
         values[index] = record[name]
-        channels[name] = _filled_in(grid, values) if name in inputs else values
+        channels[name] = filled_in(grid, values) if name in inputs else values
     units = {name: unit for name, unit in record.units.items() if name in channels or name == "t"}
     return Record(channels=channels, time=grid, units=units, name=record.name)
 
 
-def _filled_in(time: Floats, samples: Floats) -> Floats:
+def filled_in(time: Floats, samples: Floats) -> Floats:
     """Samples with missing ones interpolated; a spline through noisy samples would overshoot in a gap."""
+    if np.isfinite(samples).all():
+        return samples
     series = ChainSeries(time, (samples,))
     try:
         values = smooth_kinematic(series, fit_kinematic([series])).mean[:, 0]

@@ -427,7 +427,9 @@ def _same_information(A: Floats, B: Floats) -> bool:
 
 
 @kernel
-def score(steps: Floats, orders: Ints, tables: Tables, steady: int, noise: Floats, gradient: Floats) -> float:
+def score(
+    steps: Floats, orders: Ints, tables: Tables, steady: int, noise: Floats, gradient: Floats, errors: Floats
+) -> float:
     """Gradient of the log-likelihood with respect to each channel's variance and ln Q, (c + 1,).
 
     With r and N carried backwards from 0 through
@@ -436,6 +438,7 @@ def score(steps: Floats, orders: Ints, tables: Tables, steady: int, noise: Float
     sum (r'Qd r - tr N Qd)/2.
 
     Returns the leave-one-out log predictive density: given all other samples, a sample errs by u/D with variance 1/D.
+    `errors` is filled with these errors and their standard deviations, (n or 0, c, 2), where there is room.
     """
     index, anew, gains, inverse, innovations = (
         tables.entry,
@@ -474,6 +477,9 @@ def score(steps: Floats, orders: Ints, tables: Tables, steady: int, noise: Float
                 logs[j] = np.log(expected[j] / (2.0 * np.pi))
             if inverse[entry, j] > 0.0:
                 left_out += 0.5 * (logs[j] - u * u / expected[j])
+                if len(errors):
+                    errors[t, j, 0] = u / expected[j]
+                    errors[t, j, 1] = 1.0 / np.sqrt(expected[j])
             gradient[j] += 0.5 * (u * u - expected[j])
         if anew[t]:
             for i in range(m):

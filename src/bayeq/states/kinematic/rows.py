@@ -105,10 +105,17 @@ class Rows:
         """Derivatives of the log-likelihood by ln R_k, K+1 of them, and ln Q; the leave-one-out log density."""
         own, gradient = np.empty(len(self.measured) + 1), np.zeros(len(noise_sd) + 1)
         orders = self.measured - self.lowest
-        left_out = score(self.steps, orders, filtered.tables, filtered.steady, filtered.noise, own)
+        left_out = score(self.steps, orders, filtered.tables, filtered.steady, filtered.noise, own, np.empty((0, 0, 2)))
         gradient[self.measured] = own[:-1] * (noise_sd[self.measured] / self.units(self.measured)) ** 2
         gradient[-1] = own[-1]
         return gradient, left_out + self.log_jacobian
+
+    def left_out(self, filtered: Filtered) -> Floats:
+        """Error of each sample against what all others predict, and its standard deviation, (n, c, 2); NaN without."""
+        errors = np.full((*self.samples.shape, 2), np.nan)
+        orders, gradient = self.measured - self.lowest, np.empty(len(self.measured) + 1)
+        score(self.steps, orders, filtered.tables, filtered.steady, filtered.noise, gradient, errors)
+        return errors * self.units(self.measured)[:, None]
 
 
 def prepare(series: ChainSeries, initial_sd: Floats, all_states: bool = False) -> Rows:

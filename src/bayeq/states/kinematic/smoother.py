@@ -24,6 +24,8 @@ __all__ = [
     "SmoothedStates",
     "fit_kinematic",
     "kinematic_log_likelihood",
+    "leave_one_out",
+    "one_sided",
     "smooth_kinematic",
 ]
 
@@ -116,6 +118,60 @@ def kinematic_log_likelihood(series: Sequence[ChainSeries], model: KinematicMode
         As `smooth_kinematic`.
     """
     return sum(_filtered(s, model, keep=False)[1].log_likelihood for s in series)
+
+
+def leave_one_out(series: ChainSeries, model: KinematicModel) -> Floats:
+    """Each sample against what all others of the record predict, the same channel's and those of its derivatives.
+
+    Parameters
+    ----------
+    series : ChainSeries
+        The record.
+    model : KinematicModel
+        From `fit_kinematic`, or with levels of your own.
+
+    Returns
+    -------
+    (n, K+1, 2) array
+        Sample less prediction, and the standard deviation that this has under the model; NaN without a sample.
+
+    Raises
+    ------
+    InputError
+        As `smooth_kinematic`.
+    """
+    rows, filtered = _filtered(series, model)
+    out = np.full((series.n, len(series.channels), 2), np.nan)
+    out[:, rows.measured] = rows.left_out(filtered)
+    return out
+
+
+def one_sided(series: ChainSeries, model: KinematicModel) -> tuple[Floats, Floats]:
+    """States given the samples up to each row, and given those from each row on: (n, m) each.
+
+    Parameters
+    ----------
+    series : ChainSeries
+        The record.
+    model : KinematicModel
+        From `fit_kinematic`, or with levels of your own.
+
+    Raises
+    ------
+    InputError
+        As `smooth_kinematic`.
+    """
+    signs = (-1.0) ** np.arange(len(series.channels))
+    channels = (None if c is None else sign * c[::-1] for sign, c in zip(signs, series.channels, strict=True))
+    after = _filtered_means(ChainSeries(-series.times[::-1], tuple(channels)), model)
+    return _filtered_means(series, model), after[::-1] * (-1.0) ** np.arange(model.order)
+
+
+def _filtered_means(series: ChainSeries, model: KinematicModel) -> Floats:
+    rows, filtered = _filtered(series, model, all_states=True)
+    mean = filtered.tables.means * rows.units(np.arange(model.order))
+    mean[:, 0] += rows.centre
+    return mean
 
 
 def _filtered(

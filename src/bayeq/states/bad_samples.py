@@ -1,0 +1,565 @@
+"""Samples that are no measurement of the motion: spikes, stuck and clipped stretches, found before anything is fitted.
+
+A spike is what the other samples of its chain contradict, those before it and those after it, and nothing is
+contradicted any more once it is left out. That distinguishes it from what motion does: a sample beside a jump of the
+acceleration agrees with one side, and in a burst the samples around the one that was left out are missed as well.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import ConvergenceWarning, InputError
+from bayeq.records import Record
+from bayeq.records.findings import clipped_levels, equal_runs
+from bayeq.states.chain import Chain
+from bayeq.states.kinematic.smoother import (
+    ChainSeries,
+    KinematicModel,
+    fit_kinematic,
+    leave_one_out,
+    one_sided,
+    smooth_kinematic,
+)
+from bayeq.states.roles import Roles
+from bayeq.states.unit_gains import unit_gains
+
+__all__ = ["BAD", "BadSamples", "find_bad_samples", "without_bad_samples"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# Kinds of bad samples.
+BAD = ("spikes", "stuck", "clipped")
+
+# A spike errs by this many standard deviations: two Gaussian samples in 1e9 do.
+SPIKE = 6.0
+
+# ... by this share of the channel's (friction in records of 0.1 % noise jumps by 2 %, and a few samples that err by so
+# little do no harm), and by this many levels, in a channel of few.
+LEAST_SHARE = 0.03
+LEVELS = 2.5
+FEW_LEVELS = 0.5
+
+# The standard deviation is a robust one of the whole record, or of this many rows on either side if that is larger: the
+# errors of a smoother grow where the motion is not its model's. A fifth of them may be spikes.
+LOCAL = 16
+UPPER, UPPER_NORMAL = 0.8, 1.2816
+MEDIAN_NORMAL = 0.6745
+
+# Where more than half of the samples are predicted exactly, their errors count as this share of the model's.
+ROUNDING = 1e-9
+
+# With a spike left out, the samples of its channel within NEAR rows err by less than SPIKE standard deviations, or by a
+# fraction 1/STANDS_OUT of the spike, and those of other channels by no more than WORSE times what they did: of a jump
+# half is left.
+NEAR = 5
+STANDS_OUT = 5.0
+WORSE = 1.5
+
+# Neither the nearest sample on one side, nor what all of that side predict, comes nearer to a spike than this share of
+# its error: before and after a jump one side does.
+AGREES = 0.5
+
+# Errors this near to each other have one cause, of a few samples at most.
+TOGETHER = 8
+MOST_TOGETHER = 3
+
+# Of the places where a channel errs as much or more, at least this share are spikes: elsewhere it is the motion that
+# the smoother misses.
+MOSTLY = 0.75
+
+# Noise levels are learned again without what was found, up to this many times.
+PASSES = 6
+
+# Where there are more spikes, as a share of a channel, they are what it measures.
+MOST_SPIKES = 0.05
+
+# A stretch that may be stuck: this many equal samples, and this many times as many as the usual sample has beside it.
+LEAST_STUCK = 10
+TIMES_USUAL = 4.0
+
+# It is stuck if the other channels of its chain say that it moved, by this many standard deviations on average.
+MOVED = 3.0
+
+# Alone, a channel is stuck that stops without a jump and goes on with one of this many usual steps.
+JUMP = 3.0
+
+# A spike of an input is a blow if the motion answers it within this many rows. An answer is no spike: the input is then
+# further from where it was and will be than BLOW times what a share BLOW_SHARE of its changes stay within.
+ANSWER = 2
+BLOW, BLOW_SHARE = 3.0, 0.9
+
+# Where no answer can be seen, an input that is but noise between this many spikes or more is a series of blows.
+LEAST_BLOWS = 3
+ONLY_NOISE = 0.7
+
+# Fewer rows tell nothing.
+LEAST_ROWS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class BadSamples:
+    """Bad samples of one channel in one record.
+
+    Attributes
+    ----------
+    kinds : mapping of str to (n,) bool array
+        Which samples are bad, by kind.
+    """
+
+    kinds: dict[str, Bools] = field(default_factory=dict)
+
+    @property
+    def any(self) -> Bools:
+        """Samples that are bad in some way."""
+        return np.any(list(self.kinds.values()), axis=0)
+
+
+def find_bad_samples(records: Sequence[Record], roles: Roles) -> list[dict[str, BadSamples]]:
+    """Bad samples of every channel that is used.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of one system; NaN is a missing sample. Records without time, or of fewer than 40 rows, are not looked at.
+    roles : Roles
+        Chains and inputs.
+
+    Returns
+    -------
+    list of dict
+        For each record the channels that have some.
+    """
+    out: list[dict[str, BadSamples]] = [{} for _ in records]
+    timed = [i for i, record in enumerate(records) if record.time is not None and record.n >= LEAST_ROWS]
+    if not timed:
+        return out
+    chosen = [records[i] for i in timed]
+    inputs = [_Group.of_input(chosen, name).searched() for name in roles.inputs]
+    chains = [_Group.of_chain(chosen, chain).searched() for chain in roles.chains]
+    _keep_answered(inputs, chains)
+    for group in (*inputs, *chains):
+        for i, name, found in group.found():
+            out[timed[i]][name] = found
+    return out
+
+
+def without_bad_samples(records: Sequence[Record], roles: Roles) -> tuple[list[Record], list[str]]:
+    """The records with NaN in place of bad samples, and a message for each channel and kind.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of one system.
+    roles : Roles
+        Chains and inputs.
+    """
+    found = find_bad_samples(records, roles)
+    out, messages = [], []
+    for record, channels in zip(records, found, strict=True):
+        changed = {name: np.where(bad.any, np.nan, record[name]) for name, bad in channels.items()}
+        units = {name: record.units[name] for name in changed if name in record.units}
+        out.append(record.with_channels(changed, units) if changed else record)
+        where = f"{record.name or 'record'}: " if len(records) > 1 else ""
+        for name, bad in channels.items():
+            for kind, rows in bad.kinds.items():
+                messages.append(where + _message(name, kind, rows))
+    return out, messages
+
+
+ADVICE = {
+    "spikes": "check the sensor",
+    "stuck": "check the sensor",
+    "clipped": "measure in a wider range",
+}
+
+
+def _message(name: str, kind: str, rows: Bools) -> str:
+    count = int(rows.sum())
+    samples = f"{count} sample{'s' * (count > 1)} left out as {kind[:-1] if kind == 'spikes' and count == 1 else kind}"
+    return f"{name}: {samples} ({listed(rows)}: {100 * count / len(rows):.2g} %); {ADVICE[kind]}"
+
+
+def listed(rows: Bools, most: int = 3) -> str:
+    """Rows, counted from 1, in words."""
+    numbers = np.flatnonzero(rows) + 1
+    stretches = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    texts = [f"{s[0]}" if len(s) == 1 else f"{s[0]} to {s[-1]}" for s in stretches[:most]]
+    more = ", ..." if len(stretches) > most else ""
+    return f"row{'s' * (len(numbers) > 1)} {', '.join(texts)}{more}"
+
+
+class _Group:
+    """Channels that are judged by one smoother: a chain's, or one input."""
+
+    def __init__(self, names: Sequence[str | None], series: Sequence[ChainSeries]) -> None:
+        self.names, self.series = names, list(series)
+        self.spikes = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
+        self.stuck = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
+        self.clipped = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
+        # rows that the smoother misses, of each record
+        self.missed: list[Bools] = [np.zeros(s.n, dtype=np.bool_) for s in series]
+
+    @classmethod
+    def of_input(cls, records: Sequence[Record], name: str) -> _Group:
+        return cls((name,), [ChainSeries(_time(record), (record[name],)) for record in records])
+
+    @classmethod
+    def of_chain(cls, records: Sequence[Record], chain: Chain) -> _Group:
+        """A chain from its lowest measured derivative on, in units that belong together.
+
+        These are estimated without the spikes that each channel shows alone.
+        """
+        names = chain.measured[chain.lowest :]
+        if sum(name is not None for name in names) == 1:
+            gains = np.ones(len(names))
+        else:
+            alone = {name: cls.of_input(records, name).searched() for name in names if name is not None}
+            calm = [
+                record.with_channels(
+                    {name: np.where(group.spikes[i][:, 0], np.nan, record[name]) for name, group in alone.items()},
+                    record.units,
+                )
+                for i, record in enumerate(records)
+            ]
+            gains = unit_gains(calm, chain)[chain.lowest :]
+        series = [
+            ChainSeries(
+                _time(record),
+                tuple(None if n is None else record[n] / gain for n, gain in zip(names, gains, strict=True)),
+            )
+            for record in records
+        ]
+        return cls(names, series)
+
+    def searched(self) -> _Group:
+        """The group itself, with what was found in it; nothing where there is no noise level to judge by."""
+        doubtful = [_long_runs(s) for s in self.series]
+        model = self._search_spikes(doubtful)
+        if model is None:
+            return self
+        for i, (s, runs) in enumerate(zip(self.series, doubtful, strict=True)):
+            calm = _without(s, np.logical_or(self.spikes[i], runs))
+            self.clipped[i] = _clipped(_without(s, self.spikes[i]))
+            self.stuck[i] = _stuck(s, runs & ~self.clipped[i], calm, model)
+            errors = leave_one_out(calm, model)
+            self.missed[i] = np.any(_standard(errors) > SPIKE * _factor(errors), axis=1)
+        return self
+
+    def _search_spikes(self, doubtful: Sequence[Bools]) -> KinematicModel | None:
+        """Find spikes outside of doubtful stretches, until there are no more; the model without them."""
+        least, model = _least(self.series), None
+        for _ in range(PASSES):
+            used = [_without(s, spikes | d) for s, spikes, d in zip(self.series, self.spikes, doubtful, strict=True)]
+            try:
+                with warnings.catch_warnings():
+                    # noise levels that are not quite the likeliest do as well
+                    warnings.simplefilter("ignore", ConvergenceWarning)
+                    model = fit_kinematic(used)
+            except InputError:  # too few samples, or a constant channel
+                return None
+            found = _standing_out([_judged(s, model, least) for s in used])
+            for i, (row, k) in found:
+                self.spikes[i][row, k] = True
+            if not found:
+                break
+        total = np.sum([np.isfinite(_samples(s)).sum(axis=0) for s in self.series], axis=0)
+        frequent = np.sum([mask.sum(axis=0) for mask in self.spikes], axis=0) > MOST_SPIKES * total
+        for mask in self.spikes:
+            mask[:, frequent] = False
+        return model
+
+    def is_noise(self, i: int) -> bool:
+        """Whether there is nothing but noise in the first channel of a record besides its spikes."""
+        values = np.asarray(self.series[i].channels[0])[~self.spikes[i][:, 0]]
+        values = values[np.isfinite(values)]
+        # of white noise steps have twice the variance
+        steps, spread = np.median(np.abs(np.diff(values))), np.median(np.abs(values - np.median(values)))
+        return bool(steps >= ONLY_NOISE * math.sqrt(2.0) * spread)
+
+    def found(self) -> Iterator[tuple[int, str, BadSamples]]:
+        """Record, channel and its bad samples."""
+        for i in range(len(self.series)):
+            for k, name in enumerate(self.names):
+                masks = dict(zip(BAD, (self.spikes[i][:, k], self.stuck[i][:, k], self.clipped[i][:, k]), strict=True))
+                kinds = {kind: mask for kind, mask in masks.items() if mask.any()}
+                if name is not None and kinds:
+                    yield i, name, BadSamples(kinds)
+
+
+def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
+    """Put back blows: spikes of an input that a chain's motion answers, and the answers of its highest derivative."""
+    seen = [chain for chain in chains if chain.names[-1] is not None]
+    for group in inputs:
+        for i, spikes in enumerate(group.spikes):
+            blows = _blows(np.asarray(group.series[i].channels[0]))
+            answered = np.zeros_like(blows)
+            for chain in seen:
+                answer = np.asarray(chain.series[i].channels[-1])
+                answered |= _wider(chain.spikes[i][:, -1] | chain.missed[i] | _blows(answer))
+                chain.spikes[i][_wider(blows), -1] = False
+            rows = np.flatnonzero(spikes[:, 0])
+            places = [p for p in np.split(rows, np.flatnonzero(np.diff(rows) > ANSWER) + 1) if len(p)]
+            unseen = not seen and len(places) >= LEAST_BLOWS and group.is_noise(i)
+            for place in places:
+                if unseen or answered[place].any():
+                    spikes[place] = False
+
+
+def _wider(rows: Bools) -> Bools:
+    """The rows, and those within reach of an answer."""
+    return np.convolve(rows, np.ones(2 * ANSWER + 1), "same") > 0.0
+
+
+def _blows(values: Floats) -> Bools:
+    """Rows in which an input is far from where it was before and is afterwards."""
+    apart = np.abs(values[ANSWER + 1 :] - values[: -ANSWER - 1])
+    usual = float(np.nanquantile(apart, BLOW_SHARE))
+    filled = np.concatenate([np.full(ANSWER + 1, np.inf), apart])
+    before, after = filled, np.append(filled[ANSWER + 1 :], np.full(ANSWER + 1, np.inf))
+    with np.errstate(invalid="ignore"):
+        return np.fmin(before, after) > BLOW * usual
+
+
+def _time(record: Record) -> Floats:
+    assert record.time is not None
+    return np.asarray(record.time)
+
+
+def _shape(series: ChainSeries) -> tuple[int, int]:
+    return series.n, len(series.channels)
+
+
+def _samples(series: ChainSeries) -> Floats:
+    """(n, K+1), NaN where nothing is measured."""
+    return np.column_stack([np.full(series.n, np.nan) if c is None else c for c in series.channels])
+
+
+def _without(series: ChainSeries, mask: Bools) -> ChainSeries:
+    channels = (None if c is None else np.where(mask[:, k], np.nan, c) for k, c in enumerate(series.channels))
+    return ChainSeries(series.times, tuple(channels))
+
+
+# --- spikes ----------------------------------------------------------------------------------------------------------
+
+
+def _standard(errors: Floats) -> Floats:
+    """Errors of samples that were left out over their standard deviations; 0 without a sample."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.nan_to_num(np.abs(errors[..., 0]) / errors[..., 1])
+
+
+def _factor(errors: Floats) -> Floats:
+    """Of each channel: what the model's standard deviations are to be multiplied by, for half of the errors to fit."""
+    standard = np.where(np.isfinite(errors[..., 0]), _standard(errors), np.nan)
+    present = np.isfinite(standard).any(axis=0)
+    out = np.ones(standard.shape[1])
+    out[present] = np.nanmedian(standard[:, present], axis=0) / MEDIAN_NORMAL
+    return np.maximum(out, ROUNDING)
+
+
+def _least(series: Sequence[ChainSeries]) -> Floats:
+    """Errors of each channel that may matter: a share of its standard deviation, or some of its levels."""
+    whole = np.concatenate([_samples(s) for s in series])
+    out = np.zeros(whole.shape[1])
+    for k, values in enumerate(whole.T):
+        known = values[np.isfinite(values)]
+        if len(known) < LEAST_ROWS:
+            continue
+        # of the middle half, which spikes do not widen
+        spread = float(np.subtract(*np.quantile(known, (0.75, 0.25)))) / (2.0 * MEDIAN_NORMAL)
+        levels = np.unique(known)
+        few = 1 < len(levels) < FEW_LEVELS * len(known)
+        out[k] = max(LEAST_SHARE * spread, LEVELS * float(np.quantile(np.diff(levels), 0.1)) if few else 0.0)
+    return out
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    """A place where samples err: how much the worst one does, of which channel, and which samples are spikes."""
+
+    error: float
+    channel: int
+    spikes: list[tuple[int, int]]
+
+
+def _standing_out(judged: Sequence[Sequence[_Verdict]]) -> list[tuple[int, tuple[int, int]]]:
+    """Record, row and channel of the spikes, without those that err no more than what is mostly motion."""
+    out = []
+    for k in {verdict.channel for one in judged for verdict in one}:
+        ranked = sorted(
+            ((verdict, i) for i, one in enumerate(judged) for verdict in one if verdict.channel == k),
+            key=lambda pair: -pair[0].error,
+        )
+        count = np.cumsum([bool(verdict.spikes) for verdict, _ in ranked])
+        for rank, ((verdict, i), spikes) in enumerate(zip(ranked, count, strict=True), 1):
+            if spikes >= MOSTLY * rank:
+                out += [(i, at) for at in verdict.spikes]
+    return out
+
+
+def _judged(series: ChainSeries, model: KinematicModel, least: Floats) -> list[_Verdict]:
+    """Places of a record where samples err: spikes leave nothing that errs once they are left out."""
+    errors = leave_one_out(series, model)
+    factor = _factor(errors)
+    before = _standard(errors) / factor
+    high = (before > SPIKE) & (np.abs(np.nan_to_num(errors[..., 0])) > least)
+    # at the ends there is but one side
+    high[[0, -1]] = False
+    rows = np.flatnonzero(high.any(axis=1))
+    if not len(rows):
+        return []
+    worst = np.where(high, before, 0.0)
+    causes = [
+        _Cause([_largest(worst, int(part[0]), int(part[-1]))])
+        for part in np.split(rows, np.flatnonzero(np.diff(rows) > TOGETHER) + 1)
+    ]
+    noise = np.array([np.nan if sd is None else sd for sd in model.noise_sd])
+    samples, out = _samples(series), []
+    present = np.isfinite(samples)
+    for _ in range(MOST_TOGETHER):
+        trial = np.zeros_like(high)
+        for cause in causes:
+            for at in cause.samples:
+                trial[at] = True
+        masked = _without(series, trial)
+        smoothed = smooth_kinematic(masked, model)
+        predicted = (smoothed.mean, *one_sided(masked, model))
+        after = _standard(leave_one_out(masked, model))
+        rows, k = np.nonzero(trial)
+        spread = np.hypot(smoothed.sd[rows, k], noise[k])
+        after[rows, k] = np.abs(samples[rows, k] - smoothed.mean[rows, k]) / spread
+        after /= factor
+        going_on = []
+        for cause in causes:
+            first, spikes = cause.samples[0], []
+            left = cause.left_over(before, after)
+            if left is not None and high[left] and len(cause.samples) < MOST_TOGETHER:
+                going_on.append(_Cause([*cause.samples, left]))
+                continue
+            if left is None:
+                spikes = [
+                    at
+                    for at in cause.samples
+                    if cause.stands_out(at, after) and not _goes_on(at, samples, predicted, present & ~trial)
+                ]
+            out.append(_Verdict(float(before[first]), first[1], spikes))
+        causes = going_on
+        if not causes:
+            break
+    return out
+
+
+def _largest(values: Floats, first: int, last: int) -> tuple[int, int]:
+    """Row and channel of the largest value in some rows."""
+    row, k = np.unravel_index(int(np.argmax(values[first : last + 1])), values[first : last + 1].shape)
+    return int(row) + first, int(k)
+
+
+def _goes_on(at: tuple[int, int], samples: Floats, predicted: Sequence[Floats], usable: Bools) -> bool:
+    """Whether a sample agrees with those before or those after it: their prediction, or the nearest of its channel.
+
+    `predicted` are the states from both sides, from those before, and from those after.
+    """
+    row, k = at
+    beside = [np.flatnonzero(usable[max(row - LOCAL, 0) : row, k])[-1:] + max(row - LOCAL, 0)]
+    beside += [np.flatnonzero(usable[row + 1 : row + 1 + LOCAL, k])[:1] + row + 1]
+    sides = [*(samples[rows[0], k] for rows in beside if len(rows)), *(mean[at] for mean in predicted[1:])]
+    return bool(np.abs(samples[at] - np.array(sides)).min() < AGREES * abs(samples[at] - predicted[0][at]))
+
+
+@dataclass(frozen=True)
+class _Cause:
+    """Samples, (row, channel), that may be all that is wrong in their neighbourhood."""
+
+    samples: list[tuple[int, int]]
+
+    def left_over(self, before: Floats, after: Floats) -> tuple[int, int] | None:
+        """The sample nearby that errs most, though those of the cause are left out; None if all is well."""
+        rows = [row for row, _ in self.samples]
+        first, last = max(min(rows) - NEAR, 0), max(rows) + NEAR
+        limit = np.maximum(SPIKE, WORSE * before[first : last + 1])
+        for k in {k for _, k in self.samples}:
+            limit[:, k] = max(SPIKE, min(after[at] for at in self.samples if at[1] == k) / STANDS_OUT)
+        excess = after[first : last + 1] / limit
+        for row, k in self.samples:
+            excess[row - first, k] = 0.0
+        row, k = _largest(excess, 0, len(excess) - 1)
+        return (row + first, k) if excess[row, k] > 1.0 else None
+
+    def stands_out(self, at: tuple[int, int], after: Floats) -> bool:
+        """Whether a sample errs by much more than those around it."""
+        row, k = at
+        first = max(row - LOCAL, 0)
+        around = after[first : row + LOCAL + 1, k].copy()
+        for other, channel in self.samples:
+            if channel == k and first <= other < first + len(around):
+                around[other - first] = np.nan
+        usual = float(np.nanquantile(around, UPPER)) / UPPER_NORMAL
+        return bool(after[at] > SPIKE * max(1.0, usual))
+
+
+# --- stretches -------------------------------------------------------------------------------------------------------
+
+
+def _long_runs(series: ChainSeries) -> Bools:
+    """Stretches of equal samples that are longer than the channel's usual ones."""
+    out = np.zeros(_shape(series), dtype=np.bool_)
+    for k, values in enumerate(series.channels):
+        if values is None:
+            continue
+        starts, lengths = equal_runs(values)
+        usual = float(np.median(np.repeat(lengths, lengths)))
+        for start, length in zip(starts, lengths, strict=True):
+            if length >= max(LEAST_STUCK, TIMES_USUAL * usual) and np.isfinite(values[start]):
+                out[start : start + length, k] = True
+    return out
+
+
+def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: KinematicModel) -> Bools:
+    """Those of the long stretches in which a channel should have moved."""
+    out = np.zeros_like(runs)
+    if not runs.any():
+        return out
+    samples, seen = _samples(series), _samples(calm)
+    smoothed = smooth_kinematic(calm, model)
+    measured = [k for k, values in enumerate(series.channels) if values is not None]
+    for k in measured:
+        values, sd, others = samples[:, k], float(model.noise_sd[k] or 0.0), [j for j in measured if j != k]
+        steps = np.abs(np.diff(values))
+        usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], runs[:, k].astype(np.int8), [0]])))
+        for first, last in _parts(values, edges):
+            rows = slice(first, last)
+            judged = np.isfinite(seen[rows][:, others]).any(axis=1) if others else np.zeros(0, dtype=np.bool_)
+            if judged.sum() >= LEAST_STUCK:
+                error = (values[rows] - smoothed.mean[rows, k]) / np.hypot(smoothed.sd[rows, k], sd)
+                out[rows, k] = np.mean(error[judged] ** 2) > MOVED**2
+            elif first > 0 and last < len(values):
+                stops = abs(values[first] - values[first - 1]) <= JUMP * usual
+                out[rows, k] = stops and abs(values[last] - values[last - 1]) > JUMP * usual
+    return out
+
+
+def _parts(values: Floats, edges: NDArray[np.intp]) -> Iterator[tuple[int, int]]:
+    """First rows and ends of stretches of one value each."""
+    for first, last in edges.reshape(-1, 2):
+        cuts = first + 1 + np.flatnonzero(np.diff(values[first:last]))
+        yield from zip([int(first), *cuts.tolist()], [*cuts.tolist(), int(last)], strict=True)
+
+
+def _clipped(series: ChainSeries) -> Bools:
+    """Samples at an extreme that a channel is clipped at."""
+    out = np.zeros(_shape(series), dtype=np.bool_)
+    for k, values in enumerate(series.channels):
+        if values is not None and np.isfinite(values).any():
+            for found in clipped_levels(values[np.isfinite(values)]):
+                out[:, k] |= values == found.level
+    return out

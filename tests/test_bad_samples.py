@@ -1,0 +1,234 @@
+"""Spikes, stuck and clipped stretches and missing samples: found and left out, and nothing else is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayeq as bq
+from bayeq.errors import DataWarning, RecordError
+from bayeq.states import Roles
+from bayeq.states.bad_samples import SPIKE, find_bad_samples, without_bad_samples
+from bayeq.states.missing import missing_messages, without_empty_rows
+
+OSCILLATOR = Roles.parse("x:v:a", None, None, None, None, ["u"])
+
+
+def roles(chains, inputs=()):
+    return Roles.parse(chains, None, None, None, None, list(inputs))
+
+
+def found(record, which=OSCILLATOR):
+    """{channel: {kind: rows}} of one record."""
+    (channels,) = find_bad_samples([record], which)
+    return {
+        name: {kind: np.flatnonzero(rows).tolist() for kind, rows in bad.kinds.items()}
+        for name, bad in channels.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def duffing():
+    return bq.simulate("duffing", seed=11, noise=0.02)
+
+
+def changed(record, name, rows, values):
+    samples = record[name].copy()
+    samples[rows] = values
+    return record.with_channels({name: samples})
+
+
+# --- what is bad -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["x", "v", "a", "u"])
+@pytest.mark.parametrize("size", [2.0, 100.0])
+@pytest.mark.parametrize("row", [15, 1234, 3984])
+def test_one_spike_is_found_in_every_channel(duffing, name, size, row):
+    spoiled = changed(duffing, name, row, duffing[name][row] + size * duffing[name].std())
+    assert found(spoiled) == {name: {"spikes": [row]}}
+
+
+@pytest.mark.parametrize("chain", ["x::", ":v:", "::a", "x::a", "x:v:"])
+def test_spikes_are_found_in_chains_of_fewer_channels(duffing, chain):
+    name = chain.replace(":", "")[-1]
+    rows = [700, 2100, 2102]
+    spoiled = changed(duffing, name, rows, 3.0 * duffing[name].std() * np.array([1.0, -1.5, 2.0]))
+    assert found(spoiled, roles(chain)) == {name: {"spikes": rows}}
+
+
+def test_spikes_in_all_channels_are_found_and_good_samples_stay(duffing):
+    rng = np.random.default_rng(5)
+    hit = {name: rng.random(duffing.n) < 0.005 for name in duffing.names}
+    spoiled = duffing.with_channels({name: np.where(rows, 10.0, 1.0) * duffing[name] for name, rows in hit.items()})
+    for name, kinds in found(spoiled).items():
+        assert set(kinds) == {"spikes"}
+        assert set(kinds["spikes"]) <= set(np.flatnonzero(hit[name]))
+        # ten times next to nothing is next to nothing
+        large = np.abs(spoiled[name] - duffing[name]) > 2 * SPIKE * duffing.truth.noise_sd[name]
+        assert len(set(kinds["spikes"]) & set(np.flatnonzero(large))) >= 0.8 * large.sum()
+
+
+def test_units_that_do_not_belong_together_hide_no_spike(duffing):
+    mixed = duffing.with_channels({"x": 1e3 * duffing["x"], "a": duffing["a"] / 9.80665}, {"x": "mm", "a": "g"})
+    bare = bq.Record(mixed.channels, mixed.time)
+    for record in (mixed, bare):
+        assert found(changed(record, "x", 900, 100.0 * record["x"].std())) == {"x": {"spikes": [900]}}
+
+
+@pytest.mark.parametrize(("name", "chain"), [("a", "x:v:a"), ("x", "x:v:a"), ("a", "::a"), ("u", "x:v:a")])
+def test_a_stuck_stretch_is_found(duffing, name, chain):
+    rows = np.arange(1500, 1700)
+    stuck = changed(duffing, name, rows, duffing[name][1500])
+    assert found(stuck, roles(chain, ["u"])) == {name: {"stuck": rows.tolist()}}
+
+
+@pytest.mark.parametrize("name", ["x", "v", "a", "u"])
+def test_a_clipped_channel_is_found(duffing, name):
+    peak = 0.7 * np.abs(duffing[name]).max()
+    clipped = duffing.with_channels({name: np.clip(duffing[name], -peak, peak)})
+    assert found(clipped) == {name: {"clipped": np.flatnonzero(np.abs(duffing[name]) >= peak).tolist()}}
+
+
+def test_messages_name_channel_rows_and_share(duffing):
+    rows = [120, 1033, 2511, 3000]
+    spoiled = changed(duffing, "x", rows, 1.0)
+    (record,), messages = without_bad_samples([spoiled], OSCILLATOR)
+    assert messages == ["x: 4 samples left out as spikes (rows 121, 1034, 2512, ...: 0.1 %); check the sensor"]
+    assert np.flatnonzero(np.isnan(record["x"])).tolist() == rows
+    assert record.units == spoiled.units
+    for name in ("v", "a", "u"):
+        np.testing.assert_array_equal(record[name], duffing[name])
+    both, messages = without_bad_samples([duffing, spoiled], OSCILLATOR)
+    assert both[0] is duffing
+    assert messages[0].startswith("duffing: x: 4 samples")
+
+
+# --- what is not bad -------------------------------------------------------------------------------------------------
+
+
+def good_records(seed):
+    """(record, roles) with Gaussian noise: what a few systems do, and forces that are not smooth."""
+    rng = np.random.default_rng([seed, 77])
+    for system in ("duffing", "coulomb"):
+        yield bq.simulate(system, n=8000, seed=seed, noise=0.02), OSCILLATOR
+    for system in ("lorenz", "vanderpol"):
+        record = bq.simulate(system, n=8000, seed=seed, noise=0.02)
+        yield record, roles(list(record.names))
+    white = 50.0 * rng.standard_normal(8000)
+    yield bq.simulate("duffing", seed=seed, noise=0.05, force=white), OSCILLATOR
+
+
+def test_of_gaussian_noise_at_most_one_sample_in_1e5_is_left_out():
+    left_out = samples = 0
+    for seed in (1, 2, 3):
+        for record, which in good_records(seed):
+            (channels,) = find_bad_samples([record], which)
+            left_out += sum(int(bad.any.sum()) for bad in channels.values())
+            samples += record.n * len(record.names)
+    assert samples >= 4e5
+    assert left_out <= 1e-5 * samples
+
+
+def held(rng, n, rows, levels):
+    return np.repeat(rng.choice(levels, n // rows + 1), rows)[:n]
+
+
+FORCES = {
+    "switched": lambda rng, n: held(rng, n, 10, [-50.0, 50.0]),
+    "every sample switched": lambda rng, n: held(rng, n, 1, [-50.0, 50.0]),
+    "stairs": lambda rng, n: held(rng, n, 100, np.linspace(-60.0, 60.0, 9)),
+    "a step": lambda rng, n: np.where(np.arange(n) > 500, 60.0, 0.0),
+    "a burst": lambda rng, n: np.where((np.arange(n) // 800) % 2 == 1, 60.0 * np.sin(0.1 * np.arange(n)), 0.0),
+    "blows of one sample": lambda rng, n: np.where(np.isin(np.arange(n), rng.integers(50, n, 8)), 3000.0, 0.0),
+    "blows of four samples": lambda rng, n: 3000.0 * np.isin(np.arange(n) // 4, rng.integers(50, n // 4, 8)),
+}
+
+
+@pytest.mark.parametrize("system", ["duffing", "coulomb"])
+@pytest.mark.parametrize("name", FORCES)
+@pytest.mark.parametrize("noise", [0.002, 0.02])
+def test_forces_that_jump_are_no_bad_samples(system, name, noise):
+    force = FORCES[name](np.random.default_rng(8), 3000)
+    # a command is known without noise
+    record = bq.simulate(system, seed=4, noise={"x": noise, "v": noise, "a": noise}, force=force)
+    assert found(record) == {}
+
+
+@pytest.mark.parametrize("chain", ["x:v:a", "x::", "::a"])
+@pytest.mark.parametrize("system", ["linear", "coulomb"])
+def test_free_decays_and_rest_are_no_bad_samples(system, chain):
+    known = replace(bq.SYSTEMS[system], initial={"x": 0.1, "v": 0.0})
+    decay = bq.simulate(known, seed=2, noise=0.01, force=np.zeros(6000))
+    rest = bq.Record({name: np.append(np.zeros(300), decay[name]) for name in "xva"}, np.arange(6300) / 1000.0)
+    for record in (decay, rest):
+        assert found(record, roles(chain)) == {}
+        steps = {name: np.ptp(record[name]) / 256 for name in "xva"}
+        coarse = {name: step * np.round(record[name] / step) for name, step in steps.items()}
+        assert found(bq.Record(coarse, record.time), roles(chain)) == {}
+
+
+def test_short_records_and_rows_without_time_are_left_alone(duffing):
+    spoiled = changed(duffing, "x", 20, 1.0)
+    assert found(spoiled.slice(0, 39)) == {}
+    assert found(bq.Record(spoiled.channels)) == {}
+
+
+# --- discovery -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["x", "u"])
+def test_a_spike_does_not_spoil_the_equation(duffing, name):
+    spoiled = changed(duffing, name, 1500, 100.0 * duffing[name].std())
+    with pytest.warns(DataWarning, match=f"{name}: 1 sample left out as spike"):
+        eqs = bq.discover(spoiled, chains="x:v:a", inputs=["u"])
+    clean = bq.discover(duffing, chains="x:v:a", inputs=["u"])
+    assert eqs[0].included == clean[0].included == ("x", "v", "x**3", "u")
+    for term in clean[0].included:
+        assert eqs[0].coef[term] == pytest.approx(clean[0].coef[term], rel=0.01)
+    assert any("row 1501" in message for message in eqs.warnings)
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_missing_samples_are_bridged_and_reported(duffing):
+    rng = np.random.default_rng(2)
+    gaps = {name: np.where(rng.random(duffing.n) < 0.02, np.nan, duffing[name]) for name in duffing.names}
+    record = duffing.with_channels(gaps)
+    for smooth in ("auto", "band"):
+        eqs = bq.discover(record, chains="x:v:a", inputs=["u"], smooth=smooth)
+        count = int(np.isnan(record["v"]).sum())
+        assert any(message.startswith(f"v: {count} samples are missing (rows") for message in eqs.warnings)
+        assert eqs[0].included == ("x", "v", "x**3", "u")
+        for term, value in duffing.truth.coefficients["a"].items():
+            assert eqs[0].coef[term] == pytest.approx(value, rel=0.1)
+    with pytest.raises(RecordError, match="NaN"):
+        bq.discover(record, chains="x:v:a", inputs=["u"], smooth="none")
+
+
+def test_rows_with_missing_samples_are_left_out_where_there_is_no_time(duffing):
+    record = bq.Record({name: np.array(duffing[name]) for name in duffing.names})
+    record = changed(record, "v", [3, 9], np.nan)
+    with pytest.warns(DataWarning, match=r"v: 2 samples are missing \(rows 4, 10"):
+        eqs = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary="x, v, x**3, u")
+    assert eqs.data.n == duffing.n - 2
+
+
+def test_stretches_that_tell_nothing_become_gaps_of_time(duffing):
+    quiet = duffing.with_channels({"u": np.where(np.arange(4000) // 50 == 20, np.nan, duffing["u"])})
+    (record,) = without_empty_rows([quiet], OSCILLATOR)
+    assert record.n == 3950
+    (single,) = without_empty_rows([changed(duffing, "u", 5, np.nan)], OSCILLATOR)
+    assert single.n == 4000
+    none = duffing.with_channels({name: np.where(np.arange(4000) // 50 == 20, np.nan, duffing[name]) for name in "xva"})
+    assert without_empty_rows([none], OSCILLATOR)[0].n == 3950
+    assert missing_messages([duffing], OSCILLATOR) == []
+
+
+def test_twenty_usable_rows_are_needed(duffing):
+    few = duffing.slice(0, 60).with_channels({"a": np.where(np.arange(60) < 41, np.nan, duffing["a"][:60])})
+    with pytest.raises(RecordError, match="19 rows of 60 with a sample of every channel"):
+        bq.discover(few, chains="x:v:a", inputs=["u"])
+    with pytest.raises(RecordError, match="19 rows: too few"):
+        bq.discover(duffing.slice(0, 19), chains="x:v:a", inputs=["u"])
