@@ -5,6 +5,7 @@ What the Gram of one linearisation prefers is then compared with its neighbours,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,7 +16,6 @@ from numpy.typing import NDArray
 
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
-from bayeq.inference.collapsed.path import best_of_each_size
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.prior import Prior
@@ -65,8 +65,8 @@ MOST_TO_MOVE = 100_000
 GROWTH = 3.0
 CHECKED = 500
 
-# Models of up to this many coefficients are cut down size by size; all candidates are a start if they are not more.
-MOST_PATH, MOST_AT_ONCE = 60, 40
+# All candidates together are a start if they are not more than this.
+MOST_AT_ONCE = 40
 
 # A neighbour is fitted from a discrepancy this many times smaller: with the right terms little of it is left.
 CALMED = 10.0
@@ -233,7 +233,7 @@ def calmed(state: State) -> State:
 
 
 def likeliest(task: Task, fitted: Fitted) -> State:
-    """A start for the likeliest model, or the largest one whose motion stays near the path over a step.
+    """A start for the likeliest model, cut down term by term until its motion stays near the path over a step.
 
     Where the discrepancy still explains all the motion many terms may make up for each other, with coefficients by
     which a deviation from the path would explode.
@@ -241,14 +241,12 @@ def likeliest(task: Task, fitted: Fitted) -> State:
     problem = task.problem(fitted.quadratic)
     model = best_models(problem)[0][1]
     state = with_model(task, fitted, model)
-    if steady(task, state):
-        return state
-    forced = int(np.isposinf(task.log_odds).sum())
-    smaller = best_of_each_size(problem, int(model.sum()) - 1, [model]) if forced < model.sum() <= MOST_PATH else []
-    for other, _ in reversed(smaller):
-        state = with_model(task, fitted, other)
-        if steady(task, state):
+    while not steady(task, state):
+        removals = [move for move in neighbours(problem, model, math.inf) if move.enters is None]
+        if not removals:
             break
+        model = removals[0].apply(model)
+        state = with_model(task, fitted, model)
     return state
 
 
