@@ -222,7 +222,7 @@ def test_json_has_the_shape_of_the_contract(eq):
         assert term["included"] == (term["pip"] > 0.5)
         assert term["shown"] == term["included"]
         assert term["why"] is None
-    assert out["verdict"] == equation["verdict"] == {"kind": "found", "reason": eq.verdict.reason}
+    assert out["verdict"] == equation["verdict"] == {"kind": "found", "reason": eq.verdict.reason, "advice": ""}
     assert isinstance(equation["intercept"], float)
     assert equation["intercept_sd"] > 0
     low, high = equation["intercept_ci95"]

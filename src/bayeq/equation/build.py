@@ -130,7 +130,8 @@ def _doubted(equation: Equation, selection: Selection) -> Verdict:
         coloured = adequacy.coloured([name for name in regression.chain.measured if name is not None])
     others = alternatives_to(fit, equation.shown_posterior)
     spread = float(np.sqrt(regression.rows.yty / regression.rows.n))
-    return doubted(equation.verdict, equation.target, others, lacking, coloured, spread)
+    excess = equation.residuals.excess if (equation.residuals.excess or 0.0) > INADEQUATE else None
+    return doubted(equation.verdict, equation.target, others, lacking, coloured, spread, excess)
 
 
 def _rule(selection: Selection, name: str) -> str:

@@ -119,7 +119,8 @@ def doubted(
     others: Alternatives,
     lacking: Discrepancy | None,
     coloured: Octave | None,
-    noise_sd: float,
+    spread: float,
+    excess: float | None = None,
 ) -> Verdict:
     """The verdict of an equation that is not wrong: is it determined, and is it all there is?
 
@@ -135,8 +136,10 @@ def doubted(
         What the motion needs and the equation does not hold.
     coloured : Octave or None
         Where what is left of a channel is not white.
-    noise_sd : float
+    spread : float
         Standard deviation of the target, in its unit.
+    excess : float, optional
+        Power of the residual over that of the noise, in a band, where it is too large.
     """
     if verdict.kind == "none":
         return verdict
@@ -155,9 +158,9 @@ def doubted(
             "nearly true",
             f"the motion needs what the dictionary does not hold, {100 * lacking.size:.2g} %"
             f" ({100 * lacking.low:.2g} to {100 * lacking.high:.2g}) of the standard deviation of {target}"
-            f" ({lacking.size * noise_sd:.2g}), mostly between {low:.2g} and {high:.2g} Hz",
-            "add terms or inputs that may be missing, and check the timing of the channels; included terms may stand in"
-            " for what is missing",
+            f" ({lacking.size * spread:.2g}), mostly between {low:.2g} and {high:.2g} Hz",
+            "add terms or inputs that may be missing, and check the timing of the channels; included terms may"
+            " compensate for what is missing",
         )
     if coloured is not None:
         return Verdict(
@@ -165,6 +168,12 @@ def doubted(
             f"what is left of {coloured.channel} is not white noise: {coloured.ratio:.2g} times as much between"
             f" {coloured.low:.2g} and {coloured.high:.2g} Hz (p {_chance(coloured.p)})",
             f"check {coloured.channel} against the other channels: calibration, timing, filters, hum",
+        )
+    if excess is not None:
+        return Verdict(
+            "nearly true",
+            f"the residual of {target} has {excess:.2g} times the power that the noise of the channels explains",
+            "add terms or inputs that may be missing, and check the channels against each other",
         )
     return verdict
 

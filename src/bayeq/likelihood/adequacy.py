@@ -47,7 +47,7 @@ class Discrepancy(NamedTuple):
     low, high : float
         Ends of its 95 % interval.
     p : float
-        Probability by chance of a likelihood so much greater than without.
+        Probability by chance of a likelihood that is greater than without by as much.
     octave : (float, float)
         Between these frequencies [Hz] lies most of its power.
     """

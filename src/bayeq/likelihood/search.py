@@ -81,6 +81,9 @@ LEAST_INPUT_NOISE = 0.02
 # Inputs with no more smooth derivatives may be switched, and what a smooth course misses be taken for noise.
 ROUGH = 1
 
+# An input of which this share of the samples repeats the one before is a command that is held, and has no noise.
+HELD = 0.1
+
 # A discrepancy below this share of its target leaves nothing for another start to explain.
 ADEQUATE = 0.05
 
@@ -361,7 +364,7 @@ def with_other_inputs(
         return task, best
     share = levels.channels[-len(layout.noisy) :] / levels.scales.channels[-len(layout.noisy) :]
     doubtful = share.min() < LEAST_INPUT_NOISE**2 or min(layout.smoothness) <= ROUGH or levels.kappa.max() > ADEQUATE
-    if not doubtful:
+    if not doubtful and repeated(task) < HELD:
         return task, best
     pairs = [(task, best)]
     for other in others:
@@ -375,6 +378,13 @@ def with_other_inputs(
 
 def _no_log(word: str, fitted: Fitted) -> None:
     """No trace kept."""
+
+
+def repeated(task: Task) -> float:
+    """Share of the samples of an input that are exactly the ones before, of the input that repeats most."""
+    inputs = [one.samples[:, -len(task.layout.noisy) :] for one in task.series]
+    same = np.concatenate([np.diff(columns, axis=0) == 0.0 for columns in inputs])
+    return float(same.mean(axis=0).max())
 
 
 def search(

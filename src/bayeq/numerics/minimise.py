@@ -49,7 +49,7 @@ class Minimum(NamedTuple):
     evaluations : int
         Points at which the function was computed, those of differences left out.
     hessian : (n, n) array or None
-        What the steps told of it; None where they told nothing, and none was given.
+        What is known of it from the steps; None where that is nothing, and none was given.
     """
 
     x: Floats

@@ -1,0 +1,130 @@
+"""Tests of the tests: probabilities of what is left of a record, and of equations that predict otherwise."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import betainc
+from scipy.stats import kstest
+
+import bayeq as bq
+from bayeq.equation.verdict import KINDS, Verdict, doubted, worst
+from bayeq.likelihood.adequacy import Adequacy, Discrepancy, Octave, octaves_of
+from bayeq.likelihood.low_pass import feedback, spectrum_of, step_variance
+from bayeq.numerics.beta import incomplete_beta
+from bayeq.selection.alternatives import Alternatives, alternatives_to
+
+NOTHING = Discrepancy(1e-4, 0.0, np.inf, 0.6, (1.0, 2.0))
+
+
+def quietly(*arguments, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return bq.discover(*arguments, **options)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.floats(0.5, 5000.0), st.floats(0.5, 5000.0), st.floats(0.0, 1.0))
+def test_the_incomplete_beta_function(a, b, x):
+    assert incomplete_beta(a, b, x) == pytest.approx(betainc(a, b, x), abs=1e-10)
+
+
+def test_octaves_of_white_noise_are_uniform():
+    rng = np.random.default_rng(0)
+    p = []
+    for _ in range(60):
+        pieces = [3.0 * rng.standard_normal(n) for n in (900, 400)]
+        p += [one.p for one in octaves_of("x", pieces, 0.01)]
+    assert kstest(p, "uniform").pvalue > 0.01
+
+
+def test_octaves_of_hum():
+    rng = np.random.default_rng(1)
+    n, fs = 4000, 500.0
+    values = rng.standard_normal(n) + 0.5 * np.sin(2 * np.pi * 50.0 * np.arange(n) / fs)
+    found = min(octaves_of("x", [values], 1 / fs), key=lambda one: one.p)
+    assert found.low < 50.0 < found.high
+    assert found.ratio > 1.5
+    assert found.p < 1e-10
+    # without that octave the others are white
+    rest = octaves_of("x", [values], 1 / fs, {(found.low, found.high)})
+    assert (found.low, found.high) not in {(one.low, one.high) for one in rest}
+    assert min(one.p for one in rest) > 1e-3
+
+
+def test_many_tests_reject_at_their_level_together():
+    # the least of 20 probabilities of 0.002 is no surprise, of 0.0002 it is
+    chance = [Octave("x", 1.0, 2.0, 1.1, p) for p in (0.002, *np.linspace(0.05, 1.0, 19))]
+    assert Adequacy((NOTHING,), tuple(chance)).coloured(["x"]) is None
+    chance[0] = chance[0]._replace(p=0.0002)
+    adequacy = Adequacy((NOTHING,), tuple(chance))
+    assert adequacy.coloured(["x"]) == chance[0]
+    assert adequacy.coloured(["v"]) is None
+    assert adequacy.lacks(0) is None
+    assert Adequacy((NOTHING._replace(p=1e-9),), tuple(chance)).lacks(0) is not None
+
+
+def test_verdicts_from_the_worst():
+    found = Verdict("found", "R2 1")
+    others = Alternatives(0.2, ("v**3",), ("v",))
+    lacking = NOTHING._replace(size=0.03, low=0.02, high=0.04, p=1e-9)
+    hum = Octave("v", 40.0, 80.0, 4.0, 1e-9)
+    none = Alternatives(0.0)
+    assert doubted(found, "a", none, None, None, 2.0) is found
+    cases = [
+        (doubted(found, "a", others, lacking, hum, 2.0), "not determined", "with v**3 and without v"),
+        (doubted(found, "a", none, lacking, hum, 2.0), "nearly true", "3 % (2 to 4)"),
+        (doubted(found, "a", none, None, hum, 2.0), "nearly true", "what is left of v is not white noise: 4 times"),
+        (doubted(found, "a", none, None, None, 2.0, 5.0), "nearly true", "5 times the power"),
+        (doubted(Verdict("none", "nothing"), "a", others, lacking, hum, 2.0), "none", "nothing"),
+    ]
+    for verdict, kind, reason in cases:
+        assert verdict.kind == kind
+        assert reason in verdict.reason
+        assert (verdict.advice != "") == (kind != "none")
+    assert [worst([("a", found), ("b", v)]).kind for v, _, _ in cases] == [kind for _, kind, _ in cases]
+    assert KINDS[-1] == "found"
+
+
+def test_an_equation_that_few_rows_leave_open():
+    record = bq.simulate("duffing", n=4000, seed=1).take(np.arange(80))
+    eq = quietly(record, chains="x:v:a", inputs=["u"])
+    assert eq.verdict.kind == "not determined"
+    whole = quietly(bq.simulate("duffing", n=4000, seed=1), chains="x:v:a", inputs=["u"])
+    assert whole.verdict.kind == "found"
+    assert alternatives_to(whole[0].fit, whole[0].shown_posterior).probability < 0.01
+
+
+def test_low_passed_noise_has_the_poles_of_its_filter():
+    order, corner, step = 4, 30.0, 0.01
+    factors = feedback(order, corner, np.array([step, step]))[0]
+    free = np.array([[step ** (j - i) / np.prod(np.arange(1.0, j - i + 1)) if j >= i else 0.0 for j in range(order)]
+                     for i in range(order)])  # fmt: skip
+    closed = free.copy()
+    closed[-1] = factors @ free
+    angles = np.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)
+    wanted = np.exp(step * corner * np.exp(1j * angles))
+    np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(closed)), np.sort_complex(wanted), atol=1e-6)
+
+
+def test_the_spectrum_of_low_passed_noise_is_read():
+    order, corner, step, level, noise = 3, 40.0, 0.01, 2.0, 0.05
+    factors = feedback(order, corner, np.array([step]))[0]
+    free = np.array([[1.0, step, step**2 / 2], [0.0, 1.0, step], [0.0, 0.0, 1.0]])
+    closed = free.copy()
+    closed[-1] = factors @ free
+    rng = np.random.default_rng(0)
+    state, values = np.zeros(order), []
+    steps = np.sqrt(step_variance(order, corner, step, level)) * rng.standard_normal(20_000)
+    for change in steps:
+        state = closed @ state
+        state[-1] += change
+        values.append(state[0])
+    samples = np.array(values) + np.sqrt(noise) * rng.standard_normal(len(values))
+    found = spectrum_of([samples - samples.mean()], order, step)
+    # aliasing of the sequence of steps is not in Butterworth's formula
+    np.testing.assert_allclose(found, (corner, level, noise), rtol=0.1)
