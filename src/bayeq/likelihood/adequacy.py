@@ -33,8 +33,8 @@ OCTAVES, LEAST_BINS = 9, 8
 # Half of the width of a 95 % interval, in standard deviations.
 HALF = 1.96
 
-# Step in ln size that the curvature of the likelihood is read from.
-STEP = 0.1
+# Step in ln size that the curvature of the likelihood is read from, and the curvature below which it tells nothing.
+STEP, LEAST_BEND = 0.1, 1e-3
 
 
 class Discrepancy(NamedTuple):
@@ -141,7 +141,7 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
         # of no discrepancy the ratio is zero in half of the records, else chi-square of one degree of freedom
         p = 0.5 * math.erfc(math.sqrt(0.5 * gain)) if gain > 0.0 else 1.0
         bend = -(log_likelihood(c, math.exp(STEP)) - 2.0 * here.value + log_likelihood(c, math.exp(-STEP))) / STEP**2
-        factor = math.exp(0.5 * HALF / math.sqrt(bend)) if bend > 0.0 else math.inf
+        factor = math.exp(0.5 * HALF / math.sqrt(bend)) if bend > LEAST_BEND else math.inf
         paths = [path[:, layout.discrepancy[c]] for path in state.paths]
         discrepancies.append(Discrepancy(size, size / factor, size * factor, p, _main_octave(paths, interval)))
 
