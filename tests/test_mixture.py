@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.mixture import Mixture
 from bayeq.inference.prior import Prior
+from bayeq.regression.mixture import mixture_of
 from tests import reference
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
@@ -127,6 +129,57 @@ def test_where_one_model_holds_the_mass_intervals_are_the_conditional_ones():
     np.testing.assert_array_equal(equation.averaged_ci95[2], [0.0, 0.0])
 
 
+@pytest.mark.parametrize("smooth", ["none", "band", "auto"])
+def test_intervals_over_models_are_those_of_the_answer_where_models_are_certain(smooth):
+    # in a band the standard deviations reported are those that the noise of the channels makes
+    record = bq.simulate("linear", n=1000, seed=2, noise={"x": 0.02, "v": 0.02, "a": 0.02, "u": 0.02})
+    options = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "smooth": smooth}
+    equation = bq.discover(record, dictionary="x, v, x**3, u", **options)[0]
+    assert equation.shown == ("x", "v", "u")
+    kept, sd = equation.shown_posterior.support, equation.shown_posterior.sd
+    found, expected = equation.over_models.given_in[kept], equation.shown_ci95[kept]
+    assert (np.abs(found - expected) < 0.3 * sd[kept][:, None]).all()
+    assert not equation.printed_over_models.any()
+    if equation.shown_posterior.left_out_intercept is None:
+        within = 0.3 * equation.shown_posterior.intercept_sd
+        np.testing.assert_allclose(equation.over_models.intercept, equation.intercept_ci95, atol=within)
+    assert equation.printed_intercept_ci95 == equation.intercept_ci95
+
+
+def test_the_intercept_knows_the_doubt_too():
+    # with r = x + 0.5 + noise in place of x the intercept is 1 - 0.5
+    options = {"chains": ["x:dx"], "inputs": ["r"], "dictionary": ["x", "r"], "smooth": "none", "holdout": 0.0}
+    covered = []
+    for seed in range(100):
+        x, apart, noise = np.random.default_rng(seed).normal(size=(3, 100))
+        record = bq.Record.from_arrays(x=x, r=x + 0.5 + 0.1 * apart, dx=1.0 + x + noise)
+        equation = bq.discover(record, **options)[0]
+        covered.append([low < 1.0 < high for low, high in (equation.intercept_ci95, equation.printed_intercept_ci95)])
+    given, over = np.mean(covered, axis=0)
+    assert 0.90 <= over <= 0.99
+    assert given < 0.75
+
+
+def test_without_models_or_draws_the_moments_make_a_normal_distribution(doubtful):
+    fit, reported = doubtful[0].fit, doubtful[0].posterior
+    mixture = mixture_of(replace(fit, posterior=replace(fit.posterior, average=None, draws=None)), reported)
+    inside = reported.averaged_coef / reported.pip
+    np.testing.assert_allclose(mixture.given_in()[:3].mean(axis=1), inside, rtol=1e-6)
+    square = reported.pip * (mixture.mean[:3, 0] ** 2 + mixture.sd[:3, 0] ** 2)
+    np.testing.assert_allclose(np.sqrt(square - reported.averaged_coef**2), reported.averaged_sd, rtol=1e-6)
+
+
+def test_refined_coefficients_have_intervals_of_their_own(tmp_path):
+    record = bq.simulate("duffing", n=600, seed=1, noise={"x": 0.02, "v": 0.02, "a": 0.02})
+    options = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "smooth": "none"}
+    refined = bq.discover(record, dictionary="x, v, x**3, x**5, u", **options).refine(record)
+    assert refined.refined is not None
+    np.testing.assert_array_equal(refined[0].printed_ci95, refined[0].shown_ci95)
+    assert refined[0].printed_intercept_ci95 == refined[0].intercept_ci95
+    refined.save(tmp_path / "eq.json")
+    assert str(bq.load(tmp_path / "eq.json")) == str(refined)
+
+
 def test_a_fifth_of_the_width_makes_another_interval():
     width_ten = np.array([[0.0, 10.0]] * 4)
     other = np.array([[0.0, 11.9], [0.0, 12.1], [-2.1, 7.9], [-1.1, 11.1]])
@@ -200,6 +253,7 @@ def test_loaded_equations_keep_them(doubtful, tmp_path):
     content = json.loads((tmp_path / "eq.json").read_text())
     for term in content["equations"][0]["terms"]:
         del term["printed_ci95"], term["printed_over_models"]
+    del content["equations"][0]["intercept_printed_ci95"]
     (tmp_path / "earlier.json").write_text(json.dumps(content))
     earlier = bq.load(tmp_path / "earlier.json")[0]
     np.testing.assert_array_equal(earlier.printed_ci95, earlier.shown_ci95)

@@ -217,7 +217,7 @@ class Equation:
     def over_models(self) -> OverModels:
         """Intervals that know of other models."""
         if self.stored is not None or self.fit is None:
-            return self.stored or OverModels(None, None)
+            return self.stored or OverModels(None, None, None)
         simplified = [left.name for left in self.left_out if left.reason in SIMPLER]
         return over_models(self.fit, self.posterior, self.shown_fit or self.fit, self.shown_posterior, simplified)
 
@@ -238,10 +238,30 @@ class Equation:
     @cached_property
     def printed_over_models(self) -> NDArray[np.bool_]:
         """Terms whose interval is printed over all models that hold the term, (P,)."""
-        given, shown = self.over_models.given_in, self.shown_posterior
-        if given is None or shown.averaged_coef is None:
+        shown = self.shown_posterior
+        # coefficients by output error are of one model
+        given = None if shown.averaged_coef is None else self.over_models.given_in
+        if given is None:
             return np.zeros(len(self.terms), dtype=np.bool_)
         return shown.support & unlike(given, self.shown_ci95)
+
+    @cached_property
+    def printed_intercept_ci95(self) -> tuple[float, float]:
+        """95 % interval of the intercept as it is printed: `intercept_ci95`, or the one over models as of terms.
+
+        An intercept that is probably zero has the former.
+        """
+        shown, conditional = self.shown_posterior, self.intercept_ci95
+        if shown.averaged_coef is None or shown.left_out_intercept is not None or self.over_models.intercept is None:
+            return conditional
+        over = self.over_models.intercept
+        low, high = over.tolist() if unlike(over[None], np.array([conditional]))[0] else conditional
+        return low, high
+
+    @property
+    def intercept_over_models(self) -> bool:
+        """Whether the interval of the intercept is printed over models."""
+        return self.printed_intercept_ci95 != self.intercept_ci95
 
     @property
     def intercept_ci95(self) -> tuple[float, float]:

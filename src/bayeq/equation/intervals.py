@@ -19,8 +19,8 @@ Floats = NDArray[np.float64]
 # Half-width of a 95 % interval of a normal distribution, in standard deviations.
 Z95 = 1.959963984540054
 
-# A width or an end that differs by more than this share of the width makes another interval: an end so much too near
-# leaves out 12 % in place of 2.5 %. Below, the interval is that of the equation printed, with its coefficient and sd.
+# A width or an end that differs by more than this share of the width makes another interval: an end that is this much
+# too near leaves out 12 % in place of 2.5 %. Below, the interval is that of the coefficient and sd beside it.
 DIFFERENT = 0.2
 
 
@@ -35,10 +35,13 @@ class OverModels:
     given_in : (P, 2) array or None
         Over the models that hold the term, of an equation that is printed: terms that were left out for simplicity are
         in none of them. None where there are none.
+    intercept : (2,) array or None
+        Over the same models, of the intercept.
     """
 
     averaged: Floats | None
     given_in: Floats | None
+    intercept: Floats | None
 
 
 def intervals(posterior: Posterior) -> Floats:
@@ -65,8 +68,11 @@ def over_models(
     struck = np.isin(shown_fit.posterior.names, simplified)
     same = shown_fit is fit and not struck.any() and bool((included.support == shown.support).all())
     given = overall if same else mixture_of(shown_fit, shown, struck)
+    both = None if given is None else given.given_in()
     return OverModels(
-        averaged=None if overall is None else overall.overall(), given_in=None if given is None else given.given_in()
+        averaged=None if overall is None else overall.overall()[:-1],
+        given_in=None if both is None else both[:-1],
+        intercept=None if both is None else both[-1],
     )
 
 

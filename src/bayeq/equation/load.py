@@ -218,7 +218,13 @@ def _restore_equation(
         units=units,
         unit_gains=tuple(float(gain) for gain in saved.get("unit_gains", ())),
         models=tuple(_restored_model(model, len(terms)) for model in state.get("models", ())),
-        stored=OverModels(_intervals(saved["terms"], "averaged_ci95"), _intervals(saved["terms"], "printed_ci95")),
+        stored=OverModels(
+            averaged=_intervals(saved["terms"], "averaged_ci95"),
+            given_in=_intervals(saved["terms"], "printed_ci95"),
+            intercept=np.array([float(bound) for bound in saved["intercept_printed_ci95"]])
+            if "intercept_printed_ci95" in saved
+            else None,
+        ),
     )
 
 

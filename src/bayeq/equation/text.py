@@ -92,7 +92,7 @@ def _render_equation(
     for k, row in enumerate(_rows(equation, conditional)):
         table.add_row(*row, *(values[k] for values in extra.values()))
     console.print(table)
-    if not conditional and equation.printed_over_models.any():
+    if not conditional and (equation.printed_over_models.any() or equation.intercept_over_models):
         console.print(f"\n{MARK} {OVER_MODELS}")
     rest = len(equation.terms) - len(_listed(equation))
     if rest:
@@ -221,8 +221,9 @@ def _rows(equation: Equation, conditional: bool) -> list[tuple[Any, ...]]:
             rows.append((escape(term.text), absent, "", "", f"{p.pip[j]:.3f}"))
     if p.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING:
         return [*rows, ("intercept", "none", "", "", "")]
-    low, high = equation.intercept_ci95
+    low, high = equation.intercept_ci95 if conditional else equation.printed_intercept_ci95
+    mark = "" if (low, high) == equation.intercept_ci95 else f" {MARK}"
     value, spread = equation.intercept_estimate
-    interval = f"{round_to(low, spread)} .. {round_to(high, spread)}"
+    interval = f"{round_to(low, spread)} .. {round_to(high, spread)}{mark}"
     rows.append(("intercept", round_to(value, spread), f"{spread:.2g}", interval, ""))
     return rows

@@ -73,6 +73,8 @@ def _equation(equation: Equation) -> dict[str, Any]:
         "intercept_sd": equation.intercept_estimate[1],
         "intercept_included": shown.left_out_intercept is None,
         "intercept_ci95": list(equation.intercept_ci95),
+        "intercept_printed_ci95": list(equation.printed_intercept_ci95),
+        "intercept_printed_over_models": equation.intercept_over_models,
         "intercept_pip": shown.intercept_pip,
         "noise_sd": equation.noise_sd,
         "elbo": p.elbo,

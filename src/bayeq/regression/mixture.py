@@ -23,7 +23,7 @@ MASS, MOST_MODELS = 0.999, 300
 
 
 def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = None) -> Mixture | None:
-    """The coefficients over models, in original units and of all P terms.
+    """The P coefficients over models, in original units, and after them the intercept, which is in all models.
 
     Parameters
     ----------
@@ -48,36 +48,51 @@ def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = N
     if average is not None:
         count = min(int(np.searchsorted(np.cumsum(average.probability), MASS)) + 1, MOST_MODELS)
         models = average.models[:count]
-        inside, mean, sd = _given_models(fit, models & ~struck if struck is not None else models)
+        inside, mean, sd = _given_models(fit, models & ~struck if struck is not None else models, reported)
         share = average.probability[: len(models)]
-        sd = sd * _widened(fit, reported)[:, None]
     elif draws is not None:
         assert whole.draws is not None
-        inside, mean = whole.draws.z.reshape(-1, len(whole.names)).T, whole.draws.theta.reshape(-1, len(whole.names)).T
-        share, sd = np.full(inside.shape[1], 1.0 / inside.shape[1]), np.zeros(inside.shape)
+        z, theta = (values.reshape(-1, len(whole.names)) for values in (whole.draws.z, whole.draws.theta))
+        inside = np.vstack([z.T > 0, np.ones(len(z), dtype=np.bool_)])
+        mean, share = np.vstack([theta.T, whole.target_mean - theta @ whole.center]), np.full(len(z), 1.0 / len(z))
+        sd = np.zeros(mean.shape)
+        sd[-1] = np.sqrt(_mean_variance(reported))
     else:
-        inside, share = np.zeros((len(whole.names), 1), dtype=np.bool_), np.ones(1)
+        inside, share = np.zeros((len(whole.names) + 1, 1), dtype=np.bool_), np.ones(1)
         mean, sd = np.zeros(inside.shape), np.zeros(inside.shape)
     weight = inside * share
     total = weight.sum(axis=1)
     lost = total == 0.0
     if lost.any():
         first, spread = (reported.coef, reported.sd) if again else _moments_given_in(whole)
-        mean, weight[lost, 0], total[lost] = mean.copy(), 1.0, 1.0
-        mean[lost, 0], sd[lost, 0] = first[lost], spread[lost]
+        weight[lost, 0], total[lost] = 1.0, 1.0
+        mean[lost, 0] = np.append(first, reported.intercept)[lost]
+        sd[lost, 0] = np.append(spread, reported.intercept_sd)[lost]
     weight, mean, sd = (np.ascontiguousarray(part) for part in (weight / total[:, None], mean, sd))
-    return Mixture(weight, mean, sd, whole.pip)
+    return Mixture(weight, mean, sd, np.append(whole.pip, 1.0))
 
 
-def _given_models(fit: RegressionFit, models: Bools) -> tuple[Bools, Floats, Floats]:
-    """Of each term and model: whether it is in, and mean and standard deviation of its coefficient, (P, K)."""
+def _given_models(fit: RegressionFit, models: Bools, reported: Posterior) -> tuple[Bools, Floats, Floats]:
+    """Of each term, then the intercept, in each model: whether it is in, mean and standard deviation, (P + 1, K)."""
+    factor, own = _widened(fit, reported), _mean_variance(reported)
     few = replace(fit.posterior, average=None, draws=None, averaged_coef=None, averaged_sd=None)
-    found = []
-    for model in models:
+    shape = len(reported.names) + 1, len(models)
+    inside, mean, sd = np.ones(shape, dtype=np.bool_), np.zeros(shape), np.zeros(shape)
+    for k, model in enumerate(models):
         coef, covariance = exact_posterior(fit.problem, model, fit.prior.known_signs)
-        found.append(fit.expanded(replace(few, support=model, coef=coef, covariance=covariance)))
-    inside, mean, sd = (np.array([getattr(one, name) for one in found]).T for name in ("support", "coef", "sd"))
+        one = fit.expanded(replace(few, support=model, coef=coef, covariance=covariance))
+        kept, wide = one.support, factor[one.support]
+        inside[:-1, k], mean[:-1, k], mean[-1, k] = kept, one.coef, one.intercept
+        sd[:-1, k] = one.sd * factor
+        center = one.center[kept] * wide
+        sd[-1, k] = np.sqrt(own + center @ one.covariance @ center)
     return inside, mean, sd
+
+
+def _mean_variance(reported: Posterior) -> float:
+    """Variance of the intercept were the coefficients known: that of the target's mean."""
+    center = reported.center[reported.support]
+    return max(reported.intercept_sd**2 - float(center @ reported.covariance @ center), 0.0)
 
 
 def _widened(fit: RegressionFit, reported: Posterior) -> Floats:
