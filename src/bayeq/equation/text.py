@@ -38,7 +38,7 @@ CERTAIN = 0.99
 
 # Intervals that are not those given the terms shown, and what is said of them.
 MARK = "*"
-OVER_MODELS = "interval over all models that hold the term; --conditional prints that given the terms shown"
+OVER_MODELS = "interval over all models that hold the term; given the terms shown: shown_ci95, --conditional"
 
 # What is said of residuals, if it had a smaller probability by chance.
 DOUBTFUL = 1e-3

@@ -74,7 +74,7 @@ def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = N
 
 def _given_models(fit: RegressionFit, models: Bools, reported: Posterior) -> tuple[Bools, Floats, Floats]:
     """Of each term, then the intercept, in each model: whether it is in, mean and standard deviation, (P + 1, K)."""
-    factor, own = _widened(fit, reported), _mean_variance(reported)
+    factor, own = _scaled(fit, reported), _mean_variance(reported)
     few = replace(fit.posterior, average=None, draws=None, averaged_coef=None, averaged_sd=None)
     shape = len(reported.names) + 1, len(models)
     inside, mean, sd = np.ones(shape, dtype=np.bool_), np.zeros(shape), np.zeros(shape)
@@ -95,7 +95,7 @@ def _mean_variance(reported: Posterior) -> float:
     return max(reported.intercept_sd**2 - float(center @ reported.covariance @ center), 0.0)
 
 
-def _widened(fit: RegressionFit, reported: Posterior) -> Floats:
+def _scaled(fit: RegressionFit, reported: Posterior) -> Floats:
     """Standard deviations of a model as they are reported over those of its posterior, (P,); 1 of other terms."""
     factor = np.ones(len(reported.names))
     if fit.regression.band is not None and reported.support.any():
