@@ -75,6 +75,8 @@ def test_table_lists_every_candidate(eq):
         "shown_sd",
         "shown_ci_low",
         "shown_ci_high",
+        "averaged_ci_low",
+        "averaged_ci_high",
         "why",
     ]
     assert len(table) == 36
@@ -216,7 +218,7 @@ def test_json_has_the_shape_of_the_contract(eq):
     assert len(equation["terms"]) == 36
     assert list(equation["terms"][0]) == [
         "name", "coef", "sd", "ci95", "pip", "included", "shown", "why", "shown_coef", "shown_sd", "shown_ci95",
-        "averaged_coef", "averaged_sd", "averaged_ci95", "share", "unit",
+        "printed_ci95", "printed_over_models", "averaged_coef", "averaged_sd", "averaged_ci95", "share", "unit",
     ]  # fmt: skip
     for term in equation["terms"]:
         assert term["included"] == (term["pip"] > 0.5)

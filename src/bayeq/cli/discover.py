@@ -113,6 +113,11 @@ class Progress:
     default=1.0,
     help="Power (0 to 1) of the likelihood, for models that are only nearly true.",
 )
+@option(
+    "--conditional",
+    is_flag=True,
+    help="Print the intervals given the terms shown, also where those over all models differ. --json has both.",
+)
 @option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 @option("--save", type=FILE, help="Write the equations to a JSON file, for bayeq.load.")
 @option(

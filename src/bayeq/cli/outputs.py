@@ -38,6 +38,7 @@ class Outputs:
     forecast: Path | None
     refine: bool
     physical: bool
+    conditional: bool = False
 
     def check(self, files: Sequence[Path], options: Mapping[str, Any]) -> None:
         """Refuse, before the work, what could not be done after it.
@@ -117,7 +118,7 @@ class Outputs:
             return
         from bayeq.equation.text import render
 
-        click.echo(render(answer, with_warnings=False))
+        click.echo(render(answer, with_warnings=False, conditional=self.conditional))
         for target, parameters in _physical(answer).items() if self.physical else ():
             click.echo(f"\nphysical parameters, from the equation of {target}\n\n{parameters}")
 

@@ -108,6 +108,7 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
         verdict=judge(regression.chain.target, judged, held_out is not None, noise, window, estimated),
         runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.method].spike_slab else (),
         fit=fit,
+        shown_fit=selection.own,
         share=partial_shares(regression.rows, shown.support),
         why=differ,
         left_out=selection.left_out,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayeq.equation.intervals import Z95, OverModels, intervals, over_models, unlike
 from bayeq.equation.pip_curve import (
     PipCurve,
     PriorSensitivity,
@@ -38,8 +39,8 @@ __all__ = ["Z95", "Equation", "Fit", "RunnerUp"]
 
 Floats = NDArray[np.float64]
 
-# Half-width of a 95 % interval of a normal distribution, in standard deviations.
-Z95 = 1.959963984540054
+# Rules that leave out terms to have a simpler equation, not because they are in doubt.
+SIMPLER = ("max_terms", "negligible")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +119,10 @@ class Equation:
         the path.
     models : tuple of CandidateModel
         The likeliest models with their coefficients, the likeliest first.
+    shown_fit : RegressionFit or None
+        What the coefficients shown come from, where that is not `fit`.
+    stored : OverModels or None
+        Intervals over models of an equation that was read from a file.
     """
 
     chain: Chain
@@ -137,6 +142,8 @@ class Equation:
     unit_gains: tuple[float, ...] = ()
     scored: Equation | None = field(default=None, repr=False, compare=False)
     models: tuple[CandidateModel, ...] = ()
+    shown_fit: RegressionFit | None = field(default=None, repr=False, compare=False)
+    stored: OverModels | None = field(default=None, repr=False, compare=False)
 
     @property
     def law(self) -> Law:
@@ -199,12 +206,62 @@ class Equation:
     @property
     def ci95(self) -> Floats:
         """95 % intervals of the coefficients given the included terms, (P, 2); 0 for a term not included."""
-        return _intervals(self.posterior)
+        return intervals(self.posterior)
 
     @property
     def shown_ci95(self) -> Floats:
         """95 % intervals of the coefficients given the terms shown, (P, 2); 0 for a term not shown."""
-        return _intervals(self.shown_posterior)
+        return intervals(self.shown_posterior)
+
+    @cached_property
+    def over_models(self) -> OverModels:
+        """Intervals that know of other models."""
+        if self.stored is not None or self.fit is None:
+            return self.stored or OverModels(None, None, None)
+        simplified = [left.name for left in self.left_out if left.reason in SIMPLER]
+        return over_models(self.fit, self.posterior, self.shown_fit or self.fit, self.shown_posterior, simplified)
+
+    @property
+    def averaged_ci95(self) -> Floats | None:
+        """95 % intervals of the coefficients over all models, 0 in those without the term, (P, 2).
+
+        None where no models are averaged.
+        """
+        return None if self.posterior.averaged_coef is None else self.over_models.averaged
+
+    @cached_property
+    def printed_ci95(self) -> Floats:
+        """95 % intervals as they are printed, (P, 2): `shown_ci95`, or those over models where they are `unlike` it."""
+        given = self.over_models.given_in
+        return self.shown_ci95 if given is None else np.where(self.printed_over_models[:, None], given, self.shown_ci95)
+
+    @cached_property
+    def printed_over_models(self) -> NDArray[np.bool_]:
+        """Terms whose interval is printed over all models that hold the term, (P,)."""
+        shown = self.shown_posterior
+        # coefficients by output error are of one model
+        given = None if shown.averaged_coef is None else self.over_models.given_in
+        if given is None:
+            return np.zeros(len(self.terms), dtype=np.bool_)
+        return shown.support & unlike(given, self.shown_ci95)
+
+    @cached_property
+    def printed_intercept_ci95(self) -> tuple[float, float]:
+        """95 % interval of the intercept as it is printed: `intercept_ci95`, or the one over models as of terms.
+
+        An intercept that is probably zero has the former.
+        """
+        shown, conditional = self.shown_posterior, self.intercept_ci95
+        if shown.averaged_coef is None or shown.left_out_intercept is not None or self.over_models.intercept is None:
+            return conditional
+        over = self.over_models.intercept
+        low, high = over.tolist() if unlike(over[None], np.array([conditional]))[0] else conditional
+        return low, high
+
+    @property
+    def intercept_over_models(self) -> bool:
+        """Whether the interval of the intercept is printed over models."""
+        return self.printed_intercept_ci95 != self.intercept_ci95
 
     @property
     def intercept_ci95(self) -> tuple[float, float]:
@@ -234,12 +291,15 @@ class Equation:
         DataFrame
             ``term``; ``coef``, ``sd``, ``ci_low``, ``ci_high`` given the included terms; ``pip``; ``included``,
             ``shown``; ``share`` of the target's variance; ``unit`` of the coefficient (None: unknown); ``shown_coef``,
-            ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``why`` the two differ ("" if not).
+            ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``averaged_ci_low``,
+            ``averaged_ci_high`` over all models (NaN where none are averaged); ``why`` included and shown terms differ
+            ("" if not).
         """
         import pandas as pd
 
         p, shown = self.posterior, self.shown_posterior
-        ci, shown_ci = self.ci95, self.shown_ci95
+        ci, shown_ci, averaged = self.ci95, self.shown_ci95, self.averaged_ci95
+        averaged = np.full_like(ci, np.nan) if averaged is None else averaged
         return pd.DataFrame(
             {
                 "term": [term.text for term in self.terms],
@@ -256,6 +316,8 @@ class Equation:
                 "shown_sd": shown.sd,
                 "shown_ci_low": shown_ci[:, 0],
                 "shown_ci_high": shown_ci[:, 1],
+                "averaged_ci_low": averaged[:, 0],
+                "averaged_ci_high": averaged[:, 1],
                 "why": [self.why.get(term.text, "") for term in self.terms],
             }
         )
@@ -423,11 +485,6 @@ class Equation:
         if self.fit is None:
             raise InputError("a file of equations does not hold what their posterior came from: run discover again")
         return self.fit
-
-
-def _intervals(posterior: Posterior) -> Floats:
-    half = Z95 * posterior.sd
-    return np.column_stack([posterior.coef - half, posterior.coef + half])
 
 
 def _factor(term: str) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bayeq.equation.equation import Equation, Fit, RunnerUp
 from bayeq.equation.equations import DataSummary, Equations
+from bayeq.equation.intervals import OverModels
 from bayeq.equation.to_json import FORMAT
 from bayeq.equation.verdict import KINDS, Verdict
 from bayeq.errors import BayeqError, FileFormatError
@@ -146,6 +147,15 @@ def _column(terms: list[Mapping[str, Any]], name: str) -> Any:
     return np.array([float(t[name]) for t in terms]) if terms and name in terms[0] else None
 
 
+def _intervals(terms: list[Mapping[str, Any]], name: str) -> NDArray[np.float64] | None:
+    if not terms or name not in terms[0]:
+        return None
+    out = np.array([[float(low), float(high)] for low, high in (term[name] for term in terms)])
+    if not np.isfinite(out).all():
+        raise ValueError("intervals that are not finite")
+    return out
+
+
 def _restore_equation(
     chain: str,
     saved: Mapping[str, Any],
@@ -208,6 +218,13 @@ def _restore_equation(
         units=units,
         unit_gains=tuple(float(gain) for gain in saved.get("unit_gains", ())),
         models=tuple(_restored_model(model, len(terms)) for model in state.get("models", ())),
+        stored=OverModels(
+            averaged=_intervals(saved["terms"], "averaged_ci95"),
+            given_in=_intervals(saved["terms"], "printed_ci95"),
+            intercept=np.array([float(bound) for bound in saved["intercept_printed_ci95"]])
+            if "intercept_printed_ci95" in saved
+            else None,
+        ),
     )
 
 

@@ -36,12 +36,19 @@ NOTHING = 1e-100
 # A term of a higher PIP is called certain.
 CERTAIN = 0.99
 
+# Intervals that are not those given the terms shown, and what is said of them.
+MARK = "*"
+OVER_MODELS = "interval over all models that hold the term; given the terms shown: shown_ci95, --conditional"
+
 # What is said of residuals, if it had a smaller probability by chance.
 DOUBTFUL = 1e-3
 
 
-def render(eq: Answer, with_warnings: bool = True) -> str:
-    """Text of the equations: styled if standard output is a terminal, plain Markdown otherwise."""
+def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) -> str:
+    """Text of the equations: styled if standard output is a terminal, plain Markdown otherwise.
+
+    With `conditional`, every interval is that given the terms shown.
+    """
     terminal = sys.stdout.isatty()
     buffer = io.StringIO()
     console = Console(
@@ -50,7 +57,7 @@ def render(eq: Answer, with_warnings: bool = True) -> str:
     )  # fmt: skip
     console.print(f"verdict: {escape(str(eq.verdict))}\n")
     for equation in eq.equations:
-        _render_equation(console, equation, eq.method, eq.scores, terminal)
+        _render_equation(console, equation, eq.method, eq.scores, terminal, conditional)
     names = [name for name in eq.data.files if name]
     source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
     used = f"{eq.data.n_train} used"
@@ -71,7 +78,9 @@ def render(eq: Answer, with_warnings: bool = True) -> str:
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
 
 
-def _render_equation(console: Console, equation: Equation, method: str, scores: Scores | None, terminal: bool) -> None:
+def _render_equation(
+    console: Console, equation: Equation, method: str, scores: Scores | None, terminal: bool, conditional: bool
+) -> None:
     console.print(f"[bold]{escape(equation.text)}[/bold]\n")
     table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
     table.add_column("term")
@@ -80,9 +89,11 @@ def _render_equation(console: Console, equation: Equation, method: str, scores: 
     extra = _extra_columns(equation)
     for name in extra:
         table.add_column(name, justify="left" if name == "unit" else "right")
-    for k, row in enumerate(_rows(equation)):
+    for k, row in enumerate(_rows(equation, conditional)):
         table.add_row(*row, *(values[k] for values in extra.values()))
     console.print(table)
+    if not conditional and (equation.printed_over_models.any() or equation.intercept_over_models):
+        console.print(f"\n{MARK} {OVER_MODELS}")
     rest = len(equation.terms) - len(_listed(equation))
     if rest:
         low = [p for p in equation.posterior.pip if p < NOTEWORTHY_PIP]
@@ -194,21 +205,25 @@ def _extra_columns(equation: Equation) -> dict[str, list[str]]:
     return out
 
 
-def _rows(equation: Equation) -> list[tuple[Any, ...]]:
+def _rows(equation: Equation, conditional: bool) -> list[tuple[Any, ...]]:
     p, ci, sd = equation.shown_posterior, equation.shown_ci95, equation.shown_posterior.sd
+    marked = np.zeros(len(p.support), dtype=np.bool_)
+    if not conditional:
+        ci, marked = equation.printed_ci95, equation.printed_over_models
     rows = []
     for j in _listed(equation):
         term = equation.terms[j]
         if p.support[j]:
-            interval = f"{round_to(ci[j, 0], sd[j])} .. {round_to(ci[j, 1], sd[j])}"
+            interval = f"{round_to(ci[j, 0], sd[j])} .. {round_to(ci[j, 1], sd[j])}{f' {MARK}' if marked[j] else ''}"
             rows.append((escape(term.text), round_to(p.coef[j], sd[j]), f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
         else:
             absent = "not shown" if equation.posterior.support[j] else "not included"
             rows.append((escape(term.text), absent, "", "", f"{p.pip[j]:.3f}"))
     if p.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING:
         return [*rows, ("intercept", "none", "", "", "")]
-    low, high = equation.intercept_ci95
+    low, high = equation.intercept_ci95 if conditional else equation.printed_intercept_ci95
+    mark = "" if (low, high) == equation.intercept_ci95 else f" {MARK}"
     value, spread = equation.intercept_estimate
-    interval = f"{round_to(low, spread)} .. {round_to(high, spread)}"
+    interval = f"{round_to(low, spread)} .. {round_to(high, spread)}{mark}"
     rows.append(("intercept", round_to(value, spread), f"{spread:.2g}", interval, ""))
     return rows

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayeq.equation.answer import Answer
-from bayeq.equation.equation import Z95, Equation
+from bayeq.equation.equation import Equation
 from bayeq.forecast.results import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
 
@@ -73,6 +73,8 @@ def _equation(equation: Equation) -> dict[str, Any]:
         "intercept_sd": equation.intercept_estimate[1],
         "intercept_included": shown.left_out_intercept is None,
         "intercept_ci95": list(equation.intercept_ci95),
+        "intercept_printed_ci95": list(equation.printed_intercept_ci95),
+        "intercept_printed_over_models": equation.intercept_over_models,
         "intercept_pip": shown.intercept_pip,
         "noise_sd": equation.noise_sd,
         "elbo": p.elbo,
@@ -97,19 +99,25 @@ def _term(equation: Equation, j: int) -> dict[str, Any]:
         "shown_coef": float(shown.coef[j]),
         "shown_sd": float(shown.sd[j]),
         "shown_ci95": equation.shown_ci95[j].tolist(),
-        **_averaged(p, j),
+        "printed_ci95": equation.printed_ci95[j].tolist(),
+        "printed_over_models": bool(equation.printed_over_models[j]),
+        **_averaged(equation, j),
         # of a term that is shown
         "share": float(equation.share[j]) if equation.share is not None and shown.support[j] else None,
         "unit": equation.coef_units[j],
     }
 
 
-def _averaged(p: Posterior, j: int) -> dict[str, Any]:
-    """Moments over all models, where models are averaged."""
-    if p.averaged_coef is None or p.averaged_sd is None:
+def _averaged(equation: Equation, j: int) -> dict[str, Any]:
+    """Moments and interval over all models, where models are averaged."""
+    p, interval = equation.posterior, equation.averaged_ci95
+    if p.averaged_coef is None or p.averaged_sd is None or interval is None:
         return {}
-    mean, sd = float(p.averaged_coef[j]), float(p.averaged_sd[j])
-    return {"averaged_coef": mean, "averaged_sd": sd, "averaged_ci95": [mean - Z95 * sd, mean + Z95 * sd]}
+    return {
+        "averaged_coef": float(p.averaged_coef[j]),
+        "averaged_sd": float(p.averaged_sd[j]),
+        "averaged_ci95": interval[j].tolist(),
+    }
 
 
 def _average(p: Posterior) -> dict[str, Any] | None:

@@ -1,0 +1,83 @@
+"""95 % intervals of coefficients: given one model, and over models, so that they know the doubt about the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.inference.posterior import Posterior
+from bayeq.regression.fit import RegressionFit
+from bayeq.regression.mixture import mixture_of
+
+__all__ = ["Z95", "OverModels", "intervals", "over_models", "unlike"]
+
+Floats = NDArray[np.float64]
+
+# Half-width of a 95 % interval of a normal distribution, in standard deviations.
+Z95 = 1.959963984540054
+
+# A width or an end that differs by more than this share of the width makes another interval: an end that is this much
+# too near leaves out 12 % in place of 2.5 %. Below, the interval is that of the coefficient and sd beside it.
+DIFFERENT = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class OverModels:
+    """Intervals that know of other models than the one included or shown.
+
+    Attributes
+    ----------
+    averaged : (P, 2) array or None
+        Over all models, 0 in those without the term; None where no models are averaged.
+    given_in : (P, 2) array or None
+        Over the models that hold the term, of an equation that is printed: terms that were left out for simplicity are
+        in none of them. None where there are none.
+    intercept : (2,) array or None
+        Over the same models, of the intercept.
+    """
+
+    averaged: Floats | None
+    given_in: Floats | None
+    intercept: Floats | None
+
+
+def intervals(posterior: Posterior) -> Floats:
+    """95 % intervals given a model, (P, 2); 0 for a term that is out."""
+    half = Z95 * posterior.sd
+    return np.column_stack([posterior.coef - half, posterior.coef + half])
+
+
+def over_models(
+    fit: RegressionFit, included: Posterior, shown_fit: RegressionFit, shown: Posterior, simplified: Sequence[str]
+) -> OverModels:
+    """Intervals over models of a fitted regression.
+
+    Parameters
+    ----------
+    fit, shown_fit : RegressionFit
+        What the coefficients of the included terms and of those shown come from.
+    included, shown : Posterior
+        As they are reported.
+    simplified : sequence of str
+        Terms that were left out for a simpler equation.
+    """
+    overall = mixture_of(fit, included)
+    struck = np.isin(shown_fit.posterior.names, simplified)
+    same = shown_fit is fit and not struck.any() and bool((included.support == shown.support).all())
+    given = overall if same else mixture_of(shown_fit, shown, struck)
+    both = None if given is None else given.given_in()
+    return OverModels(
+        averaged=None if overall is None else overall.overall()[:-1],
+        given_in=None if both is None else both[:-1],
+        intercept=None if both is None else both[-1],
+    )
+
+
+def unlike(one: Floats, other: Floats) -> NDArray[np.bool_]:
+    """Where intervals (P, 2) differ in width or at an end by more than 20 % of the width of the other, (P,)."""
+    width = other[:, 1] - other[:, 0]
+    ends = np.abs(one - other).max(axis=1)
+    return np.maximum(ends, np.abs(one[:, 1] - one[:, 0] - width)) > DIFFERENT * width
