@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import bayeq as bq
-from bayeq.selection.negligible import NEGLIGIBLE
+from bayeq.selection.tolerance import TOLERANCE
 from examples.page import Example, draw
 
 NAME = "air_track"
@@ -33,7 +33,7 @@ def run(example: Example, data: Path) -> None:
         given = bq.Prior(prior_inclusion=1.0, slab_variance=1e6)  # all terms are in, hardly shrunk
         compared = []
         for damping in ([], ["v"], ["v*abs(v)"], ["sign(v)"]):
-            one = bq.discover(rec, chains="x:v:a", dictionary=["x", *damping], prior=given, negligible=0, smooth="band")
+            one = bq.discover(rec, chains="x:v:a", dictionary=["x", *damping], prior=given, tolerance=0, smooth="band")
             compared.append(one)
             print(f"{one[0].text:36} {100 * one.simulate(rec, draws=0).nrmse['x']:5.1f} %")
         better = compared[1].refine(rec)

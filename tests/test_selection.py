@@ -151,7 +151,7 @@ def test_limits_that_do_not_bind_change_nothing():
         assert other.why == first.why
         for name, value in first.shown_coef.items():
             assert other.shown_coef[name] == pytest.approx(value, rel=1e-6)
-    assert set(discover(rec, **OSCILLATOR, negligible=0)[0].shown) == DUFFING
+    assert set(discover(rec, **OSCILLATOR, tolerance=0)[0].shown) == DUFFING
 
 
 def test_forced_terms_stay(record):
@@ -228,7 +228,7 @@ def hysteretic():
 
 def test_terms_that_compensate_for_what_the_dictionary_lacks_are_left_out(hysteretic):
     eq = discover(hysteretic, **OSCILLATOR, smooth="band")
-    shown, everything = eq[0], discover(hysteretic, **OSCILLATOR, negligible=0.0, smooth="band")[0]
+    shown, everything = eq[0], discover(hysteretic, **OSCILLATOR, tolerance=0, smooth="band")[0]
     assert set(shown.shown) == DUFFING < set(everything.shown)
     assert shown.included == everything.included == everything.shown
     assert {left.name for left in shown.left_out} == set(everything.shown) - DUFFING
@@ -255,7 +255,7 @@ def test_short_records_without_noise_show_the_law_alone():
     one, law = discover(rec, **options)[0], {"x", "v", "v*abs(v)", "u"}
     assert set(one.shown) == law
     assert {left.name for left in one.left_out} == set(one.included) - law
-    assert set(discover(rec, **options, negligible=0)[0].shown) == set(one.included)
+    assert set(discover(rec, **options, tolerance=0)[0].shown) == set(one.included)
 
 
 def test_a_form_that_free_runs_leave_undecided_is_warned_of():
@@ -282,7 +282,7 @@ def test_a_form_that_free_runs_leave_undecided_is_warned_of():
 @pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 def test_errors_of_windows_are_those_of_simulate():
     rec = bq.simulate("linear", n=400, seed=3, noise=0.0)
-    eq = bq.discover(rec, **OSCILLATOR, dictionary=["x", "u"], holdout=0.0, negligible=0.0)
+    eq = bq.discover(rec, **OSCILLATOR, dictionary=["x", "u"], holdout=0.0, tolerance=0)
     rows = Rows(rec.time, rec.channels, {}, interpolant(rec.time, rec["u"][:, None], "cubic"))
     dynamics = eq.dynamics()
     assert typical_period(dynamics, [rows]) == pytest.approx(2 * np.pi * rec["x"].std() / rec["v"].std())

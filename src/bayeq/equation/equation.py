@@ -77,7 +77,7 @@ class Equation:
 
     Two models of the same regression stand in it. The *included* terms are those with a posterior inclusion probability
     above 0.5; the terms *shown* are those of the equation that is printed, evaluated and integrated. They are the same
-    unless a limit, negligible terms or an undecided group make a difference (`bayeq.selection.select`); `why` tells.
+    unless a limit, the tolerance or an undecided group make a difference (`bayeq.selection.select`); `why` tells.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Equation:
         out and the others are refitted by least squares. NaN for a term that is not shown.
     why : mapping of str to str
         Terms that are included or shown and not both, each with the rule that decided: ``"max_terms"``,
-        ``"negligible"`` or ``"undecided"``.
+        ``"tolerance"`` or ``"undecided"``.
     left_out : tuple of LeftOut
         Terms that are included and not shown.
     verdict : Verdict
@@ -118,6 +118,12 @@ class Equation:
         the path.
     models : tuple of CandidateModel
         The likeliest models with their coefficients, the likeliest first.
+    effective : tuple of str
+        Terms shown whose coefficients are not those of the full model: they stand in for terms within the tolerance
+        too. Their intervals are those of the projection of the full model.
+    full_posterior : Posterior or None
+        Of the full model, in original units, where what is shown is its projection on fewer terms: the included terms,
+        or what a limit or an undecided group makes of them.
     """
 
     chain: Chain
@@ -137,6 +143,8 @@ class Equation:
     unit_gains: tuple[float, ...] = ()
     scored: Equation | None = field(default=None, repr=False, compare=False)
     models: tuple[CandidateModel, ...] = ()
+    effective: tuple[str, ...] = ()
+    full_posterior: Posterior | None = field(default=None, repr=False, compare=False)
 
     @property
     def law(self) -> Law:
@@ -234,7 +242,8 @@ class Equation:
         DataFrame
             ``term``; ``coef``, ``sd``, ``ci_low``, ``ci_high`` given the included terms; ``pip``; ``included``,
             ``shown``; ``share`` of the target's variance; ``unit`` of the coefficient (None: unknown); ``shown_coef``,
-            ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``why`` the two differ ("" if not).
+            ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``why`` the two differ ("" if not);
+            ``effective``, whether the coefficient shown stands in for terms within the tolerance too.
         """
         import pandas as pd
 
@@ -257,13 +266,21 @@ class Equation:
                 "shown_ci_low": shown_ci[:, 0],
                 "shown_ci_high": shown_ci[:, 1],
                 "why": [self.why.get(term.text, "") for term in self.terms],
+                "effective": [term.text in self.effective for term in self.terms],
             }
         )
 
     @cached_property
     def text(self) -> str:
         """The equation as a line of text, coefficients to a tenth of their standard deviation."""
-        p = self.shown_posterior
+        return self._line(self.shown_posterior)
+
+    @property
+    def full_text(self) -> str | None:
+        """The full model in the same way, where what is shown is its projection on fewer terms; else None."""
+        return None if self.full_posterior is None else self._line(self.full_posterior)
+
+    def _line(self, p: Posterior) -> str:
         parts = [
             (round_to(value, sd), term.text)
             for term, value, sd, kept in zip(self.terms, p.coef, p.sd, p.support, strict=True)
