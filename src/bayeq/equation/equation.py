@@ -119,7 +119,7 @@ class Equation:
     models : tuple of CandidateModel
         The likeliest models with their coefficients, the likeliest first.
     effective : tuple of str
-        Terms shown whose coefficients are not those of the full model: they stand in for terms within the tolerance
+        Terms shown whose coefficients are not those of the full model: they make up for terms within the tolerance
         too. Their intervals are those of the projection of the full model.
     full_posterior : Posterior or None
         Of the full model, in original units, where what is shown is its projection on fewer terms: the included terms,
@@ -243,7 +243,7 @@ class Equation:
             ``term``; ``coef``, ``sd``, ``ci_low``, ``ci_high`` given the included terms; ``pip``; ``included``,
             ``shown``; ``share`` of the target's variance; ``unit`` of the coefficient (None: unknown); ``shown_coef``,
             ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``why`` the two differ ("" if not);
-            ``effective``, whether the coefficient shown stands in for terms within the tolerance too.
+            ``effective``, whether the coefficient shown makes up for terms within the tolerance too.
         """
         import pandas as pd
 

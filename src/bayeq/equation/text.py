@@ -36,7 +36,7 @@ NOTHING = 1e-100
 # A term of a higher PIP is called certain.
 CERTAIN = 0.99
 
-# Before a coefficient that stands in for other terms too.
+# Before a coefficient that makes up for other terms too.
 EFFECTIVE = "~"
 
 # What is said of residuals, if it had a smaller probability by chance.
@@ -121,7 +121,7 @@ def _differences(equation: Equation, score: str) -> list[str]:
             out.append(f"shown, though its {score} is {p.pip[j]:.3f}: {term.text} ({equation.why[term.text]})")
     if equation.effective:
         out.append(
-            f"{EFFECTIVE} effective coefficients: they stand in for terms within the tolerance too, and their intervals"
+            f"{EFFECTIVE} effective coefficients: they make up for terms within the tolerance too, and their intervals"
             " cover what comes closest to the full model's predictions"
         )
     if equation.full_text is not None:
