@@ -54,7 +54,7 @@ def run(example: Example, data: Path) -> None:
     example.numbers |= {
         "free run of the whole record, discovered equation, error of x": f"{100 * whole.nrmse['x']:.0f} %",
         "free run of the whole record, x and v given, error of x": f"{100 * run.nrmse['x']:.1f} %",
-        "limit of negligible": f"{100 * NEGLIGIBLE:.3f} %",
+        "tolerance": f"{100 * TOLERANCE:g} %",
         "coefficient of v, discovered, 95 % interval": f"{low:.4f} .. {high:.4f}",
         "sampling rate [Hz]": f"{(rec.n - 1) / (time[-1] - time[0]):.2f}",
         "amplitude of the second harmonic [tracking units]": f"{_second_harmonic(rec, stiffness):.1f}",

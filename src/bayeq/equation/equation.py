@@ -217,22 +217,17 @@ class Equation:
     @property
     def intercept_ci95(self) -> tuple[float, float]:
         """95 % interval of the intercept of the equation shown."""
-        value, sd = self.intercept_estimate
-        return value - Z95 * sd, value + Z95 * sd
+        return _intercept_interval(self.shown_posterior)
 
     @property
     def intercept_estimate(self) -> tuple[float, float]:
         """Estimate and standard deviation of the intercept, whether it is in the equation or probably zero."""
-        p = self.shown_posterior
-        return p.left_out_intercept or (p.intercept, p.intercept_sd)
+        return _intercept(self.shown_posterior)
 
     @property
     def intercept_matters(self) -> bool:
         """Whether the intercept is written out: it is probably not zero, or else its interval says so."""
-        if self.shown_posterior.intercept_pip is not None:
-            return self.shown_posterior.intercept_pip > 0.5
-        low, high = self.intercept_ci95
-        return low > 0 or high < 0
+        return _intercept_matters(self.shown_posterior)
 
     def table(self) -> pd.DataFrame:
         """All candidates, a row each.
@@ -286,7 +281,7 @@ class Equation:
             for term, value, sd, kept in zip(self.terms, p.coef, p.sd, p.support, strict=True)
             if kept
         ]
-        if self.intercept_matters:
+        if _intercept_matters(p):
             parts.append((round_to(p.intercept, p.intercept_sd), ""))
         pieces: list[str] = []
         for number, term in parts:
@@ -445,6 +440,22 @@ class Equation:
 def _intervals(posterior: Posterior) -> Floats:
     half = Z95 * posterior.sd
     return np.column_stack([posterior.coef - half, posterior.coef + half])
+
+
+def _intercept(p: Posterior) -> tuple[float, float]:
+    return p.left_out_intercept or (p.intercept, p.intercept_sd)
+
+
+def _intercept_interval(p: Posterior) -> tuple[float, float]:
+    value, sd = _intercept(p)
+    return value - Z95 * sd, value + Z95 * sd
+
+
+def _intercept_matters(p: Posterior) -> bool:
+    if p.intercept_pip is not None:
+        return p.intercept_pip > 0.5
+    low, high = _intercept_interval(p)
+    return low > 0 or high < 0
 
 
 def _factor(term: str) -> str:
