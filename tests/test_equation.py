@@ -76,6 +76,7 @@ def test_table_lists_every_candidate(eq):
         "shown_ci_low",
         "shown_ci_high",
         "why",
+        "effective",
     ]
     assert len(table) == 36
     chosen = table[table.included]
@@ -215,7 +216,7 @@ def test_json_has_the_shape_of_the_contract(eq):
     assert {"target", "intercept", "noise_sd", "elbo", "equation", "latex", "terms"} <= set(equation)
     assert len(equation["terms"]) == 36
     assert list(equation["terms"][0]) == [
-        "name", "coef", "sd", "ci95", "pip", "included", "shown", "why", "shown_coef", "shown_sd", "shown_ci95",
+        "name", "coef", "sd", "ci95", "pip", "included", "shown", "why", "effective", "shown_coef", "shown_sd", "shown_ci95",
         "averaged_coef", "averaged_sd", "averaged_ci95", "share", "unit",
     ]  # fmt: skip
     for term in equation["terms"]:
