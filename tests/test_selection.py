@@ -363,6 +363,24 @@ def test_the_damping_of_a_light_structure_stays():
     assert set(one.shown) == {"x", "v", "u"}
 
 
+def test_equations_of_a_system_are_simplified_each(weak, whole):
+    # two oscillators that do not know of each other; the cubic stiffness of the second one matters
+    stiff = bq.simulate("duffing", seed=4, noise={"x": 1e-4, "v": 1e-4, "a": 1e-3, "u": 1e-4})
+    channels = {f"{name}{k}": rec[name] for k, rec in ((1, weak), (2, stiff)) for name in "xvau"}
+    both = bq.Record.from_arrays(channels, time=weak.time)
+    eq = discover(
+        both,
+        chains=["x1:v1:a1", "x2:v2:a2"],
+        inputs=["u1", "u2"],
+        dictionary=["x1", "v1", "x1**3", "u1", "x2", "v2", "x2**3", "u2"],
+    )
+    assert eq[0].included == ("x1", "v1", "x1**3", "u1")
+    assert eq[0].shown == ("x1", "v1", "u1")
+    assert eq[1].shown == eq[1].included == ("x2", "v2", "x2**3", "u2")
+    assert eq[1].full_posterior is None
+    assert eq[0].full_posterior.coef[2] == pytest.approx(whole[0].coef["x**3"], rel=0.02)
+
+
 def test_without_time_no_smaller_model_is_shown(weak):
     untimed = bq.Record.from_arrays({name: weak[name] for name in "xvau"})
     one = discover(untimed, **RAW)[0]
