@@ -35,9 +35,9 @@ Bools = NDArray[np.bool_]
 # sensors are calibrated to some 1 %, and what changes a prediction by less cannot be claimed from what they measured.
 TOLERANCE = 0.01
 
-# Lengths of free runs in typical periods (at most half a record): over one, which chaotic motion can be followed for
-# too, and over ten, where the full model's run keeps to the record to better than FOLLOWS of the spread: beyond, it is
-# out of step, and its error tells nothing of the equation.
+# Lengths of free runs in typical periods (at most half a record): one, which chaotic motion can be followed for too, and
+# ten. They count where the full model's run keeps to the record to better than FOLLOWS of the spread: beyond, it is out
+# of step, and its error says nothing about the equation.
 SHORT, LONG = 1.0, 10.0
 FOLLOWS = 0.5
 
@@ -76,11 +76,9 @@ class FreeRuns:
 
 
 def hardly_worse(fewer: Errors, whole: Errors, tolerance: float) -> bool:
-    """Whether errors exceed others by no more than a tolerance; not where there are none, or runs blow up."""
-    if not math.isfinite(whole[SHORT]):
-        return False
-    compared = [periods for periods in whole if periods == SHORT or whole[periods] < FOLLOWS]
-    return all(fewer[periods] <= whole[periods] + tolerance for periods in compared)
+    """Whether errors exceed others by no more than a tolerance; not where these are out of step with the record."""
+    compared = [periods for periods in whole if whole[periods] < FOLLOWS]
+    return SHORT in compared and all(fewer[periods] <= whole[periods] + tolerance for periods in compared)
 
 
 def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float:
@@ -213,7 +211,7 @@ def likeliest_instead(
     if runs is None:
         return None
     errors = runs.errors(_with(found, k, mean))
-    if not math.isfinite(errors[SHORT]) or hardly_worse(runs.errors(found), errors, tolerance):
+    if not errors[SHORT] < FOLLOWS or hardly_worse(runs.errors(found), errors, tolerance):
         return None
     instead = runs.errors(_with(found, k, likeliest))
     return likeliest if hardly_worse(instead, runs.errors(found), 0.0) else None
