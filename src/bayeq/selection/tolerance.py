@@ -35,9 +35,9 @@ Bools = NDArray[np.bool_]
 # sensors are calibrated to some 1 %, and what changes a prediction by less cannot be claimed from what they measured.
 TOLERANCE = 0.01
 
-# Lengths of free runs in typical periods (at most half a record): one, which chaotic motion can be followed for too, and
-# ten. They count where the full model's run keeps to the record to better than FOLLOWS of the spread: beyond, it is out
-# of step, and its error says nothing about the equation.
+# Lengths of free runs in typical periods (at most half a record): one, which chaotic motion can be followed for too,
+# and ten. They count where the full model's run keeps to the record to better than FOLLOWS of the spread: beyond, it is
+# out of step, and its error says nothing about the equation.
 SHORT, LONG = 1.0, 10.0
 FOLLOWS = 0.5
 
