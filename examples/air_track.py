@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import bayeq as bq
-from bayeq.selection.negligible import NEGLIGIBLE
+from bayeq.selection.tolerance import TOLERANCE
 from examples.page import Example, draw
 
 NAME = "air_track"
@@ -33,7 +33,7 @@ def run(example: Example, data: Path) -> None:
         given = bq.Prior(prior_inclusion=1.0, slab_variance=1e6)  # all terms are in, hardly shrunk
         compared = []
         for damping in ([], ["v"], ["v*abs(v)"], ["sign(v)"]):
-            one = bq.discover(rec, chains="x:v:a", dictionary=["x", *damping], prior=given, negligible=0, smooth="band")
+            one = bq.discover(rec, chains="x:v:a", dictionary=["x", *damping], prior=given, tolerance=0, smooth="band")
             compared.append(one)
             print(f"{one[0].text:36} {100 * one.simulate(rec, draws=0).nrmse['x']:5.1f} %")
         better = compared[1].refine(rec)
@@ -54,7 +54,7 @@ def run(example: Example, data: Path) -> None:
     example.numbers |= {
         "free run of the whole record, discovered equation, error of x": f"{100 * whole.nrmse['x']:.0f} %",
         "free run of the whole record, x and v given, error of x": f"{100 * run.nrmse['x']:.1f} %",
-        "limit of negligible": f"{100 * NEGLIGIBLE:.3f} %",
+        "tolerance": f"{100 * TOLERANCE:g} %",
         "coefficient of v, discovered, 95 % interval": f"{low:.4f} .. {high:.4f}",
         "sampling rate [Hz]": f"{(rec.n - 1) / (time[-1] - time[0]):.2f}",
         "amplitude of the second harmonic [tracking units]": f"{_second_harmonic(rec, stiffness):.1f}",

@@ -28,7 +28,7 @@ def run(example: Example, data: Path) -> None:
         print()
         print(eq[0].coarsening())
     with example.block("doubt"):
-        everything = bq.discover(pieces, chains="th:w:", dictionary=terms, negligible=0, smooth="band")
+        everything = bq.discover(pieces, chains="th:w:", dictionary=terms, tolerance=0, smooth="band")
         coef = everything[0].shown_coef
         for w in (1, 3, 5, 10):
             total = coef["w"] * w + coef["w*abs(w)"] * w**2 + coef["sign(w)"]
@@ -54,7 +54,7 @@ def run(example: Example, data: Path) -> None:
             ["w", "w*abs(w)", "sign(w)"],
         ):
             one = bq.discover(
-                thin[10], chains="th:w:", dictionary=["sin(th)", *friction], prior=given, negligible=0, smooth="band"
+                thin[10], chains="th:w:", dictionary=["sin(th)", *friction], prior=given, tolerance=0, smooth="band"
             )
             forms.append(one)
             errors = [one.simulate(piece, draws=0).nrmse["th"] for piece in thin[10]]

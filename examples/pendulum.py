@@ -33,7 +33,7 @@ def run(example: Example, data: Path) -> None:
         given = bq.Prior(prior_inclusion=1.0, slab_variance=1e6)  # all terms are in, hardly shrunk
         for friction in ([], ["w"], ["w*abs(w)"], ["sign(w)"]):
             one = bq.discover(
-                rec, chains="o:w:a", dictionary=["sin(o)", *friction], prior=given, negligible=0, smooth="band"
+                rec, chains="o:w:a", dictionary=["sin(o)", *friction], prior=given, tolerance=0, smooth="band"
             )
             run = one.simulate(rec, draws=0)
             print(f"{one[0].text:52} free run of the whole record: o {100 * run.nrmse['o']:.0f} %")

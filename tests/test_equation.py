@@ -78,6 +78,7 @@ def test_table_lists_every_candidate(eq):
         "averaged_ci_low",
         "averaged_ci_high",
         "why",
+        "effective",
     ]
     assert len(table) == 36
     chosen = table[table.included]
@@ -217,8 +218,9 @@ def test_json_has_the_shape_of_the_contract(eq):
     assert {"target", "intercept", "noise_sd", "elbo", "equation", "latex", "terms"} <= set(equation)
     assert len(equation["terms"]) == 36
     assert list(equation["terms"][0]) == [
-        "name", "coef", "sd", "ci95", "pip", "included", "shown", "why", "shown_coef", "shown_sd", "shown_ci95",
-        "printed_ci95", "printed_over_models", "averaged_coef", "averaged_sd", "averaged_ci95", "share", "unit",
+        "name", "coef", "sd", "ci95", "pip", "included", "shown", "why", "effective", "shown_coef", "shown_sd",
+        "shown_ci95", "printed_ci95", "printed_over_models", "averaged_coef", "averaged_sd", "averaged_ci95", "share",
+        "unit",
     ]  # fmt: skip
     for term in equation["terms"]:
         assert term["included"] == (term["pip"] > 0.5)

@@ -108,11 +108,12 @@ def test_the_air_track_s_law():
     assert "smooth=auto: free run of the whole record, error of x 0." in example.blocks["given"]
 
 
-def test_the_encoder_s_law_and_its_doubt():
+def test_the_encoder_s_law_is_what_the_tolerance_leaves():
     example = ran(encoder)
     found = example.blocks["found"]
     assert re.search(r"\nddth = 64\.\d*\*sin\(th\) - 0\.05\d*\*w \+", found)
-    assert "w is needed, but its form is undecided: with w*abs(w) or sign(w) instead" in found
+    assert len(re.findall(r"certain, but within the tolerance: ", found)) == 6
+    assert re.search(r"full model: ddth = .*\*cos\(th\)", found)
 
 
 def test_the_tanks_are_not_explained():

@@ -419,7 +419,7 @@ def test_runs_that_are_worse_on_the_rows_held_out_are_reported():
     both = {name: np.concatenate([first[name], second[name][:100]]) for name in "xva"}
     noisy = {name: values + 0.02 * values.std() * rng.normal(size=500) for name, values in both.items()}
     record = bq.Record.from_arrays(noisy, time=np.arange(500) / 50.0)
-    eq = discover(record, chains=["x:v:a"], dictionary=["x", "v"], smooth="none", negligible=0)
+    eq = discover(record, chains=["x:v:a"], dictionary=["x", "v"], smooth="none", tolerance=0)
     stiff = with_coef(eq, np.array([-110.0, -1.0]))
     with pytest.warns(ConvergenceWarning, match="over the rows held out err more") as caught:
         after = stiff.refine(record)

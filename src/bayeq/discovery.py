@@ -26,8 +26,8 @@ from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.joint import fit_equations, record_of
 from bayeq.regression.regression import Regression
-from bayeq.selection.negligible import NEGLIGIBLE
 from bayeq.selection.select import Rules, select
+from bayeq.selection.tolerance import TOLERANCE
 from bayeq.states import Motion, Roles, Smooth, estimate_motion, measured_apart, require_varying
 from bayeq.states.bad_samples import without_bad_samples
 from bayeq.states.derive import require_usable
@@ -65,7 +65,7 @@ def discover(
     smooth: Smooth = "auto",
     holdout: float = 0.2,
     max_terms: int | None = None,
-    negligible: float = NEGLIGIBLE,
+    tolerance: float = TOLERANCE,
     coarsen: float = 1.0,
     prior: Prior | None = None,
     constraints: str | Sequence[str] = (),
@@ -105,10 +105,12 @@ def discover(
         Largest number of terms that are shown: the likeliest such model where the method includes more. The path of
         each equation (`Equation.path`) tells what each further term brings. Probabilities and the included terms stay;
         what is left out is listed after the equation.
-    negligible : float
-        Terms that are certain and yet make no practical difference are listed after the equation: those that together
-        explain a smaller share of the target's variance than this, and without which free runs over the training rows
-        are hardly worse (`bayeq.selection.negligible`). 0 shows them.
+    tolerance : float
+        What makes no practical difference: the equation shown is the smallest whose predictions and free runs over
+        windows of the training rows are worse than the full model's by no more than this share of the target's standard
+        deviation and of the states' spread (`bayeq.selection.tolerance`). By default 1 %, to which sensors are
+        calibrated. Terms that are certain and yet not needed for that are listed after the equation, beside the full
+        model. 0 shows the included terms.
     coarsen : float
         Power, above 0 and at most 1, that the likelihood is raised to: each row counts as this share of one (Miller
         and Dunson 2019). It widens all intervals and asks more evidence of a term, for models that are only nearly
@@ -151,7 +153,7 @@ def discover(
     """
     log, step = WarningLog(), progress or _silent
     _check_method(method)
-    rules = Rules(max_terms, negligible)
+    rules = Rules(max_terms, tolerance)
     rules.check(method)
     _check_shares(holdout, coarsen)
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
@@ -193,7 +195,7 @@ def discover(
 
     log.emit(stacklevel=3)
     return Equations(
-        equations=with_doubts(equations, selections),
+        equations=with_doubts(equations, selections, tolerance or TOLERANCE),
         inputs=roles.inputs,
         method=method,
         dictionary=dictionary if isinstance(dictionary, str) else ", ".join(str(t) for t in dictionary),

@@ -62,7 +62,7 @@ def test_intervals_of_free_decays_cover(number):
             phase = np.sqrt(stiffness - damping**2 / 4) * t + rng.uniform(0, 2 * np.pi)
             x = np.exp(-damping * t / 2) * np.cos(phase) + noise * rng.standard_normal(1500)
             rec = bq.Record.from_arrays(time=t, x=x)
-            eq = bq.discover(rec, chains="x::", dictionary=list(truth), prior=prior, holdout=0.0, negligible=0)[0]
+            eq = bq.discover(rec, chains="x::", dictionary=list(truth), prior=prior, holdout=0.0, tolerance=0)[0]
             squares += standardised(eq, truth)[1]
             inside += [low < truth[t.text] < high for (low, high), t in zip(eq.ci95, eq.terms, strict=True)]
     assert_coverage(inside)

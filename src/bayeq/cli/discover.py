@@ -102,10 +102,10 @@ class Progress:
 @option("--holdout", type=float, default=0.2, help="Share of the rows, the last, to judge the equation by.")
 @option("--max-terms", type=int, help="Show at most this number of terms: the likeliest equation within it.")
 @option(
-    "--negligible",
+    "--tolerance",
     type=float,
-    help="Terms that together explain a smaller share of the variance than this (0.00004) and make no difference to"
-    " free runs are listed after the equation; 0 keeps them in it.",
+    help="What makes no practical difference: the smallest equation is shown whose predictions and free runs are worse"
+    " than the full model's by no more than this share (0.01); 0 shows the included terms.",
 )
 @option(
     "--coarsen",

@@ -23,6 +23,7 @@ from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
 from bayeq.selection.alternatives import alternatives_to
 from bayeq.selection.select import Selection
+from bayeq.selection.tolerance import effective_terms
 
 __all__ = ["build_equations", "with_doubts"]
 
@@ -82,7 +83,8 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
     """
     fit = selection.fit
     regression, motion = fit.regression, fit.regression.motion
-    shown, excess = selection.shown_fit.reported(selection.shown)
+    shown, excess = selection.reported()
+    full = None if selection.full is None else selection.shown_fit.expanded(selection.full)
     same = selection.shown is fit.posterior
     posterior = shown if same else fit.reported(fit.posterior)[0]
     train, held_out = regression.fit(shown), regression.held_out_fit(shown)
@@ -113,23 +115,36 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
         why=differ,
         left_out=selection.left_out,
         models=likeliest_models(fit),
+        effective=() if full is None else effective_terms(full, shown),
+        full_posterior=full,
     )
 
 
-def with_doubts(equations: Sequence[Equation], selections: Sequence[Selection]) -> tuple[Equation, ...]:
-    """Equations with verdicts that consider other equations, and what is left of the record."""
+def with_doubts(
+    equations: Sequence[Equation], selections: Sequence[Selection], tolerance: float
+) -> tuple[Equation, ...]:
+    """Equations with verdicts that consider other equations, and what is left of the record.
+
+    Parameters
+    ----------
+    equations, selections : sequences
+        One per equation.
+    tolerance : float
+        Other equations whose predictions are no further from the full model's than this share of the target's standard
+        deviation are the same for practical purposes.
+    """
     pairs = zip(equations, selections, strict=True)
-    return tuple(replace(equation, verdict=_doubted(equation, selection)) for equation, selection in pairs)
+    return tuple(replace(equation, verdict=_doubted(equation, selection, tolerance)) for equation, selection in pairs)
 
 
-def _doubted(equation: Equation, selection: Selection) -> Verdict:
+def _doubted(equation: Equation, selection: Selection, tolerance: float) -> Verdict:
     fit, regression = selection.shown_fit, selection.shown_fit.regression
     lacking, coloured = None, None
     if regression.record is not None:
         adequacy = regression.record.adequacy
         lacking = adequacy.lacks(regression.k)
         coloured = adequacy.coloured([name for name in regression.chain.measured if name is not None])
-    others = alternatives_to(fit, equation.shown_posterior)
+    others = alternatives_to(fit, equation.full_posterior or equation.shown_posterior, tolerance)
     spread = float(np.sqrt(regression.rows.yty / regression.rows.n))
     excess = equation.residuals.excess if (equation.residuals.excess or 0.0) > INADEQUATE else None
     return doubted(equation.verdict, equation.target, others, lacking, coloured, spread, excess)
@@ -196,8 +211,8 @@ def _warn_of_undecided(equation: Equation, selection: Selection, log: WarningLog
     target = equation.target
     for term, others in selection.undecided.items():
         log.warn(
-            f"{target}: {term} is needed, but its form is undecided: with {' or '.join(others)} instead the fit"
-            " and free runs are hardly worse",
+            f"{target}: {term} is needed, but its form is undecided: with {' or '.join(others)} instead predictions"
+            " and free runs are within the tolerance too",
             AmbiguityWarning,
         )
     likelier = [r for r in equation.runners_up if r.log_odds > 0.0]

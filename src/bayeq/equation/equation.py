@@ -78,7 +78,7 @@ class Equation:
 
     Two models of the same regression stand in it. The *included* terms are those with a posterior inclusion probability
     above 0.5; the terms *shown* are those of the equation that is printed, evaluated and integrated. They are the same
-    unless a limit, negligible terms or an undecided group make a difference (`bayeq.selection.select`); `why` tells.
+    unless a limit, the tolerance or an undecided group make a difference (`bayeq.selection.select`); `why` tells.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class Equation:
         out and the others are refitted by least squares. NaN for a term that is not shown.
     why : mapping of str to str
         Terms that are included or shown and not both, each with the rule that decided: ``"max_terms"``,
-        ``"negligible"`` or ``"undecided"``.
+        ``"tolerance"`` or ``"undecided"``.
     left_out : tuple of LeftOut
         Terms that are included and not shown.
     verdict : Verdict
@@ -123,6 +123,12 @@ class Equation:
         What the coefficients shown come from, where that is not `fit`.
     stored : OverModels or None
         Intervals over models of an equation that was read from a file.
+    effective : tuple of str
+        Terms shown whose coefficients are not those of the full model: they make up for terms within the tolerance
+        too. Their intervals are those of the projection of the full model.
+    full_posterior : Posterior or None
+        Of the full model, in original units, where what is shown is its projection on fewer terms: the included terms,
+        or what a limit or an undecided group makes of them.
     """
 
     chain: Chain
@@ -144,6 +150,8 @@ class Equation:
     models: tuple[CandidateModel, ...] = ()
     shown_fit: RegressionFit | None = field(default=None, repr=False, compare=False)
     stored: OverModels | None = field(default=None, repr=False, compare=False)
+    effective: tuple[str, ...] = ()
+    full_posterior: Posterior | None = field(default=None, repr=False, compare=False)
 
     @property
     def law(self) -> Law:
@@ -266,22 +274,17 @@ class Equation:
     @property
     def intercept_ci95(self) -> tuple[float, float]:
         """95 % interval of the intercept of the equation shown."""
-        value, sd = self.intercept_estimate
-        return value - Z95 * sd, value + Z95 * sd
+        return _intercept_interval(self.shown_posterior)
 
     @property
     def intercept_estimate(self) -> tuple[float, float]:
         """Estimate and standard deviation of the intercept, whether it is in the equation or probably zero."""
-        p = self.shown_posterior
-        return p.left_out_intercept or (p.intercept, p.intercept_sd)
+        return _intercept(self.shown_posterior)
 
     @property
     def intercept_matters(self) -> bool:
         """Whether the intercept is written out: it is probably not zero, or else its interval says so."""
-        if self.shown_posterior.intercept_pip is not None:
-            return self.shown_posterior.intercept_pip > 0.5
-        low, high = self.intercept_ci95
-        return low > 0 or high < 0
+        return _intercept_matters(self.shown_posterior)
 
     def table(self) -> pd.DataFrame:
         """All candidates, a row each.
@@ -293,7 +296,7 @@ class Equation:
             ``shown``; ``share`` of the target's variance; ``unit`` of the coefficient (None: unknown); ``shown_coef``,
             ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``averaged_ci_low``,
             ``averaged_ci_high`` over all models (NaN where none are averaged); ``why`` included and shown terms differ
-            ("" if not).
+            ("" if not); ``effective``, whether the coefficient shown makes up for terms within the tolerance too.
         """
         import pandas as pd
 
@@ -319,19 +322,27 @@ class Equation:
                 "averaged_ci_low": averaged[:, 0],
                 "averaged_ci_high": averaged[:, 1],
                 "why": [self.why.get(term.text, "") for term in self.terms],
+                "effective": [term.text in self.effective for term in self.terms],
             }
         )
 
     @cached_property
     def text(self) -> str:
         """The equation as a line of text, coefficients to a tenth of their standard deviation."""
-        p = self.shown_posterior
+        return self._line(self.shown_posterior)
+
+    @property
+    def full_text(self) -> str | None:
+        """The full model in the same way, where what is shown is its projection on fewer terms; else None."""
+        return None if self.full_posterior is None else self._line(self.full_posterior)
+
+    def _line(self, p: Posterior) -> str:
         parts = [
             (round_to(value, sd), term.text)
             for term, value, sd, kept in zip(self.terms, p.coef, p.sd, p.support, strict=True)
             if kept
         ]
-        if self.intercept_matters:
+        if _intercept_matters(p):
             parts.append((round_to(p.intercept, p.intercept_sd), ""))
         pieces: list[str] = []
         for number, term in parts:
@@ -485,6 +496,27 @@ class Equation:
         if self.fit is None:
             raise InputError("a file of equations does not hold what their posterior came from: run discover again")
         return self.fit
+
+
+def _intervals(posterior: Posterior) -> Floats:
+    half = Z95 * posterior.sd
+    return np.column_stack([posterior.coef - half, posterior.coef + half])
+
+
+def _intercept(p: Posterior) -> tuple[float, float]:
+    return p.left_out_intercept or (p.intercept, p.intercept_sd)
+
+
+def _intercept_interval(p: Posterior) -> tuple[float, float]:
+    value, sd = _intercept(p)
+    return value - Z95 * sd, value + Z95 * sd
+
+
+def _intercept_matters(p: Posterior) -> bool:
+    if p.intercept_pip is not None:
+        return p.intercept_pip > 0.5
+    low, high = _intercept_interval(p)
+    return low > 0 or high < 0
 
 
 def _factor(term: str) -> str:

@@ -225,6 +225,8 @@ def _restore_equation(
             if "intercept_printed_ci95" in saved
             else None,
         ),
+        effective=tuple(str(term["name"]) for term in saved["terms"] if term.get("effective", False)),
+        full_posterior=None if state.get("full") is None else _restored_posterior(posterior, state["full"]),
     )
 
 
@@ -256,14 +258,26 @@ def _restored_shown(posterior: Posterior, terms: list[Mapping[str, Any]], saved:
     """The posterior given the terms shown, if these are others."""
     if saved is None:
         return posterior
-    support = np.array([bool(term["shown"]) for term in terms], dtype=np.bool_)
-    r = int(support.sum())
+    members = [j for j, term in enumerate(terms) if term["shown"]]
+    coef = [float(terms[j]["shown_coef"]) for j in members]
+    return _restored_posterior(posterior, {**saved, "terms": members, "coef": coef})
+
+
+def _restored_posterior(like: Posterior, saved: Mapping[str, Any]) -> Posterior:
+    """A posterior given another model."""
+    support = _indicator(saved["terms"], len(like.names))
+    coef, r = np.zeros(len(support)), int(support.sum())
+    coef[support] = saved["coef"]
+    mean_variance = saved.get("target_mean_variance", like.target_mean_variance)
     return replace(
-        posterior,
+        like,
         support=support,
-        coef=np.array([float(term["shown_coef"]) for term in terms]),
+        coef=coef,
         covariance=np.array(saved["covariance"], dtype=np.float64).reshape(r, r),
         noise_variance=float(saved["noise_variance"]),
+        center=np.array(saved.get("center", like.center), dtype=np.float64).reshape(len(support)),
+        target_mean=float(saved.get("target_mean", like.target_mean)),
+        target_mean_variance=None if mean_variance is None else float(mean_variance),
     )
 
 

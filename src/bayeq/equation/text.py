@@ -39,6 +39,8 @@ CERTAIN = 0.99
 # Intervals that are not those given the terms shown, and what is said of them.
 MARK = "*"
 OVER_MODELS = "interval over all models that hold the term; given the terms shown: shown_ci95, --conditional"
+# Before a coefficient that makes up for other terms too.
+EFFECTIVE = "~"
 
 # What is said of residuals, if it had a smaller probability by chance.
 DOUBTFUL = 1e-3
@@ -121,11 +123,19 @@ def _differences(equation: Equation, score: str) -> list[str]:
     p, out = equation.posterior, []
     for left in equation.left_out:
         sure = "certain" if left.pip > CERTAIN else "likely"
-        why = f"{sure}, but negligible" if left.reason == "negligible" else f"included, but left out ({left.reason})"
+        within = left.reason == "tolerance"
+        why = f"{sure}, but within the tolerance" if within else f"included, but left out ({left.reason})"
         out.append(f"{why}: {left.name}, {score} {left.pip:.3f}, explains {percent(left.share)}")
     for j, term in enumerate(equation.terms):
         if equation.shown_posterior.support[j] and not p.support[j]:
             out.append(f"shown, though its {score} is {p.pip[j]:.3f}: {term.text} ({equation.why[term.text]})")
+    if equation.effective:
+        out.append(
+            f"{EFFECTIVE} effective coefficients: they make up for terms within the tolerance too, and their intervals"
+            " cover what comes closest to the full model's predictions"
+        )
+    if equation.full_text is not None:
+        out.append(f"full model: {equation.full_text}")
     return out
 
 
@@ -215,7 +225,9 @@ def _rows(equation: Equation, conditional: bool) -> list[tuple[Any, ...]]:
         term = equation.terms[j]
         if p.support[j]:
             interval = f"{round_to(ci[j, 0], sd[j])} .. {round_to(ci[j, 1], sd[j])}{f' {MARK}' if marked[j] else ''}"
-            rows.append((escape(term.text), round_to(p.coef[j], sd[j]), f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
+            mark = f"{EFFECTIVE} " if term.text in equation.effective else ""
+            number = f"{mark}{round_to(p.coef[j], sd[j])}"
+            rows.append((escape(term.text), number, f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
         else:
             absent = "not shown" if equation.posterior.support[j] else "not included"
             rows.append((escape(term.text), absent, "", "", f"{p.pip[j]:.3f}"))

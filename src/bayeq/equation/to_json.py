@@ -79,6 +79,7 @@ def _equation(equation: Equation) -> dict[str, Any]:
         "noise_sd": equation.noise_sd,
         "elbo": p.elbo,
         "equation": equation.text,
+        "full_equation": equation.full_text,
         "latex": equation.to_latex(),
         "unit_gains": list(equation.unit_gains),
         "terms": [_term(equation, j) for j in range(len(equation.terms))],
@@ -96,6 +97,7 @@ def _term(equation: Equation, j: int) -> dict[str, Any]:
         "included": bool(p.support[j]),
         "shown": bool(shown.support[j]),
         "why": equation.why.get(name),
+        "effective": name in equation.effective,
         "shown_coef": float(shown.coef[j]),
         "shown_sd": float(shown.sd[j]),
         "shown_ci95": equation.shown_ci95[j].tolist(),
@@ -171,6 +173,7 @@ def to_saved(eq: Answer) -> dict[str, Any]:
             {
                 "covariance": e.posterior.covariance.tolist(),
                 "shown": _shown(e),
+                "full": None if e.full_posterior is None else _saved_model(e.full_posterior),
                 "center": e.posterior.center.tolist(),
                 "target_mean": e.posterior.target_mean,
                 "noise_variance": e.posterior.noise_variance,
@@ -202,4 +205,17 @@ def _shown(equation: Equation) -> dict[str, Any] | None:
     shown = equation.shown_posterior
     if shown is equation.posterior:
         return None
-    return {"covariance": shown.covariance.tolist(), "noise_variance": shown.noise_variance}
+    return _saved_model(shown)
+
+
+def _saved_model(p: Posterior) -> dict[str, Any]:
+    """A posterior given a model, without what all models of the equation have in common."""
+    return {
+        "terms": np.flatnonzero(p.support).tolist(),
+        "coef": p.coef[p.support].tolist(),
+        "covariance": p.covariance.tolist(),
+        "noise_variance": p.noise_variance,
+        "center": p.center.tolist(),
+        "target_mean": p.target_mean,
+        "target_mean_variance": p.target_mean_variance,
+    }

@@ -22,7 +22,7 @@ class Compared:
     name : str
         The terms, of the leading model; for a rival, in what it differs from that.
     probability : float or None
-        None of a leading model that is not among the likeliest: the terms shown may leave out negligible ones.
+        None of a leading model that is not among the likeliest: the terms shown may leave out some within a tolerance.
     """
 
     target: str

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.collapsed.conditional import exact_posterior, noise_given_model
-from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.problem import Problem, gram_block
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.engines import Engine
 from bayeq.inference.posterior import Posterior
@@ -63,12 +63,6 @@ class RegressionFit:
         """Statistics of the training rows, equalities taken out: what shares of variance refer to."""
         return self.constraints.reduce(self.regression.rows)
 
-    @property
-    def complexity(self) -> NDArray[np.int64]:
-        """Number of nodes of each term that the equalities leave, (F,)."""
-        kept = self.constraints.equalities.kept
-        return np.array([self.regression.design.terms[j].size for j in kept], dtype=np.int64)
-
     def given(self, model: Bools) -> Posterior:
         """The posterior given a model of other terms, (F,) bool, in units of `standard`; probabilities stay."""
         return self.posterior if bool((model == self.posterior.support).all()) else self.conditional(model)
@@ -78,6 +72,22 @@ class RegressionFit:
         coef, covariance = exact_posterior(self.problem, model, self.prior.known_signs)
         noise = noise_given_model(self.problem, model)
         return replace(self.posterior, support=model, coef=coef, covariance=covariance, noise_variance=noise)
+
+    def projected(self, full: Posterior, model: Bools) -> Posterior:
+        """The projection of a posterior on a model of fewer of its terms, in units of `standard`.
+
+        Its coefficients are linear in those of the full model: what comes closest to the full model's predictions under
+        the weights of the likelihood, the slab's prior beside them, theta_S = A_SS^-1 A_SF theta_F with the precision
+        A = D'D + 1/v_s. So they have the covariance A_SS^-1 A_SF Cov_F A_FS A_SS^-1.
+        """
+        A = gram_block(self.problem.columns, np.flatnonzero(full.support))
+        A[np.diag_indices_from(A)] += 1.0 / self.problem.slab_variance
+        inside = model[full.support]
+        onto = np.linalg.solve(A[np.ix_(inside, inside)], A[inside])
+        coef = np.zeros(len(model))
+        coef[model] = onto @ full.coef[full.support]
+        noise = noise_given_model(self.problem, model)
+        return replace(full, support=model, coef=coef, covariance=onto @ full.covariance @ onto.T, noise_variance=noise)
 
     def about(self, record: RecordFit) -> RegressionFit:
         """The same posterior with the likelihood of the record about another model."""
@@ -114,6 +124,22 @@ class RegressionFit:
                 # it is in the residual too
                 excess = None
         return replace(found, noise_variance=self.regression.noise_variance(found)), excess
+
+    def reported_projection(self, full: Posterior, model: Bools) -> tuple[Posterior, float | None]:
+        """The projection of a posterior of `standard` as it is reported, and the excess of the full model.
+
+        It is the full model as it is reported that is projected: its intervals are those of that model's noise.
+        """
+        whole, excess = self.reported(full)
+        free = np.searchsorted(np.flatnonzero(whole.support), self.constraints.equalities.kept[full.support])
+        factor = (self.standard.target_scale / self.standard.scale)[full.support]
+        covariance = whole.covariance[np.ix_(free, free)] / np.outer(factor, factor)
+        found = self.expanded(self.projected(replace(full, covariance=covariance), model))
+        known = whole.target_mean_variance
+        found = replace(found, target_mean_variance=whole.noise_variance / whole.n if known is None else known)
+        if self.regression.record is not None or self.regression.band is not None:
+            found = replace(found, noise_variance=self.regression.noise_variance(found))
+        return found, excess
 
     def _truncated(self, model: Bools) -> bool:
         """Whether known signs change the posterior given a model: they do unless the data leave no doubt of them."""

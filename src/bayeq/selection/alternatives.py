@@ -15,15 +15,12 @@ from numpy.typing import NDArray
 from bayeq.dictionary import evaluate_terms
 from bayeq.inference.posterior import Posterior
 from bayeq.regression.fit import RegressionFit
+from bayeq.selection.tolerance import TOLERANCE
 from bayeq.states import Motion
 
-__all__ = ["TOLERANCE", "Alternatives", "alternatives_to"]
+__all__ = ["Alternatives", "alternatives_to"]
 
 Floats = NDArray[np.float64]
-
-# Differences below this share of the target's standard deviation make no practical one: sensors are calibrated to some
-# 1 %, and what changes a prediction by less cannot be claimed from what they measured.
-TOLERANCE = 0.01
 
 # Models of less probability than this together are left out, points at which the others are compared, and their seed.
 LEAST, POINTS, SEED = 1e-3, 1000, 0
@@ -54,7 +51,7 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float = TOL
     fit : RegressionFit
         With a model average; without one there are no alternatives.
     shown : Posterior
-        Of the equation shown, in original units.
+        Of the equation shown, in original units; where it is a projection, of the full model.
     tolerance : float
         Root mean square difference, as a share of the target's standard deviation.
     """

@@ -4,17 +4,17 @@ The included terms are those with a posterior inclusion probability above 0.5, t
 and Berger 2004). An equation shows these, with three exceptions, each applied to what the one before it leaves:
 
 1. *undecided*: collinear terms share their probability, so that none of several forms of damping reaches 0.5, however
-   sure it is that there is damping. The included terms then make a far less likely model than others, and the simplest
-   of the models that are hardly less likely than the best is shown.
+   sure it is that there is damping. Where the included terms do not predict what the model average does, the likeliest
+   model is shown.
 2. *max_terms*: a limit that the user sets. The likeliest model within it is shown.
-3. *negligible*: terms that are certain and yet make no practical difference (`bayeq.selection.negligible`).
+3. *tolerance*: what these leave is the full model; the smallest model that predicts and runs as well, but for a
+   declared tolerance, is shown in its place (`bayeq.selection.tolerance`).
 
 A rule that does not bind changes nothing. None of them touches probabilities or the included terms.
 """
 
 from __future__ import annotations
 
-import math
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,22 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import InputError
-from bayeq.inference.collapsed.path import best_of_each_size, model_log_posterior, partial_shares, path_sizes
+from bayeq.inference.collapsed.path import best_of_each_size, partial_shares, path_sizes
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.regression.fit import RegressionFit
-from bayeq.selection.negligible import NEGLIGIBLE, FreeRuns, less_negligible, undecided_forms
+from bayeq.selection.tolerance import TOLERANCE, FreeRuns, Simplification, likeliest_instead
 from bayeq.states import Motion
 
 __all__ = ["LeftOut", "Rules", "Selection", "select"]
 
 Bools = NDArray[np.bool_]
-
-# The included terms are not shown if the likeliest model has more than these posterior odds against them.
-LEAST_PLAUSIBLE = 100.0
-
-# Models that are hardly less likely than the best have at most these odds against them.
-HARDLY = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +48,7 @@ class LeftOut:
     share : float
         What R2 loses on the training rows when it is left out of the included terms and the others are refitted.
     reason : str
-        ``"max_terms"``, ``"negligible"`` or ``"undecided"``.
+        ``"max_terms"``, ``"tolerance"`` or ``"undecided"``.
     """
 
     name: str
@@ -71,12 +65,13 @@ class Rules:
     ----------
     max_terms : int, optional
         Largest number of terms.
-    negligible : float
-        Share of the target's variance that negligible terms together explain at most; 0 shows them.
+    tolerance : float
+        How much worse than the full model's the predictions and free runs of the equation shown may be, as shares of
+        the target's standard deviation and of the states' spread; 0 shows the full model, and the included terms.
     """
 
     max_terms: int | None = None
-    negligible: float = NEGLIGIBLE
+    tolerance: float = TOLERANCE
 
     def check(self, method: str) -> None:
         """Check the limits, and that the method's models can be compared.
@@ -86,8 +81,8 @@ class Rules:
         InputError
             Values out of range, or a method without spike-and-slab prior.
         """
-        if not 0 <= self.negligible < 1:
-            raise InputError(f"negligible is a share of the variance, 0 <= negligible < 1, got {self.negligible!r}")
+        if not 0 <= self.tolerance < 1:
+            raise InputError(f"tolerance is a share of the target's sd, 0 <= tolerance < 1, got {self.tolerance!r}")
         if self.max_terms is None:
             return
         try:
@@ -114,6 +109,8 @@ class Selection:
         What they were chosen from.
     shown : Posterior
         Given the terms shown, in units of `shown_fit.standard`; probabilities are those of `fit.posterior`.
+    full : Posterior, optional
+        Of the full model, where what is shown is its projection on fewer terms.
     why : mapping of str to str
         Terms that are included or shown and not both, with the rule that decided.
     undecided : mapping of str to tuple of str
@@ -127,6 +124,7 @@ class Selection:
     why: Mapping[str, str] = field(default_factory=dict)
     undecided: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     own: RegressionFit | None = None
+    full: Posterior | None = None
 
     @property
     def shown_fit(self) -> RegressionFit:
@@ -143,14 +141,18 @@ class Selection:
             for j in np.flatnonzero(found.support & ~self.shown.support)
         )
 
-    def given(self, model: Bools, rule: str) -> Selection:
-        """The selection with the terms of another model, changed by a rule."""
-        names, included = self.fit.posterior.names, self.fit.posterior.support
+    def reported(self) -> tuple[Posterior, float | None]:
+        """What is shown in original units, and the `Residuals.excess` of a band: that of the full model."""
+        if self.full is None:
+            return self.shown_fit.reported(self.shown)
+        return self.shown_fit.reported_projection(self.full, self.shown.support)
+
+    def given(self, shown: Posterior, rule: str) -> Selection:
+        """The selection with the terms of another posterior, changed by a rule."""
+        names, included, model = self.fit.posterior.names, self.fit.posterior.support, shown.support
         why = dict(self.why) | {names[j]: rule for j in np.flatnonzero(model != self.shown.support)}
         differ = {names[j] for j in np.flatnonzero(model != included)}
-        return replace(
-            self, shown=self.fit.given(model), why={name: rule for name, rule in why.items() if name in differ}
-        )
+        return replace(self, shown=shown, why={name: rule for name, rule in why.items() if name in differ})
 
 
 def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[Selection]:
@@ -163,27 +165,46 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
     rules : Rules
         Limits.
     motion : Motion
-        Its training rows are what free runs are compared on; without time nothing is negligible.
+        Its training rows are what free runs are compared on; without time no smaller model is shown.
 
     Raises
     ------
     InputError
         More terms are forced in than `max_terms`.
     """
-    chosen = [_limited(_plausible(Selection(fit, fit.posterior)), rules.max_terms) for fit in fits]
-    if rules.negligible and motion.timed and all(ENGINES[fit.posterior.method].spike_slab for fit in fits):
-        runs = FreeRuns(motion, fits)
-        for k, fit in enumerate(fits):
-            shown = [one.shown for one in chosen]
-            fewer = less_negligible(fit, k, shown, rules.negligible, runs)
-            if fewer is not None:
-                undecided = undecided_forms(fit, k, shown, fewer, rules.negligible, runs)
-                chosen[k] = replace(chosen[k].given(fewer, "negligible"), undecided=undecided)
-    return _refitted(chosen)
+    chosen = [Selection(fit, fit.posterior) for fit in fits]
+    compared = rules.tolerance > 0.0 and all(ENGINES[fit.posterior.method].spike_slab for fit in fits)
+    if compared:
+        chosen = _decided(chosen, rules.tolerance, FreeRuns(motion, fits) if motion.timed else None)
+    chosen = _refitted([_limited(one, rules.max_terms) for one in chosen])
+    return _simplified(chosen, rules.tolerance, motion) if compared and motion.timed else chosen
+
+
+def _decided(chosen: Sequence[Selection], tolerance: float, runs: FreeRuns | None) -> list[Selection]:
+    """The likeliest models, where the included terms are not what the average says."""
+    included, out = [one.shown for one in chosen], []
+    for k, one in enumerate(chosen):
+        instead = likeliest_instead(one.fit, k, included, runs, tolerance)
+        out.append(one if instead is None else one.given(instead, "undecided"))
+    return out
+
+
+def _simplified(chosen: Sequence[Selection], tolerance: float, motion: Motion) -> list[Selection]:
+    """The smallest models within the tolerance, equation by equation."""
+    out = list(chosen)
+    runs = FreeRuns(motion, [one.shown_fit for one in chosen])
+    smaller = Simplification([one.shown for one in chosen], runs, tolerance)
+    for k, one in enumerate(chosen):
+        found = smaller.smallest(k, [other.shown for other in out])
+        if found is not None:
+            out[k] = replace(one.given(found, "tolerance"), full=one.shown)
+            others = smaller.other_forms(k, [other.shown for other in out])
+            out[k] = replace(out[k], undecided=others)
+    return out
 
 
 def _refitted(chosen: list[Selection]) -> list[Selection]:
-    """Coefficients shown by a fit of their own, where others are shown than are included.
+    """Coefficients of the full models by a fit of their own, where these are not the included terms.
 
     So the same terms have the same coefficients however they were come by.
     """
@@ -202,24 +223,6 @@ def _refitted(chosen: list[Selection]) -> list[Selection]:
     ]
 
 
-def _plausible(selection: Selection) -> Selection:
-    """The simplest of the likely models, if the included terms make an unlikely one."""
-    fit, average = selection.fit, selection.fit.posterior.average
-    if average is None or not len(average.models):
-        return selection
-    support = fit.posterior.support
-    signs = fit.prior.known_signs
-    best, own = (model_log_posterior(fit.problem, model, signs) for model in (average.models[0], support))
-    if best - own <= math.log(LEAST_PLAUSIBLE):
-        return selection
-    near = average.models[average.probability >= average.probability[0] / HARDLY]
-    holding = near[~(support & ~near).any(axis=1)]
-    candidates = holding if len(holding) else near
-    # the first of the simplest is the likeliest of them
-    simplest = int(np.argmin(candidates @ fit.complexity))
-    return selection.given(candidates[simplest], "undecided")
-
-
 def _limited(selection: Selection, max_terms: int | None) -> Selection:
     """The likeliest model of at most `max_terms` terms, if more are shown."""
     if max_terms is None:
@@ -230,4 +233,4 @@ def _limited(selection: Selection, max_terms: int | None) -> Selection:
         return selection
     signs = selection.fit.prior.known_signs
     best, _ = max(best_of_each_size(problem, max_terms, [shown], signs), key=lambda found: found[1])
-    return selection.given(best, "max_terms")
+    return selection.given(selection.fit.given(best), "max_terms")

@@ -1,0 +1,227 @@
+"""One declared practical choice: how much worse than the full model a smaller one may be that is shown in its place.
+
+Where a model is only nearly true, more rows make ever more terms certain: what is a function of the states will be
+explained by terms. The full model holds them. The smallest model is shown whose predictions and free runs are worse
+than the full model's by no more than the tolerance, with the coefficients that come closest to the full model's
+predictions, its projection (Piironen, Paasiniemi and Vehtari 2020). Predictions alone would not do: the damping of a
+light structure explains next to nothing and yet decides how its motion decays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.rows import Rows, divided, rows_of
+from bayeq.forecast.windows import apart, typical_period, window_runs
+from bayeq.gram import Gram
+from bayeq.inference.collapsed.path import best_of_each_size
+from bayeq.inference.posterior import Posterior
+from bayeq.regression.fit import RegressionFit
+from bayeq.states import Motion
+
+__all__ = ["TOLERANCE", "FreeRuns", "Simplification", "effective_terms", "likeliest_instead"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# Share of the target's standard deviation, and of the states' spread, below which a difference makes no practical one:
+# sensors are calibrated to some 1 %, and what changes a prediction by less cannot be claimed from what they measured.
+TOLERANCE = 0.01
+
+# Lengths of free runs in typical periods (at most half a record): one, which chaotic motion can be followed for too,
+# and ten. They count where the full model's run keeps to the record to better than FOLLOWS of the spread: beyond, it is
+# out of step, and its error says nothing about the equation.
+SHORT, LONG = 1.0, 10.0
+FOLLOWS = 0.5
+
+# A coefficient is effective if it is further from the full model's than this many of its standard deviations: so far
+# off, its 95 % interval would cover what the full model's is about in 92 % of all records.
+EFFECTIVE = 0.5
+
+Errors = Mapping[float, float]
+
+
+class FreeRuns:
+    """Errors of free runs of a system over windows of the training rows.
+
+    Parameters
+    ----------
+    motion : Motion
+        With time.
+    fits : sequence of RegressionFit
+        One per equation.
+    """
+
+    def __init__(self, motion: Motion, fits: Sequence[RegressionFit]) -> None:
+        self.motion, self.fits = motion, fits
+
+    @cached_property
+    def pieces(self) -> list[Rows]:
+        """The training rows with their inputs interpolated."""
+        return divided(self.motion, rows_of(self.motion, "a free run"))[0]
+
+    def errors(self, posteriors: Sequence[Posterior]) -> Errors:
+        """Of one posterior per equation: error as a share of the states' spread, by the length of runs in periods."""
+        expanded = [fit.expanded(one) for fit, one in zip(self.fits, posteriors, strict=True)]
+        dynamics = Dynamics.on(self.motion, self.fits[0].regression.design.terms, expanded)
+        period = typical_period(dynamics, self.pieces)
+        return {periods: apart(window_runs(dynamics, self.pieces, periods * period)) for periods in (SHORT, LONG)}
+
+
+def hardly_worse(fewer: Errors, whole: Errors, tolerance: float) -> bool:
+    """Whether errors exceed others by no more than a tolerance; not where these are out of step with the record."""
+    compared = [periods for periods in whole if whole[periods] < FOLLOWS]
+    return SHORT in compared and all(fewer[periods] <= whole[periods] + tolerance for periods in compared)
+
+
+def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float:
+    """Root mean square difference of predictions over the rows of a Gram, as a share of the target's deviation.
+
+    Parameters
+    ----------
+    rows : Gram
+        Of all P terms, in original units.
+    one, other : Posterior
+        The same.
+    """
+    change = one.coef - other.coef
+    used = np.flatnonzero(change)
+    c = change[used]
+    offset = one.intercept - other.intercept + float(rows.mean[used] @ c)
+    square = max(float(c @ rows.DtD[np.ix_(used, used)] @ c), 0.0) / rows.n + offset**2
+    return math.sqrt(square / (rows.yty / rows.n)) if rows.yty > 0.0 else math.inf
+
+
+class Simplification:
+    """Smaller models in place of the full model of each equation of a system.
+
+    Parameters
+    ----------
+    full : sequence of Posterior
+        Of the full model of each equation, in units of its fit's `standard`.
+    runs : FreeRuns
+        Of the system.
+    tolerance : float
+        How much worse a smaller model may be.
+    """
+
+    def __init__(self, full: Sequence[Posterior], runs: FreeRuns, tolerance: float) -> None:
+        self.full, self.runs, self.tolerance = full, runs, tolerance
+
+    @cached_property
+    def errors(self) -> Errors:
+        """Of free runs of the full models."""
+        return self.runs.errors(self.full)
+
+    def smallest(self, k: int, shown: Sequence[Posterior]) -> Posterior | None:
+        """The smallest model of equation k that does, by projection; None where none smaller than the full one does.
+
+        Candidates are the best model of each size among the terms of the full one.
+
+        Parameters
+        ----------
+        k : int
+            Number of the equation.
+        shown : sequence of Posterior
+            Of every equation, as far as it is decided what they show.
+        """
+        fit, support = self.runs.fits[k], self.full[k].support
+        inside = fit.problem._replace(log_odds=np.where(support, fit.problem.log_odds, -math.inf))
+        found = best_of_each_size(inside, int(support.sum()), [support], fit.prior.known_signs)
+        for model, _ in found:
+            projected = self.projected(k, model)
+            if not bool((model == support).all()) and self.does(k, projected, shown):
+                return projected
+        return None
+
+    def other_forms(self, k: int, shown: Sequence[Posterior]) -> dict[str, tuple[str, ...]]:
+        """Terms that equation k shows, each with terms of the full model that would do in its place."""
+        names, kept = self.full[k].names, shown[k].support
+        forced = np.isposinf(self.runs.fits[k].problem.log_odds)
+        out = {}
+        for j in np.flatnonzero(kept & ~forced):
+            others = []
+            for i in np.flatnonzero(self.full[k].support & ~kept):
+                swapped = kept.copy()
+                swapped[j], swapped[i] = False, True
+                if self.does(k, self.projected(k, swapped), shown):
+                    others.append(names[i])
+            if others:
+                out[names[j]] = tuple(others)
+        return out
+
+    def projected(self, k: int, model: Bools) -> Posterior:
+        """The full model of equation k projected on a smaller one."""
+        return self.runs.fits[k].projected(self.full[k], model)
+
+    def does(self, k: int, smaller: Posterior, shown: Sequence[Posterior]) -> bool:
+        """Whether a smaller model of equation k predicts and runs hardly worse than the full one."""
+        fit = self.runs.fits[k]
+        signs = fit.prior.known_signs
+        if signs is not None and bool((smaller.coef * np.asarray(signs) < 0.0).any()):
+            return False
+        full, fewer = fit.expanded(self.full[k]), fit.expanded(smaller)
+        if not prediction_difference(fit.regression.rows, full, fewer) <= self.tolerance:
+            return False
+        return hardly_worse(self.runs.errors(_with(shown, k, smaller)), self.errors, self.tolerance)
+
+
+def likeliest_instead(
+    fit: RegressionFit, k: int, found: Sequence[Posterior], runs: FreeRuns | None, tolerance: float
+) -> Posterior | None:
+    """The likeliest model of equation k, where the included terms are not what the model average says.
+
+    Collinear terms share their probability, so that none of several forms of damping may reach 0.5, however sure it is
+    that there is damping. The average has it. So where the predictions or free runs of the included terms are further
+    from its than the tolerance, and those of the likeliest model less so, that is the one to show.
+
+    Parameters
+    ----------
+    fit : RegressionFit
+        Of equation k.
+    k : int
+        Its number.
+    found : sequence of Posterior
+        Of every equation given its included terms.
+    runs : FreeRuns or None
+        Of the system; None without time.
+    tolerance : float
+        How far from the average they may be.
+    """
+    included = found[k]
+    if included.average is None or included.averaged_coef is None or not len(included.average.models):
+        return None
+    best = included.average.models[0]
+    if bool((best == included.support).all()):
+        return None
+    likeliest = fit.given(best)
+    used = included.averaged_coef != 0.0
+    mean = replace(included, support=used, coef=included.averaged_coef, covariance=np.zeros((int(used.sum()),) * 2))
+    rows, whole = fit.regression.rows, fit.expanded(mean)
+    own, other = (prediction_difference(rows, fit.expanded(one), whole) for one in (included, likeliest))
+    if own > tolerance and other < own:
+        return likeliest
+    if runs is None:
+        return None
+    errors = runs.errors(_with(found, k, mean))
+    if not errors[SHORT] < FOLLOWS or hardly_worse(runs.errors(found), errors, tolerance):
+        return None
+    instead = runs.errors(_with(found, k, likeliest))
+    return likeliest if hardly_worse(instead, runs.errors(found), 0.0) else None
+
+
+def effective_terms(full: Posterior, shown: Posterior) -> tuple[str, ...]:
+    """Terms of a projection whose coefficients are not those of the full model, both in original units."""
+    moved = np.abs(shown.coef - full.coef) > EFFECTIVE * shown.sd
+    return tuple(shown.names[j] for j in np.flatnonzero(shown.support & moved))
+
+
+def _with(posteriors: Sequence[Posterior], k: int, one: Posterior) -> list[Posterior]:
+    return [one if other == k else former for other, former in enumerate(posteriors)]
