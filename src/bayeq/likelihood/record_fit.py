@@ -209,7 +209,8 @@ def fit_record(
             some, places = _stretches(motion)
             start = start_from(some, terms, grams)
             odds = np.tile(log_odds, start.layout.chains)
-            others = [partial(with_exact_inputs, some, kind=kind) for kind in EXACT]
+            known = all(map(motion.sensors.noisy, motion.roles.inputs))
+            others = [] if known else [partial(with_exact_inputs, some, kind=kind) for kind in EXACT]
             found = search(Task(start.layout, start.series, start.precision, odds), start.states, others)
             if some is not motion:
                 return _resumed(motion, *found, places)

@@ -356,13 +356,18 @@ def with_other_inputs(
 ) -> tuple[Task, Fitted]:
     """The fit, or one with inputs as measured where the motion is then likelier.
 
-    Where inputs have the noise that the fit has found, no other is tried.
+    Where inputs have the noise that the fit has found, or noise that is known, no other is tried.
     """
     layout, levels = task.layout, best.state.levels
-    if not layout.noisy:
+    if not layout.roles.inputs:
         return task, best
-    share = levels.channels[-len(layout.noisy) :] / levels.scales.channels[-len(layout.noisy) :]
-    doubtful = share.min() < LEAST_INPUT_NOISE**2 or min(layout.smoothness) <= ROUGH or levels.kappa.max() > ADEQUATE
+    first = len(levels.channels) - len(layout.noisy)
+    learned = levels.learned[first:]
+    share = (levels.channels / levels.scales.channels)[first:][learned]
+    rough = np.array(layout.smoothness, dtype=np.int64)[learned] <= ROUGH
+    doubtful = (
+        bool(layout.exact) or (share < LEAST_INPUT_NOISE**2).any() or rough.any() or levels.kappa.max() > ADEQUATE
+    )
     if not doubtful:
         return task, best
     pairs = [(task, best)]
