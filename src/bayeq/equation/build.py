@@ -19,6 +19,7 @@ from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.plan.models import likeliest_models
+from bayeq.regression.channel_errors import changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
 from bayeq.selection.alternatives import alternatives_to
@@ -29,6 +30,9 @@ __all__ = ["build_equations", "with_doubts"]
 # The residual of an adequate model has 0.9 to 1.3 times the power that the noise of the channels explains; a multiple
 # above this one is reported in a warning.
 INADEQUATE = 1.75
+
+# Noise of an input that is hidden in the record: examples of what it would do, as shares of its standard deviation.
+NOISE_OF_INPUTS = (0.01, 0.05)
 
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
 RUNNER_UP_WINDOW = 12.0
@@ -187,6 +191,7 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     else:
         _warn_of_groups(equation, {left.name for left in equation.left_out}, log)
     _warn_of_residuals(equation, selection, log)
+    _warn_of_hidden_noise(equation, regression=selection.shown_fit.regression, log=log)
 
 
 def _warn_of_undecided(equation: Equation, selection: Selection, log: WarningLog) -> None:
@@ -233,6 +238,27 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
             " delayed against each other",
             CorrelatedResidualsWarning,
         )
+
+
+def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: WarningLog) -> None:
+    """Say what noise of an input that the record does not show would have done."""
+    for name in inputs_of_hidden_noise(regression, equation.shown_posterior):
+        changes = changes_by_noise(regression, equation.shown_posterior, name, NOISE_OF_INPUTS)
+        small, large = (f"{share:.0%}".replace("%", " %") for share in NOISE_OF_INPUTS)
+        listed = " and ".join(
+            f"that of {term} {_signed_percent(few)}, or {_signed_percent(much)}"
+            for term, (few, much) in changes.items()
+        )
+        log.warn(
+            f"{equation.target}: the noise of {name} cannot be read from this record. Noise of {small}, or {large}, of"
+            f" its standard deviation would change coefficients: {listed}. Where it is known give it: noise="
+            f"{{{name!r}: '{NOISE_OF_INPUTS[0]:.0%}'}}, --noise {name}={NOISE_OF_INPUTS[0]:.0%}",
+            DataWarning,
+        )
+
+
+def _signed_percent(change: float) -> str:
+    return f"by {100 * change:+.2g} %"
 
 
 def _discrepancy(regression: Regression) -> float | None:

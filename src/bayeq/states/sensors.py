@@ -108,7 +108,7 @@ def _amount(what: str, name: str, value: float | str) -> tuple[float, bool]:
 def scaled_with(chains: Sequence[Chain], channel: str) -> tuple[str, ...]:
     """Columns that a factor of a channel multiplies: its own, and derivatives that are estimated from it.
 
-    A derivative that is not measured comes from the next lower one that is, or where there is none from the next higher.
+    A derivative that is not measured comes from the next lower one that is; where there is none, from the next higher.
     """
     out = [channel]
     for chain in chains:
