@@ -23,6 +23,7 @@ from bayeq.regression.channel_errors import changes_by_noise, inputs_of_hidden_n
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
 from bayeq.selection.alternatives import alternatives_to
+from bayeq.selection.bounds import bounds, undetermined
 from bayeq.selection.select import Selection
 
 __all__ = ["build_equations", "with_doubts"]
@@ -99,6 +100,7 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
         for term, inside, seen in zip(regression.design.terms, posterior.support, shown.support, strict=True)
         if inside != seen
     }
+    bound = bounds(fit)
     estimated = regression.record is not None and regression.chain.measured[-1] is None
     return Equation(
         chain=regression.chain,
@@ -116,6 +118,8 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
         why=differ,
         left_out=selection.left_out,
         models=likeliest_models(fit),
+        bound=bound,
+        undetermined=undetermined(fit, posterior, bound),
     )
 
 

@@ -118,6 +118,11 @@ class Equation:
         the path.
     models : tuple of CandidateModel
         The likeliest models with their coefficients, the likeliest first.
+    bound : (P,) array or None
+        What the size of a coefficient is below, with a probability of 95 %, were its term added to the included ones.
+        NaN for those.
+    undetermined : tuple of str
+        Terms that within their bounds could matter (`bayeq.selection.bounds`), the simplest first.
     """
 
     chain: Chain
@@ -137,6 +142,8 @@ class Equation:
     unit_gains: tuple[float, ...] = ()
     scored: Equation | None = field(default=None, repr=False, compare=False)
     models: tuple[CandidateModel, ...] = ()
+    bound: Floats | None = None
+    undetermined: tuple[str, ...] = ()
 
     @property
     def law(self) -> Law:
@@ -234,7 +241,8 @@ class Equation:
         DataFrame
             ``term``; ``coef``, ``sd``, ``ci_low``, ``ci_high`` given the included terms; ``pip``; ``included``,
             ``shown``; ``share`` of the target's variance; ``unit`` of the coefficient (None: unknown); ``shown_coef``,
-            ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``why`` the two differ ("" if not).
+            ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``why`` the two differ ("" if not);
+            ``bound`` of the size of a coefficient that is not included.
         """
         import pandas as pd
 
@@ -257,6 +265,7 @@ class Equation:
                 "shown_ci_low": shown_ci[:, 0],
                 "shown_ci_high": shown_ci[:, 1],
                 "why": [self.why.get(term.text, "") for term in self.terms],
+                "bound": np.full(len(self.terms), np.nan) if self.bound is None else self.bound,
             }
         )
 

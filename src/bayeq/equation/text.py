@@ -36,6 +36,9 @@ NOTHING = 1e-100
 # A term of a higher PIP is called certain.
 CERTAIN = 0.99
 
+# Terms that the record does not determine are listed up to this number.
+MOST_UNDETERMINED = 6
+
 # What is said of residuals, if it had a smaller probability by chance.
 DOUBTFUL = 1e-3
 
@@ -60,6 +63,13 @@ def render(eq: Answer, with_warnings: bool = True) -> str:
     if eq.data.estimated:
         how = "smoothing" if eq.data.smoothed else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
+    known = eq.data.sensors
+    if known.noise:
+        listed = ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items())
+        console.print(escape(f"noise given, standard deviation: {listed}"))
+    if known.gain_sd:
+        listed = ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items())
+        console.print(escape(f"intervals include the calibration: {listed}"))
     if eq.refined:
         console.print(escape(str(eq.refined)))
     if eq.constraints:
@@ -96,6 +106,8 @@ def _render_equation(console: Console, equation: Equation, method: str, scores: 
         console.print(escape(line))
     for line in _differences(equation, ENGINES[method].score):
         console.print(escape(line))
+    if equation.undetermined and equation.bound is not None:
+        console.print(escape(_undetermined(equation)))
     # of an equation that terms were left out of, the likelier ones are no runners-up
     runners_up = [r for r in equation.runners_up if not equation.left_out or r.log_odds <= 0]
     if runners_up:
@@ -116,6 +128,19 @@ def _differences(equation: Equation, score: str) -> list[str]:
         if equation.shown_posterior.support[j] and not p.support[j]:
             out.append(f"shown, though its {score} is {p.pip[j]:.3f}: {term.text} ({equation.why[term.text]})")
     return out
+
+
+def _undetermined(equation: Equation) -> str:
+    """Terms that could matter and that the record does not determine."""
+    assert equation.bound is not None
+    bound = dict(zip(_names(equation), equation.bound.tolist(), strict=True))
+    listed = [f"{name} (|coefficient| below {bound[name]:.2g})" for name in equation.undetermined[:MOST_UNDETERMINED]]
+    rest = len(equation.undetermined) - len(listed)
+    return f"not determined by this record, up to twice its amplitude: {', '.join(listed)}{f', and {rest} more' if rest else ''}"
+
+
+def _names(equation: Equation) -> list[str]:
+    return [term.text for term in equation.terms]
 
 
 def _units(equation: Equation) -> list[str]:
