@@ -136,7 +136,8 @@ def _undetermined(equation: Equation) -> str:
     bound = dict(zip(_names(equation), equation.bound.tolist(), strict=True))
     listed = [f"{name} (|coefficient| below {bound[name]:.2g})" for name in equation.undetermined[:MOST_UNDETERMINED]]
     rest = len(equation.undetermined) - len(listed)
-    return f"not determined by this record, up to twice its amplitude: {', '.join(listed)}{f', and {rest} more' if rest else ''}"
+    more = f", and {rest} more" if rest else ""
+    return f"not determined by this record, at up to ten times its amplitude: {', '.join(listed)}{more}"
 
 
 def _names(equation: Equation) -> list[str]:

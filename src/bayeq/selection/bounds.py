@@ -2,7 +2,7 @@
 
 A term that explains no more than the noise is not found, however large its coefficient could be: x**3 in a record of
 small amplitude. Its bound tells how large. It could matter if the equation with the term, at its bound, predicts
-otherwise than without: in the record, or where states and inputs are twice as large.
+otherwise than without: in the record, or where states and inputs are ten times as large.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
+from bayeq.dictionary.polynomial import degree
 from bayeq.inference.collapsed.conditional import noise_given_model
 from bayeq.inference.collapsed.problem import all_rows
 from bayeq.inference.posterior import Posterior
@@ -24,8 +25,9 @@ Floats = NDArray[np.float64]
 # Half-width of a 95 % interval of a normal distribution, in standard deviations.
 Z95 = 1.959963984540054
 
-# Amplitudes, over that of the record, at which a term could matter; and rows at which that is judged, at most.
-AMPLITUDES, ROWS = (1.0, 2.0), 4000
+# Amplitudes, over that of the record, at which a term could matter: at twice that of a record in which x**3 explains a
+# thousandth of the noise it would still not. And rows at which that is judged, at most.
+AMPLITUDES, ROWS = (1.0, 10.0), 4000
 
 # With more candidates the other rows of D'D would cost more than the search has.
 MOST_TERMS = 2000
@@ -93,7 +95,10 @@ def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> 
         change = added - known @ share - constant
         effect = np.maximum(effect, bound[others] * np.sqrt(np.mean(change**2, axis=0)) / spread)
     found_terms = terms[len(inside) :]
-    order = sorted(np.flatnonzero(effect > TOLERANCE).tolist(), key=lambda k: (found_terms[k].size, -effect[k]))
+    order = sorted(
+        np.flatnonzero(effect > TOLERANCE).tolist(),
+        key=lambda k: (found_terms[k].size, degree(found_terms[k]), -effect[k]),
+    )
     return tuple(found_terms[k].text for k in order)
 
 
