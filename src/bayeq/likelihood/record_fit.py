@@ -35,7 +35,7 @@ MOST_CANDIDATES = 1000
 ROWS_AT_FIRST, STRETCHES = 16_000, 4
 
 # The noise of an input is read from the record if the likelihoods of none, of that found and of 5 %, as a share of the
-# variance, differ by so many nats: two standard errors.
+# variance, differ by more nats than this: two standard errors.
 SOME, READ = 0.05**2, 2.0
 
 # Ways in which inputs without noise may go on between samples.

@@ -14,11 +14,15 @@ from bayeq.gram.band import noise_floor
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.fit import solved
 from bayeq.regression.regression import Regression
+from bayeq.states.kinematic.fit import lowest_level
 from bayeq.states.sensors import scaled_with
 
 __all__ = ["calibrated", "changes_by_noise", "inputs_of_hidden_noise"]
 
 Floats = NDArray[np.float64]
+
+# Noise of an input that is worth a sentence, as a share of its standard deviation: it attenuates by 0.01 %.
+LEAST_HIDDEN = 0.01
 
 # Half of the step of central differences, as a share of what is changed: their error is about its square.
 STEP = 1e-4
@@ -90,10 +94,17 @@ def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tupl
     motion, terms = regression.motion, regression.design.terms
     used = {name for j in np.flatnonzero(posterior.support) for name in terms[j].names}
     inputs = [name for name in motion.roles.inputs if name in used and name not in motion.sensors.noise]
+    inputs = [name for name in inputs if _may_hide_noise([rows.columns[name] for rows in motion.train])]
     if regression.record is not None:
         seen = regression.record.inputs_of_known_noise
         return tuple(name for name in inputs if name not in seen)
     return tuple(name for name in inputs if noise_floor([rows.columns[name] for rows in motion.train]) is None)
+
+
+def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
+    """Whether white noise of `LEAST_HIDDEN` could be in a channel: its spectrum is nowhere lower."""
+    levels = [lowest_level(np.arange(len(values), dtype=np.float64), values) for values in pieces if len(values) > 2]
+    return not levels or min(levels) > LEAST_HIDDEN**2 * float(np.var(np.concatenate(pieces)))
 
 
 def changes_by_noise(
