@@ -69,7 +69,8 @@ def render(eq: Answer, with_warnings: bool = True) -> str:
         console.print(escape(f"noise given, standard deviation: {listed}"))
     if known.gain_sd:
         listed = ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items())
-        console.print(escape(f"intervals include the calibration: {listed}"))
+        include = "do not include" if eq.refined else "include"
+        console.print(escape(f"intervals {include} the calibration: {listed}"))
     if eq.refined:
         console.print(escape(str(eq.refined)))
     if eq.constraints:
