@@ -167,7 +167,7 @@ def test_estimated_derivatives_have_the_calibration_of_what_they_come_from():
 
 @pytest.fixture(scope="module")
 def faint():
-    """A Duffing record in which x**3 is 0.4 % of the noise."""
+    """A Duffing record in which x**3 is 1 % of the noise."""
     force = 0.02 * bq.simulate("duffing", n=3000, seed=1, noise=0.0)["u"]
     return quietly(bq.simulate("duffing", n=3000, seed=1, force=force), **OSCILLATOR)
 

@@ -25,8 +25,8 @@ Floats = NDArray[np.float64]
 # Half-width of a 95 % interval of a normal distribution, in standard deviations.
 Z95 = 1.959963984540054
 
-# Amplitudes, over that of the record, at which a term could matter: x**3 of 0.4 % of the noise, whose bound is ten times
-# the true coefficient, does not at twice that of the record. And rows at which that is judged, at most.
+# Amplitudes, over that of the record, at which a term could matter: x**3 of 1 % of the noise, whose bound is ten times
+# the true coefficient, does not at twice that amplitude. And rows at which that is judged, at most.
 AMPLITUDES, ROWS = (1.0, 10.0), 4000
 
 # With more candidates the other rows of D'D would cost more than the search has.
