@@ -24,6 +24,9 @@ Floats = NDArray[np.float64]
 # Noise of an input that is worth a sentence, as a share of its standard deviation: it attenuates by 0.01 %.
 LEAST_HIDDEN = 0.01
 
+# An input of which more than this share of the samples repeats the one before is a command, not a measurement.
+REPEATED = 0.1
+
 # Half of the step of central differences, as a share of what is changed: their error is about its square.
 STEP = 1e-4
 
@@ -102,7 +105,13 @@ def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tupl
 
 
 def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
-    """Whether white noise of `LEAST_HIDDEN` could be in a channel: its spectrum is nowhere lower."""
+    """Whether white noise of `LEAST_HIDDEN` could be in a channel: its spectrum is nowhere lower.
+
+    A command that is held, whose samples repeat, has none.
+    """
+    repeated = sum(int(np.count_nonzero(np.diff(values) == 0.0)) for values in pieces)
+    if repeated > REPEATED * sum(map(len, pieces)):
+        return False
     levels = [lowest_level(np.arange(len(values), dtype=np.float64), values) for values in pieces if len(values) > 2]
     return not levels or min(levels) > LEAST_HIDDEN**2 * float(np.var(np.concatenate(pieces)))
 
