@@ -79,6 +79,7 @@ def test_table_lists_every_candidate(eq):
         "averaged_ci_high",
         "why",
         "effective",
+        "bound",
     ]
     assert len(table) == 36
     chosen = table[table.included]
@@ -114,7 +115,7 @@ def test_terms_that_are_sums_are_put_in_parentheses():
     rng = np.random.default_rng(0)
     x, u = rng.normal(size=(2, 300))
     rec = bq.Record.from_arrays(x=x, dx=2 * (x + u) ** 2 - 3 * (x - u * x) + 0.01 * rng.normal(size=300), u=u)
-    eq = bq.discover(rec, chains=["x:dx"], inputs=["u"], dictionary=["(x+u)**2", "x-u*x", "u**3"])
+    eq = bq.discover(rec, chains=["x:dx"], inputs=["u"], dictionary=["(x+u)**2", "x-u*x", "u**3"], noise={"u": 0})
     assert "*(x+u)**2" in eq[0].text
     assert "*(x-u*x)" in eq[0].text
     value = float(sympy.sympify(eq[0].text.split(" = ")[1]).subs({"x": 0.5, "u": -1.0}))
@@ -220,7 +221,7 @@ def test_json_has_the_shape_of_the_contract(eq):
     assert list(equation["terms"][0]) == [
         "name", "coef", "sd", "ci95", "pip", "included", "shown", "why", "effective", "shown_coef", "shown_sd",
         "shown_ci95", "printed_ci95", "printed_over_models", "averaged_coef", "averaged_sd", "averaged_ci95", "share",
-        "unit",
+        "unit", "bound",
     ]  # fmt: skip
     for term in equation["terms"]:
         assert term["included"] == (term["pip"] > 0.5)

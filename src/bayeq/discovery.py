@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.equation.build import build_equations, with_doubts
@@ -28,7 +28,16 @@ from bayeq.regression.joint import fit_equations, record_of
 from bayeq.regression.regression import Regression
 from bayeq.selection.select import Rules, select
 from bayeq.selection.tolerance import TOLERANCE
-from bayeq.states import Motion, Roles, Smooth, estimate_motion, measured_apart, require_varying
+from bayeq.states import (
+    Motion,
+    Roles,
+    Smooth,
+    check_sensors,
+    estimate_motion,
+    known_sensors,
+    measured_apart,
+    require_varying,
+)
 from bayeq.states.bad_samples import without_bad_samples
 from bayeq.states.derive import require_usable
 from bayeq.states.missing import bridged_record, missing_messages, require_enough, without_empty_rows
@@ -69,6 +78,8 @@ def discover(
     coarsen: float = 1.0,
     prior: Prior | None = None,
     constraints: str | Sequence[str] = (),
+    noise: Mapping[str, float | str] | None = None,
+    gain_sd: Mapping[str, float | str] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Equations:
@@ -123,6 +134,11 @@ def discover(
         What is known of the coefficients, in original units: linear equations, ``"u == 1"``,
         ``"x*abs(x) == 0.5*x**3"``, and signs, ``"v <= 0"`` (methods auto and bma). They concern every equation,
         or with a target in front that one, ``"a: v <= 0"``.
+    noise : mapping of str to float or str, optional
+        Known noise of channels: standard deviations in the channel's unit, or shares of its own such as ``"2%"``. It is
+        then not learned from the record. 0 is a channel without noise.
+    gain_sd : mapping of str to float, optional
+        Uncertainty of the calibration of sensors, 0.01 for a factor known to 1 %: the intervals take it in.
     seed : int
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional
@@ -157,13 +173,16 @@ def discover(
     rules.check(method)
     _check_shares(holdout, coarsen)
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
+    check_sensors(noise or {}, gain_sd or {}, roles)
     terms = build_dictionary(dictionary, Variables(roles.states, roles.inputs))
     known = [constraints] if isinstance(constraints, str) else list(constraints)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
 
     step("states", 0, 1)
     pieces, roles, share = _prepared(_as_records(records), roles, smooth, holdout, log)
-    motion = estimate_motion(pieces, roles, smooth, share)
+    sensors = known_sensors(noise or {}, gain_sd or {}, roles, pieces)
+    motion = estimate_motion(pieces, roles, smooth, share, sensors)
+    _warn_of_sensors(motion, {*(noise or {}), *(gain_sd or {})}, log)
     _inspect(motion, pieces, holdout, log)
     design = build_design(terms, motion, lambda done, total: step("dictionary", done, total))
     dropped = design.dropped
@@ -299,6 +318,21 @@ def _warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equatio
                 f" scores are of, they were {', '.join(former.shown) or 'none'}: a longer record would decide",
                 AmbiguityWarning,
             )
+
+
+def _warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
+    """Say which of what was given of channels makes no difference."""
+    roles, sensors = motion.roles, motion.sensors
+    computed = [name for name in given if name not in {*roles.measured, *roles.inputs}]
+    if computed:
+        log.warn(f"what was given of {', '.join(sorted(computed))} is not used: computed, not measured", DataWarning)
+    unused = [name for name in roles.measured if sensors.noisy(name)]
+    if unused and not motion.smoothing:
+        log.warn(
+            f"the noise given of {', '.join(unused)} is not used: states and targets are taken as measured here; of"
+            " inputs it would be",
+            DataWarning,
+        )
 
 
 def _warn_of_terms(design: Design, log: WarningLog) -> None:

@@ -99,6 +99,18 @@ class Progress:
     help="What is known of coefficients, by the names of terms: 'u == 1', 'v <= 0', 'a: x*abs(x) == 0.5*x**3' (of"
     " equation a). Once per constraint.",
 )
+@option(
+    "--noise",
+    multiple=True,
+    help="Known noise of a channel: standard deviation in its unit (u=0.1) or share of the channel's (u=2%). Once per"
+    " channel.",
+)
+@option(
+    "--gain-sd",
+    "gain_sd",
+    multiple=True,
+    help="Uncertainty of a sensor's calibration, which intervals take in: x=0.01 for 1 %. Once per channel.",
+)
 @option("--holdout", type=float, default=0.2, help="Share of the rows, the last, to judge the equation by.")
 @option("--max-terms", type=int, help="Show at most this number of terms: the likeliest equation within it.")
 @option(
@@ -178,6 +190,8 @@ def _cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
             out[role] = _channel(out[role])
     out["inputs"] = [name for name in map(_channel, out["inputs"]) if name]
     out["chains"] = list(out["chains"]) or None
+    for name in ("noise", "gain_sd"):
+        out[name] = dict(_pair(name, text) for text in out[name])
     return out
 
 
@@ -188,6 +202,14 @@ def _channel(name: str) -> str:
     from bayeq.records import clean_name
 
     return clean_name(name)[0]
+
+
+def _pair(option: str, text: str) -> tuple[str, str]:
+    """A channel and what is known of it, written as ``u=0.1``."""
+    name, equals, value = text.rpartition("=")
+    if not equals or not name.strip() or not value.strip():
+        raise InputError(f"--{option.replace('_', '-')} {text[:60]!r}: write a channel and a value, such as u=0.01")
+    return _channel(name.strip()), value.strip()
 
 
 def _used(options: Mapping[str, Any]) -> list[str]:

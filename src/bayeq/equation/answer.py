@@ -13,7 +13,7 @@ from bayeq.plan.measured import Measured
 from bayeq.records import Record
 from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
-from bayeq.states import Chain, Motion, Smooth
+from bayeq.states import Chain, Motion, Sensors, Smooth
 
 __all__ = ["Answer", "DataSummary"]
 
@@ -38,6 +38,8 @@ class DataSummary:
         Share of the rows of each record that was held out.
     measured : Measured
         Rates and ranges, for the plan of a next measurement.
+    sensors : Sensors
+        What was known of the channels.
     """
 
     files: tuple[str, ...]
@@ -49,6 +51,7 @@ class DataSummary:
     holdout: float = 0.0
     refitted: bool = False
     measured: Measured = field(default_factory=Measured)
+    sensors: Sensors = field(default_factory=Sensors)
 
     @classmethod
     def of(cls, records: Sequence[Record], motion: Motion, refitted: bool = False) -> Self:
@@ -64,6 +67,7 @@ class DataSummary:
             holdout=motion.holdout,
             refitted=refitted,
             measured=Measured.of(records, motion.roles.measured, motion.roles.inputs),
+            sensors=motion.sensors,
         )
 
 

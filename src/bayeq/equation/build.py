@@ -19,9 +19,11 @@ from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.plan.models import likeliest_models
+from bayeq.regression.channel_errors import changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
 from bayeq.selection.alternatives import alternatives_to
+from bayeq.selection.bounds import bounds, undetermined
 from bayeq.selection.select import Selection
 from bayeq.selection.tolerance import effective_terms
 
@@ -30,6 +32,9 @@ __all__ = ["build_equations", "with_doubts"]
 # The residual of an adequate model has 0.9 to 1.3 times the power that the noise of the channels explains; a multiple
 # above this one is reported in a warning.
 INADEQUATE = 1.75
+
+# Noise of an input that is hidden in the record: examples of what it would do, as shares of its standard deviation.
+NOISE_OF_INPUTS = (0.01, 0.05)
 
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
 RUNNER_UP_WINDOW = 12.0
@@ -97,6 +102,7 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
         for term, inside, seen in zip(regression.design.terms, posterior.support, shown.support, strict=True)
         if inside != seen
     }
+    bound = bounds(fit)
     estimated = regression.record is not None and regression.chain.measured[-1] is None
     return Equation(
         chain=regression.chain,
@@ -117,6 +123,8 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
         models=likeliest_models(fit),
         effective=() if full is None else effective_terms(full, shown),
         full_posterior=full,
+        bound=bound,
+        undetermined=undetermined(fit, posterior, bound),
     )
 
 
@@ -204,6 +212,7 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     else:
         _warn_of_groups(equation, {left.name for left in equation.left_out}, log)
     _warn_of_residuals(equation, selection, log)
+    _warn_of_hidden_noise(equation, regression=selection.shown_fit.regression, log=log)
 
 
 def _warn_of_undecided(equation: Equation, selection: Selection, log: WarningLog) -> None:
@@ -250,6 +259,27 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
             " delayed against each other",
             CorrelatedResidualsWarning,
         )
+
+
+def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: WarningLog) -> None:
+    """Say what noise of an input that the record does not show would have done."""
+    for name in inputs_of_hidden_noise(regression, equation.shown_posterior):
+        changes = changes_by_noise(regression, equation.shown_posterior, name, NOISE_OF_INPUTS)
+        small, large = (f"{share:.0%}".replace("%", " %") for share in NOISE_OF_INPUTS)
+        listed = " and ".join(
+            f"that of {term} {_signed_percent(few)}, or {_signed_percent(much)}"
+            for term, (few, much) in changes.items()
+        )
+        log.warn(
+            f"{equation.target}: the noise of {name} cannot be read from this record. Noise of {small}, or {large}, of"
+            f" its standard deviation would change coefficients: {listed}. Where it is known give it: noise="
+            f"{{{name!r}: '{NOISE_OF_INPUTS[0]:.0%}'}}, --noise {name}={NOISE_OF_INPUTS[0]:.0%}",
+            DataWarning,
+        )
+
+
+def _signed_percent(change: float) -> str:
+    return f"by {100 * change:+.2g} %"
 
 
 def _discrepancy(regression: Regression) -> float | None:

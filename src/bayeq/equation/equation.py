@@ -40,7 +40,7 @@ __all__ = ["Z95", "Equation", "Fit", "RunnerUp"]
 Floats = NDArray[np.float64]
 
 # Rules that leave out terms to have a simpler equation, not because they are in doubt.
-SIMPLER = ("max_terms", "negligible")
+SIMPLER = ("max_terms", "tolerance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +129,11 @@ class Equation:
     full_posterior : Posterior or None
         Of the full model, in original units, where what is shown is its projection on fewer terms: the included terms,
         or what a limit or an undecided group makes of them.
+    bound : (P,) array or None
+        What the size of a coefficient is below, with a probability of 95 %, were its term added to the included ones.
+        NaN for those.
+    undetermined : tuple of str
+        Terms that within their bounds could matter (`bayeq.selection.bounds`), the simplest first.
     """
 
     chain: Chain
@@ -152,6 +157,8 @@ class Equation:
     stored: OverModels | None = field(default=None, repr=False, compare=False)
     effective: tuple[str, ...] = ()
     full_posterior: Posterior | None = field(default=None, repr=False, compare=False)
+    bound: Floats | None = None
+    undetermined: tuple[str, ...] = ()
 
     @property
     def law(self) -> Law:
@@ -296,7 +303,8 @@ class Equation:
             ``shown``; ``share`` of the target's variance; ``unit`` of the coefficient (None: unknown); ``shown_coef``,
             ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``averaged_ci_low``,
             ``averaged_ci_high`` over all models (NaN where none are averaged); ``why`` included and shown terms differ
-            ("" if not); ``effective``, whether the coefficient shown makes up for terms within the tolerance too.
+            ("" if not); ``effective``, whether the coefficient shown makes up for terms within the tolerance too;
+            ``bound`` of the size of a coefficient that is not included.
         """
         import pandas as pd
 
@@ -323,6 +331,7 @@ class Equation:
                 "averaged_ci_high": averaged[:, 1],
                 "why": [self.why.get(term.text, "") for term in self.terms],
                 "effective": [term.text in self.effective for term in self.terms],
+                "bound": np.full(len(self.terms), np.nan) if self.bound is None else self.bound,
             }
         )
 

@@ -27,7 +27,7 @@ from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Residuals
 from bayeq.selection.select import LeftOut
-from bayeq.states import parse_chain
+from bayeq.states import Sensors, parse_chain
 
 __all__ = ["load"]
 
@@ -104,6 +104,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
             holdout=float(data["holdout"]),
             refitted=bool(data.get("refitted", False)),
             measured=_restored_measured(data.get("measured")),
+            sensors=Sensors(_numbers(data.get("noise")), _numbers(data.get("gain_sd"))),
         ),
         dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
         warnings=tuple(str(w) for w in diagnostics["warnings"]),
@@ -111,6 +112,10 @@ def _restore(content: Mapping[str, Any]) -> Equations:
         scores=_restored_scores(diagnostics.get("scores")),
         refined=_restored_refinement(diagnostics.get("refined")),
     )
+
+
+def _numbers(saved: Mapping[str, Any] | None) -> dict[str, float]:
+    return {str(name): float(value) for name, value in (saved or {}).items()}
 
 
 def _restored_scores(saved: Mapping[str, Any] | None) -> Scores | None:
@@ -213,7 +218,9 @@ def _restore_equation(
         held_out=None if held_out is None else Fit(**held_out),
         residuals=_restored_residuals(residuals),
         runners_up=tuple(RunnerUp(**r) for r in checks["runners_up"]),
-        share=_restored_share(saved["terms"]),
+        share=_restored_column(saved["terms"], "share"),
+        bound=_restored_column(saved["terms"], "bound"),
+        undetermined=tuple(str(name) for name in saved.get("undetermined", ())),
         left_out=tuple(LeftOut(**term) for term in checks.get("left_out", [])),
         units=units,
         unit_gains=tuple(float(gain) for gain in saved.get("unit_gains", ())),
@@ -303,7 +310,8 @@ def _restored_residuals(saved: Mapping[str, Any]) -> Residuals:
     )
 
 
-def _restored_share(terms: list[Mapping[str, Any]]) -> NDArray[np.float64] | None:
-    if not any(term.get("share") is not None for term in terms):
+def _restored_column(terms: list[Mapping[str, Any]], name: str) -> NDArray[np.float64] | None:
+    """Numbers of the terms, NaN where there is none; None if there are none at all."""
+    if not any(term.get(name) is not None for term in terms):
         return None
-    return np.array([math.nan if term.get("share") is None else float(term["share"]) for term in terms])
+    return np.array([math.nan if term.get(name) is None else float(term[name]) for term in terms])

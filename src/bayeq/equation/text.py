@@ -41,6 +41,8 @@ MARK = "*"
 OVER_MODELS = "interval over all models that hold the term; given the terms shown: shown_ci95, --conditional"
 # Before a coefficient that makes up for other terms too.
 EFFECTIVE = "~"
+# Terms that the record does not determine are listed up to this number.
+MOST_UNDETERMINED = 6
 
 # What is said of residuals, if it had a smaller probability by chance.
 DOUBTFUL = 1e-3
@@ -69,6 +71,14 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     if eq.data.estimated:
         how = "smoothing" if eq.data.smoothed else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
+    known = eq.data.sensors
+    if known.noise:
+        listed = ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items())
+        console.print(escape(f"noise given, standard deviation: {listed}"))
+    if known.gain_sd:
+        listed = ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items())
+        include = "do not include" if eq.refined else "include"
+        console.print(escape(f"intervals {include} the calibration: {listed}"))
     if eq.refined:
         console.print(escape(str(eq.refined)))
     if eq.constraints:
@@ -109,6 +119,8 @@ def _render_equation(
         console.print(escape(line))
     for line in _differences(equation, ENGINES[method].score):
         console.print(escape(line))
+    if equation.undetermined and equation.bound is not None:
+        console.print(escape(_undetermined(equation)))
     # of an equation that terms were left out of, the likelier ones are no runners-up
     runners_up = [r for r in equation.runners_up if not equation.left_out or r.log_odds <= 0]
     if runners_up:
@@ -137,6 +149,20 @@ def _differences(equation: Equation, score: str) -> list[str]:
     if equation.full_text is not None:
         out.append(f"full model: {equation.full_text}")
     return out
+
+
+def _undetermined(equation: Equation) -> str:
+    """Terms that could matter and that the record does not determine."""
+    assert equation.bound is not None
+    bound = dict(zip(_names(equation), equation.bound.tolist(), strict=True))
+    listed = [f"{name} (|coefficient| below {bound[name]:.2g})" for name in equation.undetermined[:MOST_UNDETERMINED]]
+    rest = len(equation.undetermined) - len(listed)
+    more = f", and {rest} more" if rest else ""
+    return f"not determined by this record, at up to ten times its amplitude: {', '.join(listed)}{more}"
+
+
+def _names(equation: Equation) -> list[str]:
+    return [term.text for term in equation.terms]
 
 
 def _units(equation: Equation) -> list[str]:

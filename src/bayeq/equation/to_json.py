@@ -41,6 +41,8 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "holdout": eq.data.holdout,
             "refitted": eq.data.refitted,
             "measured": asdict(eq.data.measured),
+            "noise": dict(eq.data.sensors.noise),
+            "gain_sd": dict(eq.data.sensors.gain_sd),
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],
@@ -82,6 +84,7 @@ def _equation(equation: Equation) -> dict[str, Any]:
         "full_equation": equation.full_text,
         "latex": equation.to_latex(),
         "unit_gains": list(equation.unit_gains),
+        "undetermined": list(equation.undetermined),
         "terms": [_term(equation, j) for j in range(len(equation.terms))],
     }
 
@@ -107,7 +110,14 @@ def _term(equation: Equation, j: int) -> dict[str, Any]:
         # of a term that is shown
         "share": float(equation.share[j]) if equation.share is not None and shown.support[j] else None,
         "unit": equation.coef_units[j],
+        "bound": _bound(equation, j),
     }
+
+
+def _bound(equation: Equation, j: int) -> float | None:
+    """What the coefficient of a term that is not included is below."""
+    value = np.nan if equation.bound is None else float(equation.bound[j])
+    return value if math.isfinite(value) else None
 
 
 def _averaged(equation: Equation, j: int) -> dict[str, Any]:

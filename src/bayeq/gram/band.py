@@ -21,7 +21,17 @@ from numpy.typing import NDArray
 
 from bayeq.gram.gram import Gram
 
-__all__ = ["Band", "added_floor", "band_gram", "noise_floor", "periodogram", "residual_spectrum", "taper", "to_band"]
+__all__ = [
+    "MOST_NOISE",
+    "Band",
+    "added_floor",
+    "band_gram",
+    "noise_floor",
+    "periodogram",
+    "residual_spectrum",
+    "taper",
+    "to_band",
+]
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

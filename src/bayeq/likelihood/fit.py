@@ -183,14 +183,17 @@ def maximised(
     tolerance: float = 1e-6,
     steepest: float = 0.01,
 ) -> tuple[Levels, Statistics]:
-    """Levels that maximise the marginal likelihood of a linearised model, and that; those `held` stay.
+    """Levels that maximise the marginal likelihood of a linearised model, and that; those `held`, or known, stay.
 
     The search moves each number in units of what its own samples tell of it, were nothing else unknown.
     """
     levels = state.levels
     low, high = levels.bounds
     start = np.clip(levels.free, low, high)
-    if held is not None:
+    known = np.zeros(len(start), dtype=np.bool_)
+    known[: len(levels.channels)] = ~levels.learned
+    held = known if held is None else held | known
+    if held.any():
         low, high = np.where(held, start, low), np.where(held, start, high)
     unit = 1.0 / np.sqrt(np.maximum(levels.curvature(linears), 1.0))
     # less that at the start: what is compared does not depend on the units of the channels

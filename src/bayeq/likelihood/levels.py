@@ -68,6 +68,8 @@ class Levels:
     hessian : (F, F) array or None
         How the likelihood curves downwards in `free`, as the search that led here has found it, in the units of that
         search.
+    held : (M,) bool array or None
+        Channels whose noise is known: it stays as it is.
     """
 
     layout: Layout
@@ -77,6 +79,7 @@ class Levels:
     memory: Floats
     slope: Floats
     hessian: Floats | None = None
+    held: NDArray[np.bool_] | None = None
 
     @cached_property
     def noise(self) -> Noise:
@@ -102,6 +105,11 @@ class Levels:
         return LEAST_DISCREPANCY * target, MOST_POSSIBLE * target
 
     @property
+    def learned(self) -> NDArray[np.bool_]:
+        """Channels whose noise is not known, (M,)."""
+        return np.ones(len(self.channels), dtype=np.bool_) if self.held is None else ~self.held
+
+    @property
     def free(self) -> Floats:
         """The numbers that a search moves."""
         return np.concatenate(
@@ -117,13 +125,15 @@ class Levels:
         """The levels of other numbers."""
         m, c = len(self.channels), len(self.discrepancy)
         parts = np.split(free, np.cumsum([m, c, c]))
+        channels = np.exp(parts[0])
         return Levels(
             self.layout,
             self.scales,
-            np.exp(parts[0]),
+            channels if self.held is None else np.where(self.held, self.channels, channels),
             np.exp(parts[1]),
             1.0 / (1.0 + np.exp(-parts[2])),
             np.exp(parts[3]),
+            held=self.held,
         )
 
     @property

@@ -15,7 +15,8 @@ from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
-from bayeq.likelihood.fit import Quadratic, solved
+from bayeq.likelihood.fit import Quadratic, marginal, solved
+from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.search import Fitted, Task, fit, resumed, search, with_model
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
 from bayeq.ode.rk4 import Interpolation
@@ -32,6 +33,10 @@ MOST_CANDIDATES = 1000
 
 # Longer records are searched at first in stretches: rows in all, and number of stretches.
 ROWS_AT_FIRST, STRETCHES = 16_000, 4
+
+# The noise of an input is read from the record if the likelihoods of none, of that found and of 5 %, as a share of the
+# variance, differ by more nats than this: two standard errors.
+SOME, READ = 0.05**2, 2.0
 
 # Ways in which inputs without noise may go on between samples.
 EXACT: tuple[Interpolation, ...] = ("cubic", "band-limited", "linear", "hold")
@@ -85,6 +90,23 @@ class RecordFit:
         """Tests of the fit."""
         with np.errstate(all="ignore"):
             return adequacy_of(self.task, self.fitted)
+
+    @cached_property
+    def inputs_of_known_noise(self) -> frozenset[str]:
+        """Noisy inputs of which the likelihood says whether they have no noise, that which was found, or some."""
+        task, state = self.task, self.fitted.state
+        layout, levels = task.layout, state.levels
+        linears, precision = task.linearised(state), task.precision[task.number(state.chosen)]
+        first, known = len(levels.channels) - len(layout.noisy), set()
+        for i, name in enumerate(layout.noisy, first):
+            values = []
+            for variance in (levels.channels[i], *(share * levels.scales.channels[i] for share in (LEAST_NOISE, SOME))):
+                channels = levels.channels.copy()
+                channels[i] = variance
+                values.append(marginal(linears, state, replace(levels, channels=channels), precision, False).value)
+            if max(values) - min(values) > READ:
+                known.add(name)
+        return frozenset(known)
 
     @property
     def least_noise(self) -> float:
@@ -209,7 +231,8 @@ def fit_record(
             some, places = _stretches(motion)
             start = start_from(some, terms, grams)
             odds = np.tile(log_odds, start.layout.chains)
-            others = [partial(with_exact_inputs, some, kind=kind) for kind in EXACT]
+            known = all(map(motion.sensors.noisy, motion.roles.inputs))
+            others = [] if known else [partial(with_exact_inputs, some, kind=kind) for kind in EXACT]
             found = search(Task(start.layout, start.series, start.precision, odds), start.states, others)
             if some is not motion:
                 return _resumed(motion, *found, places)

@@ -357,13 +357,18 @@ def with_other_inputs(
 ) -> tuple[Task, Fitted]:
     """The fit, or one with inputs as measured where the motion is then likelier.
 
-    Where inputs have the noise that the fit has found, no other is tried.
+    Where inputs have the noise that the fit has found, or noise that is known, no other is tried.
     """
     layout, levels = task.layout, best.state.levels
-    if not layout.noisy:
+    if not layout.roles.inputs:
         return task, best
-    share = levels.channels[-len(layout.noisy) :] / levels.scales.channels[-len(layout.noisy) :]
-    doubtful = share.min() < LEAST_INPUT_NOISE**2 or min(layout.smoothness) <= ROUGH or levels.kappa.max() > ADEQUATE
+    first = len(levels.channels) - len(layout.noisy)
+    learned = levels.learned[first:]
+    share = (levels.channels / levels.scales.channels)[first:][learned]
+    rough = np.array(layout.smoothness, dtype=np.int64)[learned] <= ROUGH
+    doubtful = (
+        bool(layout.exact) or (share < LEAST_INPUT_NOISE**2).any() or rough.any() or levels.kappa.max() > ADEQUATE
+    )
     if not doubtful and repeated(task) < HELD:
         return task, best
     pairs = [(task, best)]
@@ -382,6 +387,8 @@ def _no_log(word: str, fitted: Fitted) -> None:
 
 def repeated(task: Task) -> float:
     """Share of the samples of an input that are exactly the ones before, of the input that repeats most."""
+    if not task.layout.noisy:
+        return 0.0
     inputs = [one.samples[:, -len(task.layout.noisy) :] for one in task.series]
     same = np.concatenate([np.diff(columns, axis=0) == 0.0 for columns in inputs])
     return float(same.mean(axis=0).max())

@@ -18,7 +18,7 @@ from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, marginal, maximised
 from bayeq.likelihood.layout import Candidates, Layout
-from bayeq.likelihood.levels import Levels, Scales
+from bayeq.likelihood.levels import LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.linear import Series
 from bayeq.likelihood.low_pass import spectrum_of, step_variance
 from bayeq.likelihood.search import Fitted, Task
@@ -78,18 +78,23 @@ def start_from(motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram
         Of the smoothed rows, one per equation.
     """
     roles, pieces = motion.roles, motion.train
-    inputs = [_input(name, pieces) for name in roles.inputs]
+    known = motion.sensors.noise
+    noisy = tuple(name for name in roles.inputs if known.get(name) != 0.0)
+    inputs = [_input(name, pieces, known.get(name)) for name in noisy]
     alone = [levels for levels, _ in inputs]
     smoothness = tuple(one.layout.smoothness[0] for one in alone)
     centres = tuple(one.layout.centres[0] for one in alone)
     corners = tuple(one.layout.corners[0] for one in alone)
-    layout = Layout(roles, tuple(terms), motion.unit_gains, roles.inputs, smoothness, centres, corners)
+    layout = Layout(roles, tuple(terms), motion.unit_gains, noisy, smoothness, centres, corners)
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [found[i] for _, found in inputs]) for i, rows in enumerate(pieces))
     targets = _targets(roles, pieces)
     scales = _scales(layout, paths, targets.var(axis=0), np.concatenate([one.samples for one in series]))
     noise = FIRST_NOISE * scales.channels
     noise[len(noise) - len(inputs) :] = [one.channels[0] for one in alone]
+    held = np.array([name in known for name, _ in layout.channels])
+    for i in np.flatnonzero(held):
+        noise[i] = max(known[layout.channels[i][0]] ** 2, LEAST_NOISE * scales.channels[i])
     lag1 = [np.corrcoef(column[:-1], column[1:])[0, 1] for column in targets.T]
     levels = Levels(
         layout,
@@ -98,6 +103,7 @@ def start_from(motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram
         scales.variance[layout.discrepancy],
         np.clip(lag1, LEAST_MEMORY, MOST_MEMORY),
         np.array([one.slope[0] for one in alone]),
+        held=held,
     )
     none = np.zeros(0, dtype=np.int64)
     empty = State(Candidates(none, none), np.zeros(0), paths, levels)
@@ -125,19 +131,39 @@ def _by_rows(empty: State, grams: Sequence[Gram]) -> State:
 
 
 def with_exact_inputs(motion: Motion, task: Task, fitted: Fitted, kind: Interpolation) -> tuple[Task, State]:
-    """The task with all inputs as measured, interpolated in one way, and a fit as its start."""
+    """The task with inputs as measured, interpolated in one way, and a fit as its start.
+
+    Inputs whose noise is known keep it.
+    """
     old, state = task.layout, fitted.state
-    layout = replace(old, noisy=(), smoothness=(), centres=(), corners=(), interpolation=kind)
-    levels, kept = state.levels, layout.size
-    channels = len(layout.channels)
-    scales = Scales(levels.scales.mean[:kept], levels.scales.variance[:kept], levels.scales.channels[:channels])
-    none = np.zeros(0)
+    stay = [k for k, name in enumerate(old.noisy) if motion.sensors.noisy(name)]
+    layout = replace(
+        old,
+        noisy=tuple(old.noisy[k] for k in stay),
+        smoothness=tuple(old.smoothness[k] for k in stay),
+        centres=tuple(old.centres[k] for k in stay),
+        corners=tuple(old.corners[k] for k in stay),
+        interpolation=kind,
+    )
+    levels, first = state.levels, old.motion + old.chains
+    kept = [*range(first), *(i for k in stay for i in range(old.driven[k], old.driven[k] + old.widths[k]))]
+    before = len(old.channels) - len(old.noisy)
+    channels = [*range(before), *(before + k for k in stay)]
+    scales = Scales(levels.scales.mean[kept], levels.scales.variance[kept], levels.scales.channels[channels])
     return (
         replace(task, layout=layout, series=tuple(_series(layout, rows) for rows in motion.train)),
         replace(
             state,
-            paths=tuple(np.ascontiguousarray(path[:, :kept]) for path in state.paths),
-            levels=Levels(layout, scales, levels.channels[:channels], levels.discrepancy, levels.memory, none),
+            paths=tuple(np.ascontiguousarray(path[:, kept]) for path in state.paths),
+            levels=Levels(
+                layout,
+                scales,
+                levels.channels[channels],
+                levels.discrepancy,
+                levels.memory,
+                levels.slope[stay],
+                held=~levels.learned[channels],
+            ),
         ),
     )
 
@@ -201,14 +227,16 @@ def _targets(roles: Roles, pieces: Sequence[MotionRows]) -> Floats:
     return np.concatenate([np.column_stack([rows.observed[t] for t in roles.targets]) for rows in pieces])
 
 
-def _input(name: str, pieces: Sequence[MotionRows]) -> tuple[Levels, tuple[Floats, ...]]:
+def _input(name: str, pieces: Sequence[MotionRows], known: float | None = None) -> tuple[Levels, tuple[Floats, ...]]:
     """The smoothness of an input that makes its own samples likeliest, as levels of it alone, and its paths."""
-    found = [_alone(name, pieces, smoothness) for smoothness in SMOOTHNESS]
+    found = [_alone(name, pieces, smoothness, known) for smoothness in SMOOTHNESS]
     _, state, series = max(found, key=lambda one: one[0])
     return state.levels, _smoothed(series, state)
 
 
-def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[float, State, list[Series]]:
+def _alone(
+    name: str, pieces: Sequence[MotionRows], smoothness: int, known: float | None = None
+) -> tuple[float, State, list[Series]]:
     """Levels of an input by the likelihood of its own samples, nothing else in the model; that likelihood first."""
     values = np.concatenate([rows.columns[name] for rows in pieces])
     mean, variance = float(values.mean()), float(values.var()) or 1.0
@@ -221,6 +249,8 @@ def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[fl
         corner, level, noise = spectrum_of(few, order, step)
         slope = step_variance(order, corner, step, level)
         sizes = [variance * corner ** (2 * k) for k in range(order)]
+    if known is not None:
+        noise = known**2
     layout = Layout(Roles((), (name,)), (), (), (name,), (smoothness,), (mean,), (corner,))
     scales = Scales(np.array([mean, *[0.0] * (len(sizes) - 1)]), np.array(sizes), np.array([variance]))
     none = np.zeros(0)
@@ -233,7 +263,7 @@ def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int) -> tuple[fl
     few_rows = replace(state, paths=tuple(path[: len(one.samples)] for path, one in zip(zero, short, strict=True)))
     linears = linearised(layout, short, few_rows)
     # of a random sequence noise cannot be told
-    held = np.array([not smoothness, False])
+    held = np.array([not smoothness or known is not None, False])
     levels, found = maximised(linears, few_rows, none, held, steps=20, tolerance=1e-5)
     return found.value, replace(state, levels=levels), series
 

@@ -16,6 +16,7 @@ from bayeq.inference.engines import Engine
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.record_fit import RecordFit
+from bayeq.regression.channel_errors import calibrated
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.covariance import propagated_covariance
 from bayeq.regression.regression import Regression
@@ -108,8 +109,12 @@ class RegressionFit:
         """A posterior of `standard` as it is reported, and the `Residuals.excess` of a band.
 
         In a band its covariance is that which the noise of the channels makes, and its noise variance that of the
-        residual over the rows.
+        residual over the rows. The uncertainty of the sensors' calibration is added to any.
         """
+        found, excess = self._reported(posterior)
+        return calibrated(self.regression, found, self.constraints.equalities.basis(found.support)), excess
+
+    def _reported(self, posterior: Posterior) -> tuple[Posterior, float | None]:
         found = self.expanded(posterior)
         if self.regression.record is not None:
             mean_variance = found.noise_variance / found.n

@@ -17,7 +17,7 @@ from bayeq.likelihood.record_fit import RecordFit
 from bayeq.regression.design import Design
 from bayeq.regression.filtered_terms import filtered_terms
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
-from bayeq.regression.weights import InBand, regress_in_band, thinned_gram
+from bayeq.regression.weights import InBand, regress_in_band, thinned_gram, without_noise
 from bayeq.states import Chain, ChainSmoothing, Motion, MotionRows
 
 __all__ = ["Regression"]
@@ -73,7 +73,12 @@ class Regression:
         if record is not None:
             return cls(design, k, rows, held_out, None, record.standards[k].source, record)
         band = regress_in_band(design, k)
-        return cls(design, k, rows, held_out, band, rows if band is None else band.gram)
+        if band is not None:
+            return cls(design, k, rows, held_out, band, band.gram)
+        known = motion.sensors.noise
+        inputs = {name for name in motion.roles.inputs if name in known}
+        noise = {j: known[name] ** 2 for j, name in enumerate(design.names) if name in inputs}
+        return cls(design, k, rows, held_out, None, without_noise(rows, noise))
 
     @property
     def motion(self) -> Motion:
@@ -89,7 +94,7 @@ class Regression:
         """The regression with rows that count for the effective sample size, where their residuals are correlated."""
         if self.record is not None or self.band is not None or len(self.design.terms) > MOST_TERMS_TO_THIN:
             return self
-        return replace(self, gram=thinned_gram(self.rows, self.residuals))
+        return replace(self, gram=thinned_gram(self.gram, self.residuals))
 
     def raised(self, power: float) -> Regression:
         """The regression with the likelihood raised to a power of at most 1."""

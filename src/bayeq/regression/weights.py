@@ -10,7 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.gram import Gram
-from bayeq.gram.band import Band, added_floor, band_gram, noise_floor, periodogram, residual_spectrum, to_band
+from bayeq.gram.band import (
+    MOST_NOISE,
+    Band,
+    added_floor,
+    band_gram,
+    noise_floor,
+    periodogram,
+    residual_spectrum,
+    to_band,
+)
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
@@ -22,7 +31,7 @@ from bayeq.regression.filtered_terms import unsmoothed
 from bayeq.regression.residuals import Residuals
 from bayeq.states import ChainSmoothing
 
-__all__ = ["InBand", "Piece", "gains_of", "regress_in_band", "thinned_gram", "weighted_gram"]
+__all__ = ["InBand", "Piece", "gains_of", "regress_in_band", "thinned_gram", "weighted_gram", "without_noise"]
 
 Floats = NDArray[np.float64]
 
@@ -210,8 +219,9 @@ def regress_in_band(design: Design, k: int) -> InBand | None:
         )
         for i, rows in enumerate(motion.train)
     ]
+    known = motion.sensors.noise
     floors = {
-        j: noise_floor([rows.columns[name] for rows in motion.train])
+        j: known[name] ** 2 if name in known else noise_floor([rows.columns[name] for rows in motion.train])
         for j, name in enumerate(design.names)
         if name in inputs
     }
@@ -220,6 +230,24 @@ def regress_in_band(design: Design, k: int) -> InBand | None:
     spans = [smoothing.band for smoothing in motion.smoothing]
     span = max(low for low, _ in spans), min(high for _, high in spans)
     return weighted_gram(pieces, design.names, motion.smoothing[k], span, filtered, noise)
+
+
+def without_noise(gram: Gram, noise: Mapping[int, float]) -> Gram:
+    """The Gram of rows without the known noise variances of columns that are inputs themselves.
+
+    It is in the residual all the same, times the square of the coefficient.
+    """
+    removed = np.zeros(len(gram.names))
+    for j, variance in noise.items():
+        removed[j] = min(gram.n * variance, MOST_NOISE * gram.DtD[j, j])
+    if not removed.any():
+        return gram
+    less = replace(gram, DtD=gram.DtD - np.diag(removed))
+    found = less
+    for _ in range(PILOTS):
+        coef = _pilot(found).coef
+        found = replace(less, yty=gram.yty + float(coef**2 @ removed))
+    return found
 
 
 def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gram:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain
 from bayeq.states.missing import bridged_record, complete_rows
 from bayeq.states.roles import Roles
+from bayeq.states.sensors import Sensors
 from bayeq.states.uniform_grid import filled_in, on_grid
 from bayeq.states.unit_gains import unit_gains
 
@@ -100,6 +101,8 @@ class Motion:
         Of each chain, see `bayeq.states.unit_gains`.
     holdout : float
         Share of the rows of each record, the last, that is held out.
+    sensors : Sensors
+        What is known of the channels.
     """
 
     roles: Roles
@@ -108,6 +111,7 @@ class Motion:
     smoothing: tuple[ChainSmoothing, ...]
     unit_gains: tuple[Floats, ...]
     holdout: float
+    sensors: Sensors = field(default_factory=Sensors)
 
     @cached_property
     def train(self) -> tuple[MotionRows, ...]:
@@ -164,14 +168,21 @@ def cut_at(rows: int, share: float) -> int:
     return rows - int(share * rows)
 
 
-def estimate_motion(records: Sequence[Record], roles: Roles, smooth: Smooth = "auto", share: float = 0.0) -> Motion:
+def estimate_motion(
+    records: Sequence[Record],
+    roles: Roles,
+    smooth: Smooth = "auto",
+    share: float = 0.0,
+    sensors: Sensors | None = None,
+) -> Motion:
     """States, targets and inputs of records of one system, which share their noise levels.
 
     With "auto" the kinematic smoother fuses all measured channels of a chain (`bayeq.states.kinematic`), and samples
     that were dropped from a uniform grid, or are missing (NaN), are bridged: the states then have a row for each. Where
     nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Records of less than 40
     rows are differentiated as they are. Records without time, and states and targets that are all measured with hardly
-    any noise, are left to `derive_states`, whose errors are those of this function. Noise levels are learned from the
+    any noise, are left to `derive_states`, whose errors are those of this function, unless an input has known noise.
+    Noise levels are learned from the
     training rows; the rows held out are smoothed apart.
 
     Parameters
@@ -184,17 +195,19 @@ def estimate_motion(records: Sequence[Record], roles: Roles, smooth: Smooth = "a
         How derivatives that are not measured are estimated.
     share : float
         Of the rows, the last of each record, to hold out.
+    sensors : Sensors, optional
+        Noise levels that are known are not learned.
 
     Raises
     ------
     UnknownNameError, RecordError, ChainError
         Channels that are missing or cannot be used.
     """
-    whole = smooth == "none"
+    whole, sensors = smooth == "none", sensors or Sensors()
     if all(record.time is not None for record in records) and max(record.n for record in records) < FEW_ROWS:
         smooth = "none"
         records = records if whole else [complete_rows(record, roles) for record in records]
-    smoothed = _smoothed(records, roles, smooth, share)
+    smoothed = _smoothed(records, roles, smooth, share, sensors)
     no_smoothing: tuple[ChainSmoothing, ...] = ()
     if smoothed is None:
         records = records if whole else [complete_rows(record, roles) for record in records]
@@ -205,7 +218,7 @@ def estimate_motion(records: Sequence[Record], roles: Roles, smooth: Smooth = "a
     else:
         pieces, cuts, smoothing = smoothed
         gains = tuple(one.unit_gains for one in smoothing)
-    return Motion(roles, pieces, cuts, smoothing, gains, share)
+    return Motion(roles, pieces, cuts, smoothing, gains, share, sensors)
 
 
 def _as_measured(record: Record, roles: Roles, smooth: Smooth) -> MotionRows:
@@ -217,7 +230,7 @@ def _as_measured(record: Record, roles: Roles, smooth: Smooth) -> MotionRows:
 
 
 def _smoothed(
-    records: Sequence[Record], roles: Roles, smooth: Smooth, share: float
+    records: Sequence[Record], roles: Roles, smooth: Smooth, share: float, sensors: Sensors
 ) -> tuple[tuple[MotionRows, ...], tuple[int, ...], tuple[ChainSmoothing, ...]] | None:
     """Rows by the kinematic smoother; None where records are better taken as measured."""
     timed = all(record.time is not None for record in records)
@@ -235,13 +248,14 @@ def _smoothed(
     filled = [on_grid(record, (*roles.measured, *roles.inputs), ()) for record in records]
     cuts = tuple(cut_at(record.n, share) for record in filled)
     try:
-        found = [smooth_chain(filled, chain, cuts) for chain in roles.chains]
+        found = [smooth_chain(filled, chain, cuts, sensors.noise) for chain in roles.chains]
     except RecordError:
         if integrated:  # which only the smoother can do
             raise
         return None
     measured_all = all(name is not None for chain in roles.chains for name in chain.measured)
-    if measured_all and all(smoothing.noise_ratio < LEAST_NOISE for _, smoothing in found):
+    forced = any(map(sensors.noisy, roles.inputs))
+    if measured_all and not forced and all(smoothing.noise_ratio < LEAST_NOISE for _, smoothing in found):
         return None
     rows = tuple(_rows(record, roles, [means[i] for means, _ in found]) for i, record in enumerate(filled))
     return rows, cuts, tuple(smoothing for _, smoothing in found)

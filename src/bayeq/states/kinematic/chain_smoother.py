@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from bayeq.records import Record
 from bayeq.records.sampling import even_step
 from bayeq.states.chain import Chain
 from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, fit_kinematic, smooth_kinematic
+from bayeq.states.sensors import LEAST_SHARE
 from bayeq.states.unit_gains import bridged, unit_gains
 
 __all__ = ["ChainSmoothing", "smooth_chain"]
@@ -146,7 +147,10 @@ def _rate(series: Sequence[ChainSeries]) -> float | None:
 
 
 def smooth_chain(
-    records: Sequence[Record], chain: Chain, rows: Sequence[int] | None = None
+    records: Sequence[Record],
+    chain: Chain,
+    rows: Sequence[int] | None = None,
+    noise: Mapping[str, float] | None = None,
 ) -> tuple[list[Floats], ChainSmoothing]:
     """States of a chain in some records.
 
@@ -159,6 +163,8 @@ def smooth_chain(
     rows : sequence of int, optional
         Rows of each record that the noise levels are learned from, the first; the others are smoothed apart, so that
         nothing is carried from these to those. By default all.
+    noise : mapping of str to float, optional
+        Known standard deviations of the noise of channels, in their units.
 
     Returns
     -------
@@ -183,7 +189,8 @@ def smooth_chain(
     series = [s.take(slice(0, cut)) for s, cut in zip(whole, cuts, strict=True)]
     gains = unit_gains(records, chain, cuts)
     try:
-        model = fit_kinematic([_in_units(s, gains) for s in series])
+        known = _known_noise(series, chain, gains, noise or {})
+        model = fit_kinematic([_in_units(s, gains) for s in series], noise_sd=known)
     except InputError as error:  # a channel with too few samples, or one that never changes
         reason = str(error).split(";")[0]
         raise RecordError(f"{where}: training rows of chain {str(chain)!r} cannot be smoothed: {reason}") from None
@@ -207,6 +214,20 @@ def smooth_chain(
         samples = np.concatenate([np.asarray(s.channels[k]) for s in series])
         ratio = max(ratio, float(model.noise_sd[k] or 0.0) * abs(gains[k]) / float(np.nanstd(samples)))
     return means, ChainSmoothing(model, _rate(series), ratio, gains, bound)
+
+
+def _known_noise(
+    series: Sequence[ChainSeries], chain: Chain, gains: Floats, noise: Mapping[str, float]
+) -> list[float | None]:
+    """Of each derivative in the units of the model; None where it is not known."""
+    out: list[float | None] = []
+    for k, name in enumerate(chain.measured):
+        if name is None or name not in noise:
+            out.append(None)
+            continue
+        spread = float(np.nanstd(np.concatenate([np.asarray(s.channels[k]) for s in series])))
+        out.append(max(noise[name], LEAST_SHARE * spread) / abs(float(gains[k])))
+    return out
 
 
 def _bounded(series: ChainSeries) -> ChainSeries:

@@ -16,7 +16,7 @@ from bayeq.states.kinematic.kalman import LONG_GAP
 from bayeq.states.kinematic.model import MOST_EXTRA, ChainSeries, KinematicModel, Sizes, check_order, sizes_of
 from bayeq.states.kinematic.rows import Rows, prepare
 
-__all__ = ["fit_kinematic"]
+__all__ = ["fit_kinematic", "lowest_level"]
 
 Floats = NDArray[np.float64]
 
@@ -198,7 +198,7 @@ def _floors(rows: Sequence[Rows], sizes: Sizes) -> Floats:
         for j, k in enumerate(r.measured):
             present = r.present[:, j]
             if np.count_nonzero(present) >= BINS:
-                levels[k].append(_lowest_level(times[present], r.samples[present, j]) * float(r.units(k)) ** 2)
+                levels[k].append(lowest_level(times[present], r.samples[present, j]) * float(r.units(k)) ** 2)
     shares = [
         np.median(level) / variance if level and variance > 0 else FALLBACK
         for level, variance in zip(levels, sizes.variance, strict=True)
@@ -206,7 +206,7 @@ def _floors(rows: Sequence[Rows], sizes: Sizes) -> Floats:
     return sizes.variance * np.clip(shares, 10 * LEAST_VARIANCE, 1.0)
 
 
-def _lowest_level(times: Floats, samples: Floats) -> float:
+def lowest_level(times: Floats, samples: Floats) -> float:
     """Least level of the periodogram in any of its bands: the variance of white noise that hides nowhere."""
     samples = np.interp(np.linspace(times[0], times[-1], len(times)), times, samples)
     window = np.hanning(len(samples))

@@ -1,0 +1,123 @@
+"""`Sensors`: what is known of the channels before the record is looked at, noise levels and calibration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.records import Record
+from bayeq.states.chain import Chain
+from bayeq.states.roles import Roles
+
+__all__ = ["LEAST_SHARE", "Sensors", "check_sensors", "known_sensors", "scaled_with"]
+
+# Noise of nothing, as a share of the standard deviation of a channel: the smoother divides by it.
+LEAST_SHARE = 1e-5
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What is known of channels.
+
+    Attributes
+    ----------
+    noise : mapping of str to float
+        Standard deviation of the noise of a channel, in its unit; only of channels where it was given.
+    gain_sd : mapping of str to float
+        Standard deviation of the factor by which a sensor may be wrong, 0.01 for 1 %.
+    """
+
+    noise: Mapping[str, float] = field(default_factory=dict)
+    gain_sd: Mapping[str, float] = field(default_factory=dict)
+
+    def noisy(self, name: str) -> bool:
+        """Whether noise was given that is not zero."""
+        return self.noise.get(name, 0.0) > 0.0
+
+
+def check_sensors(noise: Mapping[str, float | str], gain_sd: Mapping[str, float | str], roles: Roles) -> None:
+    """Refuse what cannot be used, before any work.
+
+    Raises
+    ------
+    UnknownNameError
+        A channel that plays no part.
+    InputError
+        A value that is no number, negative or infinite.
+    """
+    known = [*roles.measured, *roles.inputs]
+    for what, given in (("noise", noise), ("gain_sd", gain_sd)):
+        for name, value in given.items():
+            if name not in known:
+                raise UnknownNameError("channel", name, known, where=what)
+            _amount(what, name, value)
+
+
+def known_sensors(
+    noise: Mapping[str, float | str],
+    gain_sd: Mapping[str, float | str],
+    roles: Roles,
+    records: Sequence[Record],
+) -> Sensors:
+    """What was given of the channels of some records, in their units.
+
+    Channels that are not measured apart (`bayeq.states.measured_apart`) are left out.
+
+    Raises
+    ------
+    InputError
+        Noise that exceeds what was measured.
+    """
+    used = {*roles.measured, *roles.inputs}
+    levels = {}
+    for name, value in noise.items():
+        if name not in used:
+            continue
+        amount, share = _amount("noise", name, value)
+        spread = float(np.nanstd(np.concatenate([np.asarray(record[name]) for record in records])))
+        levels[name] = amount * spread if share else amount
+        if levels[name] >= spread:
+            raise InputError(
+                f"noise: the noise of {name!r} is given as {levels[name]:g}, and the standard deviation of the channel"
+                f" is {spread:g}: nothing else would be in it; check the unit"
+            )
+    return Sensors(levels, {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used})
+
+
+def _amount(what: str, name: str, value: float | str) -> tuple[float, bool]:
+    """A value and whether it is a share of the channel's standard deviation."""
+    text = value.strip() if isinstance(value, str) else value
+    share = isinstance(text, str) and text.endswith("%")
+    try:
+        if isinstance(text, bool):
+            raise TypeError
+        number = float(text[:-1]) / 100.0 if isinstance(text, str) and share else float(text)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not 0.0 <= number < math.inf:
+        form = "a number in its unit, or a share of its standard deviation such as '2%'"
+        form = form if what == "noise" else "a relative standard deviation, such as 0.01 for 1 %"
+        raise InputError(f"{what}: {name!r} needs {form}, not negative; got {value!r}")
+    return number, share
+
+
+def scaled_with(chains: Sequence[Chain], channel: str) -> tuple[str, ...]:
+    """Columns that a factor of a channel multiplies: its own, and derivatives that are estimated from it.
+
+    A derivative that is not measured comes from the next lower one that is; where there is none, from the next higher.
+    """
+    out = [channel]
+    for chain in chains:
+        present = [k for k, name in enumerate(chain.measured) if name is not None]
+        for k, name in enumerate(chain.names):
+            if k in present:
+                continue
+            lower = [i for i in present if i < k]
+            source = lower[-1] if lower else present[0]
+            if chain.measured[source] == channel:
+                out.append(name)
+    return tuple(out)
