@@ -120,7 +120,7 @@ def test_the_tanks_are_not_explained():
     example = ran(tanks)
     first, second = example.blocks["found"], example.blocks["second"]
     for warning in (
-        "y is clipped",
+        "left out as clipped",
         "no equation found",
         "times the power that the noise of the channels explains",
     ):
