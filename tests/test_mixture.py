@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -44,6 +44,7 @@ def doubtful():
 
 
 @settings(deadline=None)  # the first call compiles
+@example(pip=2.2e-309, parts=[(1.0, 0.0, 1.0)])  # the quotient overflows
 @given(
     pip=st.floats(0.0, 1.0),
     parts=st.lists(st.tuples(st.floats(0.01, 1.0), st.floats(-3, 3), st.floats(0.01, 2.0)), min_size=1, max_size=6),

@@ -93,7 +93,7 @@ class Mixture:
 
     def _with_zero(self, probability: float) -> Floats:
         """Quantiles of the mixture with the probability 1 - PIP of exactly 0."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             below = self._quantiles(probability / self.pip)
             above = self._quantiles((probability - (1.0 - self.pip)) / self.pip)
         return np.where(below < 0.0, below, np.where(above > 0.0, above, 0.0))
