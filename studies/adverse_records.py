@@ -56,6 +56,9 @@ def _with(change: str, **terms: str) -> System:
     return replace(SYSTEM, rhs=rhs, inputs=inputs, terms={"a": {**SYSTEM.terms["a"], **terms}})
 
 
+# Rows in which free motion decays to 1e-5 of itself.
+STEADY = 10_000
+
 # --- forces ----------------------------------------------------------------------------------------------------------
 
 
@@ -208,6 +211,8 @@ class Case:
         Terms that the dictionary lacks.
     finer : int
         Steps of the simulation per sample; 1 where the force is a straight line between its samples.
+    before : int
+        Rows of motion before the record, in which it becomes steady.
     """
 
     spoil: Spoil = _nothing
@@ -218,6 +223,7 @@ class Case:
     noise: float = NOISE
     without: tuple[str, ...] = field(default=())
     finer: int = FINER
+    before: int = 0
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -247,7 +253,7 @@ CASES: Mapping[str, Case] = {
     "second force of 10 %": Case(system=_with("+w"), force=partial(_with_second, 0.1), on_request=(70_000, 1_000_000)),
     "second force of 30 %": Case(system=_with("+w"), force=partial(_with_second, 0.3), on_request=(70_000, 1_000_000)),
     "white force": Case(force=partial(_force, WHITE), finer=1),
-    "steady sine": Case(force=_sine),
+    "steady sine": Case(force=_sine, before=STEADY),
     "low amplitude": Case(force=partial(_force, replace(FORCE, std=1.0))),
     "few rows": Case(rows=(60, 100, 200)),
     "no x**3 offered": Case(without=("x**3",)),
@@ -261,9 +267,9 @@ CASES: Mapping[str, Case] = {
 def draw_record(case: Case, rows: int, seed: int) -> Record:
     """A record of a case: channels x, v, a and u, and the truth of their clean motion."""
     motion, spoiling = (np.random.default_rng(stream) for stream in np.random.SeedSequence([seed, rows]).spawn(2))
-    inputs = case.force(rows * case.finer, RATE * case.finer, motion)
+    inputs = case.force((case.before + rows) * case.finer, RATE * case.finer, motion)
     noise = dict.fromkeys(CHANNELS, case.noise)
     fine = simulate(case.system, fs=RATE * case.finer, seed=seed, noise=noise, force=inputs)
-    record = fine.slice(0, None, case.finer)
+    record = fine.slice(case.before * case.finer, None, case.finer)
     channels = {**{name: record[name] for name in CHANNELS}, **case.spoil(record, spoiling)}
     return Record(channels, np.arange(rows) / RATE, name=case.system.name, truth=record.truth)
