@@ -199,12 +199,15 @@ def discover(
     first = WarningLog()
     selections = select(fits, rules, motion)
     equations, scores = build_equations(selections, units, first)
-    whole = refit_record(motion.whole, record) if record is not None and motion.held_out else None
+    whole = None
+    if record is not None and motion.held_out:
+        of_all = build_design(design.terms, motion.whole)
+        # columns that a single row of those held out decides may be copies of each other there
+        whole = refit_record(motion.whole, record) if of_all.names == design.names else None
     if whole is not None:
         step("inference", 0, len(roles.chains))
         scored, first = equations, WarningLog()
-        design = build_design(design.terms, motion.whole)
-        regressions = [Regression.of(design, k, whole) for k in range(len(roles.chains))]
+        regressions = [Regression.of(of_all, k, whole) for k in range(len(roles.chains))]
         fits = fit_equations(regressions, constrained, method, prior, coarsen, seed)
         selections = select(fits, rules, motion.whole)
         equations, _ = build_equations(selections, units, first, scored)
