@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.special import erf
+from studies.adverse_records import CASES, draw_record
 
 import bayeq as bq
 from bayeq.expressions import Evaluator, Expression, parse
@@ -260,3 +261,23 @@ def test_the_error_of_an_argument_where_its_sign_changes():
         np.sqrt(0.02**2 + h**2 / 12), rel=1e-3
     )
     assert error_where_it_changes(parse("x+3").tree, columns, covariance) == 0.0
+
+
+# --- few rows --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("rows", "seed"), [(60, 10003), (60, 10008), (100, 10003), (200, 10003)])
+def test_few_rows_do_not_end_in_a_crowd_of_terms(rows, seed):
+    # second fits of these records ended beside the likeliest model, where the Gram matrix promises 14 to 28 terms
+    record = draw_record(CASES["few rows"], rows, seed)
+    (one,) = quietly(record, **OSCILLATOR)
+    assert len(one.included) <= 4
+    assert {"x", "u"} <= set(one.included)
+
+
+def test_a_column_that_one_row_held_out_decides():
+    # all rows together make two candidates copies of each other, the first ones do not
+    record = draw_record(CASES["few rows"], 60, 10004)
+    eq = quietly(record, **OSCILLATOR)
+    assert not eq.data.refitted
+    assert eq.data.n_train < 60

@@ -203,7 +203,8 @@ def discover(
     if record is not None and motion.held_out:
         of_all = build_design(design.terms, motion.whole)
         # columns that a single row of those held out decides may be copies of each other there
-        whole = refit_record(motion.whole, record) if of_all.names == design.names else None
+        if of_all.names == design.names:
+            whole = refit_record(motion.whole, record, of_all.terms, of_all.train)
     if whole is not None:
         step("inference", 0, len(roles.chains))
         scored, first = equations, WarningLog()

@@ -17,7 +17,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.fit import Quadratic, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
-from bayeq.likelihood.search import Fitted, Task, fit, resumed, search, with_model
+from bayeq.likelihood.search import ADEQUATE, Fitted, Task, fit, resumed, search, with_model
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
 from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Motion
@@ -54,17 +54,25 @@ class RecordFit:
         A model, and the likelihood about it: at first of the included coefficients.
     posterior : Posterior
         Over the models of all equations, in units of the coefficients' priors.
+    own : bool
+        Whether the likelihood is that about the model; of one that could not be fitted it is that about another.
     """
 
     task: Task
     fitted: Fitted
     posterior: Posterior
+    own: bool = True
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
         """What the best model and those it was compared with tell."""
-        posterior = _averaged(task, fitted)
-        return cls(task, fitted, posterior).about(posterior.support)
+        found = cls(task, fitted, _averaged(task, fitted))
+        included = found.about(found.posterior.support)
+        if included.own:
+            return included
+        # what the Gram says of models far from the fitted one is not to be relied on
+        found = cls(task, fitted, _averaged(task, fitted, fitted_only=True))
+        return found.about(found.posterior.support)
 
     def about(self, model: Bools) -> RecordFit:
         """The fit of another model, (C (P + 1),) bool; probabilities stay."""
@@ -73,7 +81,7 @@ class RecordFit:
         try:
             return replace(self, fitted=fit(self.task, with_model(self.task, self.fitted, model)))
         except np.linalg.LinAlgError:  # motion that it does not stay near: as the likelihood about the former tells it
-            return replace(self, fitted=replace(self.fitted, model=model))
+            return replace(self, fitted=replace(self.fitted, model=model), own=False)
 
     @property
     def width(self) -> int:
@@ -158,12 +166,18 @@ class RecordFit:
         return float(b[0] / A[0, 0]), float(1.0 / np.sqrt(A[0, 0]))
 
 
-def _averaged(task: Task, best: Fitted) -> Posterior:
-    """Model averaging: models that were fitted have the evidence of their fit, the others that of the Gram."""
+def _averaged(task: Task, best: Fitted, fitted_only: bool = False) -> Posterior:
+    """Model averaging: models that were fitted have the evidence of their fit, the others that of the Gram, or none."""
 
     def revised(found: ModelSet) -> ModelSet:
-        keys = [model.tobytes() for model in found.models]
         own = best.model.tobytes()
+        if fitted_only:
+            size = len(best.model)
+            models = np.array([np.frombuffer(key, dtype=np.bool_) for key in best.tried] or [best.model])
+            values = np.array([*best.tried.values()] or [best.evidence])
+            order = np.argsort(-values, kind="stable")
+            return replace(found, models=models.reshape(-1, size)[order], log_posterior=values[order])
+        keys = [model.tobytes() for model in found.models]
         if own not in keys:
             return found
         level = found.log_posterior[keys.index(own)]
@@ -241,8 +255,12 @@ def fit_record(
         return None
 
 
-def refit_record(motion: Motion, former: RecordFit) -> RecordFit | None:
+def refit_record(
+    motion: Motion, former: RecordFit, terms: Sequence[Expression], grams: Sequence[Gram]
+) -> RecordFit | None:
     """Fit all rows of some motion, starting from what was found on the first rows of each record.
+
+    Where that leaves a discrepancy the search begins once more without it, and the likelier answer is taken.
 
     Parameters
     ----------
@@ -250,6 +268,8 @@ def refit_record(motion: Motion, former: RecordFit) -> RecordFit | None:
         With all rows for training.
     former : RecordFit
         Of the same records with rows held out.
+    terms, grams
+        As for `fit_record`, of all rows.
 
     Returns
     -------
@@ -259,9 +279,14 @@ def refit_record(motion: Motion, former: RecordFit) -> RecordFit | None:
     try:
         with np.errstate(all="ignore"):
             places = [(record, 0) for record in range(len(motion.train))]
-            return _resumed(motion, former.task, former.fitted, places)
+            found: RecordFit | None = _resumed(motion, former.task, former.fitted, places)
     except np.linalg.LinAlgError:
-        return None
+        found = None
+    if found is not None and found.own and found.kappa.max() < ADEQUATE:
+        return found
+    other = fit_record(motion, terms, former.task.log_odds[former.block(0)], grams)
+    pairs = [one for one in (found, other) if one is not None]
+    return max(pairs, key=lambda one: one.fitted.evidence, default=None)
 
 
 def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> RecordFit:

@@ -36,7 +36,7 @@ from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear, Series
 from bayeq.likelihood.signs import arguments_of_signs, error_where_it_changes
 
-__all__ = ["Fitted", "Task", "fit", "resumed", "search", "with_model"]
+__all__ = ["ADEQUATE", "Fitted", "Task", "fit", "resumed", "search", "with_model"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
