@@ -10,7 +10,7 @@ QUICK := tests/conformance tests/test_cli_streams.py tests/test_estimators.py te
 	tests/test_records_text.py tests/test_startup.py tests/test_vb.py
 
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
-RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse
+RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths
 
 .PHONY: demo test lint types tests statistics coverage matrix bench study examples lock clean
 

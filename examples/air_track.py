@@ -19,7 +19,7 @@ def run(example: Example, data: Path) -> None:
     """Discover, ask how far to trust it, and compare with what the channels as given say."""
     with example.block("found"):
         rec = bq.read(data / "schmidt_lipson/real_linear_a_1.txt")
-        eq = bq.discover(rec, displacement="x", velocity="v", acceleration="a", smooth="band")
+        eq = bq.discover(rec, displacement="x", velocity="v", acceleration="a", smooth="band", tolerance=0.01)
         print(eq)
     with example.block("path"):
         print(eq[0].path())

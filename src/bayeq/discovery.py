@@ -119,9 +119,9 @@ def discover(
     tolerance : float
         What makes no practical difference: the equation shown is the smallest whose predictions and free runs over
         windows of the training rows are worse than the full model's by no more than this share of the target's standard
-        deviation and of the states' spread (`bayeq.selection.tolerance`). By default 1 %, to which sensors are
-        calibrated. Terms that are certain and yet not needed for that are listed after the equation, beside the full
-        model. 0 shows the included terms.
+        deviation and of the states' spread (`bayeq.selection.tolerance`). By default 0.5 %, half of that to which
+        sensors are calibrated. Terms that are certain and yet not needed for that are listed after the equation, beside
+        the full model. 0 shows the included terms.
     coarsen : float
         Power, above 0 and at most 1, that the likelihood is raised to: each row counts as this share of one (Miller
         and Dunson 2019). It widens all intervals and asks more evidence of a term, for models that are only nearly
