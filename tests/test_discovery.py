@@ -222,7 +222,7 @@ def test_air_track_oscillator():
     rec = bq.read(measured("schmidt_lipson/real_linear_a_1.txt"))
     chain = {"displacement": "x", "velocity": "v", "acceleration": "a"}
     # by the likelihood of the record further small terms are certain: the tracking's error depends on the position
-    eq = quietly(rec, **chain, smooth="band")
+    eq = quietly(rec, **chain, smooth="band", tolerance=0.01)
     assert any("v, a: computed from x, not measured" in w for w in eq.warnings)
     assert eq[0].shown == ("x", "v")
     assert eq[0].shown_coef["x"] == pytest.approx(-6.222, rel=1e-3)
