@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
-import numpy as np
-
 from bayeq.equation.equation import Equation, RunnerUp
 from bayeq.equation.verdict import Verdict, doubted, judge, noise_share, window_errors
 from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidualsWarning, DataWarning, WarningLog
@@ -153,7 +151,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float) -> Verd
         lacking = adequacy.lacks(regression.k)
         coloured = adequacy.coloured([name for name in regression.chain.measured if name is not None])
     others = alternatives_to(fit, equation.full_posterior or equation.shown_posterior, tolerance)
-    spread = float(np.sqrt(regression.rows.yty / regression.rows.n))
+    spread = regression.rows.target_deviation
     excess = equation.residuals.excess if (equation.residuals.excess or 0.0) > INADEQUATE else None
     return doubted(equation.verdict, equation.target, others, lacking, coloured, spread, excess)
 

@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Z95, Posterior
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.mixture import mixture_of
 
 __all__ = ["Z95", "OverModels", "intervals", "over_models", "unlike"]
 
 Floats = NDArray[np.float64]
-
-# Half-width of a 95 % interval of a normal distribution, in standard deviations.
-Z95 = 1.959963984540054
 
 # A width or an end that differs by more than this share of the width makes another interval: an end that is this much
 # too near leaves out 12 % in place of 2.5 %. Below, the interval is that of the coefficient and sd beside it.

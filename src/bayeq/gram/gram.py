@@ -159,6 +159,11 @@ class Gram:
         return np.diagonal(self.DtD)
 
     @property
+    def target_deviation(self) -> float:
+        """Standard deviation of the target over the rows."""
+        return float(np.sqrt(self.yty / self.n))
+
+    @property
     def standard_deviation(self) -> Floats:
         """Column standard deviations (divisor n), (P,)."""
         return np.sqrt(self.diagonal / self.n)

@@ -14,6 +14,7 @@ to tell of these is (Lindley 1956; Chaloner and Verdinelli 1995) 1/2 ln det(I + 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,15 +89,7 @@ def seconds_until(needed: float, rate: float, occam: float, fs: float) -> float:
     low = 1.0 / fs if occam >= 0 else max(1.0 / fs, -0.5 * occam / rate)
     if value(low) >= needed:
         return low if occam < 0 or needed > 0 else 0.0
-    high = low
-    while value(high) < needed:
-        high *= 2.0
-        if not math.isfinite(high):
-            return math.inf
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if value(middle) < needed else (low, middle)
-    return high
+    return _reached(value, needed, low, low)
 
 
 def coefficient_gain(D: Floats, covariance: Floats, noise_variance: float) -> Floats:
@@ -123,12 +116,16 @@ def seconds_to_halve(gains: Floats, seconds: float) -> float:
 
     if not len(gains) or gains.max() <= 0.0:
         return math.inf
-    low, high = 0.0, seconds
-    while value(high) < wanted:
+    return _reached(value, wanted, 0.0, seconds)
+
+
+def _reached(value: Callable[[float], float], needed: float, low: float, high: float) -> float:
+    """Where a rising function reaches a value, not before `low` and perhaps beyond `high`; infinite if nowhere."""
+    while value(high) < needed:
         high *= 2.0
         if not math.isfinite(high):
             return math.inf
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if value(middle) < wanted else (low, middle)
+        low, high = (middle, high) if value(middle) < needed else (low, middle)
     return high

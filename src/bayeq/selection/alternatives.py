@@ -60,7 +60,7 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float = TOL
         return Alternatives(0.0)
     regression = fit.regression
     terms, motion = regression.design.terms, regression.motion
-    spread = float(np.sqrt(regression.rows.yty / regression.rows.n))
+    spread = regression.rows.target_deviation
     columns = [evaluate_terms(terms, points) for points in _points(motion)]
     heavy = np.flatnonzero(average.probability >= LEAST)
     total, found = 0.0, Alternatives(0.0)

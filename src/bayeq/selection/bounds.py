@@ -14,16 +14,13 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.polynomial import degree
 from bayeq.inference.collapsed.conditional import noise_given_model
 from bayeq.inference.collapsed.problem import all_rows
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Z95, Posterior
 from bayeq.regression.fit import RegressionFit
 from bayeq.selection.tolerance import TOLERANCE
 
 __all__ = ["bounds", "undetermined"]
 
 Floats = NDArray[np.float64]
-
-# Half-width of a 95 % interval of a normal distribution, in standard deviations.
-Z95 = 1.959963984540054
 
 # Amplitudes, over that of the record, at which a term could matter: x**3 of 1 % of the noise, whose bound is ten times
 # the true coefficient, does not at twice that amplitude. And rows at which that is judged, at most.
@@ -91,7 +88,7 @@ def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> 
         D = evaluate_terms(terms, columns)
         known, added = D[:, : len(inside)], D[:, len(inside) :]
         spread = float(np.std(known @ found.coef[inside])) if len(inside) else 0.0
-        spread = max(spread, float(np.sqrt(fit.regression.rows.yty / fit.regression.rows.n)))
+        spread = max(spread, fit.regression.rows.target_deviation)
         change = added - known @ share - constant
         effect = np.maximum(effect, bound[others] * np.sqrt(np.mean(change**2, axis=0)) / spread)
     found_terms = terms[len(inside) :]
