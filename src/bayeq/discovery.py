@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
+from typing import get_args
 
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.equation.build import build_equations, with_doubts
@@ -32,6 +33,7 @@ from bayeq.states import (
     Motion,
     Roles,
     Smooth,
+    Tails,
     check_sensors,
     estimate_motion,
     known_sensors,
@@ -50,6 +52,11 @@ Progress = Callable[[str, int, int], None]
 NO_LIKELIHOOD = (
     "the likelihood of the record could not be evaluated near its motion: the regression of smoothed rows is used"
     " instead, whose intervals and probabilities are less sure; try fewer terms"
+)
+
+NO_TAILS = (
+    "tails='student' makes no difference: it is part of the likelihood of the record, which is not used here; use fewer"
+    " rows or terms, or measure every coordinate"
 )
 
 # With fewer training rows there is no regression.
@@ -80,6 +87,7 @@ def discover(
     constraints: str | Sequence[str] = (),
     noise: Mapping[str, float | str] | None = None,
     gain_sd: Mapping[str, float | str] | None = None,
+    tails: Tails = "gauss",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Equations:
@@ -139,6 +147,9 @@ def discover(
         then not learned from the record. 0 is a channel without noise.
     gain_sd : mapping of str to float, optional
         Uncertainty of the calibration of sensors, 0.01 for a factor known to 1 %: the intervals take it in.
+    tails : "gauss" or "student"
+        Distribution of the channels' noise: normal, or Student's t with degrees of freedom that are estimated per
+        channel, for noise of many outliers. Needs the likelihood of the record. Single spikes are left out in any case.
     seed : int
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional
@@ -174,13 +185,14 @@ def discover(
     _check_shares(holdout, coarsen)
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
     check_sensors(noise or {}, gain_sd or {}, roles)
+    _check_tails(tails, smooth)
     terms = build_dictionary(dictionary, Variables(roles.states, roles.inputs))
     known = [constraints] if isinstance(constraints, str) else list(constraints)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
 
     step("states", 0, 1)
     pieces, roles, share = _prepared(_as_records(records), roles, smooth, holdout, log)
-    sensors = known_sensors(noise or {}, gain_sd or {}, roles, pieces)
+    sensors = known_sensors(noise or {}, gain_sd or {}, roles, pieces, tails)
     motion = estimate_motion(pieces, roles, smooth, share, sensors)
     _warn_of_sensors(motion, {*(noise or {}), *(gain_sd or {})}, log)
     _inspect(motion, pieces, holdout, log)
@@ -192,6 +204,8 @@ def discover(
     record = record_of(design, smooth, dictionary, prior)
     if record is None and smooth == "auto" and suits(motion, len(design.terms)):
         log.warn(NO_LIKELIHOOD, DataWarning)
+    if record is None and tails == "student":
+        log.warn(NO_TAILS, DataWarning)
     regressions = [Regression.of(design, k, record) for k in range(len(roles.chains))]
     step("inference", 0, len(roles.chains))
     fits = fit_equations(regressions, constrained, method, prior, coarsen, seed)
@@ -245,6 +259,13 @@ def _check_shares(holdout: float, coarsen: float) -> None:
         raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
     if not 0 < coarsen <= 1:
         raise InputError(f"coarsen is a power of the likelihood, 0 < coarsen <= 1, got {coarsen!r}")
+
+
+def _check_tails(tails: str, smooth: str) -> None:
+    if tails not in get_args(Tails):
+        raise InputError(f"tails is 'gauss' or 'student', got {tails!r}")
+    if tails == "student" and smooth != "auto":
+        raise InputError(f"tails='student' needs the likelihood of the record, smooth='auto', not {smooth!r}")
 
 
 def _as_records(records: Record | Sequence[Record]) -> list[Record]:

@@ -111,6 +111,12 @@ class Progress:
     multiple=True,
     help="Uncertainty of a sensor's calibration, which intervals take in: x=0.01 for 1 %. Once per channel.",
 )
+@option(
+    "--tails",
+    type=click.Choice(["gauss", "student"]),
+    default="gauss",
+    help="Distribution of the noise: normal, or Student's t, for noise of many outliers.",
+)
 @option("--holdout", type=float, default=0.2, help="Share of the rows, the last, to judge the equation by.")
 @option("--max-terms", type=int, help="Show at most this number of terms: the likeliest equation within it.")
 @option(

@@ -104,7 +104,11 @@ def _restore(content: Mapping[str, Any]) -> Equations:
             holdout=float(data["holdout"]),
             refitted=bool(data.get("refitted", False)),
             measured=_restored_measured(data.get("measured")),
-            sensors=Sensors(_numbers(data.get("noise")), _numbers(data.get("gain_sd"))),
+            sensors=Sensors(
+                _numbers(data.get("noise")),
+                _numbers(data.get("gain_sd")),
+                "student" if data.get("tails") == "student" else "gauss",
+            ),
         ),
         dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
         warnings=tuple(str(w) for w in diagnostics["warnings"]),

@@ -31,11 +31,14 @@ class Series(NamedTuple):
         Of `Layout.channels`; NaN where there is none.
     inputs : (n, m, 4) array
         The exact inputs, from `bayeq.ode.rk4.interpolant`.
+    spread : (n, M) array
+        Variance of the noise of each sample as a multiple of its channel's.
     """
 
     intervals: Floats
     samples: Floats
     inputs: Floats
+    spread: Floats
 
 
 class Linear(NamedTuple):
@@ -61,6 +64,8 @@ class Linear(NamedTuple):
         See `Layout.channels`.
     follows, leads : (S, S) int arrays
         Of each state, how many others its next value may depend on, and which; and how many depend on it, and which.
+    spread : (n, M) array
+        As in `Series`.
     """
 
     path: Floats
@@ -74,6 +79,7 @@ class Linear(NamedTuple):
     kinds: Ints
     follows: Ints
     leads: Ints
+    spread: Floats
 
 
 @kernel
@@ -169,6 +175,7 @@ def linearise(
         kinds=layout.kinds,
         follows=_others(related),
         leads=_others(related.T),
+        spread=series.spread,
     )
 
 

@@ -19,6 +19,7 @@ from bayeq.likelihood.fit import Quadratic, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.search import ADEQUATE, Fitted, Task, fit, resumed, search, with_model
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
+from bayeq.likelihood.student import with_heavy_tails
 from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Motion
 
@@ -250,6 +251,9 @@ def fit_record(
             found = search(Task(start.layout, start.series, start.precision, odds), start.states, others)
             if some is not motion:
                 return _resumed(motion, *found, places)
+            if motion.sensors.tails == "student":
+                task, state = with_heavy_tails(found[0], found[1].state)
+                found = task, resumed(task, state)
             return _checked(RecordFit.of(*found))
     except np.linalg.LinAlgError:
         return None
@@ -291,6 +295,8 @@ def refit_record(
 
 def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> RecordFit:
     task, state = carried_over(motion, task, fitted, places)
+    if motion.sensors.tails == "student":
+        task, state = with_heavy_tails(task, state)
     return _checked(RecordFit.of(task, resumed(task, state)))
 
 
