@@ -167,7 +167,12 @@ def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...
     if signs is not None:
         own = model_log_posterior(problem, shown, signs)
         moves = [replace(move, gain=model_log_posterior(problem, move.apply(shown), signs) - own) for move in moves]
-        moves = sorted((move for move in moves if move.gain > -RUNNER_UP_WINDOW), key=lambda move: -move.gain)
+    average = fit.posterior.average
+    if average is not None:
+        # what was averaged may know more of models than the information about the one shown
+        gains = average.log_odds(shown, {move.apply(shown).tobytes(): move.gain for move in moves})
+        moves = [replace(move, gain=gain) for move, gain in zip(moves, gains, strict=True)]
+    moves = sorted((move for move in moves if move.gain > -RUNNER_UP_WINDOW), key=lambda move: -move.gain)
     return tuple(
         RunnerUp(
             leaves=None if move.leaves is None else names[move.leaves],
