@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence, Set
 from typing import get_args
 
+import numpy as np
+
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
@@ -199,6 +201,7 @@ def discover(
     design = build_design(terms, motion, lambda done, total: step("dictionary", done, total))
     dropped = design.dropped
     _warn_of_terms(design, log)
+    _warn_of_zero(design, pieces, log)
     constrained = _constrained(known, design, method)
 
     record = record_of(design, smooth, dictionary, prior)
@@ -358,6 +361,25 @@ def _warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
             " inputs it would be",
             DataWarning,
         )
+
+
+def _warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) -> None:
+    """Say which displacements are nowhere zero: where terms that depend on where zero is hardly differ."""
+    for chain in design.motion.roles.chains:
+        name = chain.measured[0]
+        if chain.order < 2 or name is None:
+            continue
+        samples = np.concatenate([record[name] for record in records])
+        low, high = float(np.nanmin(samples)), float(np.nanmax(samples))
+        powers = [term for term in design.terms if term.names == {name} and term.text != name]
+        if powers and not low <= 0.0 <= high:
+            log.warn(
+                f"{name} is nowhere zero, it lies between {low:.4g} and {high:.4g}: terms such as {powers[0]} can"
+                " hardly be told from others there, and coefficients are not those about the position of rest."
+                f" Measure it from there (bayeq.remove_offset(record, {name!r}), --remove-offset {name}); physical()"
+                " gives the stiffness about the position of rest",
+                DataWarning,
+            )
 
 
 def _warn_of_terms(design: Design, log: WarningLog) -> None:

@@ -489,6 +489,9 @@ class Equations:
     ) -> PhysicalParameters:
         """Mass, damping, stiffness, natural frequency and damping ratio of an oscillator, with intervals.
 
+        Stiffness and damping are those of small motion about the position of rest, which is listed as ``x0`` where the
+        displacement was measured from elsewhere.
+
         Parameters
         ----------
         mass : float, optional
@@ -512,12 +515,20 @@ class Equations:
         from bayeq.equation.physical import physical_parameters
 
         equation = _oscillator(self, target)
+        span = self.data.measured.ranges.get(equation.chain.names[0])
+        if span and not span[0] <= 0.0 <= span[1] and equation.verdict.kind in ("none", "not determined"):
+            name = equation.chain.names[0]
+            raise InputError(
+                f"the stiffness cannot be told: the verdict is {equation.verdict.kind!r}, and {name} is nowhere zero;"
+                f" measure {name} from the position of rest (bayeq.remove_offset, --remove-offset {name})"
+            )
         return physical_parameters(
             equation.law,
             self.inputs,
             equation.units,
             mass=mass,
             force=force,
+            span=span,
             draws=draws,
             seed=seed,
         )
