@@ -208,7 +208,7 @@ def test_the_minimum_is_that_of_a_general_solver(missing, eq, record):
     twin = least_squares(residuals, unknown, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)
     ours = sum(np.sum(run[:, :, 0] ** 2) for run in found.runs)
     assert ours == pytest.approx(2 * twin.cost, rel=1e-7)
-    np.testing.assert_allclose(found.parameters, twin.x[:5], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(found.free, twin.x[:5], rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(found.starts.ravel(), twin.x[5:], rtol=1e-3, atol=1e-5)
 
 

@@ -21,7 +21,7 @@ from bayeq.errors import (
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.record_fit import refit_record, suits
-from bayeq.records import Record, check_messages, split_at_gaps
+from bayeq.records import Record, check_messages
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.joint import fit_equations, record_of
@@ -38,10 +38,9 @@ from bayeq.states import (
     measured_apart,
     require_varying,
 )
-from bayeq.states.bad_samples import without_bad_samples
-from bayeq.states.derive import require_usable
-from bayeq.states.missing import bridged_record, missing_messages, require_enough, without_empty_rows
+from bayeq.states.missing import bridged_record, require_enough
 from bayeq.states.motion import held_out_share
+from bayeq.states.prepare import cleaned, divided_at_gaps
 
 __all__ = ["discover"]
 
@@ -261,20 +260,14 @@ def _prepared(
     from others, and the share of the rows to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
     require_varying(records, [*roles.measured, *roles.inputs])
-    if smooth != "none":
-        missing = missing_messages(records, roles)
-        for record in records:
-            require_usable(bridged_record(record, roles), [*roles.measured, *roles.inputs])
-        records, bad = without_bad_samples(records, roles)
-        log.extend([*missing, *bad], DataWarning)
+    records, messages = cleaned(records, roles, smooth)
+    log.extend(messages, DataWarning)
     require_enough(records, roles)
-    if smooth != "none":
-        records = without_empty_rows(records, roles)
-        records, messages = split_at_gaps(records, [*roles.measured, *roles.inputs])
-        if all(record.time is not None for record in records):
-            chains, computed = measured_apart(records, roles.chains, share)
-            roles, messages = roles.with_chains(chains), messages + computed
-        log.extend(messages, DataWarning)
+    records, messages = divided_at_gaps(records, roles, smooth)
+    if smooth != "none" and all(record.time is not None for record in records):
+        chains, computed = measured_apart(records, roles.chains, share)
+        roles, messages = roles.with_chains(chains), messages + computed
+    log.extend(messages, DataWarning)
     return records, roles, share
 
 
