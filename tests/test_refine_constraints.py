@@ -194,7 +194,9 @@ def test_a_sign_without_doubt_changes_nothing():
 
 def test_a_wrong_sign_is_reported():
     record = undamped(0.05)
-    with pytest.warns(DataWarning, match="free runs contradict the known sign of a: v .* check the directions") as caught:
+    with pytest.warns(
+        DataWarning, match="free runs contradict the known sign of a: v .* check the directions"
+    ) as caught:
         after = signed(record, "v >= 0").refine(record)
     assert after.warnings[-1] == str(caught[0].message)
     assert after[0].coef["v"] > 0.0
@@ -247,7 +249,7 @@ def test_files_keep_constraints_and_bounds(tmp_path):
     assert bq.load(tmp_path / "old.json").refined.at_bound == ()
     content["diagnostics"]["constraints"] = ["w <= 0"]
     (tmp_path / "bad.json").write_text(json.dumps(content))
-    with pytest.raises(FileFormatError, match="damaged: .*no candidate term named 'w'"):
+    with pytest.raises(FileFormatError, match=r"damaged: .*no candidate term named 'w'"):
         bq.load(tmp_path / "bad.json")
 
 

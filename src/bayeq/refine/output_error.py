@@ -12,7 +12,7 @@ a regression. Whether it is so is tested (White 1982), and such an estimate refu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,7 +58,7 @@ TOLERANCE = 1e-7
 ROUNDS = 5
 SAME_WEIGHT = 1e-2
 
-# A channel of which runs leave more than this multiple of the power of its known noise is reported; see
+# Known noise of a channel is not believed where runs leave more than this multiple of its power; see
 # `bayeq.equation.build.INADEQUATE`.
 MISFIT = 1.75
 
@@ -82,7 +82,9 @@ class OutputError:
     Attributes
     ----------
     measured : Measured
-        What they were fitted to, of the candidates given.
+        What they were fitted to.
+    candidate : int
+        Which of those given that is.
     parameters : (p,) array
         As in `Dynamics`; with known signs in doubt the mean of what they leave of the posterior.
     covariance : (p, p) array
@@ -94,7 +96,8 @@ class OutputError:
     noise_sd : (m,) array
         Standard deviation of each channel's noise.
     misfit : mapping of str to float
-        Channels of which runs leave more than their known noise, and how many times its standard deviation.
+        Channels of which runs leave more than the noise that was given, and how many times its standard deviation:
+        theirs is what runs leave.
     segments : int
         Free runs; one per record where they are longest.
     longest : int
@@ -104,6 +107,7 @@ class OutputError:
     """
 
     measured: Measured
+    candidate: int
     parameters: Floats
     covariance: Floats
     at_bound: NDArray[np.bool_]
@@ -137,6 +141,12 @@ class _Fit:
         return np.where(np.isfinite(measured.known_noise), self.rms / _levels(measured, self.rms), 1.0)
 
     @property
+    def misfit(self) -> dict[str, float]:
+        """Channels of which far more is left than their known noise, and how many times its standard deviation."""
+        names = self.segments.measured.names
+        return {n: float(r) for n, r in zip(names, self.ratio, strict=True) if r**2 > MISFIT}
+
+    @property
     def deviance(self) -> float:
         """-2 log likelihood up to a constant, each channel's noise at its likeliest level unless it is known."""
         measured = self.segments.measured
@@ -161,6 +171,10 @@ def output_error(candidates: Sequence[Measured], parameters: Floats) -> OutputEr
     first = _longest_fit(candidates[0], candidates[0].known.start(parameters))
     if first is None:
         return Unrefined("no free run follows the records")
+    if first.misfit:
+        learned = [replace(one, noise=_without(one.noise, first.misfit)) for one in candidates]
+        found = output_error(learned, parameters)
+        return found if isinstance(found, Unrefined) else replace(found, misfit=first.misfit)
     others = [_fit(other, first.solution.free, first.segments.length, first.rms) for other in candidates[1:]]
     better = [other for other in others if other is not None and other.deviance < first.deviance - CLOSER]
     best = min(better, key=lambda fit: fit.deviance, default=first)
@@ -191,6 +205,7 @@ def output_error(candidates: Sequence[Measured], parameters: Floats) -> OutputEr
     drop = float(beyond @ np.linalg.solve(covariance, beyond)) * samples / squares
     return OutputError(
         measured=measured,
+        candidate=[first, *others].index(best),
         parameters=known.full(mean),
         covariance=known.basis @ spread @ known.basis.T,
         at_bound=at_bound,
@@ -198,7 +213,7 @@ def output_error(candidates: Sequence[Measured], parameters: Floats) -> OutputEr
         noise_sd=np.where(
             np.isfinite(measured.known_noise), measured.known_noise, np.sqrt(samples / freedom) * best.rms
         ),
-        misfit={n: float(r) for n, r in zip(measured.names, best.ratio, strict=True) if r**2 > MISFIT},
+        misfit={},
         segments=best.segments.count,
         longest=best.segments.longest,
         converged=best.solution.converged,
@@ -222,6 +237,10 @@ def _longest_fit(measured: Measured, free: Floats) -> _Fit | None:
             break
         best = longer
     return best
+
+
+def _without(noise: Mapping[str, float], names: Collection[str]) -> dict[str, float]:
+    return {name: sd for name, sd in noise.items() if name not in names}
 
 
 def _levels(measured: Measured, rms: Floats) -> Floats:

@@ -125,7 +125,7 @@ def refine(
     found = output_error(list(measured.values()), means)
     if isinstance(found, Unrefined):
         return found
-    kind = next(kind for kind in kinds if measured[kind] is found.measured)
+    kind = kinds[found.candidate]
     train = [each.part(slice(0, cut)) for each, cut in whole[kind]]
     held_out = [each.part(slice(cut, each.n)) for each, cut in whole[kind] if cut < each.n]
     duration = PERIODS * typical_period(dynamics, train)
@@ -151,8 +151,8 @@ def refine(
         )
     for name, ratio in found.misfit.items():
         log.warn(
-            f"{name}: free runs leave {ratio:.2g} times the noise given of it: check that noise, or add the terms that"
-            " are missing; intervals are wider for it",
+            f"{name}: free runs leave {ratio:.2g} times the noise that was given: what they leave is taken instead;"
+            " check the noise given, or whether terms are missing",
             DataWarning,
         )
     refined = [_refined(dynamics, k, block, found, (train, held_out)) for k, block in enumerate(dynamics.blocks())]
