@@ -419,7 +419,7 @@ class Equations:
             sensors=self.data.sensors,
         )
         if isinstance(found, Unrefined):
-            message = f"not refined: {found.reason}; the equations are returned as they were"
+            message = f"not refined: {found.reason}; the equations are returned as they were: {found.advice}"
             warnings.warn(message, ConvergenceWarning, stacklevel=2)
             return self
         found.log.emit(stacklevel=3)
@@ -500,7 +500,10 @@ class Equations:
         if not all(equation.models for equation in self.equations):
             raise InputError("the likeliest models are not in the file of the equations: find and save them again")
         if self.verdict.kind == "none":
-            message = f"the plan is for equations that were not found ({self.verdict.reason}): do not rely on it"
+            message = (
+                f"the plan is for equations that were not found ({self.verdict.reason}): do not rely on it; check the"
+                " channels and the dictionary first"
+            )
             warnings.warn(message, DataWarning, stacklevel=2)
         conditions = conditions_of(
             self.data.measured,

@@ -121,9 +121,10 @@ class OutputError:
 
 @dataclass(frozen=True)
 class Unrefined:
-    """Why the parameters are better left as they are."""
+    """Why the parameters are better left as they are, and what to do."""
 
     reason: str
+    advice: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +171,7 @@ def output_error(candidates: Sequence[Measured], parameters: Floats) -> OutputEr
     """
     first = _longest_fit(candidates[0], candidates[0].known.start(parameters))
     if first is None:
-        return Unrefined("no free run follows the records")
+        return Unrefined("no free run follows the records", "check signs and terms, or sample faster")
     if first.misfit:
         learned = [replace(one, noise=_without(one.noise, first.misfit)) for one in candidates]
         found = output_error(learned, parameters)
@@ -181,7 +182,10 @@ def output_error(candidates: Sequence[Measured], parameters: Floats) -> OutputEr
     J, residuals = _sensitivity(best.solution)
     covariance = _inverse(np.einsum("nmp,nmq->pq", J, J))
     if covariance is None:
-        return Unrefined("the records do not determine all coefficients in a free run")
+        return Unrefined(
+            "the records do not determine all coefficients in a free run",
+            "show fewer terms (max_terms, tolerance), or fix one (constraints)",
+        )
     measured, known, free = best.segments.measured, best.segments.measured.known, best.solution.free
     samples, unknowns = int(measured.samples.sum()), len(free) + best.solution.starts.size
     # known noise is no less than it is given; where runs leave more intervals are wider
@@ -192,7 +196,8 @@ def output_error(candidates: Sequence[Measured], parameters: Floats) -> OutputEr
     if excess:
         return Unrefined(
             "what free runs leave of the channels is correlated in time, as noise of a measured force or a missing term"
-            f" makes it: the variance of the coefficients would be {excess:.2g} times that of their intervals"
+            f" makes it: the variance of the coefficients would be {excess:.2g} times that of their intervals",
+            "add the input or term that is missing, or keep the regression",
         )
     freedom = max(samples - unknowns, 1)
     mean, spread = free, squares / freedom * covariance

@@ -132,7 +132,9 @@ def refine(
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
     if runs_are_worse(*runs):
         former, now = (f"{100.0 * apart(pairs):.3g} %" for pairs in runs)
-        return Unrefined(f"free runs over windows of the rows used would err by {now} instead of {former}")
+        return Unrefined(
+            f"free runs over windows of the rows used would err by {now} instead of {former}", "keep the regression"
+        )
     scores, log = None, WarningLog()
     if held_out:
         scores = score_rows(dynamics, found.parameters, held_out)
@@ -192,7 +194,10 @@ def _worse_scores(before: Scores, after: Scores) -> list[str]:
     if not worse:
         return []
     former, now = (percentages({name: one.free_run[name] for name in worse}) for one in (before, after))
-    return [f"free runs over the rows held out err more than before refining: {now}, before {former}"]
+    return [
+        f"free runs over the rows held out err more than before refining: {now}, before {former};"
+        " compare both on another record before relying on either"
+    ]
 
 
 def _refined(
