@@ -48,7 +48,7 @@ Progress = Callable[[str, int, int], None]
 
 NO_LIKELIHOOD = (
     "the likelihood of the record could not be evaluated near its motion: the regression of smoothed rows is used"
-    " instead, whose intervals and probabilities are less sure; try fewer terms"
+    " instead, whose intervals and probabilities are less sure; give fewer terms"
 )
 
 # With fewer training rows there is no regression.
@@ -331,7 +331,7 @@ def _warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
     if unused and not motion.smoothing:
         log.warn(
             f"the noise given of {', '.join(unused)} is not used: states and targets are taken as measured here; of"
-            " inputs it would be. With time, 40 rows and smooth='auto' noise of 1 % or more is used",
+            " inputs it would be; leave it out, or use smooth='auto' with time and 40 rows, which takes 1 % or more",
             DataWarning,
         )
 
