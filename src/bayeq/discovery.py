@@ -24,7 +24,7 @@ from bayeq.errors import (
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.record_fit import refit_record, suits
-from bayeq.records import Record, check_messages, split_at_gaps
+from bayeq.records import Record, check_messages
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.joint import fit_equations, record_of
@@ -42,10 +42,9 @@ from bayeq.states import (
     measured_apart,
     require_varying,
 )
-from bayeq.states.bad_samples import without_bad_samples
-from bayeq.states.derive import require_usable
-from bayeq.states.missing import bridged_record, missing_messages, require_enough, without_empty_rows
+from bayeq.states.missing import bridged_record, require_enough
 from bayeq.states.motion import held_out_share
+from bayeq.states.prepare import cleaned, divided_at_gaps
 
 __all__ = ["discover"]
 
@@ -53,7 +52,7 @@ Progress = Callable[[str, int, int], None]
 
 NO_LIKELIHOOD = (
     "the likelihood of the record could not be evaluated near its motion: the regression of smoothed rows is used"
-    " instead, whose intervals and probabilities are less sure; try fewer terms"
+    " instead, whose intervals and probabilities are less sure; give fewer terms"
 )
 
 NO_TAILS = (
@@ -285,20 +284,14 @@ def _prepared(
     from others, and the share of the rows to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
     require_varying(records, [*roles.measured, *roles.inputs])
-    if smooth != "none":
-        missing = missing_messages(records, roles)
-        for record in records:
-            require_usable(bridged_record(record, roles), [*roles.measured, *roles.inputs])
-        records, bad = without_bad_samples(records, roles)
-        log.extend([*missing, *bad], DataWarning)
+    records, messages = cleaned(records, roles, smooth)
+    log.extend(messages, DataWarning)
     require_enough(records, roles)
-    if smooth != "none":
-        records = without_empty_rows(records, roles)
-        records, messages = split_at_gaps(records, [*roles.measured, *roles.inputs])
-        if all(record.time is not None for record in records):
-            chains, computed = measured_apart(records, roles.chains, share)
-            roles, messages = roles.with_chains(chains), messages + computed
-        log.extend(messages, DataWarning)
+    records, messages = divided_at_gaps(records, roles, smooth)
+    if smooth != "none" and all(record.time is not None for record in records):
+        chains, computed = measured_apart(records, roles.chains, share)
+        roles, messages = roles.with_chains(chains), messages + computed
+    log.extend(messages, DataWarning)
     return records, roles, share
 
 
@@ -309,7 +302,7 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
     if used < LEAST_TRAINING_ROWS:
         raise RecordError(f"holdout {holdout:g} leaves {used} training rows, too few for a regression; lower it")
     if holdout > 0 and motion.holdout == 0:
-        log.warn(f"only {total} rows: all are used, none held out to judge the equation by", DataWarning)
+        log.warn(f"only {total} rows: all are used, none held out to judge the equation by; measure more", DataWarning)
     present = [bridged_record(record, motion.roles, MOST_BRIDGED) for record in records]
     log.extend(
         check_messages(present, [chain.measured for chain in motion.roles.chains], motion.roles.inputs), DataWarning
@@ -317,7 +310,7 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
     if any(smoothing.fs is None for smoothing in motion.smoothing):
         log.warn(
             "steps of time are uneven, or differ between records: the regression goes row by row instead of in the band"
-            " that the smoother follows, and small terms are harder to find; resample evenly",
+            " that the smoother follows, and small terms are harder to find; resample evenly, all records at one rate",
             DataWarning,
         )
 
@@ -353,12 +346,16 @@ def _warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
     roles, sensors = motion.roles, motion.sensors
     computed = [name for name in given if name not in {*roles.measured, *roles.inputs}]
     if computed:
-        log.warn(f"what was given of {', '.join(sorted(computed))} is not used: computed, not measured", DataWarning)
+        log.warn(
+            f"what was given of {', '.join(sorted(computed))} is not used: computed, not measured; give that of the"
+            " channel that it was computed from",
+            DataWarning,
+        )
     unused = [name for name in roles.measured if sensors.noisy(name)]
     if unused and not motion.smoothing:
         log.warn(
             f"the noise given of {', '.join(unused)} is not used: states and targets are taken as measured here; of"
-            " inputs it would be",
+            " inputs it would be; leave it out, or use smooth='auto' with time and 40 rows, which takes 1 % or more",
             DataWarning,
         )
 
@@ -387,10 +384,14 @@ def _warn_of_terms(design: Design, log: WarningLog) -> None:
     if n <= terms:
         log.warn(
             f"{n} training rows for {terms} candidate terms: fewer rows than terms; the prior decides much, and few"
-            " terms can be found",
+            " terms can be found; measure more rows, or give fewer terms",
             DataWarning,
         )
     if design.dropped:
         listed = "; ".join(f"{d.name} ({d.reason})" for d in design.dropped[:8])
         more = f" and {len(design.dropped) - 8} more" if len(design.dropped) > 8 else ""
-        log.warn(f"terms left out: {listed}{more}", TermWarning)
+        log.warn(
+            f"terms left out: {listed}{more}; one that is needed asks for other motion, or for units in which it is"
+            " finite",
+            TermWarning,
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Residuals
 from bayeq.selection.select import LeftOut
-from bayeq.states import Sensors, parse_chain
+from bayeq.states import Roles, Sensors, Tails, check_sensors, parse_chain
 
 __all__ = ["load"]
 
@@ -88,7 +88,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
                 {str(name): str(unit) for name, unit in data.get("units", {}).items()},
             )
         )
-    return Equations(
+    found = Equations(
         equations=tuple(equations),
         inputs=tuple(str(name) for name in data["inputs"]),
         method=str(content["method"]),
@@ -104,11 +104,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
             holdout=float(data["holdout"]),
             refitted=bool(data.get("refitted", False)),
             measured=_restored_measured(data.get("measured")),
-            sensors=Sensors(
-                _numbers(data.get("noise")),
-                _numbers(data.get("gain_sd")),
-                "student" if data.get("tails") == "student" else "gauss",
-            ),
+            sensors=_restored_sensors(data, equations),
         ),
         dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
         warnings=tuple(str(w) for w in diagnostics["warnings"]),
@@ -116,6 +112,17 @@ def _restore(content: Mapping[str, Any]) -> Equations:
         scores=_restored_scores(diagnostics.get("scores")),
         refined=_restored_refinement(diagnostics.get("refined")),
     )
+    found.known()  # constraints that cannot be read are damage
+    return found
+
+
+def _restored_sensors(data: Mapping[str, Any], equations: Sequence[Equation]) -> Sensors:
+    """What was known of channels; nothing in a file of an earlier version."""
+    tails: Tails = "student" if data.get("tails") == "student" else "gauss"
+    sensors = Sensors(_numbers(data.get("noise")), _numbers(data.get("gain_sd")), tails)
+    roles = Roles(tuple(equation.chain for equation in equations), tuple(str(name) for name in data["inputs"]))
+    check_sensors(sensors.noise, sensors.gain_sd, roles)
+    return sensors
 
 
 def _numbers(saved: Mapping[str, Any] | None) -> dict[str, float]:
@@ -149,6 +156,7 @@ def _restored_refinement(saved: Mapping[str, Any] | None) -> Refinement | None:
         noise_sd={str(name): float(sd) for name, sd in saved["noise_sd"].items()},
         interpolation=saved["interpolation"],
         converged=bool(saved["converged"]),
+        at_bound=tuple(str(name) for name in saved.get("at_bound", ())),
     )
 
 

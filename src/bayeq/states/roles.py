@@ -81,6 +81,11 @@ class Roles:
         """Channels of the chains."""
         return tuple(name for chain in self.chains for name in chain.measured if name is not None)
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """All channels: those of the chains, then the inputs."""
+        return (*self.measured, *self.inputs)
+
     def with_chains(self, chains: Sequence[Chain]) -> Roles:
         """The same inputs with other chains."""
         return replace(self, chains=tuple(chains))
