@@ -13,7 +13,7 @@ from studies.adverse_records import CASES, draw_record
 import bayeq as bq
 from bayeq.expressions import Evaluator, Expression, parse
 from bayeq.likelihood.record_fit import suits
-from bayeq.likelihood.signs import arguments_of_signs, error_where_it_changes, mean_of_signs
+from bayeq.likelihood.signs import arguments_of_signs, error_where_it_changes, mean_of_signs, variance_of_signs
 from bayeq.states import Roles, estimate_motion
 from bayeq.systems import get_system
 
@@ -258,9 +258,49 @@ def test_the_error_of_an_argument_where_its_sign_changes():
     covariance = np.tile(np.diag([0.02**2, 0.0]), (n, 1, 1))
     # beside zero x changes by h in a sample
     assert error_where_it_changes(parse("x").tree, columns, covariance) == pytest.approx(
-        np.sqrt(0.02**2 + h**2 / 12), rel=1e-3
+        (0.02, np.sqrt(0.02**2 + h**2 / 12)), rel=1e-3
     )
-    assert error_where_it_changes(parse("x+3").tree, columns, covariance) == 0.0
+    assert error_where_it_changes(parse("x+3").tree, columns, covariance) == (0.0, 0.0)
+
+
+def test_what_the_mean_of_signs_leaves_out_is_the_mean_square_over_errors():
+    # friction that depends on the displacement, and a term without sign
+    terms, coef = [parse("sign(v)*x"), parse("x*v")], np.array([-3.0, 2.0])
+    argument, rng = parse("v").tree, np.random.default_rng(3)
+    columns = {"x": np.full(9, 0.7), "v": np.linspace(-0.4, 0.4, 9)}
+    error, width = 0.1, 0.15
+    found = variance_of_signs(terms, coef, columns, {argument: width}, {argument: error})
+    true = np.sign(columns["v"] + error * rng.normal(size=(200_000, 9)))
+    mean = Evaluator({"v": columns["v"]})(Expression(mean_of_signs(parse("sign(v)").tree, {argument: width})))
+    wanted = (3.0 * 0.7) ** 2 * ((true - mean) ** 2).mean(axis=0)
+    # tanh for erf, and the draws
+    np.testing.assert_allclose(found, wanted, atol=0.06 * (3.0 * 0.7) ** 2)
+    assert (variance_of_signs(terms[1:], coef[1:], columns, {argument: width}, {argument: error}) == 0.0).all()
+
+
+def test_samples_beside_a_jump_are_no_noise_and_no_discrepancy():
+    # a spring with a step of 47 m/s^2 at zero: by how much samples beside it may err was once not in the model, and
+    # taken for cubic and quintic stiffness of probability 1 and for noise
+    def rate(x, force):
+        return -1000.0 * x - 47.0 * np.sign(x) + force
+
+    rng, n, h, fine = np.random.default_rng(9), 3000, 1e-3, 20
+    force = bq.simulate("linear", n=n, fs=1000.0, noise=0.0, seed=9)["u"]
+    x, v, states, rates = 0.01, 0.0, np.empty((n, 2)), np.empty(n)
+    for k in range(n):
+        states[k], rates[k] = (x, v), rate(x, force[k])
+        for _ in range(fine):  # leap frog, far finer than the samples
+            v += h / fine * rate(x, force[k])
+            x += h / fine * v
+    noisy = {
+        name: values + 0.05 * values.std() * rng.normal(size=n)
+        for name, values in {"x": states[:, 0], "v": states[:, 1], "a": rates, "u": force}.items()
+    }
+    eq = quietly(bq.Record.from_arrays(noisy, fs=1000.0), **OSCILLATOR, holdout=0.0)
+    assert set(eq[0].included) == {"x", "sign(x)", "u"}
+    assert eq[0].coef["sign(x)"] == pytest.approx(-47.0, rel=0.04)
+    levels = eq[0].fit.regression.record.fitted.state.levels
+    assert np.sqrt(levels.channels[2]) == pytest.approx(0.05 * rates.std(), rel=0.04)
 
 
 # --- few rows --------------------------------------------------------------------------------------------------------

@@ -155,7 +155,12 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     noise = levels.noise._replace(channels=levels.noise.channels[order])
     filtered = [
         run_filter(
-            one._replace(residual=np.ascontiguousarray(one.residual[:, order]), kinds=one.kinds[order]),
+            one._replace(
+                residual=np.ascontiguousarray(one.residual[:, order]),
+                kinds=one.kinds[order],
+                spread=np.ascontiguousarray(one.spread[:, order]),
+                unresolved=np.ascontiguousarray(one.unresolved[:, order]),
+            ),
             state.chosen,
             noise,
         )

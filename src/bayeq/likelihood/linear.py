@@ -33,12 +33,15 @@ class Series(NamedTuple):
         The exact inputs, from `bayeq.ode.rk4.interpolant`.
     spread : (n, M) array
         Variance of the noise of each sample as a multiple of its channel's.
+    unresolved : (n, M) array
+        Variance that each sample has besides: of what the mean of signs leaves out.
     """
 
     intervals: Floats
     samples: Floats
     inputs: Floats
     spread: Floats
+    unresolved: Floats
 
 
 class Linear(NamedTuple):
@@ -64,7 +67,7 @@ class Linear(NamedTuple):
         See `Layout.channels`.
     follows, leads : (S, S) int arrays
         Of each state, how many others its next value may depend on, and which; and how many depend on it, and which.
-    spread : (n, M) array
+    spread, unresolved : (n, M) arrays
         As in `Series`.
     """
 
@@ -80,6 +83,7 @@ class Linear(NamedTuple):
     follows: Ints
     leads: Ints
     spread: Floats
+    unresolved: Floats
 
 
 @kernel
@@ -176,6 +180,7 @@ def linearise(
         follows=_others(related),
         leads=_others(related.T),
         spread=series.spread,
+        unresolved=series.unresolved,
     )
 
 

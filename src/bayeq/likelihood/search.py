@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.expressions import Node
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
@@ -34,9 +35,9 @@ from bayeq.likelihood.fit import (
 )
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear, Series
-from bayeq.likelihood.signs import arguments_of_signs, error_where_it_changes
+from bayeq.likelihood.signs import arguments_of_signs, error_where_it_changes, variance_of_signs
 
-__all__ = ["ADEQUATE", "Fitted", "Task", "fit", "resumed", "search", "with_model"]
+__all__ = ["ADEQUATE", "Fitted", "Task", "fit", "resumed", "search", "with_mean_signs", "with_model"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -312,16 +313,32 @@ def with_mean_signs(task: Task, state: State) -> Task:
     arguments = {argument for term in layout.terms for argument in arguments_of_signs(term.tree)}
     if not arguments:
         return task
-    errors = dict.fromkeys(arguments, 0.0)
+    errors, blur = dict.fromkeys(arguments, 0.0), dict.fromkeys(arguments, 0.0)
     for one, linear in zip(task.series, task.linearised(state), strict=True):
         columns = dict(zip(layout.names, linear.path.T, strict=True))
         columns |= dict(zip(layout.exact, one.inputs[:, :, 0].T, strict=True))
         # the future determines a sample as well as the past does
         covariance = 0.5 * run_filter(linear, state.chosen, state.levels.noise).covariance
         for argument in arguments:
-            error = error_where_it_changes(argument, columns, covariance)
-            errors[argument] = max(errors[argument], error)
-    return replace(task, layout=replace(layout, blur=errors))
+            error, width = error_where_it_changes(argument, columns, covariance)
+            errors[argument], blur[argument] = max(errors[argument], error), max(blur[argument], width)
+    series = tuple(_with_variance_of_signs(task, state, k, blur, errors) for k in range(len(task.series)))
+    return replace(task, layout=replace(layout, blur=blur), series=series)
+
+
+def _with_variance_of_signs(
+    task: Task, state: State, k: int, blur: Mapping[Node, float], errors: Mapping[Node, float]
+) -> Series:
+    """A record whose targets have beside their noise what the mean of signs leaves out."""
+    layout, one, chosen = task.layout, task.series[k], state.chosen
+    columns = dict(zip(layout.names, state.paths[k].T, strict=True))
+    columns |= dict(zip(layout.exact, one.inputs[:, :, 0].T, strict=True))
+    unresolved = np.zeros(one.unresolved.shape)
+    for i in np.flatnonzero(layout.kinds < 0):
+        own = np.flatnonzero((chosen.chain == -1 - layout.kinds[i]) & (chosen.term < len(layout.terms)))
+        terms = [layout.terms[j] for j in chosen.term[own]]
+        unresolved[:, i] = variance_of_signs(terms, state.theta[own], columns, blur, errors)
+    return one._replace(unresolved=unresolved)
 
 
 def finer(task: Task, state: State) -> Task:

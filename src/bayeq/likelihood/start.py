@@ -195,7 +195,7 @@ def _series(layout: Layout, rows: MotionRows) -> Series:
         samples[:, i] = rows.samples[name]
     exact = np.column_stack([rows.columns[name] for name in layout.exact]) if layout.exact else np.zeros((rows.n, 0))
     inputs = interpolant(rows.time, exact, layout.interpolation)
-    return Series(np.diff(rows.time), samples, inputs, np.ones(samples.shape))
+    return Series(np.diff(rows.time), samples, inputs, np.ones(samples.shape), np.zeros(samples.shape))
 
 
 def _path(layout: Layout, rows: MotionRows, inputs: Sequence[Floats]) -> Floats:
@@ -279,4 +279,4 @@ def _smoothed(series: Sequence[Series], state: State) -> tuple[Floats, ...]:
 
 def _stretch(series: Series, rows: int) -> Series:
     """The first rows of a record."""
-    return Series(series.intervals[: rows - 1], series.samples[:rows], series.inputs[:rows], series.spread[:rows])
+    return Series(series.intervals[: rows - 1], *(one[:rows] for one in series[1:]))
