@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.expressions.functions import FUNCTIONS
+from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Expression, Negate, Node, Number, Symbol
 
 __all__ = ["ARITHMETIC", "MAX_INTEGER_POWER", "Evaluator", "FloatArray"]
@@ -45,7 +45,8 @@ class Evaluator:
     -----
     Results are read-only, since later results may share them; all intermediate results live as long as the
     evaluator. Numerical trouble (division by zero, overflow, the logarithm of a negative number) gives
-    non-finite values and no warning: the caller judges. ``sign(0)`` is 0.
+    non-finite values and no warning: the caller judges. ``sign(0)`` is 0. ``pi`` and ``e`` are columns where there are
+    columns of that name, else numbers.
 
     Examples
     --------
@@ -101,15 +102,19 @@ class Evaluator:
         if isinstance(node, Binary):
             if node.op == "**":
                 return self._power(node.left, self._value(node.right))
+            if node.op in COMPARISONS:
+                return COMPARISONS[node.op].numpy(self._value(node.left), self._value(node.right)) * np.float64(1.0)
             result = ARITHMETIC[node.op](self._value(node.left), self._value(node.right))
             return result
         if isinstance(node, Call):
-            result = FUNCTIONS[node.function].numpy(self._value(node.argument))
+            result = FUNCTIONS[node.function].numpy(*map(self._value, node.arguments))
             return result
         if isinstance(node, Negate):
             return -self._value(node.operand)
         if isinstance(node, Number):
             return np.float64(node.value)
+        if node.name in CONSTANTS:
+            return np.float64(CONSTANTS[node.name])
         raise UnknownNameError("channel", node.name, self._names)
 
     def _power(self, base: Node, exponent: FloatArray | np.float64) -> FloatArray | np.float64:

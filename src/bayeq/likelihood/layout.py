@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
 from bayeq.likelihood.low_pass import feedback
-from bayeq.likelihood.signs import mean_of_signs
+from bayeq.likelihood.signs import mean_of_jumps
 from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Roles, rates
 
@@ -68,9 +68,9 @@ class Layout:
         Of the spectrum of each noisy input [rad/s]; not used of a random sequence.
     interpolation : "cubic", "band-limited", "linear" or "hold"
         The other inputs between their samples.
-    blur : mapping of Expression to float
-        What the terms take the sign of, and the standard deviation with which that is known along the path: there the
-        sign is its mean.
+    blur : mapping of Node to float
+        The jumps of the terms (`bayeq.likelihood.signs.jumps_of`), and the standard deviation with which the argument
+        of each is known along the path: there the jump is its mean.
     """
 
     roles: Roles
@@ -176,8 +176,8 @@ class Layout:
 
     @cached_property
     def blurred(self) -> tuple[Expression, ...]:
-        """The terms with the mean of each sign in its place."""
-        return tuple(Expression(mean_of_signs(term.tree, self.blur)) for term in self.terms)
+        """The terms with the mean of each jump in its place."""
+        return tuple(Expression(mean_of_jumps(term.tree, self.blur)) for term in self.terms)
 
     def tape(self, chosen: Candidates) -> Tape:
         """Rates of the states, then the targets, in states, exact inputs and the chosen coefficients."""

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.expressions import Node
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
@@ -34,7 +35,7 @@ from bayeq.likelihood.fit import (
 )
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear, Series
-from bayeq.likelihood.signs import arguments_of_signs, error_where_it_changes
+from bayeq.likelihood.signs import error_where_it_changes, jumps_of
 
 __all__ = ["ADEQUATE", "Fitted", "Task", "fit", "resumed", "search", "with_model"]
 
@@ -307,20 +308,19 @@ def suited(task: Task, state: State) -> Task:
 
 
 def with_mean_signs(task: Task, state: State) -> Task:
-    """The task with signs averaged over the errors of what they are taken of."""
+    """The task with signs, and other jumps, averaged over the errors of what they are taken of."""
     layout = task.layout
-    arguments = {argument for term in layout.terms for argument in arguments_of_signs(term.tree)}
-    if not arguments:
+    jumps = {jump for term in layout.terms for jump in jumps_of(term.tree)}
+    if not jumps:
         return task
-    errors = dict.fromkeys(arguments, 0.0)
+    errors: dict[Node, float] = dict.fromkeys(jumps, 0.0)
     for one, linear in zip(task.series, task.linearised(state), strict=True):
         columns = dict(zip(layout.names, linear.path.T, strict=True))
         columns |= dict(zip(layout.exact, one.inputs[:, :, 0].T, strict=True))
         # the future determines a sample as well as the past does
         covariance = 0.5 * run_filter(linear, state.chosen, state.levels.noise).covariance
-        for argument in arguments:
-            error = error_where_it_changes(argument, columns, covariance)
-            errors[argument] = max(errors[argument], error)
+        for jump in jumps:
+            errors[jump] = max(errors[jump], error_where_it_changes(jump, columns, covariance))
     return replace(task, layout=replace(layout, blur=errors))
 
 
