@@ -18,6 +18,8 @@ from bayeq.errors import (
     UnknownNameError,
     WarningLog,
 )
+from bayeq.expressions import Expression
+from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.record_fit import refit_record, suits
@@ -177,9 +179,12 @@ def discover(
     terms = build_dictionary(dictionary, Variables(roles.states, roles.inputs))
     known = [constraints] if isinstance(constraints, str) else list(constraints)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    measured = _as_records(records)
+    roles = roles.for_terms(terms)
+    _require_unambiguous(terms, measured, roles)
 
     step("states", 0, 1)
-    pieces, roles, share = _prepared(_as_records(records), roles, smooth, holdout, log)
+    pieces, roles, share = _prepared(measured, roles, smooth, holdout, log)
     sensors = known_sensors(noise or {}, gain_sd or {}, roles, pieces)
     motion = estimate_motion(pieces, roles, smooth, share, sensors)
     _warn_of_sensors(motion, {*(noise or {}), *(gain_sd or {})}, log)
@@ -310,7 +315,22 @@ def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Con
 def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:
     units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs)
     log.extend(conflicts, DataWarning)
+    if roles.timed:
+        units[TIME] = "s"
     return units
+
+
+def _require_unambiguous(terms: Sequence[Expression], records: Sequence[Record], roles: Roles) -> None:
+    """Check that t, pi and e of terms are no channels of records that are neither in a chain nor an input."""
+    for term in terms:
+        written = term.names | term.constants
+        for name in sorted(written.intersection({TIME, *CONSTANTS}).difference(roles.names)):
+            if any(name in record.channels for record in records):
+                meaning = "the time" if name == TIME else f"the number {CONSTANTS[name]:.4g}"
+                raise InputError(
+                    f"term {term.text!r}: {name} is {meaning}, but the record has a channel {name!r} that is no input;"
+                    f" name it as one (inputs=, --input), or give the channel another name"
+                )
 
 
 def _warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation], log: WarningLog) -> None:

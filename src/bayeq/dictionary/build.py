@@ -155,7 +155,7 @@ def _parse_terms(texts: Sequence[tuple[str, str]], variables: Variables) -> tupl
         if not text.strip():
             raise ExpressionError(f"{where}: empty; write a term there, or leave out the comma before or after")
         try:
-            term = parse(text, variables.names)
+            term = parse(text, variables.known)
         except UnknownNameError as error:
             raise InputError(f"{where}: {error}") from error
         except ExpressionError as error:

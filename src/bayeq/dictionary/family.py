@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bayeq.expressions.functions import TIME
+
 __all__ = ["Variables"]
 
 
@@ -21,6 +23,11 @@ class Variables:
 
     states: tuple[str, ...]
     inputs: tuple[str, ...] = ()
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """The same, and t, the time."""
+        return self.names if TIME in self.names else (*self.names, TIME)
 
     @property
     def names(self) -> tuple[str, ...]:

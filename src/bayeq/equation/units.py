@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
-from bayeq.expressions import Binary, Call, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
 from bayeq.records.units import Unit, multiply_units, parse_unit
 from bayeq.states import Chain
 
@@ -30,7 +30,7 @@ def _power(exponent: Fraction) -> str:
 def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
     """Unit of a term; None where a channel's is not known, or where units do not fit together."""
     match node:
-        case Number():
+        case Number() | Constant():
             return {}
         case Symbol(name):
             return parse_unit(units[name]) if name in units else None

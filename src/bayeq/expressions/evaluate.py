@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
-from bayeq.expressions.nodes import Binary, Call, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
 
 __all__ = ["ARITHMETIC", "MAX_INTEGER_POWER", "Evaluator", "FloatArray"]
 
@@ -45,8 +45,7 @@ class Evaluator:
     -----
     Results are read-only, since later results may share them; all intermediate results live as long as the
     evaluator. Numerical trouble (division by zero, overflow, the logarithm of a negative number) gives
-    non-finite values and no warning: the caller judges. ``sign(0)`` is 0. ``pi`` and ``e`` are columns where there are
-    columns of that name, else numbers.
+    non-finite values and no warning: the caller judges. ``sign(0)`` is 0.
 
     Examples
     --------
@@ -113,7 +112,7 @@ class Evaluator:
             return -self._value(node.operand)
         if isinstance(node, Number):
             return np.float64(node.value)
-        if node.name in CONSTANTS:
+        if isinstance(node, Constant):
             return np.float64(CONSTANTS[node.name])
         raise UnknownNameError("channel", node.name, self._names)
 

@@ -1,4 +1,4 @@
-"""The expression tree: five kinds of frozen, hashable nodes, and their canonical text."""
+"""The expression tree: six kinds of frozen, hashable nodes, and their canonical text."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 from bayeq.errors import ExpressionError
-from bayeq.expressions.functions import COMPARISONS, FUNCTIONS
+from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
 
 __all__ = [
     "OPERATORS",
     "Binary",
     "Call",
+    "Constant",
     "Expression",
     "Negate",
     "Node",
@@ -62,7 +63,7 @@ class Number(_Hashed):
 
 @dataclass(frozen=True, slots=True)
 class Symbol(_Hashed):
-    """A channel, a parameter, or one of the constants of `functions.CONSTANTS` if no channel has its name."""
+    """A channel or a parameter."""
 
     name: str
     _hash: int = field(init=False, repr=False, compare=False)
@@ -76,6 +77,25 @@ class Symbol(_Hashed):
     # Hashes of strings differ between processes: a pickled node is built again (here and below).
     def __reduce__(self) -> tuple[Any, ...]:
         return Symbol, (self.name,)
+
+
+@dataclass(frozen=True, slots=True)
+class Constant(_Hashed):
+    """A number that has a name: a key of `CONSTANTS`."""
+
+    name: str
+    _hash: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.name not in CONSTANTS:
+            raise ExpressionError(f"no constant {self.name!r}; there are: {', '.join(CONSTANTS)}")
+        self._remember(self.name)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Constant, (self.name,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +165,7 @@ def argument_count(least: int, most: int | None) -> str:
     return f"exactly {words[least]}" if most == least else f"{words[least]} or more"
 
 
-Node: TypeAlias = Number | Symbol | Negate | Binary | Call
+Node: TypeAlias = Number | Constant | Symbol | Negate | Binary | Call
 
 
 def number(value: float) -> Node:
@@ -159,7 +179,7 @@ def is_comparison(node: Node) -> bool:
 
 
 def arguments_of(node: Node) -> tuple[Node, ...]:
-    """What a node is made of; nothing for numbers and symbols."""
+    """What a node is made of; nothing for numbers, constants and symbols."""
     match node:
         case Negate(operand):
             return (operand,)
@@ -187,7 +207,7 @@ def _written(node: Node) -> tuple[str, int]:
     match node:
         case Number(value):
             return repr(value), _ATOM
-        case Symbol(name):
+        case Symbol(name) | Constant(name):
             return name, _ATOM
         case Call(function, arguments):
             return f"{function}({','.join(_written(argument)[0] for argument in arguments)})", _ATOM
@@ -211,6 +231,11 @@ def _symbols(node: Node) -> frozenset[str]:
     return own.union(*map(_symbols, arguments_of(node)))
 
 
+def _constants(node: Node) -> frozenset[str]:
+    own = frozenset((node.name,)) if isinstance(node, Constant) else frozenset[str]()
+    return own.union(*map(_constants, arguments_of(node)))
+
+
 def _size(node: Node) -> int:
     return 1 + sum(map(_size, arguments_of(node)))
 
@@ -226,7 +251,9 @@ class Expression:
     text : str
         Canonical text: no spaces, no needless brackets, Python's syntax; ``parse(e.text) == e``.
     names : frozenset of str
-        The symbols that occur, constants among them.
+        The symbols that occur.
+    constants : frozenset of str
+        The names of numbers that occur.
     size : int
         Number of nodes: 1 of ``x``, 2 of ``sign(v)``, 3 of ``x**3``.
 
@@ -247,6 +274,10 @@ class Expression:
     @cached_property
     def names(self) -> frozenset[str]:
         return _symbols(self.tree)
+
+    @cached_property
+    def constants(self) -> frozenset[str]:
+        return _constants(self.tree)
 
     @cached_property
     def size(self) -> int:

@@ -21,6 +21,7 @@ from bayeq.expressions.nodes import (
     OPERATORS,
     Binary,
     Call,
+    Constant,
     Expression,
     Negate,
     Node,
@@ -29,6 +30,7 @@ from bayeq.expressions.nodes import (
     argument_count,
     arguments_of,
     is_comparison,
+    with_arguments,
 )
 
 __all__ = ["MAX_DEPTH", "MAX_LENGTH", "MAX_NODES", "parse"]
@@ -305,7 +307,7 @@ def parse(text: str, names: Iterable[str] | None = None) -> Expression:
 
     Allowed are decimal numbers, names, ``+ - * / **`` (``^`` is ``**``), unary ``+ -``, brackets, calls of the
     functions of `bayeq.expressions.functions.FUNCTIONS`, other spellings of them (`ALIASES`), and comparisons as
-    conditions of ``where``, with Python's precedence. ``pi`` and ``e`` are numbers where no channel has that name.
+    conditions of ``where``, with Python's precedence. ``pi`` and ``e`` are numbers unless `names` has them.
     At most 1000 characters, 50 levels and 500 nodes. The text is never evaluated.
 
     Parameters
@@ -355,7 +357,15 @@ def parse(text: str, names: Iterable[str] | None = None) -> Expression:
         if names is not None and name not in CONSTANTS:
             place = f"expression {_shown(text)}, column {_column(text, name)}"
             raise UnknownNameError("channel", name, list(known), where=place)
-    return expression
+    constants = expression.names.intersection(CONSTANTS).difference(known)
+    return Expression(_with_constants(expression.tree, constants)) if constants else expression
+
+
+def _with_constants(node: Node, names: frozenset[str]) -> Node:
+    """A tree with constants for the symbols of their names."""
+    if isinstance(node, Symbol):
+        return Constant(node.name) if node.name in names else node
+    return with_arguments(node, tuple(_with_constants(part, names) for part in arguments_of(node)))
 
 
 def _column(text: str, name: str) -> int:

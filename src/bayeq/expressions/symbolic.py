@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from bayeq.expressions.definitions import substituted, template
-from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
-from bayeq.expressions.nodes import Binary, Call, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.functions import COMPARISONS, FUNCTIONS
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
 
 __all__ = ["latex", "to_sympy"]
 
@@ -18,7 +18,7 @@ _MAX_BITS = 1024
 _LARGE_POWER = 64
 
 
-def to_sympy(expression: Expression, channels: Collection[str] = ()) -> Any:
+def to_sympy(expression: Expression) -> Any:
     """The expression as a SymPy object.
 
     Integers become `sympy.Integer` (so that ``1/3`` is the rational), other numbers `sympy.Float`, names
@@ -28,8 +28,6 @@ def to_sympy(expression: Expression, channels: Collection[str] = ()) -> Any:
     ----------
     expression : Expression
         From `parse`.
-    channels : collection of str
-        Names that are channels although a constant has them.
 
     Returns
     -------
@@ -43,7 +41,7 @@ def to_sympy(expression: Expression, channels: Collection[str] = ()) -> Any:
     >>> to_sympy(parse("v*abs(v)+x**2/3"))
     v*Abs(v) + x**2/3
     """
-    return _Converter(channels).convert(expression.tree)
+    return _convert(expression.tree)
 
 
 def latex(expression: Expression) -> str:
@@ -69,43 +67,39 @@ def latex(expression: Expression) -> str:
     return str(sympy.latex(to_sympy(expression)))
 
 
-class _Converter:
-    """Nodes to SymPy objects."""
+def _convert(node: Node) -> Any:
+    import sympy
 
-    def __init__(self, channels: Collection[str]) -> None:
-        self.channels = channels
+    match node:
+        case Number(value):
+            return sympy.Integer(value) if isinstance(value, int) else sympy.Float(value)
+        case Constant(name):
+            return {"pi": sympy.pi, "e": sympy.E}[name]
+        case Symbol(name):
+            return sympy.Symbol(name)
+        case Negate(operand):
+            return -_convert(operand)
+        case Call(function, arguments):
+            return _called(function, arguments)
+        case Binary("**", left, right):
+            return _power(_convert(left), _convert(right))
+        case Binary(op, left, right) if op in COMPARISONS:
+            return getattr(sympy, COMPARISONS[op].sympy)(_convert(left), _convert(right))
+        case Binary(op, left, right):
+            a, b = _convert(left), _convert(right)
+            return _bounded(a + b if op == "+" else a - b if op == "-" else a * b if op == "*" else a / b)
 
-    def convert(self, node: Node) -> Any:
-        import sympy
 
-        match node:
-            case Number(value):
-                return sympy.Integer(value) if isinstance(value, int) else sympy.Float(value)
-            case Symbol(name):
-                constant = name in CONSTANTS and name not in self.channels
-                return {"pi": sympy.pi, "e": sympy.E}[name] if constant else sympy.Symbol(name)
-            case Negate(operand):
-                return -self.convert(operand)
-            case Call(function, arguments):
-                return self.call(function, arguments)
-            case Binary("**", left, right):
-                return _power(self.convert(left), self.convert(right))
-            case Binary(op, left, right) if op in COMPARISONS:
-                return getattr(sympy, COMPARISONS[op].sympy)(self.convert(left), self.convert(right))
-            case Binary(op, left, right):
-                a, b = self.convert(left), self.convert(right)
-                return _bounded(a + b if op == "+" else a - b if op == "-" else a * b if op == "*" else a / b)
+def _called(function: str, arguments: Sequence[Node]) -> Any:
+    import sympy
 
-    def call(self, function: str, arguments: Sequence[Node]) -> Any:
-        import sympy
-
-        if function == "where":
-            condition, first, second = map(self.convert, arguments)
-            return sympy.Piecewise((first, condition), (second, True))
-        shown = FUNCTIONS[function].sympy
-        if not shown.isidentifier():
-            return self.convert(substituted(template(shown), arguments))
-        return getattr(sympy, shown)(*map(self.convert, arguments))
+    if function == "where":
+        condition, first, second = map(_convert, arguments)
+        return sympy.Piecewise((first, condition), (second, True))
+    shown = FUNCTIONS[function].sympy
+    if not shown.isidentifier():
+        return _convert(substituted(template(shown), arguments))
+    return getattr(sympy, shown)(*map(_convert, arguments))
 
 
 def _numerical(factor: Any, bits: float) -> Any:

@@ -59,7 +59,7 @@ from bayeq.expressions.functions import (
     TANH,
     UNLESS,
 )
-from bayeq.expressions.nodes import Binary, Call, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
 from bayeq.kernels import kernel
 
 __all__ = ["IndexArray", "Program", "Tape", "run_tape"]
@@ -339,11 +339,11 @@ class _Compiler:
             case Number(value):
                 return self.constant(np.float64(value))
             case Symbol(name):
-                if name in self.variables:
-                    return self.variables[name]
-                if name in CONSTANTS:
-                    return self.constant(np.float64(CONSTANTS[name]))
-                raise UnknownNameError("channel", name, self.variables)
+                if name not in self.variables:
+                    raise UnknownNameError("channel", name, self.variables)
+                return self.variables[name]
+            case Constant(name):
+                return self.constant(np.float64(CONSTANTS[name]))
             case Negate(operand):
                 return self.emit(NEGATE, self.register(operand))
             case Call(function, arguments):

@@ -17,16 +17,16 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import ANYWHERE, GENEROUS, mean_run, run_bands, state_range
 from bayeq.forecast.rows import (
     Rows,
+    between,
     check_interpolation,
     normalised_error,
     require_time,
     rows_of,
-    side_by_side,
     whole_number,
     window_of,
 )
 from bayeq.forecast.start import fitted_start
-from bayeq.ode.rk4 import Drive, Interpolation, interpolant
+from bayeq.ode.rk4 import Drive, Interpolation
 from bayeq.records import Record
 from bayeq.states import Smooth, estimate_motion
 
@@ -180,9 +180,10 @@ def forecast(
 
 def _inputs(dynamics: Dynamics, record: Record, window: slice, interpolation: Interpolation) -> Floats:
     """Inputs between the rows of a window, by what is known of them outside it too."""
-    samples = side_by_side(record.channels, dynamics.inputs, record.n)
-    known = window if not np.isfinite(samples).all() else slice(0, record.n)
-    out = interpolant(require_time(record, "a free run")[known], samples[known], interpolation)
+    present = all(np.isfinite(record[name]).all() for name in dynamics.inputs)
+    known = slice(0, record.n) if present else window
+    columns = {name: np.asarray(record[name])[known] for name in dynamics.inputs}
+    out = between(dynamics.roles, require_time(record, "a free run")[known], columns, interpolation)
     return out if known is window else out[window]
 
 

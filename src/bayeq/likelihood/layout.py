@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
+from bayeq.expressions.functions import TIME
 from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import mean_of_jumps
 from bayeq.ode.rk4 import Interpolation
@@ -138,6 +139,11 @@ class Layout:
         return tuple(name for name in self.roles.inputs if name not in self.noisy)
 
     @cached_property
+    def given(self) -> tuple[str, ...]:
+        """What terms use that is no state: the exact inputs, and t where it is used."""
+        return (*self.exact, TIME) if self.roles.timed else self.exact
+
+    @cached_property
     def rates(self) -> tuple[tuple[float, ...], ...]:
         """Of each chain, the factors between each derivative's channel and the rate of the one below."""
         return tuple(tuple(rates(c, g.tolist())) for c, g in zip(self.roles.chains, self.gains, strict=True))
@@ -195,9 +201,9 @@ class Layout:
         out += [Number(0)] * self.chains
         for name, width in zip(self.noisy, self.widths, strict=True):
             out += [*(Symbol(f"{name}[{k}]") for k in range(1, width)), Number(0)]
-        return Tape.compile(map(Expression, [*out, *targets]), [*self.names, *self.exact, *parameters])
+        return Tape.compile(map(Expression, [*out, *targets]), [*self.names, *self.given, *parameters])
 
     def terms_tape(self) -> Tape:
         """The candidate terms and the constant, in states and exact inputs."""
         trees: Sequence[Node] = [*(term.tree for term in self.blurred), Number(1)]
-        return Tape.compile(map(Expression, trees), [*self.names, *self.exact])
+        return Tape.compile(map(Expression, trees), [*self.names, *self.given])

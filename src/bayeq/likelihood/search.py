@@ -316,7 +316,7 @@ def with_mean_signs(task: Task, state: State) -> Task:
     errors: dict[Node, float] = dict.fromkeys(jumps, 0.0)
     for one, linear in zip(task.series, task.linearised(state), strict=True):
         columns = dict(zip(layout.names, linear.path.T, strict=True))
-        columns |= dict(zip(layout.exact, one.inputs[:, :, 0].T, strict=True))
+        columns |= dict(zip(layout.given, one.inputs[:, :, 0].T, strict=True))
         # the future determines a sample as well as the past does
         covariance = 0.5 * run_filter(linear, state.chosen, state.levels.noise).covariance
         for jump in jumps:

@@ -22,7 +22,7 @@ from bayeq.likelihood.levels import LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.linear import Series
 from bayeq.likelihood.low_pass import spectrum_of, step_variance
 from bayeq.likelihood.search import Fitted, Task
-from bayeq.ode.rk4 import Interpolation, interpolant
+from bayeq.ode.rk4 import Interpolation, interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
 __all__ = ["Start", "carried_over", "start_from", "with_exact_inputs"]
@@ -194,7 +194,8 @@ def _series(layout: Layout, rows: MotionRows) -> Series:
     for i, (name, _) in enumerate(layout.channels):
         samples[:, i] = rows.samples[name]
     exact = np.column_stack([rows.columns[name] for name in layout.exact]) if layout.exact else np.zeros((rows.n, 0))
-    return Series(np.diff(rows.time), samples, interpolant(rows.time, exact, layout.interpolation))
+    inputs = interpolant(rows.time, exact, layout.interpolation)
+    return Series(np.diff(rows.time), samples, with_time(rows.time, inputs) if layout.roles.timed else inputs)
 
 
 def _path(layout: Layout, rows: MotionRows, inputs: Sequence[Floats]) -> Floats:
