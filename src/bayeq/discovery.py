@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
 
-from bayeq.dictionary import Variables, build_dictionary
+from bayeq.dictionary import Specification, Variables, build_dictionaries, written
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations
@@ -71,7 +71,7 @@ def discover(
     acceleration: str | None = None,
     force: str | None = None,
     inputs: Sequence[str] = (),
-    dictionary: str | Sequence[str] = "oscillator",
+    dictionary: Specification = "oscillator",
     method: str = "auto",
     smooth: Smooth = "auto",
     holdout: float = 0.2,
@@ -101,8 +101,11 @@ def discover(
         Channel of its force.
     inputs : sequence of str
         Channels of further inputs.
-    dictionary : str or sequence of str
-        ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, a file of terms, or terms.
+    dictionary : str, sequence of str, or mapping of str to these
+        ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, ``"fourier:2"``, ``"neighbours"``, a file of terms, or terms;
+        ``"oscillator + sin(x) - x**5"`` joins families and terms, and leaves some out. With a mapping,
+        ``{"a1": "oscillator", ...}``, or ``"a1: oscillator; a2: ..."``, each equation has its own; the terms of the
+        others then have probability 0 in it. See docs/terms.md for the language of terms.
     method : str
         ``"auto"`` (the optimum of variational Bayes, probabilities by model averaging), ``"vb"``, ``"bma"``,
         ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
@@ -176,7 +179,8 @@ def discover(
     _check_shares(holdout, coarsen)
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
     check_sensors(noise or {}, gain_sd or {}, roles)
-    terms = build_dictionary(dictionary, Variables(roles.states, roles.inputs))
+    variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
+    terms, allowed = build_dictionaries(dictionary, roles.targets, variables)
     known = [constraints] if isinstance(constraints, str) else list(constraints)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
     measured = _as_records(records)
@@ -189,7 +193,7 @@ def discover(
     motion = estimate_motion(pieces, roles, smooth, share, sensors)
     _warn_of_sensors(motion, {*(noise or {}), *(gain_sd or {})}, log)
     _inspect(motion, pieces, holdout, log)
-    design = build_design(terms, motion, lambda done, total: step("dictionary", done, total))
+    design = build_design(terms, motion, lambda done, total: step("dictionary", done, total), allowed)
     dropped = design.dropped
     _warn_of_terms(design, log)
     constrained = _constrained(known, design, method)
@@ -206,7 +210,7 @@ def discover(
     equations, scores = build_equations(selections, units, first)
     whole = None
     if record is not None and motion.held_out:
-        of_all = build_design(design.terms, motion.whole)
+        of_all = build_design(design.terms, motion.whole, allowed=design.allowed)
         # columns that a single row of those held out decides may be copies of each other there
         if of_all.names == design.names:
             whole = refit_record(motion.whole, record, of_all.terms, of_all.train)
@@ -226,7 +230,7 @@ def discover(
         equations=with_doubts(equations, selections, tolerance or TOLERANCE),
         inputs=roles.inputs,
         method=method,
-        dictionary=dictionary if isinstance(dictionary, str) else ", ".join(str(t) for t in dictionary),
+        dictionary=written(dictionary),
         smooth=smooth,
         data=DataSummary.of(pieces, motion, whole is not None),
         dropped=dropped,

@@ -77,8 +77,11 @@ class Progress:
 @option("--input", "inputs", multiple=True, help="Input channel; once per input.")
 @option(
     "--dictionary",
-    default="oscillator",
-    help="Candidate terms: oscillator, polynomial:3, a file of terms, or terms separated by commas.",
+    "dictionaries",
+    multiple=True,
+    help="Candidate terms: oscillator, polynomial:3, fourier:2, neighbours, a file of terms, or terms separated by"
+    " commas; 'oscillator + sin(x) - x**5' joins and leaves out. 'a1: oscillator' is for equation a1 alone, once per"
+    " equation. By default oscillator.",
 )
 @option(
     "--method",
@@ -190,6 +193,7 @@ def _cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
             out[role] = _channel(out[role])
     out["inputs"] = [name for name in map(_channel, out["inputs"]) if name]
     out["chains"] = list(out["chains"]) or None
+    out["dictionary"] = "; ".join(out.pop("dictionaries")) or "oscillator"
     for name in ("noise", "gain_sd"):
         out[name] = dict(_pair(name, text) for text in out[name])
     return out

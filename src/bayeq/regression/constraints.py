@@ -51,6 +51,30 @@ class Constraints:
         """Whether anything is known at all."""
         return bool(self.signs.any()) or len(self.equalities.eliminated) > 0
 
+    def among(self, allowed: NDArray[np.bool_]) -> Constraints:
+        """The same with the coefficients of other terms zero.
+
+        Parameters
+        ----------
+        allowed : (P,) bool array
+            Terms that the equation may have.
+
+        Raises
+        ------
+        InputError
+            What is known contradicts that, or no term is left.
+        """
+        if allowed.all():
+            return self
+        known = self.equalities
+        equations = [
+            (Linear({int(e): 1.0, **{int(known.kept[j]): -row[j] for j in np.flatnonzero(row)}}, -value), "constraints")
+            for e, row, value in zip(known.eliminated, known.slopes, known.offsets, strict=True)
+        ]
+        names = known.names
+        equations += [(Linear({int(j): 1.0}, 0.0), f"term {names[j]}") for j in np.flatnonzero(~allowed)]
+        return replace(self, equalities=Equalities.solving(names, equations))
+
     def reduce(self, gram: Gram) -> Gram:
         """The regression that the equalities leave."""
         return self.equalities.reduce(gram)

@@ -38,7 +38,8 @@ def bounds(fit: RegressionFit) -> Floats | None:
     Returns
     -------
     (P,) array or None
-        In original units; NaN for terms that are included, or tied to others by equalities. None of very many.
+        In original units; NaN for terms that are included, tied to others by equalities, or candidates of other
+        equations only. None of very many.
     """
     problem, support, kept = fit.problem, fit.posterior.support, fit.constraints.equalities.kept
     if len(support) > MOST_TERMS:
@@ -55,6 +56,7 @@ def bounds(fit: RegressionFit) -> Floats | None:
     out[others] = np.abs(mean) + Z95 * sd
     whole = np.full(len(fit.regression.design.terms), np.nan)
     whole[kept] = out * fit.standard.target_scale / fit.standard.scale
+    whole[~fit.regression.design.allowed[fit.regression.k]] = np.nan
     return whole
 
 
