@@ -79,14 +79,14 @@ def _tokens(text: str) -> list[_Token]:
         if token is None:
             bad = _BAD_NUMBER.match(text, at)
             if bad is not None:
-                raise _error(text, f"{_shown(bad[0])} at column {at + 1} is not a number; write 2, 0.5 or 1e-3")
+                raise _error(text, f"{_shown(bad[0])} is not a number, at column {at + 1}; write 2, 0.5 or 1e-3")
             hint = _HINTS.get(text[at], f"there are {_ALLOWED}")
             raise _error(text, f"{text[at]!r} at column {at + 1} is not allowed: {hint}")
         kind, part = str(token.lastgroup), token[0]
         if kind == "name":
             part = _name(text, part, at + 1)
         elif kind == "number" and re.fullmatch(r"0+[1-9][0-9]*", part):
-            raise _error(text, f"{_shown(part)} at column {at + 1} is not a number; leave out the zeros in front")
+            raise _error(text, f"{_shown(part)} is not a number, at column {at + 1}; leave out the zeros in front")
         out.append(_Token(kind, "**" if part == "^" else part, at + 1))
         at = token.end()
     return [*out, _Token("end", "", len(text.rstrip(" \t")) + 1)]
@@ -285,10 +285,10 @@ class _Parser:
 
     def no_function(self, name: _Token) -> str:
         near = difflib.get_close_matches(name.text, [*FUNCTIONS, *ALIASES, SQUARE], n=1, cutoff=0.6)
-        missing = f"no function {_shown(name.text)} at column {name.column}"
+        missing = f"at column {name.column} there is no function {_shown(name.text)}"
         if near:
             return f"{missing}; did you mean {near[0]!r}?"
-        return f"{missing}; write * for products (functions are: {', '.join(FUNCTIONS)})"
+        return f"{missing}; write * for products (there are: {', '.join(FUNCTIONS)})"
 
 
 @lru_cache(maxsize=4096)
@@ -352,8 +352,8 @@ def parse(text: str, names: Iterable[str] | None = None) -> Expression:
     known = () if names is None else tuple(names)
     for name in sorted(expression.names.difference(known)):
         if name in FUNCTIONS:
-            what = f"{name} at column {_column(text, name)} is a function and needs its argument: {name}(...)"
-            raise _error(text, what)
+            reason = f"{name} is a function and needs its argument: {name}(...), at column {_column(text, name)}"
+            raise _error(text, reason)
         if names is not None and name not in CONSTANTS:
             place = f"expression {_shown(text)}, column {_column(text, name)}"
             raise UnknownNameError("channel", name, list(known), where=place)

@@ -84,7 +84,10 @@ def _convert(node: Node) -> Any:
         case Binary("**", left, right):
             return _power(_convert(left), _convert(right))
         case Binary(op, left, right) if op in COMPARISONS:
-            return getattr(sympy, COMPARISONS[op].sympy)(_convert(left), _convert(right))
+            try:
+                return getattr(sympy, COMPARISONS[op].sympy)(_convert(left), _convert(right))
+            except TypeError:  # of numbers that are not real; NaN compares as false too
+                return sympy.false
         case Binary(op, left, right):
             a, b = _convert(left), _convert(right)
             return _bounded(a + b if op == "+" else a - b if op == "-" else a * b if op == "*" else a / b)
@@ -99,7 +102,11 @@ def _called(function: str, arguments: Sequence[Node]) -> Any:
     shown = FUNCTIONS[function].sympy
     if not shown.isidentifier():
         return _convert(substituted(template(shown), arguments))
-    return getattr(sympy, shown)(*map(_convert, arguments))
+    converted = list(map(_convert, arguments))
+    try:
+        return getattr(sympy, shown)(*converted)
+    except (TypeError, ValueError, ZeroDivisionError):  # not defined there: mod(x, 0), or of complex numbers
+        return sympy.nan
 
 
 def _numerical(factor: Any, bits: float) -> Any:
