@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -201,6 +202,10 @@ def _not_a_dictionary(text: str, variables: Variables, error: InputError) -> Inp
         return FileFormatError(
             f"no such file of terms: {text!r}{near_files(Path(text))}; and it is not a term either ({reason})"
         )
+    for word in re.findall(r"[^\W\d]\w*", text):
+        near = difflib.get_close_matches(word, FAMILIES, n=1, cutoff=0.8)
+        if near and word not in variables.known:
+            return InputError(f"dictionary: no channel named {word!r}; did you mean the dictionary {near[0]!r}?")
     return error
 
 
