@@ -20,6 +20,7 @@ def quietly(records, **options):
         warnings.simplefilter("ignore")
         return bq.discover(records, **options)
 
+
 OSCILLATOR = Variables(("x", "v"), ("u",), (("x", "v"),))
 ROW = Variables(("x1", "v1", "x2", "v2", "x3", "v3"), ("u",), (("x1", "v1"), ("x2", "v2"), ("x3", "v3")))
 TARGETS = ("a1", "a2", "a3")

@@ -16,6 +16,7 @@ def quietly(records, **options):
         warnings.simplefilter("ignore")
         return bq.discover(records, **options)
 
+
 LAW = {"x": -40.0, "v": -0.8, "cos(3*t)": 12.0}
 TERMS = "x, v, x**3, cos(3*t), sin(3*t), t"
 CHANNELS = {"displacement": "x", "velocity": "v", "acceleration": "a"}
@@ -60,8 +61,7 @@ def test_the_law_is_found_and_run(found, tmp_path):
     state = [0.3, -0.2]
     for t in (0.0, 1.3):
         expected = one.shown_posterior.intercept + sum(
-            one.shown_coef[name] * value
-            for name, value in {"x": 0.3, "v": -0.2, "cos(3*t)": np.cos(3.0 * t)}.items()
+            one.shown_coef[name] * value for name, value in {"x": 0.3, "v": -0.2, "cos(3*t)": np.cos(3.0 * t)}.items()
         )
         assert eq.rhs(t, state)[1] == pytest.approx(expected)
     run = eq.simulate(record, draws=3)
@@ -90,7 +90,7 @@ def test_refined_with_time():
 
 
 def test_a_channel_of_that_name_wins():
-    record, clean = driven(n=600)
+    record, _ = driven(n=600)
     force = np.cos(3.0 * record.time)
     own = bq.Record.from_arrays({**{n: record[n] for n in "xva"}, "t": force}, time=record.time)
     eq = quietly(own, **CHANNELS, force="t", dictionary="x, v, x**3, t")

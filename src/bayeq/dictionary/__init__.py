@@ -4,4 +4,13 @@ from bayeq.dictionary.build import FAMILIES, build_dictionaries, build_dictionar
 from bayeq.dictionary.family import Variables
 from bayeq.dictionary.specification import Specification, of_equations, written
 
-__all__ = ["FAMILIES", "Specification", "Variables", "build_dictionaries", "build_dictionary", "evaluate_terms", "of_equations", "written"]
+__all__ = [
+    "FAMILIES",
+    "Specification",
+    "Variables",
+    "build_dictionaries",
+    "build_dictionary",
+    "evaluate_terms",
+    "of_equations",
+    "written",
+]

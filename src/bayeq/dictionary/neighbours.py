@@ -42,7 +42,7 @@ def terms(variables: Variables, argument: str | None = None) -> list[str]:
         for k, name in enumerate(chains[i]):
             out += [name, f"{name}**3"]
             for a, b in ((i - 1, i), (i, i + 1)):
-                if 0 <= a and b < len(chains) and k < min(len(chains[a]), len(chains[b])):
+                if a >= 0 and b < len(chains) and k < min(len(chains[a]), len(chains[b])):
                     difference = f"{chains[b][k]}-{chains[a][k]}"
                     out += [difference, f"({difference})**3"]
     return [*dict.fromkeys(out), *variables.inputs]

@@ -111,7 +111,10 @@ def of_equations(specification: Specification, targets: Sequence[str]) -> dict[s
         for piece in specification.split(";"):
             target, colon, rest = piece.partition(":")
             if not colon:
-                raise InputError(f"dictionary {piece.strip()!r}: write the target of its equation in front, as in {targets[0]}: oscillator")
+                raise InputError(
+                    f"dictionary {piece.strip()!r}: write the target of its equation in front, as in"
+                    f" {targets[0]}: oscillator"
+                )
             found.append((target.strip(), rest.strip()))
     else:
         return None

@@ -206,7 +206,9 @@ class _Parser:
             raise self.error(f"where needs a condition at column {column}, as in where(x > 0, x, 0)")
         node = self.made(Binary(op.text, left, self.number(self.operation(), op)))
         if self.next.text in COMPARISONS:
-            raise self.error(f"{self.next.text!r} at column {self.next.column}: one comparison each; nest where in where")
+            raise self.error(
+                f"{self.next.text!r} at column {self.next.column}: one comparison each; nest where in where"
+            )
         return node
 
     def signed(self) -> Node:

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.expressions.evaluate import ARITHMETIC, MAX_INTEGER_POWER, FloatArray
 from bayeq.expressions.definitions import substituted, template
+from bayeq.expressions.evaluate import ARITHMETIC, MAX_INTEGER_POWER, FloatArray
 from bayeq.expressions.functions import (
     ABS,
     ACOS,
@@ -68,7 +68,11 @@ IndexArray: TypeAlias = NDArray[np.uint32]
 
 ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, NEGATE = range(6)
 _OPCODES = {
-    **{"+": ADD, "-": SUBTRACT, "*": MULTIPLY, "/": DIVIDE, "**": POWER},
+    "+": ADD,
+    "-": SUBTRACT,
+    "*": MULTIPLY,
+    "/": DIVIDE,
+    "**": POWER,
     **{op: comparison.opcode for op, comparison in COMPARISONS.items()},
 }
 # what instructions make of constants

@@ -65,8 +65,8 @@ class Dynamics:
     intercepts : tuple of bool
         Equations that have an intercept.
     tape : Tape
-        Of states, inputs, t (if it is used) and parameters; its outputs are the states' derivatives, then the targets. The parameters are,
-        equation by equation, the intercept (if there is one) and the coefficients of the terms.
+        Of states, inputs, t (if it is used) and parameters; its outputs are the states' derivatives, then the targets.
+        The parameters are, equation by equation, the intercept (if there is one) and the coefficients of the terms.
     """
 
     laws: tuple[Law, ...]

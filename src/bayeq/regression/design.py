@@ -176,9 +176,7 @@ class _Builder:
         return D
 
 
-def _reasons(
-    gram: Gram, bad: NDArray[np.int64], rows: int, allowed: NDArray[np.bool_]
-) -> dict[int, str]:
+def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int, allowed: NDArray[np.bool_]) -> dict[int, str]:
     """Why each unusable column is left out; a copy is, if every equation that it is for may have the other."""
     sd = gram.standard_deviation
     out: dict[int, str] = {}

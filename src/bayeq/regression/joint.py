@@ -43,9 +43,7 @@ FIRST, PER_DEGREE = 1.0, 2.0
 CONSTANT = math.log(0.1 / 0.9)
 
 
-def record_of(
-    design: Design, smooth: str, dictionary: Specification, prior: Prior | None = None
-) -> RecordFit | None:
+def record_of(design: Design, smooth: str, dictionary: Specification, prior: Prior | None = None) -> RecordFit | None:
     """The likelihood of the records of a design; None where it is not used."""
     if smooth != "auto" or not suits(design.motion, len(design.terms)):
         return None

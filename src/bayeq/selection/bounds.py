@@ -87,9 +87,7 @@ def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> 
     effect = np.zeros(len(others))
     clock = {*fit.regression.motion.roles.drivers}.difference(fit.regression.motion.roles.inputs)
     for amplitude in AMPLITUDES:
-        columns = {
-            name: values if name in clock else amplitude * values for name, values in _some_rows(fit).items()
-        }
+        columns = {name: values if name in clock else amplitude * values for name, values in _some_rows(fit).items()}
         D = evaluate_terms(terms, columns)
         known, added = D[:, : len(inside)], D[:, len(inside) :]
         spread = float(np.std(known @ found.coef[inside])) if len(inside) else 0.0
