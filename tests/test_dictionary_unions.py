@@ -125,7 +125,8 @@ def test_a_dictionary_per_equation():
         ("a1: x1", "none is given for equation a2, a3"),
         ("a1: x1; a4: x2", "no equation named 'a4'"),
         ("a1: x1; a1: x2; a2: x1; a3: x1", "equation a1 has two"),
-        ("x1; x2", "write the target of its equation in front"),
+        ("x1; x2", "';' at column 3 is not allowed"),
+        ("a1: x1; x2", "write the target of its equation in front"),
         ({"a1": "x1", "a2": "x2", "a3": "q"}, "equation a3: .*'q'"),
     ],
 )

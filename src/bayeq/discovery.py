@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bayeq.dictionary import Specification, Variables, build_dictionaries, written
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
@@ -28,6 +31,7 @@ from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.joint import fit_equations, record_of
 from bayeq.regression.regression import Regression
+from bayeq.regression.screening import MOST_TERMS, screened
 from bayeq.selection.select import Rules, select
 from bayeq.selection.tolerance import TOLERANCE
 from bayeq.states import (
@@ -47,6 +51,7 @@ from bayeq.states.motion import held_out_share
 
 __all__ = ["discover"]
 
+Bools = NDArray[np.bool_]
 Progress = Callable[[str, int, int], None]
 
 NO_LIKELIHOOD = (
@@ -182,7 +187,7 @@ def discover(
     variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
     terms, allowed = build_dictionaries(dictionary, roles.targets, variables)
     known = [constraints] if isinstance(constraints, str) else list(constraints)
-    parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    constrained = parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
     measured = _as_records(records)
     roles = roles.for_terms(terms)
     _require_unambiguous(terms, measured, roles)
@@ -193,6 +198,8 @@ def discover(
     motion = estimate_motion(pieces, roles, smooth, share, sensors)
     _warn_of_sensors(motion, {*(noise or {}), *(gain_sd or {})}, log)
     _inspect(motion, pieces, holdout, log)
+    if len(terms) > MOST_TERMS:
+        terms, allowed = _screened(terms, motion, allowed, constrained, log)
     design = build_design(terms, motion, lambda done, total: step("dictionary", done, total), allowed)
     dropped = design.dropped
     _warn_of_terms(design, log)
@@ -314,6 +321,21 @@ def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Con
     if method not in SIGNED and any(one.signs.any() for one in found):
         raise InputError(f"method {method!r} takes no signs of coefficients; choose one of: {', '.join(SIGNED)}")
     return found
+
+
+def _screened(
+    terms: Sequence[Expression], motion: Motion, allowed: Bools, constrained: Sequence[Constraints], log: WarningLog
+) -> tuple[tuple[Expression, ...], Bools]:
+    """The candidates of a large dictionary that explain most, and those that something is known of."""
+    forced = np.any([one.concerned for one in constrained], axis=0)
+    kept = screened(terms, motion, allowed, forced, MOST_TERMS)
+    targets = ", ".join(motion.roles.targets)
+    log.warn(
+        f"{len(terms):,} candidates: {len(kept):,} were kept, the simplest and those that explain most of {targets}"
+        " beside them; probabilities are among these",
+        TermWarning,
+    )
+    return tuple(terms[int(j)] for j in kept), allowed[:, kept]
 
 
 def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:

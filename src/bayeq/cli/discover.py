@@ -193,7 +193,13 @@ def _cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
             out[role] = _channel(out[role])
     out["inputs"] = [name for name in map(_channel, out["inputs"]) if name]
     out["chains"] = list(out["chains"]) or None
-    out["dictionary"] = "; ".join(out.pop("dictionaries")) or "oscillator"
+    dictionaries = out.pop("dictionaries") or ("oscillator",)
+    if len(dictionaries) > 1 and not all(":" in text for text in dictionaries):
+        raise InputError(
+            "--dictionary is given more than once: join families and terms with +, terms with commas, or write the"
+            " target of each equation in front, as in --dictionary 'a1: oscillator'"
+        )
+    out["dictionary"] = "; ".join(dictionaries)
     for name in ("noise", "gain_sd"):
         out[name] = dict(_pair(name, text) for text in out[name])
     return out

@@ -132,7 +132,7 @@ def of_equations(specification: Specification, targets: Sequence[str]) -> dict[s
 
 
 def _addressed(text: str, targets: Sequence[str]) -> bool:
-    return ";" in text or text.partition(":")[0].strip() in targets
+    return text.partition(":")[0].strip() in targets or (";" in text and ":" in text)
 
 
 def written(specification: Specification) -> str:

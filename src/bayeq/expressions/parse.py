@@ -262,7 +262,7 @@ class _Parser:
     def constant(self, token: _Token) -> Number:
         value = float(token.text)
         if not math.isfinite(value):
-            raise self.error(f"the number at column {token.column} is too large")
+            raise self.error(f"a number is too large, at column {token.column}")
         return Number(int(token.text) if token.text.isdigit() else value)
 
     def call(self, name: _Token, opened: _Token) -> Node:

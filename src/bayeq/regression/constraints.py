@@ -51,6 +51,14 @@ class Constraints:
         """Whether anything is known at all."""
         return bool(self.signs.any()) or len(self.equalities.eliminated) > 0
 
+    @property
+    def concerned(self) -> NDArray[np.bool_]:
+        """Terms that something is known of, (P,)."""
+        out = self.signs != 0
+        out[self.equalities.eliminated] = True
+        out[self.equalities.kept[(self.equalities.slopes != 0.0).any(axis=0)]] = True
+        return out
+
     def among(self, allowed: NDArray[np.bool_]) -> Constraints:
         """The same with the coefficients of other terms zero.
 
