@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import bayeq as bq
+from bayeq.equation.units import quotient_unit
 from bayeq.errors import InputError, RecordError
+from bayeq.expressions import parse
 
 
 def quietly(records, **options):
@@ -74,6 +76,30 @@ def test_the_law_is_found_and_run(found, tmp_path):
     again = bq.load(tmp_path / "eq.json")
     np.testing.assert_array_equal(again.rhs(1.3, state), eq.rhs(1.3, state))
     assert again.simulate(record, draws=0).nrmse["x"] == pytest.approx(run.nrmse["x"])
+
+
+UNITS = {"x": "mm", "v": "m/s", "a": "m/s^2", "t": "s"}
+
+
+@pytest.mark.parametrize(
+    ("term", "unit"),
+    [
+        ("t", "m/s^3"),
+        ("cos(2*pi*t)", "m/s^2"),
+        ("pi*x", "m/s^2/mm"),
+        ("relu(x)", "m/s^2/mm"),
+        ("max(x,0)", "m/s^2/mm"),
+        ("min(x,v)", None),
+        ("where(x>v,x,0)", "m/s^2/mm"),
+        ("where(x>v,1,2)", "m/s^2"),
+        ("mod(x,v)", "m/s^2/mm"),
+        ("atan2(x,v)", "m/s^2"),
+        ("heaviside(x)*v", "1/s"),
+        ("cbrt(x**3)", "m/s^2/mm"),
+    ],
+)
+def test_units_of_coefficients(term, unit):
+    assert quotient_unit("a", parse(term), UNITS) == unit
 
 
 def test_a_clock_that_does_not_begin_at_zero():
