@@ -257,11 +257,21 @@ def test_other_spellings_print_as_one(alias: str, name: str) -> None:
     assert parse(f"{alias}({arguments})").text == f"{name}({arguments})"
 
 
+# numbers that differences are not lost beside
+tame = st.recursive(
+    st.one_of(
+        st.one_of(st.integers(0, 9), st.floats(0.01, 9.0).map(lambda f: round(f, 2))).map(Number),
+        st.sampled_from("xvu").map(Symbol),
+        st.sampled_from(["pi", "e"]).map(Constant),
+    ),
+    _grow,
+    max_leaves=8,
+).map(Expression)
 smooth_values = st.floats(-3, 3).map(lambda f: round(f, 2) + 0.0037)
 
 
 @settings(max_examples=300, deadline=None)
-@given(trees, st.tuples(smooth_values, smooth_values, smooth_values))
+@given(tame, st.tuples(smooth_values, smooth_values, smooth_values))
 def test_tangents_are_central_differences(expression: Expression, point: tuple[float, float, float]) -> None:
     """Away from jumps and kinks, which are where differences of several steps disagree."""
     tape = Tape.compile([expression], ["x", "v", "u"])
@@ -273,7 +283,11 @@ def test_tangents_are_central_differences(expression: Expression, point: tuple[f
     for j, direction in enumerate(np.eye(3)):
         first, second = (differences(tape, np.array(point), h * direction) / h for h in (1e-3, 5e-4))
         size = max(abs(value), abs(first), abs(second), 1e-3)
-        if np.isfinite([first, second, value]).all() and abs(first - second) < 1e-6 * size and abs(value) < 1e6:
+        h = 1e-5
+        with np.errstate(all="ignore"):
+            below, above = ((tape(np.array(point) + s * h * direction)[0] - value) / (s * h) for s in (-1, 1))
+            smooth = abs(first - second) < 1e-6 * size and abs(above - below) < 1e-2 * size
+        if np.isfinite([first, second, value]).all() and smooth and abs(value) < 1e6:
             assert slope[j] == pytest.approx(second, rel=1e-4, abs=1e-4 * size)
 
 
@@ -285,7 +299,7 @@ def differences(tape: Tape, point: np.ndarray, step: np.ndarray) -> float:
 
 
 @settings(max_examples=100, deadline=None)
-@given(trees, points)
+@given(tame, points)
 def test_sympy_has_the_same_values(expression: Expression, columns: dict[str, list[float]]) -> None:
     import sympy
 
