@@ -267,11 +267,12 @@ tame = st.recursive(
     _grow,
     max_leaves=8,
 ).map(Expression)
-smooth_values = st.floats(-3, 3).map(lambda f: round(f, 2) + 0.0037)
+# points beside each other's grids: comparisons with == hold at single points
+places = st.tuples(*(st.floats(-3, 3).map(lambda f, beside=b: round(f, 2) + beside) for b in (0.0037, 0.0012, 0.0059)))
 
 
 @settings(max_examples=300, deadline=None)
-@given(tame, st.tuples(smooth_values, smooth_values, smooth_values))
+@given(tame, places)
 def test_tangents_are_central_differences(expression: Expression, point: tuple[float, float, float]) -> None:
     """Away from jumps and kinks, which are where differences of several steps disagree."""
     tape = Tape.compile([expression], ["x", "v", "u"])
