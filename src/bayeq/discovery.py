@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping, Sequence, Set
 from typing import get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayeq.dictionary import Variables, build_dictionary
+from bayeq.dictionary import Specification, Variables, build_dictionaries, written
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations
@@ -21,6 +22,8 @@ from bayeq.errors import (
     UnknownNameError,
     WarningLog,
 )
+from bayeq.expressions import Expression
+from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.record_fit import refit_record, suits
@@ -29,6 +32,7 @@ from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.joint import fit_equations, record_of
 from bayeq.regression.regression import Regression
+from bayeq.regression.screening import MOST_TERMS, screened
 from bayeq.selection.select import Rules, select
 from bayeq.selection.tolerance import TOLERANCE
 from bayeq.states import (
@@ -48,6 +52,7 @@ from bayeq.states.prepare import cleaned, divided_at_gaps
 
 __all__ = ["discover"]
 
+Bools = NDArray[np.bool_]
 Progress = Callable[[str, int, int], None]
 
 NO_LIKELIHOOD = (
@@ -77,7 +82,7 @@ def discover(
     acceleration: str | None = None,
     force: str | None = None,
     inputs: Sequence[str] = (),
-    dictionary: str | Sequence[str] = "oscillator",
+    dictionary: Specification = "oscillator",
     method: str = "auto",
     smooth: Smooth = "auto",
     holdout: float = 0.2,
@@ -108,8 +113,11 @@ def discover(
         Channel of its force.
     inputs : sequence of str
         Channels of further inputs.
-    dictionary : str or sequence of str
-        ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, a file of terms, or terms.
+    dictionary : str, sequence of str, or mapping of str to these
+        ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, ``"fourier:2"``, ``"neighbours"``, a file of terms, or terms;
+        ``"oscillator + sin(x) - x**5"`` joins families and terms, and leaves some out. With a mapping,
+        ``{"a1": "oscillator", ...}``, or ``"a1: oscillator; a2: ..."``, each equation has its own; the terms of the
+        others then have probability 0 in it. See docs/terms.md for the language of terms.
     method : str
         ``"auto"`` (the optimum of variational Bayes, probabilities by model averaging), ``"vb"``, ``"bma"``,
         ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
@@ -187,17 +195,23 @@ def discover(
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
     check_sensors(noise or {}, gain_sd or {}, roles)
     _check_tails(tails, smooth)
-    terms = build_dictionary(dictionary, Variables(roles.states, roles.inputs))
+    variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
+    terms, allowed = build_dictionaries(dictionary, roles.targets, variables)
     known = [constraints] if isinstance(constraints, str) else list(constraints)
-    parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    constrained = parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    measured = _as_records(records)
+    roles = roles.for_terms(terms)
+    _require_unambiguous(terms, measured, roles)
 
     step("states", 0, 1)
-    pieces, roles, share = _prepared(_as_records(records), roles, smooth, holdout, log)
+    pieces, roles, share = _prepared(measured, roles, smooth, holdout, log)
     sensors = known_sensors(noise or {}, gain_sd or {}, roles, pieces, tails)
     motion = estimate_motion(pieces, roles, smooth, share, sensors)
     _warn_of_sensors(motion, {*(noise or {}), *(gain_sd or {})}, log)
     _inspect(motion, pieces, holdout, log)
-    design = build_design(terms, motion, lambda done, total: step("dictionary", done, total))
+    if len(terms) > MOST_TERMS:
+        terms, allowed = _screened(terms, motion, allowed, constrained, log)
+    design = build_design(terms, motion, lambda done, total: step("dictionary", done, total), allowed)
     dropped = design.dropped
     _warn_of_terms(design, log)
     _warn_of_zero(design, pieces, log)
@@ -217,7 +231,7 @@ def discover(
     equations, scores = build_equations(selections, units, first)
     whole = None
     if record is not None and motion.held_out:
-        of_all = build_design(design.terms, motion.whole)
+        of_all = build_design(design.terms, motion.whole, allowed=design.allowed)
         # columns that a single row of those held out decides may be copies of each other there
         if of_all.names == design.names:
             whole = refit_record(motion.whole, record, of_all.terms, of_all.train)
@@ -237,7 +251,7 @@ def discover(
         equations=with_doubts(equations, selections, tolerance or TOLERANCE),
         inputs=roles.inputs,
         method=method,
-        dictionary=dictionary if isinstance(dictionary, str) else ", ".join(str(t) for t in dictionary),
+        dictionary=written(dictionary),
         smooth=smooth,
         data=DataSummary.of(pieces, motion, whole is not None),
         dropped=dropped,
@@ -324,10 +338,40 @@ def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Con
     return found
 
 
+def _screened(
+    terms: Sequence[Expression], motion: Motion, allowed: Bools, constrained: Sequence[Constraints], log: WarningLog
+) -> tuple[tuple[Expression, ...], Bools]:
+    """The candidates of a large dictionary that explain most, and those that something is known of."""
+    forced = np.any([one.concerned for one in constrained], axis=0)
+    kept = screened(terms, motion, allowed, forced, MOST_TERMS)
+    targets = ", ".join(motion.roles.targets)
+    log.warn(
+        f"{len(terms):,} candidates: {len(kept):,} were kept, the simplest and those that explain most of {targets}"
+        " beside them; probabilities are among these",
+        TermWarning,
+    )
+    return tuple(terms[int(j)] for j in kept), allowed[:, kept]
+
+
 def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:
     units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs)
     log.extend(conflicts, DataWarning)
+    if roles.timed:
+        units[TIME] = "s"
     return units
+
+
+def _require_unambiguous(terms: Sequence[Expression], records: Sequence[Record], roles: Roles) -> None:
+    """Check that t, pi and e of terms are no channels of records that are neither in a chain nor an input."""
+    for term in terms:
+        written = term.names | term.constants
+        for name in sorted(written.intersection({TIME, *CONSTANTS}).difference(roles.names)):
+            if any(name in record.channels for record in records):
+                meaning = "the time" if name == TIME else f"the number {CONSTANTS[name]:.4g}"
+                raise InputError(
+                    f"term {term.text!r}: {name} is {meaning}, but the record has a channel {name!r} that is no input;"
+                    f" name it as one (inputs=, --input), or give the channel another name"
+                )
 
 
 def _warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation], log: WarningLog) -> None:

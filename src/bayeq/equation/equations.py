@@ -6,6 +6,7 @@ import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -18,6 +19,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.prepare import prepared, rows_of_record
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError, UnknownNameError
+from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
 from bayeq.records import Record
 from bayeq.records.atomic import replacing
@@ -113,10 +115,10 @@ class Equations:
         """Names of the first-order state vector, the order of `rhs`."""
         return tuple(name for chain in self.chains for name in chain.states)
 
-    @property
+    @cached_property
     def roles(self) -> Roles:
-        """Chains and inputs."""
-        return Roles(self.chains, self.inputs)
+        """Chains and inputs, and whether terms use the time."""
+        return Roles(self.chains, self.inputs).for_terms(term for equation in self.equations for term in equation.terms)
 
     @property
     def verdict(self) -> Verdict:
@@ -158,7 +160,7 @@ class Equations:
         Parameters
         ----------
         t : float
-            Time; the equations are autonomous.
+            Time [s], for terms that use it.
         state : (d,) array
             In the order of `states`: each coordinate and its derivatives below the highest.
         u : (m,) array or float, optional
@@ -170,7 +172,6 @@ class Equations:
             In the unit of each state per second, also where the channels of a chain have units that do not belong
             together (see `Equation.unit_gains`).
         """
-        del t
         values = np.asarray(state, dtype=np.float64)
         if values.shape != (len(self.states),):
             raise InputError(f"the state has {len(self.states)} entries {self.states}, got shape {values.shape}")
@@ -178,6 +179,8 @@ class Equations:
         if given.shape != (len(self.inputs),):
             raise InputError(f"need {len(self.inputs)} input values {self.inputs}, got {given.size}")
         columns = dict(zip(self.states, values, strict=True)) | dict(zip(self.inputs, given, strict=True))
+        if self.roles.timed:
+            columns[TIME] = np.float64(t)
         out: list[float] = []
         for equation in self.equations:
             above = [*(columns[name] for name in equation.chain.states[1:]), float(equation.evaluate(columns))]
@@ -188,7 +191,7 @@ class Equations:
         """The equations shown as one system of first order; by default all have an intercept."""
         from bayeq.forecast.dynamics import Dynamics
 
-        return Dynamics.of([equation.law for equation in self.equations], self.inputs, intercepts)
+        return Dynamics.of([equation.law for equation in self.equations], self.inputs, intercepts, self.roles.timed)
 
     def predict(self, record: Record, return_std: bool = False) -> Any:
         """Target(s) of a record, eqs. (29)-(30): the right-hand side at its measured states and inputs.
@@ -497,6 +500,8 @@ class Equations:
 
         if not self.inputs:
             raise InputError("the equations have no input: there is nothing to excite")
+        if self.roles.timed:
+            raise InputError("terms use t, the time: a measurement is planned for equations that do not depend on it")
         if not all(equation.models for equation in self.equations):
             raise InputError("the likeliest models are not in the file of the equations: find and save them again")
         if self.verdict.kind == "none":

@@ -19,6 +19,7 @@ from bayeq.equation.to_json import FORMAT
 from bayeq.equation.verdict import KINDS, Verdict
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.expressions import parse
+from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.plan.measured import Measured
@@ -76,6 +77,9 @@ def _restore(content: Mapping[str, Any]) -> Equations:
     data, diagnostics = content["data"], content["diagnostics"]
     files = data["file"]
     equations = []
+    names = [TIME, *map(str, data["inputs"])]
+    for chain in data["chains"]:
+        names += parse_chain(chain).names
     for k, chain in enumerate(data["chains"]):
         saved = content["equations"][k]
         equations.append(
@@ -86,6 +90,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
                 diagnostics["equations"][saved["target"]],
                 content["method"],
                 {str(name): str(unit) for name, unit in data.get("units", {}).items()},
+                names,
             )
         )
     found = Equations(
@@ -180,8 +185,9 @@ def _restore_equation(
     checks: Mapping[str, Any],
     method: str,
     units: Mapping[str, str],
+    names: Sequence[str],
 ) -> Equation:
-    terms = tuple(parse(term["name"]) for term in saved["terms"])
+    terms = tuple(parse(term["name"], names) for term in saved["terms"])
     support = np.array([bool(term["included"]) for term in saved["terms"]], dtype=np.bool_)
     r = int(support.sum())
     posterior = Posterior(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
-from bayeq.likelihood.signs import arguments_of_signs
+from bayeq.likelihood.signs import jumps_of
 
 __all__ = ["about_rest", "is_displaced"]
 
@@ -49,7 +49,7 @@ def is_displaced(
     """
     alone = [term for term in coefficients if term.names == {x}]
     forced = any(abs(float(evaluate_terms([term], {x: np.zeros(1)})[0, 0])) > 0.0 for term in alone)
-    bent = any(_powers(term.tree, x, v) is None and not any(arguments_of_signs(term.tree)) for term in alone)
+    bent = any(_powers(term.tree, x, v) is None and not any(jumps_of(term.tree)) for term in alone)
     return constant or forced or bent or not span[0] <= 0.0 <= span[1]
 
 

@@ -17,16 +17,16 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import ANYWHERE, GENEROUS, mean_run, run_bands, state_range
 from bayeq.forecast.rows import (
     Rows,
+    between,
     check_interpolation,
     normalised_error,
     require_time,
     rows_of,
-    side_by_side,
     whole_number,
     window_of,
 )
 from bayeq.forecast.start import fitted_start
-from bayeq.ode.rk4 import Drive, Interpolation, interpolant
+from bayeq.ode.rk4 import Drive, Interpolation
 from bayeq.records import Record
 from bayeq.states import Sensors, Smooth, estimate_motion
 from bayeq.states.missing import inputs_filled
@@ -182,11 +182,11 @@ def forecast(
 
 def _inputs(dynamics: Dynamics, record: Record, part: Record, window: slice, interpolation: Interpolation) -> Floats:
     """Inputs between the rows of a window, by what is known of them outside it too; `part` is the window, filled in."""
-    samples = side_by_side(record.channels, dynamics.inputs, record.n)
-    if np.isfinite(samples).all():
-        return interpolant(require_time(record, "a free run"), samples, interpolation)[window]
-    samples = side_by_side(part.channels, dynamics.inputs, part.n)
-    return interpolant(require_time(part, "a free run"), samples, interpolation)
+    whole = all(np.isfinite(record[name]).all() for name in dynamics.inputs)
+    source = record if whole else part
+    columns = {name: np.asarray(source[name]) for name in dynamics.inputs}
+    out = between(dynamics.roles, require_time(source, "a free run"), columns, interpolation)
+    return out[window] if whole else out
 
 
 def _beginning(

@@ -30,11 +30,11 @@ class Series(NamedTuple):
     samples : (n, M) array
         Of `Layout.channels`; NaN where there is none.
     inputs : (n, m, 4) array
-        The exact inputs, from `bayeq.ode.rk4.interpolant`.
+        What `Layout.given` names, from `bayeq.ode.rk4.interpolant`.
     spread : (n, M) array
         Variance of the noise of each sample as a multiple of its channel's.
     unresolved : (n, M) array
-        Variance that each sample has besides: of what the mean of signs leaves out.
+        Variance that each sample has besides: of what the mean of jumps leaves out.
     """
 
     intervals: Floats
@@ -210,7 +210,7 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
 def _terms(layout: Layout, states: Floats, inputs: Floats) -> Floats:
     """Candidates and the constant at some states, (n, P + 1)."""
     columns = dict(zip(layout.names, np.asfortranarray(states).T, strict=True))
-    columns |= dict(zip(layout.exact, inputs.T, strict=True))
+    columns |= dict(zip(layout.given, inputs.T, strict=True))
     out = np.ones((len(states), len(layout.terms) + 1))
     out[:, :-1] = evaluate_terms(layout.blurred, columns)
     return out

@@ -230,8 +230,8 @@ def fit_record(
         One that `suits`.
     terms : sequence of Expression
         The P candidates.
-    log_odds : (P + 1,) array
-        Of each candidate, and of the constant, not being zero.
+    log_odds : (P + 1,) or (C, P + 1) array
+        Of each candidate, and of the constant, not being zero; of all equations or of each.
     grams : sequence of Gram
         Of the smoothed rows, one per equation.
 
@@ -244,8 +244,9 @@ def fit_record(
     try:
         with np.errstate(all="ignore"):
             some, places = _stretches(motion)
-            start = start_from(some, terms, grams)
-            odds = np.tile(log_odds, start.layout.chains)
+            log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
+            start = start_from(some, terms, grams, log_odds[:, :-1] > -np.inf)
+            odds = log_odds.ravel()
             known = all(map(motion.sensors.noisy, motion.roles.inputs))
             others = [] if known else [partial(with_exact_inputs, some, kind=kind) for kind in EXACT]
             found = search(Task(start.layout, start.series, start.precision, odds), start.states, others)
@@ -288,7 +289,7 @@ def refit_record(
         found = None
     if found is not None and found.own and found.kappa.max() < ADEQUATE:
         return found
-    other = fit_record(motion, terms, former.task.log_odds[former.block(0)], grams)
+    other = fit_record(motion, terms, former.task.log_odds.reshape(-1, former.width), grams)
     pairs = [one for one in (found, other) if one is not None]
     return max(pairs, key=lambda one: one.fitted.evidence, default=None)
 

@@ -35,7 +35,7 @@ from bayeq.likelihood.fit import (
 )
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear, Series
-from bayeq.likelihood.signs import arguments_of_signs, error_where_it_changes, variance_of_signs
+from bayeq.likelihood.signs import error_where_it_changes, jumps_of, variance_of_jumps
 
 __all__ = ["ADEQUATE", "Fitted", "Task", "fit", "resumed", "search", "with_mean_signs", "with_model"]
 
@@ -308,36 +308,37 @@ def suited(task: Task, state: State) -> Task:
 
 
 def with_mean_signs(task: Task, state: State) -> Task:
-    """The task with signs averaged over the errors of what they are taken of."""
+    """The task with signs, and other jumps, averaged over the errors of what they are taken of."""
     layout = task.layout
-    arguments = {argument for term in layout.terms for argument in arguments_of_signs(term.tree)}
-    if not arguments:
+    jumps = {jump for term in layout.terms for jump in jumps_of(term.tree)}
+    if not jumps:
         return task
-    errors, blur = dict.fromkeys(arguments, 0.0), dict.fromkeys(arguments, 0.0)
+    errors: dict[Node, float] = dict.fromkeys(jumps, 0.0)
+    blur: dict[Node, float] = dict.fromkeys(jumps, 0.0)
     for one, linear in zip(task.series, task.linearised(state), strict=True):
         columns = dict(zip(layout.names, linear.path.T, strict=True))
-        columns |= dict(zip(layout.exact, one.inputs[:, :, 0].T, strict=True))
+        columns |= dict(zip(layout.given, one.inputs[:, :, 0].T, strict=True))
         # the future determines a sample as well as the past does
         covariance = 0.5 * run_filter(linear, state.chosen, state.levels.noise).covariance
-        for argument in arguments:
-            error, width = error_where_it_changes(argument, columns, covariance)
-            errors[argument], blur[argument] = max(errors[argument], error), max(blur[argument], width)
-    series = tuple(_with_variance_of_signs(task, state, k, blur, errors) for k in range(len(task.series)))
+        for jump in jumps:
+            error, width = error_where_it_changes(jump, columns, covariance)
+            errors[jump], blur[jump] = max(errors[jump], error), max(blur[jump], width)
+    series = tuple(_with_variance_of_jumps(task, state, k, blur, errors) for k in range(len(task.series)))
     return replace(task, layout=replace(layout, blur=blur), series=series)
 
 
-def _with_variance_of_signs(
+def _with_variance_of_jumps(
     task: Task, state: State, k: int, blur: Mapping[Node, float], errors: Mapping[Node, float]
 ) -> Series:
-    """A record whose targets have beside their noise what the mean of signs leaves out."""
+    """A record whose targets have beside their noise what the mean of jumps leaves out."""
     layout, one, chosen = task.layout, task.series[k], state.chosen
     columns = dict(zip(layout.names, state.paths[k].T, strict=True))
-    columns |= dict(zip(layout.exact, one.inputs[:, :, 0].T, strict=True))
+    columns |= dict(zip(layout.given, one.inputs[:, :, 0].T, strict=True))
     unresolved = np.zeros(one.unresolved.shape)
     for i in np.flatnonzero(layout.kinds < 0):
         own = np.flatnonzero((chosen.chain == -1 - layout.kinds[i]) & (chosen.term < len(layout.terms)))
         terms = [layout.terms[j] for j in chosen.term[own]]
-        unresolved[:, i] = variance_of_signs(terms, state.theta[own], columns, blur, errors)
+        unresolved[:, i] = variance_of_jumps(terms, state.theta[own], columns, blur, errors)
     return one._replace(unresolved=unresolved)
 
 

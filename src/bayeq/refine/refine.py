@@ -119,7 +119,7 @@ def refine(
     if interpolation is not None:
         kinds = [interpolation]
     rows = _rows(dynamics, records, smooth, holdout, sensors)
-    whole = {kind: [(r.interpolated(dynamics.inputs, kind), cut) for r, cut in rows] for kind in kinds}
+    whole = {kind: [(r.interpolated(dynamics.roles, kind), cut) for r, cut in rows] for kind in kinds}
     means = dynamics.mean
     measured = {kind: _measured(dynamics, means, whole[kind], known, sensors) for kind in kinds}
     found = output_error(list(measured.values()), means)
