@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
+from typing import Any
 
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.equation.build import build_equations, with_doubts
@@ -21,7 +22,7 @@ from bayeq.errors import (
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.record_fit import refit_record, suits
-from bayeq.records import Record, check_messages, split_at_gaps
+from bayeq.records import Record, as_records, check_messages, split_at_gaps
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.joint import fit_equations, record_of
@@ -61,7 +62,7 @@ MOST_BRIDGED = 0.05
 
 # The parameters are those of the public contract; all but the records have defaults.
 def discover(
-    records: Record | Sequence[Record],
+    records: Any,
     *,
     chains: str | Sequence[str] | None = None,
     displacement: str | None = None,
@@ -82,13 +83,14 @@ def discover(
     gain_sd: Mapping[str, float | str] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    t: Any = None,
 ) -> Equations:
     """Find the governing equations of measured motion.
 
     Parameters
     ----------
-    records : Record or sequence of Record
-        Measured channels; several records of the same system are used together.
+    records : Record, path, DataFrame, mapping of str to array_like, object with `u`, `y`, or sequence of such
+        Measured channels (`bayeq.records.as_record`); several records of the same system are used together.
     chains : sequence of str, optional
         A coordinate and its measured derivatives each: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order). In ``"::a"``,
         only the acceleration measured, the coordinate is called x; where another chain or an input has that name, as
@@ -143,6 +145,8 @@ def discover(
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional
         Called with (stage, done, total).
+    t : str or array_like, optional
+        The column that is time, of files and data frames, or sampling times [s] of arrays.
 
     Returns
     -------
@@ -179,7 +183,7 @@ def discover(
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
 
     step("states", 0, 1)
-    pieces, roles, share = _prepared(_as_records(records), roles, smooth, holdout, log)
+    pieces, roles, share = _prepared(as_records(records, t), roles, smooth, holdout, log)
     sensors = known_sensors(noise or {}, gain_sd or {}, roles, pieces)
     motion = estimate_motion(pieces, roles, smooth, share, sensors)
     _warn_of_sensors(motion, {*(noise or {}), *(gain_sd or {})}, log)
@@ -245,13 +249,6 @@ def _check_shares(holdout: float, coarsen: float) -> None:
         raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
     if not 0 < coarsen <= 1:
         raise InputError(f"coarsen is a power of the likelihood, 0 < coarsen <= 1, got {coarsen!r}")
-
-
-def _as_records(records: Record | Sequence[Record]) -> list[Record]:
-    pieces = [records] if isinstance(records, Record) else list(records)
-    if not pieces or not all(isinstance(piece, Record) for piece in pieces):
-        raise InputError("discover needs a Record or a list of Records (bayeq.read, Record.from_arrays)")
-    return pieces
 
 
 def _prepared(

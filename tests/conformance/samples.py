@@ -98,7 +98,7 @@ def uff(path: Path, binary: int = 0) -> None:
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of pyuff about itself
-        pyuff.UFF(str(path)).write_sets(sets, mode="overwrite")
+        pyuff.UFF(str(path)).write_sets(sets, mode="add")  # "overwrite" loses binary ones
 
 
 def tdms(path: Path) -> None:

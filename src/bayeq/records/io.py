@@ -134,6 +134,9 @@ def _pieces(path: Path, request: Request, names: list[str] | str | None) -> list
     row = format_of(path)
     if row.nested is not None:
         return read_pieces(row.nested.channels(path), str(path), request, names)
+    starred = [name for name in (*(request.names or ()), request.time or "") if STAR in name]
+    if starred:
+        raise InputError(f"{path}: {starred[0]!r}: the file is one table, without arrays to count; leave out {STAR}")
     if row.flat is None:
         raise InputError(f"{path}: {row.title} cannot be read")
     return [(request, row.flat.read_columns(path, names=names, chosen=request.rows))]

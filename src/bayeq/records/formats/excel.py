@@ -119,7 +119,7 @@ def _xls_row(xlrd: Any, book: Any, cells: Iterable[Any]) -> list[Any]:
 
 def _write_text(rows: Iterable[Iterable[Any]], path: Path) -> bool:
     """Write a sheet as text separated by tabs; whether it holds a number."""
-    numbers = False
+    numbers, width = False, 0
     with path.open("w", encoding="utf-8") as file:
         for row in rows:
             cells = list(row)
@@ -127,6 +127,9 @@ def _write_text(rows: Iterable[Iterable[Any]], path: Path) -> bool:
                 cells.pop()
             if len(cells) > MOST_COLUMNS:
                 raise FileFormatError(f"{len(cells)} columns; at most {MOST_COLUMNS} are read")
+            width = max(width, len(cells))
+            if cells:  # an empty cell at the end of a row is a missing sample
+                cells += [None] * (width - len(cells))
             numbers = numbers or any(isinstance(cell, (int, float)) for cell in cells)
             file.write("\t".join(map(_cell, cells)) + "\n")
     return numbers

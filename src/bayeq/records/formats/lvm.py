@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bayeq.errors import FileFormatError
+from bayeq.records.formats.cells import unit_cell
 from bayeq.records.formats.layout import encodings
 from bayeq.records.formats.nested import Channel
 
@@ -110,12 +111,16 @@ def _segment(
                 names[column],
                 size,
                 lambda values=values: values,  # type: ignore[misc]
-                unit=(about.get("Y_Unit_Label", [])[k : k + 1] or [""])[0] or None,
+                unit=_unit((about.get("Y_Unit_Label", [])[k : k + 1] or [""])[0]),
                 step=step if np.isfinite(step) and step > 0 else None,
                 start=_number(about.get("X0"), k, 0.0, where),
             )
         )
     return found
+
+
+def _unit(label: str) -> str | None:
+    return (unit_cell(label) or label) or None
 
 
 def _number(values: Sequence[str] | None, k: int, otherwise: float, where: str) -> float:

@@ -73,10 +73,15 @@ def find_table(rows: Sequence[str]) -> Table | None:
         return None
     head: list[list[str]] = []
     for cells in reversed(above[-_HEAD:]):
-        if cells is None or any(map(is_number, cells)):
+        # above a row of units stand names, even if some are numbers of channels
+        named = len(head) == 1 and _unit_row(head[0]) is not None
+        if cells is None or (any(map(is_number, cells)) and (not named or all(map(is_number, cells)))):
             break
         head.insert(0, cells)
-    return Table(start, delimiter, _names(head), stated_step(rows[:start]))
+    names = _names(head)
+    if names is not None:
+        names = _with_stated_units(names, above)
+    return Table(start, delimiter, names, stated_step(rows[:start]))
 
 
 def _is_data(row: str, delimiter: str | None, width: int) -> bool:
@@ -125,6 +130,16 @@ def _unit_row(cells: Sequence[str]) -> list[str] | None:
     """The units of a row in which every cell is one (or Campbell's marks of time and number); None if it is not."""
     units = ["" if cell in ("TS", "RN") else unit_cell(cell) for cell in cells]
     return [unit or "" for unit in units] if any(units) and None not in units else None
+
+
+def _with_stated_units(names: list[str], above: Sequence[list[str] | None]) -> list[str]:
+    """Names with the units of a line such as ``Vertical Units,V,A``, which has one for every channel but the first."""
+    for cells in above:
+        if cells is not None and cells[0].casefold() in ("vertical units", "units", "unit", "einheit", "einheiten"):
+            units = [unit_cell(cell) for cell in cells[1:]]
+            if all(units) and not any("[" in name or "(" in name for name in names[1:]):
+                return [names[0], *with_units(names[1:], [unit or "" for unit in units])]
+    return names
 
 
 def with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
