@@ -93,7 +93,7 @@ HEADERS = {
         {"CH1": 0.12, "CH2": 1.5}, {"CH1": "V", "CH2": "V"}, 312500, -6.4e-6,
     ),
     "rigol.csv": Header(
-        "layout after Rigol DS1000Z, waveform CSV: a row counter, start and increment beside the names (time from zero)",
+        "layout after Rigol DS1000Z, waveform CSV: a row counter, the increment beside the names",
         {"CH1": 1.2, "CH2": 0.02}, {"CH1": "V", "CH2": "V"}, 100000,
     ),
     "keysight.csv": Header(

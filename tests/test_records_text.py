@@ -168,7 +168,7 @@ def test_suffixes(tmp_path: Path) -> None:
     assert read(put(tmp_path, "1 2\n", "run.asc")).names == ("c1", "c2")
     with pytest.raises(FileFormatError, match=r"no format for the suffix '.bin', and not text; known: .csv"):
         read(put(tmp_path, b"\x00", "run.bin"))
-    with pytest.raises(FileFormatError, match=r"no format is written for the suffix '.xyz'; written are: .csv"):
+    with pytest.raises(FileFormatError, match=r"no format for the suffix '.xyz' is written; written are: .csv"):
         write(Record.from_arrays(x=[1.0]), tmp_path / "run.xyz")
     with pytest.raises(FileFormatError, match="there is no directory"):
         read(tmp_path / "nowhere" / "run.csv")

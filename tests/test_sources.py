@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,8 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.cli.channels import named_channels
 from bayeq.errors import FileFormatError, InputError, RecordError, UnknownNameError
-from bayeq.records import Record, as_record, as_records, join, read
+from bayeq.records import FORMATS, Record, as_record, as_records, join, read
+from bayeq.records.formats import limits
 from tests.data import measured
 
 FS = 100.0
@@ -195,16 +197,17 @@ def test_sources_that_are_none(source: object, t: object, message: str) -> None:
 def test_discover_takes_a_path_a_frame_arrays_and_objects(tmp_path: Path) -> None:
     rec = bq.simulate("linear", n=400, seed=0)
     bq.write(rec, tmp_path / "run.csv")
-    roles = dict(displacement="x", velocity="v", acceleration="a", force="u", dictionary="x, v, u", smooth="none")
+    roles = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
+    options = {**roles, "dictionary": "x, v, u", "smooth": "none"}
     arrays = dict(rec.channels)
-    wanted = bq.discover(rec, **roles)[0].coef
+    wanted = bq.discover(rec, **options)[0].coef
     for source, t in (
         (tmp_path / "run.csv", None),
         (str(tmp_path / "run.csv"), "t"),
         (rec.to_dataframe(), None),
         (arrays, rec.time),
     ):
-        assert bq.discover(source, **roles, t=t)[0].coef == pytest.approx(wanted)
+        assert bq.discover(source, **options, t=t)[0].coef == pytest.approx(wanted)
 
 
 def test_join_on_the_time_of_the_first() -> None:
@@ -273,7 +276,7 @@ def test_names_of_options() -> None:
     for text, message in (("2x=Y[0]", "write name=path"), ("x=", "write name=path"), ("=Y", "write name=path")):
         with pytest.raises(InputError, match=message):
             named_channels({"displacement": text})
-    with pytest.raises(InputError, match="the name 'x' is given to two channels, Y.0 and Y.1"):
+    with pytest.raises(InputError, match=r"the name 'x' is given to two channels, Y\.0 and Y\.1"):
         named_channels({"displacement": "x=Y.0", "velocity": "x=Y.1"})
 
 
@@ -335,3 +338,21 @@ def test_the_measured_pendulum() -> None:
     assert all(record.fs == pytest.approx(1000) for record in records)
     one = read(path, channels={"th": "Y_vad[1].0"}, time="Time_vad[1]")
     assert one.n == 9166
+
+
+def test_the_page_lists_every_format() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "files.md").read_text(encoding="utf-8")
+    for row in FORMATS:
+        suffixes = " ".join(f"`{suffix}`" for suffix in row.suffixes)
+        extra = f"`{row.extra}`" if row.extra else ""
+        assert f"| {row.title} | {suffixes} | {'yes' if row.writer else 'no'} | {extra} | {row.keeps} |\n" in page
+    assert f"{limits.MOST_COLUMNS:,} columns" in page
+    assert f"more than {limits.MOST_RATIO} times" in page
+    assert f"{limits.MOST_BYTES // 2**30} GiB" in page
+
+
+def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "files.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    exec(compile(block, "files.md", "exec"), {})  # noqa: S102  # the page's own example

@@ -162,7 +162,7 @@ def write(record: Record, path: str | os.PathLike[str]) -> None:
     module = known.get(path.suffix.lower())
     if module is None:
         raise FileFormatError(
-            f"{path}: no format is written for the suffix {path.suffix!r}; written are: {', '.join(known)}"
+            f"{path}: no format for the suffix {path.suffix!r} is written; written are: {', '.join(known)}"
         )
     try:
         with replacing(path) as part:
