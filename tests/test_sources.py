@@ -177,7 +177,7 @@ def test_sources(tmp_path: Path) -> None:
     ("source", "t", "message"),
     [
         (3.0, None, "no record can be made of float"),
-        ([], None, "no record is given"),
+        ([], None, "no Record is given"),
         ([1.0, 2.0], None, "no record can be made of float"),
         (Record({"x": T}), T, "a Record has its own time"),
         ("run.csv", T, "t names the column that is time"),

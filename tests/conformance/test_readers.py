@@ -76,7 +76,7 @@ def test_channels_are_renamed_and_a_rate_replaces_time(name: str, path: Path) ->
 def refusal(path: Path) -> str | None:
     """What a file is refused with; None if it is read."""
     try:
-        read(path, fs=1.0)
+        read(path)
     except InputError as error:
         return str(error)
     return None
@@ -112,14 +112,14 @@ def test_a_damaged_copy_is_read_or_refused_in_one_line(name: str, path: Path) ->
 
 def test_nothing_but_the_beginning(name: str, path: Path) -> None:
     whole = path.read_bytes()
-    for size in (0, 1, 8, len(whole) // 2):
+    for size in (0, 1, 8, 2 * len(whole) // 3):
         path.write_bytes(whole[:size])
         try:
-            record = read(path, fs=1.0, **choose(name))
+            record = read(path, **choose(name))
         except InputError as error:
             assert path.name in str(error)  # noqa: PT017
         else:  # text goes on to where it ends
-            assert name in ("delimited text", "WAV")
+            assert name == "delimited text"
             assert isinstance(record, Record)
             assert record.n < len(X)
 

@@ -37,7 +37,7 @@ def as_records(source: Any, t: Any = None) -> list[Record]:
     else:
         records = [as_record(source, t)]
     if not records:
-        raise InputError("no record is given")
+        raise InputError("no Record is given")
     return records
 
 

@@ -118,7 +118,7 @@ class _Tree:
             self._refuse(place, "put together from other files")
         if node.shape is None or "MATLAB_empty" in node.attrs:
             return None
-        kind = _text(node.attrs.get("MATLAB_class"))
+        kind = _text(_attribute(node, "MATLAB_class"))
         if self.h5py.check_ref_dtype(node.dtype) is self.h5py.Reference:
             return self.cells(node, place, depth)
         if self.h5py.check_string_dtype(node.dtype) is not None:
@@ -164,14 +164,25 @@ def _about(node: Any) -> dict[str, Any]:
     """The unit and the time step that attributes state."""
     out: dict[str, Any] = {}
     for name in node.attrs:
-        value = node.attrs[name]
         if name.casefold() in ("unit", "units"):
-            unit = _text(value)
+            unit = _text(_attribute(node, name))
             if unit:
                 out["unit"] = unit
-        elif name in (*STEP_NAMES, *RATE_NAMES) and (step := step_of(name, value)) is not None:
+        elif name in (*STEP_NAMES, *RATE_NAMES) and (step := step_of(name, _attribute(node, name))) is not None:
             out["step"] = step
     return out
+
+
+def _attribute(node: Any, name: str) -> Any:
+    """The value of an attribute that is one text or one number; None of others, or if there is none.
+
+    Damaged attributes of other types, sequences of varying length among them, crash the HDF5 library itself.
+    """
+    if name not in node.attrs:
+        return None
+    h5t, attribute = _h5py().h5t, node.attrs.get_id(name)
+    plain = attribute.get_type().get_class() in (h5t.STRING, h5t.INTEGER, h5t.FLOAT)
+    return node.attrs[name] if plain and attribute.get_space().get_simple_extent_npoints() == 1 else None
 
 
 def _text(value: Any) -> str:

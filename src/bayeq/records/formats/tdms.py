@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bayeq.errors import MissingExtraError
+from bayeq.errors import FileFormatError, MissingExtraError
 from bayeq.records.formats.limits import check_array, reading
 from bayeq.records.formats.nested import Channel
 
@@ -36,11 +37,15 @@ def channels(path: Path) -> list[Channel]:
     """
     try:
         from nptdms import TdmsFile
+        from nptdms.log import log_manager
     except ImportError:
         raise MissingExtraError("npTDMS", "files", "reading TDMS files") from None
     where, size = str(path), path.stat().st_size
     found: list[Channel] = []
+    log_manager.set_level(logging.CRITICAL)  # what it finds is one line of ours
     with reading(where, "TDMS file"), path.open("rb") as raw, TdmsFile.open(raw) as file:
+        if file.file_status.incomplete_final_segment:
+            raise FileFormatError(f"{where}: the last segment is incomplete; the file is cut off")
         every = [(group.name, channel) for group in file.groups() for channel in group.channels()]
         count = Counter(channel.name for _, channel in every)
         for group, channel in every:
