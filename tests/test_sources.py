@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import bayeq as bq
@@ -139,6 +139,32 @@ def test_faults_below_a_preamble_keep_their_place(tmp_path: Path) -> None:
         read(put(tmp_path, text))
     with pytest.raises(FileFormatError, match="line 5, column 'when': 'later' is not a time stamp"):
         read(put(tmp_path, "when,x\n12:00:00,1\n12:00:01,2\n12:00:02,3\nlater,4\n"))
+
+
+words = st.sampled_from(["oops", "run 7", "", "NA", "5", "a,b", "1,2,3"])
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    width=st.integers(2, 4), count=st.integers(3, 8), header=st.booleans(), faults=st.lists(
+        st.tuples(st.integers(0, 7), words), max_size=2, unique_by=lambda fault: fault[0]
+    ),
+)  # fmt: skip
+def test_no_row_is_lost_to_a_preamble(
+    tmp_path: Path, width: int, count: int, header: bool, faults: list[tuple[int, str]]
+) -> None:
+    """Faulty rows below a header are refused or kept; they are never taken for a preamble."""
+    rows = [[f"{k + 0.5}"] * width for k in range(count)]
+    for row, word in faults:
+        if row < count:
+            rows[row][-1] = word
+    names = [["t", "x", "y", "z"][:width]] if header else []
+    path = put(tmp_path, "\n".join(",".join(cells) for cells in [*names, *rows]) + "\n")
+    try:
+        record = read(path)
+    except InputError:
+        return
+    assert record.n == count
 
 
 class Benchmark:
@@ -299,7 +325,7 @@ def test_the_command_on_a_nested_file(tmp_path: Path, capsys: pytest.CaptureFixt
     path = tmp_path / "run.mat"
     savemat(path, {"Y": pieces, "other": np.arange(99.0)})
     roles = ("--disp", "x=Y[0].1", "--vel", "v=Y[0].2", "--acc", "a=Y[0].3", "--force", "u=Y[0].4")
-    code, out, _ = run(capsys, path, *roles, "--time", "Y[0].0", *FAST)
+    code, out, _ = run(capsys, path, *roles, "--time", "t=Y[0].0", *FAST)
     assert code == 0
     one = json.loads(out)
     assert one["data"]["n"] == 400

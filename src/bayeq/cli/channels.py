@@ -8,7 +8,7 @@ from typing import Any
 
 from bayeq.errors import InputError
 
-__all__ = ["ROLES", "named_channels"]
+__all__ = ["ROLES", "named_channels", "path_of"]
 
 ROLES = ("displacement", "velocity", "acceleration", "force")
 # An index of a path, which no name has.
@@ -44,6 +44,18 @@ def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str
     if out.get("chains"):
         out["chains"] = [named.parts(text) for text in out["chains"]]
     return out, named.paths if named.any_path else {}
+
+
+def path_of(text: str | None) -> str | None:
+    """The path of a channel whose name does not matter, as of time: ``t=Time_id[0]`` is that of ``Time_id[0]``.
+
+    Examples
+    --------
+    >>> path_of("t=Time_id[0]"), path_of("Time [s]"), path_of(None)
+    ('Time_id[0]', 'Time [s]', None)
+    """
+    name, equals, path = (text or "").partition("=")
+    return path.strip() if equals and name.strip().isidentifier() and path.strip() else text
 
 
 class Names:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayeq.cli.channels import named_channels
+from bayeq.cli.channels import named_channels, path_of
 from bayeq.cli.options import FILE, option
 from bayeq.cli.outputs import OUTPUTS, Outputs
 from bayeq.cli.reading import join_records, read_records
@@ -61,7 +61,7 @@ class Progress:
 
 @click.command()
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
-@option("--time", help="Time column [s].")
+@option("--time", help="Time column [s], or the path of an array.")
 @option("--fs", type=float, help="Sampling frequency [Hz], where there is no time column.")
 @option("--names", help="Column names, separated by commas, for a file without header.")
 @option("--group", help="Column that numbers the trials within a file.")
@@ -164,6 +164,7 @@ def discover(files: tuple[Path, ...], as_json: bool, **options: Any) -> None:
     """
     outputs = Outputs(**{name: options.pop(name) for name in OUTPUTS})
     reading = {name: options.pop(name) for name in READING}
+    reading["time"], reading["group"] = path_of(reading["time"]), path_of(reading["group"])
     joined = options.pop("join")
     options, paths = named_channels(options)
     outputs.check(files, options)

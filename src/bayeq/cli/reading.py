@@ -38,6 +38,7 @@ def read_records(
         A file that cannot be read, a channel that is not there, a rate that contradicts the file.
     """
     from bayeq.records import read
+    from bayeq.records.names import is_time_name
 
     names = options["names"]
     options = {**options, "names": None if names is None else [name.strip() for name in names.split(",")]}
@@ -55,9 +56,8 @@ def read_records(
     records = found if isinstance(found, list) else [found]
     if options["fs"] is not None:
         for record in records:
-            for name in ("t", "time", "Time"):
-                if name in record.names:
-                    _require_rate(record, name)
+            for name in filter(is_time_name, record.names):
+                _require_rate(record, name)
     return records
 
 
@@ -93,9 +93,12 @@ def _require_rate(record: Record, name: str) -> None:
     """Refuse an --fs that contradicts a column that looks like time (with --fs it is read as a channel)."""
     import numpy as np
 
+    from bayeq.records.validate import SECONDS
+
     with np.errstate(invalid="ignore"):  # of infinite times
         steps = np.diff(record[name])
-    step = float(np.median(steps)) if len(steps) else 0.0
+    # a unit such as ms is that of the column, which is a channel here
+    step = float(np.median(steps)) * SECONDS.get(record.units.get(name, "s"), 1.0) if len(steps) else 0.0
     if record.fs is not None and step > 0 and not 0.99 < record.fs * step < 1.01:
         raise InputError(
             f"{record.name}: --fs {record.fs:g} contradicts column {name!r}, whose median step is {step:g}; leave --fs"

@@ -67,8 +67,10 @@ def find_table(rows: Sequence[str]) -> Table | None:
     if rigol is not None:
         return rigol
     above = [_cells(row, delimiter, width) for row in rows[:start]]
-    if start == 2 and above[0] is not None and is_words(above[0]):
-        return None  # a header and a row of units, or a header and a faulty row
+    # below a header are units, or faulty rows
+    faulty = start == 2 or any(cells is not None and is_number(cells[0]) for cells in above[1:])
+    if faulty and above[0] is not None and is_words(above[0]):
+        return None
     if above[-1] is not None and not is_words(above[-1]):
         return None
     head: list[list[str]] = []
