@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -87,6 +88,43 @@ def test_what_cannot_be_one_record_is_refused(cells: Path) -> None:
         read(cells, channels={"th": "Y_id[9].0"})
     with pytest.raises(RecordError, match="cannot name a channel in a term"):
         read(cells, channels={"2x": "Y_id[0].0"}, fs=1)
+
+
+def test_structs_and_cells_of_v73_are_named_as_those_of_v5(tmp_path: Path) -> None:
+    """An array of structs, with cells in a field, as MATLAB saves it with -v7.3 and with -v7."""
+    h5py = pytest.importorskip("h5py")
+    from scipy.io import savemat
+
+    def as_class(dataset: Any, name: str) -> Any:
+        dataset.attrs["MATLAB_class"] = np.bytes_(name)
+        return dataset
+
+    path = tmp_path / "new.mat"
+    with h5py.File(path, "w") as file:
+        kept, runs = file.create_group("#refs#"), as_class(file.create_group("runs"), "struct")
+        x, y = [], []
+        for k in range(2):
+            x.append(as_class(kept.create_dataset(f"x{k}", data=T[None, :] + k), "double").ref)
+            piece = as_class(kept.create_dataset(f"p{k}", data=np.column_stack([T, T + k])), "double").ref
+            y.append(as_class(kept.create_dataset(f"y{k}", data=np.array([[piece]], h5py.ref_dtype)), "cell").ref)
+        runs.create_dataset("x", data=np.array([x], h5py.ref_dtype).T)
+        runs.create_dataset("y", data=np.array([y], h5py.ref_dtype).T)
+        words = as_class(file.create_dataset("words", data=np.arange(N, dtype=np.uint32)[None, :]), "string")
+        words.attrs["MATLAB_object_decode"] = 3
+        file.create_group("sparse").attrs["MATLAB_sparse"] = N
+    old = tmp_path / "old.mat"
+    structs = np.zeros((1, 2), [("x", object), ("y", object)])
+    for k in range(2):
+        structs[0, k]["y"] = np.empty((1, 1), object)
+        structs[0, k]["x"], structs[0, k]["y"][0, 0] = T[:, None] + k, np.vstack([T, T + k])
+    savemat(old, {"runs": structs})
+    for file_of in (path, old):
+        records = read(file_of, channels={"x": "runs[*].x", "y": "runs[1].y[0].1"}, fs=FS)
+        assert [record["x"][0] for record in records] == [0.0, 1.0]
+        assert records[0]["y"][0] == 1.0
+        assert read(file_of, fs=FS).names == tuple(
+            f"runs_{k}_{name}" for k in (0, 1) for name in ("x", "y_0_0", "y_0_1")
+        )
 
 
 def test_channels_of_a_table_are_renamed(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ __all__ = ["channels", "write"]
 
 _MARK = "bayeq"  # an attribute of files that bayeq wrote: arrays of one number are channels there
 _KIND = "HDF5 file"
+_NUMBERS = frozenset({"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64))})
 
 
 def _h5py() -> Any:
@@ -108,10 +109,23 @@ class _Tree:
         if depth > DEEPEST or self.visited > 2 * MOST_ARRAYS:
             raise FileFormatError(f"{self.path}: {place[:60]!r} is nested too deeply, or refers to itself")
         if isinstance(node, self.h5py.Group):
-            return self.group(node, depth)
+            if "MATLAB_sparse" in node.attrs:
+                return None
+            fields = self.group(node, depth)
+            return _by_index(fields) if self.is_struct_array(node) else fields
         if isinstance(node, self.h5py.Dataset):
             return self.dataset(node, place, depth)
         return None
+
+    def is_struct_array(self, group: Any) -> bool:
+        """Whether a group is MATLAB's array of structs: every field refers to its value in each of them."""
+        fields = [group[name] for name in group if isinstance(group.get(name, getlink=True), self.h5py.HardLink)]
+        return bool(fields) and all(
+            isinstance(field, self.h5py.Dataset)
+            and self.h5py.check_ref_dtype(field.dtype) is self.h5py.Reference
+            and _attribute(field, "MATLAB_class") is None
+            for field in fields
+        )
 
     def dataset(self, node: Any, place: str, depth: int) -> Any:
         if node.is_virtual or node.external:
@@ -125,6 +139,8 @@ class _Tree:
             return _text(node[()]) if node.size == 1 else None
         if kind == "char":
             return "".join(map(chr, np.ravel(node[...]).tolist())) if node.size < 200 else None
+        if kind and kind not in _NUMBERS:
+            return None  # MATLAB's strings, tables, functions
         about = _about(node)
         if self.own and node.ndim == 1:
             about["single"] = True
@@ -158,6 +174,15 @@ class _Tree:
         raise FileFormatError(
             f"{self.path}: {place!r} is {what}, which is not followed; copy the samples into the file"
         )
+
+
+def _by_index(fields: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Fields of an array of structs as structs by their index."""
+    indices = {index: None for cells in fields.values() if isinstance(cells, Mapping) for index in cells}
+    return {
+        index: {name: cells.get(index) for name, cells in fields.items() if isinstance(cells, Mapping)}
+        for index in indices
+    }
 
 
 def _about(node: Any) -> dict[str, Any]:
