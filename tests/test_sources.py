@@ -378,6 +378,20 @@ def test_the_command_on_a_nested_file(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "no column named 'Y[7].1'" in err
 
 
+def test_a_rate_that_contradicts_time_is_refused_by_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = "\n".join(f"{k},{k % 7},{k % 5}" for k in range(60))
+    path = put(tmp_path, f"Zeit [ms],x,u\n{rows}\n")
+    for disp in ("x", "q=x"):
+        code, _, err = run(capsys, path, "--disp", disp, "--fs", 5, "--json")
+        assert code == 2
+        assert "--fs 5 contradicts" in err
+    nothing = put(tmp_path, f"tempo [ms],x,u\n{rows.replace('59,', '3,')}\n", "still.csv")
+    code, _, err = run(capsys, nothing, "--disp", "q=nothing", "--fs", 5)
+    assert (code, "no column named 'nothing'" in err) == (2, True)
+
+
 def test_the_command_joins_two_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rec = bq.simulate("linear", n=400, seed=0)
     parts = (("x", "v", "a"), ("u",))

@@ -47,6 +47,8 @@ def read_records(
         found = _read_those_there(file, dict(paths) or {name: name for name in used}, options)
     elif paths:
         found = read(file, channels=paths, **options)
+        if options["fs"] is not None:
+            _require_rate_of_file(file, paths, options)
     else:
         try:
             found = read(file, **options)
@@ -87,6 +89,22 @@ def join_records(parts: Sequence[Sequence[Record]]) -> list[Record]:
         counts = ", ".join(str(len(part)) for part in parts)
         raise InputError(f"--join: the files hold different numbers of records: {counts}")
     return [join(*together) for together in zip(*parts, strict=True)]
+
+
+def _require_rate_of_file(file: Path, paths: Mapping[str, str], options: Mapping[str, Any]) -> None:
+    """Refuse an --fs that contradicts the time of a file, of which only the channels that are named are read."""
+    from bayeq.records import read
+
+    try:
+        found = read(file, channels=paths, **{**options, "fs": None})
+    except InputError:
+        return  # what looks like time is none: the rate that is given is all there is
+    for record in found if isinstance(found, list) else [found]:
+        if record.fs is not None and not 0.99 < record.fs / options["fs"] < 1.01:
+            raise InputError(
+                f"{record.name}: --fs {options['fs']:g} contradicts the time in the file, sampled at {record.fs:g} Hz;"
+                " leave --fs out to use it"
+            )
 
 
 def _require_rate(record: Record, name: str) -> None:
