@@ -71,7 +71,7 @@ def join(first: Record, *others: Record) -> Record:
                 f"{_label(other)}: a channel {twice[0]!r} is in another record too; rename or leave out one"
             )
         _check_rates(first, other)
-        channels = {name: _at(joined, other, name) for name in other.names}
+        channels = {name: _at(times[0][rows], other, name) for name in other.names}
         joined = joined.with_channels(
             channels, {name: other.units[name] for name in other.names if name in other.units}
         )
@@ -128,11 +128,10 @@ def _finite(record: Record, name: str) -> tuple[FloatArray, FloatArray]:
     return time[finite], values[finite]
 
 
-def _at(joined: Record, other: Record, name: str) -> FloatArray:
-    """A channel at the rows of the joined record; NaN where the samples beside a row are missing."""
+def _at(wanted: FloatArray, other: Record, name: str) -> FloatArray:
+    """A channel at the times that are wanted; NaN where the samples beside a row are missing."""
     from scipy.interpolate import CubicSpline
 
-    wanted = _time(joined)
     time, values = _finite(other, name)
     if len(time) < 4:
         return np.full(len(wanted), np.nan)

@@ -66,7 +66,7 @@ def in_words(size: int) -> str:
     Examples
     --------
     >>> in_words(2_400_000_000), in_words(2048)
-    ('2.2 GiB', '2 KiB')
+    ('2.24 GiB', '2 KiB')
     """
     for unit, factor in (("GiB", 2**30), ("MiB", 2**20), ("KiB", 2**10)):
         if size >= factor:

@@ -28,7 +28,7 @@ def parse_stamp(text: str) -> Stamp | None:
     Examples
     --------
     >>> parse_stamp("2024-03-01 12:00:01.5"), parse_stamp("0:00:01,25"), parse_stamp("1.5")
-    ((63844977601, 0.5), (1, 0.25), None)
+    ((63844891201, 0.5), (1, 0.25), None)
     """
     match = _STAMP.fullmatch(text.strip().strip("\"'"))
     if match is None:
