@@ -232,6 +232,9 @@ def test_lvm_of_several_segments_and_cut_off(tmp_path):
     assert [record.fs for record in two] == pytest.approx([1000, 1000])
     path.write_text(whole.replace("\t0,500000\t-0,750000\n", ""))
     assert "3 rows where the header states 4; the file is cut off" in refused(path)
+    one = whole.replace("Multi_Headings\tYes", "Multi_Headings\tNo")
+    path.write_text(one + "\t0,625000\t-0,500000\n")  # rows of a second segment under the one header
+    assert read(path)["Acceleration"].tolist() == [0.125, 0.25, 0.375, 0.5, 0.625]
     path.write_text(whole.replace("0,500000", "five"))
     assert "line 27, column 'Acceleration': 'five' is not a number" in refused(path)
 

@@ -43,12 +43,16 @@ def channels(path: Path) -> list[Channel]:
     header, place = _header(lines, 1, where, "\t")
     mark = _SEPARATORS.get(header.get("Separator", ["Tab"])[0].casefold(), "\t")
     comma = header.get("Decimal_Separator", ["."])[0] == ","
+    # otherwise one header stands for all segments, whose rows follow each other
+    several = header.get("Multi_Headings", ["Yes"])[0].casefold() == "yes"
     segments: list[list[Channel]] = []
     while (place := _next(lines, place)) < len(lines):
         about, place = _header(lines, place, where, mark)
-        stop = next((i for i in range(place + 1, len(lines)) if not lines[i].strip()), len(lines))
+        stop = len(lines)
+        if several:
+            stop = next((i for i in range(place + 1, len(lines)) if not lines[i].strip()), len(lines))
         one_x = header.get("X_Columns", ["One"])[0].casefold() == "one"
-        segments.append(_segment(lines, place, stop, about, mark, comma, one_x, where))
+        segments.append(_segment(lines[:stop], place, about, mark, comma, one_x, several, where))
         place = stop
     if not segments:
         raise FileFormatError(f"{where}: a header but no samples")
@@ -87,13 +91,14 @@ def _header(lines: Sequence[str], place: int, where: str, mark: str) -> tuple[di
 
 
 def _segment(
-    lines: Sequence[str], place: int, stop: int, about: dict[str, list[str]], mark: str, comma: bool, one_x: bool,
+    lines: Sequence[str], place: int, about: dict[str, list[str]], mark: str, comma: bool, one_x: bool, several: bool,
     where: str,
 ) -> list[Channel]:  # fmt: skip
+    """The channels of the rows from the line of names to the last."""
     if place >= len(lines):
         raise FileFormatError(f"{where}: a header but no samples")
     names = [name.strip() for name in lines[place].split(mark)]
-    rows = [line.split(mark) for line in lines[place + 1 : stop]]
+    rows = [line.split(mark) for line in lines[place + 1 :] if several or line.strip()]
     ys = [i for i, name in enumerate(names) if name and name not in (_X, "Comment")]
     found: list[Channel] = []
     if one_x and names[0] == _X:
@@ -104,6 +109,8 @@ def _segment(
         size = int(_number(about.get("Samples"), k, len(rows), where))
         if size > len(rows):
             raise FileFormatError(f"{where}: {len(rows)} rows where the header states {size}; the file is cut off")
+        if not several:
+            size = max((i + 1 for i, row in enumerate(rows) if row[column : column + 1] not in ([], [""])), default=0)
         values = _column(rows, column, size, place + 2, names[column], comma, where)
         step = _number(about.get("Delta_X"), k, np.nan, where)
         found.append(
