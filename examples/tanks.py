@@ -20,7 +20,8 @@ def run(example: Example, data: Path) -> None:
         terms = ["y", "sqrt(y)", "y**2", "u", "u**2", "sqrt(u)", "y*u"]
         eq = bq.discover(rec, chains="y", inputs=["u"], dictionary=terms, smooth="band")
         print(eq)
-        print(eq.simulate(other))
+        run = eq.simulate(other)
+        print(run)
     with example.block("second"):
         terms = ["y", "sqrt(y)", "y**2", "dy", "dy*abs(dy)", "sqrt(y)*dy", "y*dy", "u"]
         second = bq.discover(rec, chains="y::", inputs=["u"], dictionary=terms, smooth="band")
@@ -29,7 +30,7 @@ def run(example: Example, data: Path) -> None:
     example.figure = draw(
         [
             eq.simulate(rec).strip(title=f"estimation record: {eq[0].text}"),
-            eq.simulate(other).strip(title="validation record, the same equation"),
+            run.strip(title="validation record, the same equation"),
         ],
         "time [s]",
     )

@@ -188,7 +188,7 @@ def state_space_gaussian(linear, chosen, noise):
         H.append(row.ravel())
         X.append(own)
         y.append(linear.residual[k, channel])
-        R.append(noise.channels[channel])
+        R.append(noise.channels[channel] * linear.spread[k, channel] + linear.unresolved[k, channel])
     H, mean, cov = np.array(H), mean.reshape(n * size, 1 + r), cov.reshape(n * size, n * size)
     design, left = np.array(X) + H @ mean[:, 1:], y - H @ mean[:, 0]
     C = H @ cov @ H.T + np.diag(R)

@@ -13,12 +13,30 @@ from scipy.stats import kstest
 
 import bayeq as bq
 from bayeq.equation.verdict import KINDS, Verdict, doubted, worst
-from bayeq.likelihood.adequacy import Adequacy, Discrepancy, Octave, octaves_of
+from bayeq.likelihood.adequacy import Adequacy, Discrepancy, Octave, chance_of, octaves_of, turn_of
 from bayeq.likelihood.low_pass import feedback, spectrum_of, step_variance
 from bayeq.numerics.beta import incomplete_beta
 from bayeq.selection.alternatives import Alternatives, alternatives_to
 
 NOTHING = Discrepancy(1e-4, 0.0, np.inf, 0.6, (1.0, 2.0))
+
+
+def test_chance_of_a_discrepancy_counts_the_memories_that_were_tried():
+    # white noise without discrepancy: the likeliest size and memory of one, by the likelihood of its spectrum
+    rng, n, draws = np.random.default_rng(11), 512, 20_000
+    power = rng.exponential(size=(draws, n // 2 - 1))
+    angle = 2.0 * np.pi * np.arange(1, n // 2) / n
+    gains = np.zeros(draws)
+    for rho in np.linspace(0.02, 0.98, 30):
+        spectrum = (1.0 - rho**2) / (1.0 - 2.0 * rho * np.cos(angle) + rho**2)
+        more = np.geomspace(1e-3, 10.0, 60)[:, None] * spectrum
+        np.maximum(gains, 2.0 * (power @ (more / (1.0 + more)).T - np.log1p(more).sum(axis=1)).max(axis=1), out=gains)
+    length = turn_of([rng.normal(size=n)])
+    p = np.array([chance_of(gain, length) for gain in gains])
+    # at 5 and 1 %: memories near 1 rest on few frequencies, whose ratios of likelihoods are less than chi-square
+    assert 0.025 < np.mean(p < 0.05) < 0.055
+    assert 0.004 < np.mean(p < 0.01) < 0.012
+    assert np.mean([chance_of(gain, 0.0) < 0.01 for gain in gains]) > 0.02
 
 
 def quietly(*arguments, **options):

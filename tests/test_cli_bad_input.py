@@ -337,17 +337,19 @@ LANGUAGE = "there are numbers, names, + - * / **"
         ('f"{x}"', ["""'"' at column 2 is not allowed""", LANGUAGE]),
         ("x;v", ["';' at column 2 is not allowed", LANGUAGE]),
         ("x := 1", ["':' at column 3 is not allowed"]),
-        ("x == v", ["'=' at column 3 is not allowed", "right-hand side"]),
-        ("x^2", ["use ** for powers"]),
+        ("x == v", ["'==' at column 3 is not allowed", "conditions of where"]),
+        ("x = v", ["'=' at column 3 is not allowed", "right-hand side"]),
+        ("where(x, 1, 2)", ["where needs a condition at column 7"]),
+        ("sin(x", ["missing ')' at column"]),
         ("x\n+v", ["a term is one line"]),
         ("x**", ["malformed"]),
-        ("x)", ["malformed"]),
+        ("x)", ["')' at column 2 closes no bracket"]),
         ("2x", ["'2x' is not a number"]),
         ("x\0", [r"'\x00'", "not allowed"]),
         ("\x1b[31mx*v", ["not allowed"]),
-        ("foo(x)", ["no function 'foo'", "there are: sin, cos"]),
+        ("qqq(x)", ["no function 'qqq'", "there are: sin, cos"]),
         ("sinn(x)", ["no function 'sinn'", "did you mean 'sin'?"]),
-        ("sin(x, v)", ["',' at column 6 is not allowed", "exactly one argument"]),
+        ("sin(x, v)", ["sin takes exactly one argument, not 2"]),
         ("sin()", ["exactly one argument"]),
         ("sin", ["sin is a function and needs its argument"]),
         ("k*x", ["no channel named 'k'", "there are: x, v, u"]),
@@ -390,7 +392,13 @@ def test_terms_that_are_no_terms(run: Run, folder: Path, template: str, term: st
         ("x,,v", ["term 2: empty", "comma"]),
         (",", ["term 1: empty"]),
         ("x,v,x", ["term 3: term 'x' was already given (dictionary, term 1)"]),
-        ("x,v,x+0*t", ["no channel named 't'"]),
+        ("x,v,x+0*q", ["column 5: no channel named 'q'"]),
+        ("oscillator - x**9", ["no term named 'x**9'", "nothing to leave out"]),
+        ("oscillator + q", ["no channel named 'q'"]),
+        ("oscilator + x", ["did you mean the dictionary 'oscillator'?"]),
+        ("neighbours", ["two coordinates or more"]),
+        ("a: oscillator; b: x", ["no equation named 'b'"]),
+        ("b: x; v", ["'v': write the target of its equation in front"]),
         ("a,x", ["no channel named 'a'"]),
         ("1,2", ["no usable term", "1: constant on the data"]),
         ("1/0", ["no usable term", "not finite"]),
@@ -400,6 +408,12 @@ def test_terms_that_are_no_terms(run: Run, folder: Path, template: str, term: st
 def test_bad_dictionaries(run: Run, folder: Path, text: str, parts: list[str]) -> None:
     (folder / "terms.txt").write_text("x\n")
     assert_refused(run("discover", "run.csv", *CHANNELS, "--dictionary", text), *parts)
+
+
+def test_dictionaries_of_equations(run: Run) -> None:
+    one, two = ("--dictionary", "x, v, u"), ("--dictionary", "oscillator:2")
+    assert_refused(run("discover", "run.csv", *CHANNELS, *one, *two), "--dictionary is given more than once")
+    assert "a = " in assert_answered(run("discover", "run.csv", *CHANNELS, "--dictionary", "a: polynomial:1 + sin(x)"))
 
 
 @pytest.mark.parametrize(

@@ -146,7 +146,7 @@ def test_types_of_errors():
     with pytest.raises(UnknownNameError):
         solved("w == 1")
     with pytest.raises(ExpressionError):
-        solved("x ^ 2 == 1")
+        solved("x * * 2 == 1")
 
 
 @pytest.mark.parametrize(

@@ -197,7 +197,7 @@ def test_residual_diagnostics():
         ({**OSCILLATOR, "method": "gibs"}, UnknownNameError, "method"),
         ({**OSCILLATOR, "holdout": 1.0}, InputError, "holdout"),
         ({**OSCILLATOR, "inputs": ["u"]}, InputError, "twice"),
-        ({**OSCILLATOR, "dictionary": ["x", "t"]}, InputError, "'t'"),
+        ({**OSCILLATOR, "dictionary": ["x", "q"]}, InputError, "'q'"),
     ],
 )
 def test_wrong_arguments(options, error, match):

@@ -13,7 +13,7 @@ from studies.adverse_records import CASES, draw_record
 import bayeq as bq
 from bayeq.expressions import Evaluator, Expression, parse
 from bayeq.likelihood.record_fit import suits
-from bayeq.likelihood.signs import arguments_of_signs, error_where_it_changes, mean_of_signs
+from bayeq.likelihood.signs import error_where_it_changes, jumps_of, mean_of_jumps, variance_of_jumps
 from bayeq.states import Roles, estimate_motion
 from bayeq.systems import get_system
 
@@ -239,16 +239,51 @@ def test_a_force_that_jumps_with_the_displacement():
 
 
 def test_the_mean_of_a_sign():
-    argument = parse("x-v").tree
+    jump = parse("sign(x-v)").tree
     term = parse("sign(x-v)*v").tree
-    assert list(arguments_of_signs(term)) == [argument]
-    assert mean_of_signs(term, {}) == term
+    assert list(jumps_of(term)) == [jump]
+    assert mean_of_jumps(term, {}) == term
     rng = np.random.default_rng(0)
     x, v, width = rng.normal(size=200), rng.normal(size=200), 0.3
-    blurred = Evaluator({"x": x, "v": v})(Expression(mean_of_signs(term, {argument: width})))
+    blurred = Evaluator({"x": x, "v": v})(Expression(mean_of_jumps(term, {jump: width})))
     exact = v * erf((x - v) / (np.sqrt(2.0) * width))
     # tanh of the same slope differs from erf by less than 0.06
     np.testing.assert_allclose(blurred, exact, atol=0.06 * np.abs(v).max())
+
+
+@pytest.mark.parametrize(
+    ("text", "jump"),
+    [
+        ("heaviside(x-v)", "sign(x-v)"),
+        ("where(x<v,v**2,x)", "sign(x-v)"),
+        ("where(x>=v,v**2,sqrt(x+9))", "sign(x-v)"),
+        ("floor(3*x)*v", "floor(3*x)"),
+        ("ceil(x)", "floor(-x)"),
+        ("mod(x+v,2)", "floor((x+v)/2)"),
+    ],
+)
+def test_the_mean_of_other_jumps(text, jump):
+    term, jump = parse(text).tree, parse(jump).tree
+    assert list(jumps_of(term)) == [jump]
+    assert mean_of_jumps(term, {}) == term
+    rng = np.random.default_rng(0)
+    x, v, width = rng.uniform(-2.0, 2.0, size=300), rng.uniform(-2.0, 2.0, size=300), 0.02
+    blurred = Evaluator({"x": x, "v": v})(Expression(mean_of_jumps(term, {jump: width})))
+    # the argument of the jump moves by draws of its error, and nothing else does
+    scale = {"floor(3*x)": 1 / 3, "floor(-x)": 1.0, "floor((x+v)/2)": 2.0}.get(Expression(jump).text, 1.0)
+    moved = x + scale * width * rng.standard_normal((4000, 1))
+    exact = Evaluator({"x": moved, "v": np.broadcast_to(v, moved.shape)})(Expression(term)).mean(axis=0)
+    # tanh for erf, the noise of 4000 draws, and the smooth part moved too
+    np.testing.assert_allclose(blurred, exact, atol=0.12 * max(1.0, float(np.abs(exact).max())))
+    far = np.abs(blurred - Evaluator({"x": x, "v": v})(Expression(term))) < 1e-6
+    assert far.mean() > 0.6  # and away from the jumps it is the term
+
+
+def test_what_never_counts_may_be_undefined():
+    term = parse("where(x>1,log(x),0)").tree
+    x = np.array([-3.0, 0.99, 1.0, 1.01, 4.0])
+    blurred = Evaluator({"x": x})(Expression(mean_of_jumps(term, {next(jumps_of(term)): 0.01})))
+    np.testing.assert_allclose(blurred, [0.0, 0.0, 0.0, np.log(1.01), np.log(4.0)], atol=2e-3)
 
 
 def test_the_error_of_an_argument_where_its_sign_changes():
@@ -257,10 +292,64 @@ def test_the_error_of_an_argument_where_its_sign_changes():
     columns = {"x": np.sin(time), "v": np.cos(time)}
     covariance = np.tile(np.diag([0.02**2, 0.0]), (n, 1, 1))
     # beside zero x changes by h in a sample
-    assert error_where_it_changes(parse("x").tree, columns, covariance) == pytest.approx(
-        np.sqrt(0.02**2 + h**2 / 12), rel=1e-3
+    assert error_where_it_changes(parse("sign(x)").tree, columns, covariance) == pytest.approx(
+        (0.02, np.sqrt(0.02**2 + h**2 / 12)), rel=1e-3
     )
-    assert error_where_it_changes(parse("x+3").tree, columns, covariance) == 0.0
+    assert error_where_it_changes(parse("sign(x+3)").tree, columns, covariance) == (0.0, 0.0)
+    # where x rounds down to another number of halves: at zero and at 1/2, where it is slower
+    own, found = error_where_it_changes(parse("floor(2*x)").tree, columns, covariance)
+    assert own == pytest.approx(0.04, rel=0.01)
+    assert found == pytest.approx(np.sqrt(0.04**2 + (2 * h) ** 2 * (1.0 + 0.75) / 2 / 12), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("text", "side", "jump"),
+    [
+        ("sign(v)*x", np.sign, 1.0),
+        ("heaviside(v)*x", lambda v: np.heaviside(v, 0.5), 0.5),
+        ("where(v > 0, x, 2*x)", lambda v: np.where(v > 0.0, 1.0, 2.0), 0.5),
+        ("floor(v)*x", np.floor, 0.5),
+    ],
+)
+def test_what_the_mean_of_jumps_leaves_out_is_the_mean_square_over_errors(text, side, jump):
+    # friction that depends on the displacement, and a term without jump
+    terms, coef, place = [parse(text), parse("x*v")], np.array([-3.0, 2.0]), 0.7
+    (kind,) = jumps_of(terms[0].tree)
+    rng, v = np.random.default_rng(3), np.linspace(-0.4, 0.4, 9)
+    columns = {"x": np.full(9, place), "v": v}
+    error, width = 0.1, 0.15
+    found = variance_of_jumps(terms, coef, columns, {kind: width}, {kind: error})
+    true = side(v + error * rng.normal(size=(200_000, 9)))
+    mean = Evaluator(columns)(Expression(mean_of_jumps(terms[0].tree, {kind: width}))) / place
+    wanted = (3.0 * place) ** 2 * ((true - mean) ** 2).mean(axis=0)
+    # tanh for erf, and the draws
+    np.testing.assert_allclose(found, wanted, atol=0.06 * (3.0 * place * jump) ** 2)
+    assert (variance_of_jumps(terms[1:], coef[1:], columns, {kind: width}, {kind: error}) == 0.0).all()
+
+
+def test_samples_beside_a_jump_are_no_noise_and_no_discrepancy():
+    # a spring with a step of 47 m/s^2 at zero: by how much samples beside it may err was once not in the model, and
+    # taken for cubic and quintic stiffness of probability 1 and for noise
+    def rate(x, force):
+        return -1000.0 * x - 47.0 * np.sign(x) + force
+
+    rng, n, h, fine = np.random.default_rng(9), 3000, 1e-3, 20
+    force = bq.simulate("linear", n=n, fs=1000.0, noise=0.0, seed=9)["u"]
+    x, v, states, rates = 0.01, 0.0, np.empty((n, 2)), np.empty(n)
+    for k in range(n):
+        states[k], rates[k] = (x, v), rate(x, force[k])
+        for _ in range(fine):  # leap frog, far finer than the samples
+            v += h / fine * rate(x, force[k])
+            x += h / fine * v
+    noisy = {
+        name: values + 0.05 * values.std() * rng.normal(size=n)
+        for name, values in {"x": states[:, 0], "v": states[:, 1], "a": rates, "u": force}.items()
+    }
+    eq = quietly(bq.Record.from_arrays(noisy, fs=1000.0), **OSCILLATOR, holdout=0.0)
+    assert set(eq[0].included) == {"x", "sign(x)", "u"}
+    assert eq[0].coef["sign(x)"] == pytest.approx(-47.0, rel=0.04)
+    levels = eq[0].fit.regression.record.fitted.state.levels
+    assert np.sqrt(levels.channels[2]) == pytest.approx(0.05 * rates.std(), rel=0.04)
 
 
 # --- few rows --------------------------------------------------------------------------------------------------------

@@ -56,7 +56,9 @@ def system(n, seed=0, step=0.1, gaps=0.15, smoothness=3):
         samples[:, j] = path[:, kind] if kind >= 0 else np.cos(time)
     samples += 0.1 * rng.normal(size=samples.shape)
     samples[rng.random(samples.shape) < gaps] = np.nan
-    series = Series(np.diff(time), samples, interpolant(time, np.sin(time)[:, None], "cubic"))
+    spread = rng.uniform(0.5, 3.0, samples.shape)
+    unresolved = rng.exponential(0.01, samples.shape)
+    series = Series(np.diff(time), samples, interpolant(time, np.sin(time)[:, None], "cubic"), spread, unresolved)
     scales = Scales(0.1 * rng.normal(size=layout.size), rng.uniform(0.5, 2.0, layout.size), np.ones(samples.shape[1]))
     levels = Levels(
         layout,
@@ -338,7 +340,7 @@ def drawn(linear, chosen, noise, delta, rng):
     for k in range(n - 1):
         ahead = linear.end[k] + linear.transition[k] @ e[k] + sources[k + 1]
         e[k + 1] = noise.memory * ahead - linear.path[k + 1] + np.sqrt(noise.steps) * rng.normal(size=size)
-    samples = np.sqrt(noise.channels) * rng.normal(size=linear.residual.shape)
+    samples = np.sqrt(noise.channels * linear.spread + linear.unresolved) * rng.normal(size=linear.residual.shape)
     for channel, kind in enumerate(linear.kinds):
         c = -1 - kind
         samples[:, channel] += e[:, kind] if kind >= 0 else np.einsum("ki,ki->k", linear.gradient[:, c], e) + own[:, c]
@@ -378,9 +380,11 @@ def solutions(layout, series, state, draws, rng):
     for k in range(n):
         paths[:, k] = at
         step = series.intervals[min(k, n - 2)]
-        rows = Series(np.full(draws, step), np.zeros((draws + 1, samples.shape[2])), series.inputs[[k] * (draws + 1)])
+        zeros = np.zeros((draws + 1, samples.shape[2]))
+        rows = Series(np.full(draws, step), zeros, series.inputs[[k] * (draws + 1)], 1.0 + zeros, zeros)
         [linear] = linearised(layout, [rows], replace(state, paths=(at,)))
-        samples[:, k] = -linear.residual + np.sqrt(noise.channels) * rng.normal(size=samples[:, k].shape)
+        sd = np.sqrt(noise.channels * series.spread[k] + series.unresolved[k])
+        samples[:, k] = -linear.residual + sd * rng.normal(size=samples[:, k].shape)
         at = np.zeros_like(at)
         at[:draws] = noise.memory * linear.end + np.sqrt(noise.steps) * rng.normal(size=linear.end.shape)
     return paths[:draws], np.where(np.isnan(series.samples), np.nan, samples[:draws])

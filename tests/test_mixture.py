@@ -20,6 +20,7 @@ from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.mixture import Mixture
+from bayeq.inference.posterior import ModelAverage
 from bayeq.inference.prior import Prior
 from bayeq.regression.mixture import mixture_of
 from tests import reference
@@ -280,3 +281,14 @@ def test_the_command_prints_either(doubtful, tmp_path, capsys):
     np.testing.assert_allclose(term["shown_ci95"], [low, high], rtol=1e-2)
     np.testing.assert_allclose(term["printed_ci95"], widest, rtol=1e-2)
     assert term["averaged_ci95"] != term["averaged_coef"]
+
+
+def test_odds_are_those_of_the_listed_models_and_bounded_by_the_mass_left_out():
+    models = np.array([[1, 0, 0], [1, 1, 0]], dtype=bool)
+    average = ModelAverage(models, np.array([0.8, 0.2]), 0.004, np.arange(2), np.eye(2))
+    others = {np.array(m, dtype=bool).tobytes(): 3.0 for m in ([1, 1, 0], [0, 0, 1])}
+    assert average.log_odds(models[0], others) == pytest.approx([np.log(0.25), np.log(0.004 / 0.8)])
+    # of a model that is not listed itself nothing is known but what is given
+    assert average.log_odds(np.array([0, 1, 1], dtype=bool), others) == [3.0, 3.0]
+    # models with nothing left out: the others are as improbable as was said
+    assert replace(average, left_out=0.0).log_odds(models[0], others) == pytest.approx([np.log(0.25), 3.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,6 +56,74 @@ def test_parameters_of_the_duffing_oscillator():
     assert list(found.table()["symbol"]) == [q.symbol for q in found]
     assert "natural frequency" in str(found)
     assert found.unexplained == ()
+
+
+@pytest.mark.parametrize("x0", [0.2, -3.0])
+def test_about_the_position_of_rest_parameters_are_those_of_motion_from_there(x0):
+    # -k xi - k2 xi^2 - k3 xi^3 - (c + d xi) v with xi = x - x0, written in powers of x
+    k, k2, k3, c, d = 900.0, 300.0, 2e3, 1.5, 4.0
+    xi = np.polynomial.Polynomial([-x0, 1.0])
+    spring = -(k * xi + k2 * xi**2 + k3 * xi**3)
+    coef = {"x": spring.coef[1], "x**2": spring.coef[2], "x**3": spring.coef[3], "v": -(c - d * x0), "x*v": -d}
+    # an intercept without error
+    law = Law(
+        parse_chain("x:v:a"),
+        [parse(name) for name in coef],
+        replace(posterior(coef, 1e-9), target_mean=float(spring.coef[0]), n=1e30),
+    )
+    found = physical_parameters(law, (), {"x": "m"}, span=(x0 - 0.1, x0 + 0.12))
+    expected = {"k/m": k, "k2/m": k2, "k3/m": k3, "c/m": c, "x0": x0, "omega_n": math.sqrt(k)}
+    for symbol, value in expected.items():
+        assert found[symbol].mean == pytest.approx(value, rel=1e-5)
+    assert found["x0"].unit == "m"
+    assert found.unexplained == ("x*v",)
+
+
+@pytest.mark.parametrize(("sign", "rest"), [(-1.0, 0.0), (1.0, math.pi)])
+def test_a_pendulum_has_the_stiffness_of_small_motion(sign, rest):
+    coef = {"sin(x)": sign * 9.81, "v": -0.1}
+    law = Law(parse_chain("x:v:a"), [parse(name) for name in coef], replace(posterior(coef, 1e-6), n=1e30))
+    found = physical_parameters(law, (), {"x": "rad"}, span=(rest - 0.5, rest + 0.4))
+    assert found["k/m"].mean == pytest.approx(9.81, rel=1e-5)
+    assert found["omega_n"].mean == pytest.approx(math.sqrt(9.81), rel=1e-5)
+    assert found["x0"].mean == pytest.approx(rest, abs=1e-5)
+    assert found.unexplained == ("sin(x)",)
+
+
+def test_where_nothing_rests_that_is_said():
+    coef = {"x": 5.0, "v": -0.1}
+    law = Law(parse_chain("x:v:a"), [parse(name) for name in coef], posterior(coef, 1e-6))
+    with pytest.raises(InputError, match=r"no certain position of rest near the record's range of x, 1 to 2"):
+        physical_parameters(law, (), {}, span=(1.0, 2.0))
+
+
+def test_a_stand_off_of_the_displacement_leaves_the_stiffness():
+    record = bq.simulate("duffing", n=2000, seed=3)
+    truth = 1000.0
+    displaced = record.with_channels({"x": record["x"] + 0.2}, {"x": "m"})
+    with pytest.warns() as caught:
+        eq = bq.discover(displaced, displacement="x", velocity="v", acceleration="a", force="u")
+    assert any(
+        "nowhere zero" in str(one.message) and "remove_offset(record, 'x')" in str(one.message) for one in caught
+    )
+    found = eq.physical()
+    assert found["k"].low - 5.0 < truth < found["k"].high + 5.0
+    assert found["x0"].mean == pytest.approx(0.2, abs=1e-3)
+    there = bq.remove_offset(displaced, "x")
+    assert there["x"].mean() == pytest.approx(0.0, abs=1e-12)
+    assert there.units["x"] == "m"
+
+
+def test_far_from_zero_nothing_is_made_up():
+    record = bq.simulate("duffing", n=2000, seed=3)
+    displaced = record.with_channels({"x": record["x"] + 10.0})
+    with pytest.warns():
+        eq = bq.discover(displaced, displacement="x", velocity="v", acceleration="a", force="u")
+    if eq.verdict.kind in ("none", "not determined"):
+        with pytest.raises(InputError, match=r"cannot be told.*remove_offset"):
+            eq.physical()
+    else:
+        assert eq.physical()["k"].mean == pytest.approx(1000.0, rel=0.02)
 
 
 def test_spreads_are_those_of_the_delta_method():

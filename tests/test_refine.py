@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from studies.refinement import CASES, draw_record, measure_case, measure_record
 
 import bayeq as bq
-from bayeq.errors import BayeqWarning, ConvergenceWarning, InputError, RecordError
+from bayeq.errors import BayeqWarning, ConvergenceWarning, DataWarning, InputError, RecordError
 from bayeq.expressions import FUNCTIONS, Tape, parse, run_tape
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.forecast.windows import typical_period, window_runs
@@ -74,12 +74,16 @@ def eq(record):
     return duffing(record)
 
 
+UNARY = [name for name, one in FUNCTIONS.items() if one.arguments == (1, 1) and name != "acosh"]
+
 # --- derivatives -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "text",
-    [f"{name}(0.3*x)+{name}(0.2*y)*y" for name in FUNCTIONS]
+    [f"{name}(0.3*x)+{name}(0.2*y)*y" for name in UNARY]
+    + ["acosh(1+x)*y", "max(x,y*x)", "min(x,y,1)", "atan2(x,y)", "mod(x,y)*y", "mod(y,0.31)", "where(x<y,x**2,y*x)"]
+    + ["where(x>=y,x**2,y*x)", "cbrt(-x)*y", "floor(x)*y", "heaviside(x-y)*x", "relu(x-y)*x", "sigmoid(x*y)"]
     + ["x+y*x", "x-y", "x/y", "-x", "x**3*y**2", "x**-2", "x**y", "2**x", "x**0.5", "(x*y)**2.5", "abs(-x)*y"],
 )
 def test_tangents_are_the_derivatives(text):
@@ -208,7 +212,7 @@ def test_the_minimum_is_that_of_a_general_solver(missing, eq, record):
     twin = least_squares(residuals, unknown, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)
     ours = sum(np.sum(run[:, :, 0] ** 2) for run in found.runs)
     assert ours == pytest.approx(2 * twin.cost, rel=1e-7)
-    np.testing.assert_allclose(found.parameters, twin.x[:5], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(found.free, twin.x[:5], rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(found.starts.ravel(), twin.x[5:], rtol=1e-3, atol=1e-5)
 
 
@@ -352,7 +356,8 @@ def test_several_records_and_dropped_samples():
     eq = duffing(pieces, smooth="auto")
     together = eq.refine(pieces)
     assert together.refined.n == 640
-    gaps = eq.refine([pieces[0], pieces[1].take(kept)])
+    with pytest.warns(DataWarning, match="gaps longer than half a period of a"):  # as discover says
+        gaps = eq.refine([pieces[0], pieces[1].take(kept)])
     # the force in the gaps is that of a spline
     for name, value in together[0].coef.items():
         assert gaps[0].coef[name] == pytest.approx(value, rel=0.02)
@@ -551,9 +556,6 @@ def test_bad_arguments(arguments, message, eq, record):
 def test_bad_records(eq, record):
     with pytest.raises(InputError, match="Record"):
         eq.refine([])
-    known = replace(eq, constraints=("u == 1",))
-    with pytest.raises(InputError, match="cannot keep to what is known of coefficients: u == 1"):
-        known.refine(record)
     with pytest.raises(RecordError, match="time column"):
         eq.refine(bq.Record.from_arrays(dict(record.channels)))
     with pytest.raises(RecordError, match="5 rows are too few"):

@@ -243,7 +243,7 @@ def test_a_gap_that_cannot_be_bridged_divides_the_record(decimals):
     assert eq[0].coef["x"] == pytest.approx(-16.0036, rel=1e-3)
     assert eq[0].coef["dx"] == pytest.approx(-0.12, rel=0.03)
     (message,) = [m for m in eq.warnings if "gaps" in m]
-    assert message.endswith(" s), the first after row 400: taken as 2 pieces")
+    assert message.endswith(" s), the first after row 400: taken as 2 pieces; check the acquisition")
     half_period = float(message.removeprefix("record: gaps longer than half a period of x (").split()[0])
     assert half_period == pytest.approx(np.pi / 4, rel=0.2)
 
@@ -255,7 +255,7 @@ def test_pieces_between_gaps():
     pieces, messages = split_at_gaps([rec.take(kept)], ["x"])
     # five rows are bridged; twenty alone are too few
     assert [piece.n for piece in pieces] == [295, 160]
-    assert messages[0].endswith("taken as 2 pieces; 20 rows in pieces of less than 40 are not used")
+    assert messages[0].endswith("2 pieces; 20 rows in pieces of less than 40 are not used; check the acquisition")
     assert split_at_gaps([rec], ["x"]) == ([rec], [])
     without = bq.Record.from_arrays(x=rec["x"])
     assert split_at_gaps([without], ["x"]) == ([without], [])

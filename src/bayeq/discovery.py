@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
-from typing import Any
+from typing import Any, get_args
 
-from bayeq.dictionary import Variables, build_dictionary
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary import Specification, Variables, build_dictionaries, written
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations
@@ -19,38 +22,47 @@ from bayeq.errors import (
     UnknownNameError,
     WarningLog,
 )
+from bayeq.expressions import Expression
+from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.record_fit import refit_record, suits
-from bayeq.records import Record, as_records, check_messages, split_at_gaps
+from bayeq.records import Record, as_records, check_messages
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.joint import fit_equations, record_of
 from bayeq.regression.regression import Regression
+from bayeq.regression.screening import MOST_TERMS, screened
 from bayeq.selection.select import Rules, select
 from bayeq.selection.tolerance import TOLERANCE
 from bayeq.states import (
     Motion,
     Roles,
     Smooth,
+    Tails,
     check_sensors,
     estimate_motion,
     known_sensors,
     measured_apart,
     require_varying,
 )
-from bayeq.states.bad_samples import without_bad_samples
-from bayeq.states.derive import require_usable
-from bayeq.states.missing import bridged_record, missing_messages, require_enough, without_empty_rows
+from bayeq.states.missing import bridged_record, require_enough
 from bayeq.states.motion import held_out_share
+from bayeq.states.prepare import cleaned, divided_at_gaps
 
 __all__ = ["discover"]
 
+Bools = NDArray[np.bool_]
 Progress = Callable[[str, int, int], None]
 
 NO_LIKELIHOOD = (
     "the likelihood of the record could not be evaluated near its motion: the regression of smoothed rows is used"
-    " instead, whose intervals and probabilities are less sure; try fewer terms"
+    " instead, whose intervals and probabilities are less sure; give fewer terms"
+)
+
+NO_TAILS = (
+    "tails='student' makes no difference: it is part of the likelihood of the record, which is not used here; use fewer"
+    " rows or terms, or measure every coordinate"
 )
 
 # With fewer training rows there is no regression.
@@ -70,7 +82,7 @@ def discover(
     acceleration: str | None = None,
     force: str | None = None,
     inputs: Sequence[str] = (),
-    dictionary: str | Sequence[str] = "oscillator",
+    dictionary: Specification = "oscillator",
     method: str = "auto",
     smooth: Smooth = "auto",
     holdout: float = 0.2,
@@ -81,6 +93,7 @@ def discover(
     constraints: str | Sequence[str] = (),
     noise: Mapping[str, float | str] | None = None,
     gain_sd: Mapping[str, float | str] | None = None,
+    tails: Tails = "gauss",
     seed: int = 0,
     progress: Progress | None = None,
     t: Any = None,
@@ -101,8 +114,11 @@ def discover(
         Channel of its force.
     inputs : sequence of str
         Channels of further inputs.
-    dictionary : str or sequence of str
-        ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, a file of terms, or terms.
+    dictionary : str, sequence of str, or mapping of str to these
+        ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, ``"fourier:2"``, ``"neighbours"``, a file of terms, or terms;
+        ``"oscillator + sin(x) - x**5"`` joins families and terms, and leaves some out. With a mapping,
+        ``{"a1": "oscillator", ...}``, or ``"a1: oscillator; a2: ..."``, each equation has its own; the terms of the
+        others then have probability 0 in it. See docs/terms.md for the language of terms.
     method : str
         ``"auto"`` (the optimum of variational Bayes, probabilities by model averaging), ``"vb"``, ``"bma"``,
         ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
@@ -141,6 +157,9 @@ def discover(
         then not learned from the record. 0 is a channel without noise.
     gain_sd : mapping of str to float, optional
         Uncertainty of the calibration of sensors, 0.01 for a factor known to 1 %: the intervals take it in.
+    tails : "gauss" or "student"
+        Distribution of the channels' noise: normal, or Student's t with degrees of freedom that are estimated per
+        channel, for noise of many outliers. Needs the likelihood of the record. Single spikes are left out in any case.
     seed : int
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional
@@ -178,24 +197,34 @@ def discover(
     _check_shares(holdout, coarsen)
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
     check_sensors(noise or {}, gain_sd or {}, roles)
-    terms = build_dictionary(dictionary, Variables(roles.states, roles.inputs))
+    _check_tails(tails, smooth)
+    variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
+    terms, allowed = build_dictionaries(dictionary, roles.targets, variables)
     known = [constraints] if isinstance(constraints, str) else list(constraints)
-    parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    constrained = parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    measured = as_records(records, t)
+    roles = roles.for_terms(terms)
+    _require_unambiguous(terms, measured, roles)
 
     step("states", 0, 1)
-    pieces, roles, share = _prepared(as_records(records, t), roles, smooth, holdout, log)
-    sensors = known_sensors(noise or {}, gain_sd or {}, roles, pieces)
+    pieces, roles, share = _prepared(measured, roles, smooth, holdout, log)
+    sensors = known_sensors(noise or {}, gain_sd or {}, roles, pieces, tails)
     motion = estimate_motion(pieces, roles, smooth, share, sensors)
     _warn_of_sensors(motion, {*(noise or {}), *(gain_sd or {})}, log)
     _inspect(motion, pieces, holdout, log)
-    design = build_design(terms, motion, lambda done, total: step("dictionary", done, total))
+    if len(terms) > MOST_TERMS:
+        terms, allowed = _screened(terms, motion, allowed, constrained, log)
+    design = build_design(terms, motion, lambda done, total: step("dictionary", done, total), allowed)
     dropped = design.dropped
     _warn_of_terms(design, log)
+    _warn_of_zero(design, pieces, log)
     constrained = _constrained(known, design, method)
 
     record = record_of(design, smooth, dictionary, prior)
     if record is None and smooth == "auto" and suits(motion, len(design.terms)):
         log.warn(NO_LIKELIHOOD, DataWarning)
+    if record is None and tails == "student":
+        log.warn(NO_TAILS, DataWarning)
     regressions = [Regression.of(design, k, record) for k in range(len(roles.chains))]
     step("inference", 0, len(roles.chains))
     fits = fit_equations(regressions, constrained, method, prior, coarsen, seed)
@@ -205,7 +234,7 @@ def discover(
     equations, scores = build_equations(selections, units, first)
     whole = None
     if record is not None and motion.held_out:
-        of_all = build_design(design.terms, motion.whole)
+        of_all = build_design(design.terms, motion.whole, allowed=design.allowed)
         # columns that a single row of those held out decides may be copies of each other there
         if of_all.names == design.names:
             whole = refit_record(motion.whole, record, of_all.terms, of_all.train)
@@ -225,7 +254,7 @@ def discover(
         equations=with_doubts(equations, selections, tolerance or TOLERANCE),
         inputs=roles.inputs,
         method=method,
-        dictionary=dictionary if isinstance(dictionary, str) else ", ".join(str(t) for t in dictionary),
+        dictionary=written(dictionary),
         smooth=smooth,
         data=DataSummary.of(pieces, motion, whole is not None),
         dropped=dropped,
@@ -251,6 +280,13 @@ def _check_shares(holdout: float, coarsen: float) -> None:
         raise InputError(f"coarsen is a power of the likelihood, 0 < coarsen <= 1, got {coarsen!r}")
 
 
+def _check_tails(tails: str, smooth: str) -> None:
+    if tails not in get_args(Tails):
+        raise InputError(f"tails is 'gauss' or 'student', got {tails!r}")
+    if tails == "student" and smooth != "auto":
+        raise InputError(f"tails='student' needs the likelihood of the record, smooth='auto', not {smooth!r}")
+
+
 def _prepared(
     records: list[Record], roles: Roles, smooth: Smooth, holdout: float, log: WarningLog
 ) -> tuple[list[Record], Roles, float]:
@@ -258,20 +294,14 @@ def _prepared(
     from others, and the share of the rows to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
     require_varying(records, [*roles.measured, *roles.inputs])
-    if smooth != "none":
-        missing = missing_messages(records, roles)
-        for record in records:
-            require_usable(bridged_record(record, roles), [*roles.measured, *roles.inputs])
-        records, bad = without_bad_samples(records, roles)
-        log.extend([*missing, *bad], DataWarning)
+    records, messages = cleaned(records, roles, smooth)
+    log.extend(messages, DataWarning)
     require_enough(records, roles)
-    if smooth != "none":
-        records = without_empty_rows(records, roles)
-        records, messages = split_at_gaps(records, [*roles.measured, *roles.inputs])
-        if all(record.time is not None for record in records):
-            chains, computed = measured_apart(records, roles.chains, share)
-            roles, messages = roles.with_chains(chains), messages + computed
-        log.extend(messages, DataWarning)
+    records, messages = divided_at_gaps(records, roles, smooth)
+    if smooth != "none" and all(record.time is not None for record in records):
+        chains, computed = measured_apart(records, roles.chains, share)
+        roles, messages = roles.with_chains(chains), messages + computed
+    log.extend(messages, DataWarning)
     return records, roles, share
 
 
@@ -282,7 +312,7 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
     if used < LEAST_TRAINING_ROWS:
         raise RecordError(f"holdout {holdout:g} leaves {used} training rows, too few for a regression; lower it")
     if holdout > 0 and motion.holdout == 0:
-        log.warn(f"only {total} rows: all are used, none held out to judge the equation by", DataWarning)
+        log.warn(f"only {total} rows: all are used, none held out to judge the equation by; measure more", DataWarning)
     present = [bridged_record(record, motion.roles, MOST_BRIDGED) for record in records]
     log.extend(
         check_messages(present, [chain.measured for chain in motion.roles.chains], motion.roles.inputs), DataWarning
@@ -290,7 +320,7 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
     if any(smoothing.fs is None for smoothing in motion.smoothing):
         log.warn(
             "steps of time are uneven, or differ between records: the regression goes row by row instead of in the band"
-            " that the smoother follows, and small terms are harder to find; resample evenly",
+            " that the smoother follows, and small terms are harder to find; resample evenly, all records at one rate",
             DataWarning,
         )
 
@@ -304,10 +334,40 @@ def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Con
     return found
 
 
+def _screened(
+    terms: Sequence[Expression], motion: Motion, allowed: Bools, constrained: Sequence[Constraints], log: WarningLog
+) -> tuple[tuple[Expression, ...], Bools]:
+    """The candidates of a large dictionary that explain most, and those that something is known of."""
+    forced = np.any([one.concerned for one in constrained], axis=0)
+    kept = screened(terms, motion, allowed, forced, MOST_TERMS)
+    targets = ", ".join(motion.roles.targets)
+    log.warn(
+        f"{len(terms):,} candidates: {len(kept):,} were kept, the simplest and those that explain most of {targets}"
+        " beside them; probabilities are among these",
+        TermWarning,
+    )
+    return tuple(terms[int(j)] for j in kept), allowed[:, kept]
+
+
 def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:
     units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs)
     log.extend(conflicts, DataWarning)
+    if roles.timed:
+        units[TIME] = "s"
     return units
+
+
+def _require_unambiguous(terms: Sequence[Expression], records: Sequence[Record], roles: Roles) -> None:
+    """Check that t, pi and e of terms are no channels of records that are neither in a chain nor an input."""
+    for term in terms:
+        written = term.names | term.constants
+        for name in sorted(written.intersection({TIME, *CONSTANTS}).difference(roles.names)):
+            if any(name in record.channels for record in records):
+                meaning = "the time" if name == TIME else f"the number {CONSTANTS[name]:.4g}"
+                raise InputError(
+                    f"term {term.text!r}: {name} is {meaning}, but the record has a channel {name!r} that is no input;"
+                    f" name it as one (inputs=, --input), or give the channel another name"
+                )
 
 
 def _warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation], log: WarningLog) -> None:
@@ -326,14 +386,37 @@ def _warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
     roles, sensors = motion.roles, motion.sensors
     computed = [name for name in given if name not in {*roles.measured, *roles.inputs}]
     if computed:
-        log.warn(f"what was given of {', '.join(sorted(computed))} is not used: computed, not measured", DataWarning)
+        log.warn(
+            f"what was given of {', '.join(sorted(computed))} is not used: computed, not measured; give that of the"
+            " channel that it was computed from",
+            DataWarning,
+        )
     unused = [name for name in roles.measured if sensors.noisy(name)]
     if unused and not motion.smoothing:
         log.warn(
             f"the noise given of {', '.join(unused)} is not used: states and targets are taken as measured here; of"
-            " inputs it would be",
+            " inputs it would be; leave it out, or use smooth='auto' with time and 40 rows, which takes 1 % or more",
             DataWarning,
         )
+
+
+def _warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) -> None:
+    """Say which displacements are nowhere zero: where terms that depend on where zero is hardly differ."""
+    for chain in design.motion.roles.chains:
+        name = chain.measured[0]
+        if chain.order < 2 or name is None:
+            continue
+        samples = np.concatenate([record[name] for record in records])
+        low, high = float(np.nanmin(samples)), float(np.nanmax(samples))
+        powers = [term for term in design.terms if term.names == {name} and term.text != name]
+        if powers and not low <= 0.0 <= high:
+            log.warn(
+                f"{name} is nowhere zero, it lies between {low:.4g} and {high:.4g}: terms such as {powers[0]} can"
+                " hardly be told from others there, and coefficients are not those about the position of rest."
+                f" Measure it from there (bayeq.remove_offset(record, {name!r}), --remove-offset {name}); physical()"
+                " gives the stiffness about the position of rest",
+                DataWarning,
+            )
 
 
 def _warn_of_terms(design: Design, log: WarningLog) -> None:
@@ -341,10 +424,14 @@ def _warn_of_terms(design: Design, log: WarningLog) -> None:
     if n <= terms:
         log.warn(
             f"{n} training rows for {terms} candidate terms: fewer rows than terms; the prior decides much, and few"
-            " terms can be found",
+            " terms can be found; measure more rows, or give fewer terms",
             DataWarning,
         )
     if design.dropped:
         listed = "; ".join(f"{d.name} ({d.reason})" for d in design.dropped[:8])
         more = f" and {len(design.dropped) - 8} more" if len(design.dropped) > 8 else ""
-        log.warn(f"terms left out: {listed}{more}", TermWarning)
+        log.warn(
+            f"terms left out: {listed}{more}; one that is needed asks for other motion, or for units in which it is"
+            " finite",
+            TermWarning,
+        )

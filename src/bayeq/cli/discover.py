@@ -80,8 +80,11 @@ class Progress:
 @option("--input", "inputs", multiple=True, help="Input channel; once per input.")
 @option(
     "--dictionary",
-    default="oscillator",
-    help="Candidate terms: oscillator, polynomial:3, a file of terms, or terms separated by commas.",
+    "dictionaries",
+    multiple=True,
+    help="Candidate terms: oscillator, polynomial:3, fourier:2, neighbours, a file of terms, or terms separated by"
+    " commas; 'oscillator + sin(x) - x**5' joins and leaves out. 'a1: oscillator' is for equation a1 alone, once per"
+    " equation. By default oscillator.",
 )
 @option(
     "--method",
@@ -113,6 +116,12 @@ class Progress:
     "gain_sd",
     multiple=True,
     help="Uncertainty of a sensor's calibration, which intervals take in: x=0.01 for 1 %. Once per channel.",
+)
+@option(
+    "--tails",
+    type=click.Choice(["gauss", "student"]),
+    default="gauss",
+    help="Distribution of the noise: normal, or Student's t, for noise of many outliers.",
 )
 @option("--holdout", type=float, default=0.2, help="Share of the rows, the last, to judge the equation by.")
 @option("--max-terms", type=int, help="Show at most this number of terms: the likeliest equation within it.")
@@ -199,6 +208,13 @@ def _cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
             out[role] = _channel(out[role])
     out["inputs"] = [name for name in map(_channel, out["inputs"]) if name]
     out["chains"] = list(out["chains"]) or None
+    dictionaries = out.pop("dictionaries") or ("oscillator",)
+    if len(dictionaries) > 1 and not all(":" in text for text in dictionaries):
+        raise InputError(
+            "--dictionary is given more than once: join families and terms with +, terms with commas, or write the"
+            " target of each equation in front, as in --dictionary 'a1: oscillator'"
+        )
+    out["dictionary"] = "; ".join(dictionaries)
     for name in ("noise", "gain_sd"):
         out[name] = dict(_pair(name, text) for text in out[name])
     return out

@@ -1,6 +1,16 @@
 """Dictionaries: families of candidate terms and their evaluation."""
 
-from bayeq.dictionary.build import FAMILIES, build_dictionary, evaluate_terms
+from bayeq.dictionary.build import FAMILIES, build_dictionaries, build_dictionary, evaluate_terms
 from bayeq.dictionary.family import Variables
+from bayeq.dictionary.specification import Specification, of_equations, written
 
-__all__ = ["FAMILIES", "Variables", "build_dictionary", "evaluate_terms"]
+__all__ = [
+    "FAMILIES",
+    "Specification",
+    "Variables",
+    "build_dictionaries",
+    "build_dictionary",
+    "evaluate_terms",
+    "of_equations",
+    "written",
+]

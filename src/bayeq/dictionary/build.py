@@ -2,33 +2,68 @@
 
 from __future__ import annotations
 
+import difflib
 import re
-from collections.abc import Mapping, Sequence
-from math import comb
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from os.path import isdir, isfile
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.dictionary import oscillator, polynomial
+from bayeq.dictionary import fourier, neighbours, oscillator, polynomial
 from bayeq.dictionary.family import Variables
+from bayeq.dictionary.specification import Member, Specification, members, of_equations, split_at_commas, written
 from bayeq.errors import ExpressionError, FileFormatError, InputError, UnknownNameError
 from bayeq.expressions import Evaluator, Expression, parse
 from bayeq.expressions.functions import FUNCTIONS
 from bayeq.records.io import near_files
 
-__all__ = ["FAMILIES", "MAX_TERMS", "build_dictionary", "evaluate_terms", "read_terms"]
+__all__ = [
+    "FAMILIES",
+    "MAX_TERMS",
+    "Family",
+    "build_dictionaries",
+    "build_dictionary",
+    "evaluate_terms",
+    "read_terms",
+]
 
-# A family is a module with terms(variables, argument) -> list of term texts; the argument follows a colon.
-FAMILIES = {"oscillator": oscillator.terms, "polynomial": polynomial.terms}
+
+class Family(NamedTuple):
+    """A row of `FAMILIES`.
+
+    Attributes
+    ----------
+    terms : callable
+        From `Variables`, and the text after the colon or None, to the texts of its terms.
+    argument : str
+        What the number after the colon is; empty for a family that takes none.
+    by_equation : bool
+        Whether each equation has terms of its own.
+    """
+
+    terms: Callable[[Variables, str | None], list[str]]
+    argument: str = ""
+    by_equation: bool = False
+
+
+FAMILIES = {
+    "oscillator": Family(oscillator.terms, "degree"),
+    "polynomial": Family(polynomial.terms, "degree"),
+    "fourier": Family(fourier.terms, "number of harmonics"),
+    "neighbours": Family(neighbours.terms, by_equation=True),
+}
 
 MAX_TERMS = 20_000
-MAX_DEGREE = 20
+MAX_ARGUMENT = 20
 MAX_FILE_BYTES = 1_000_000
 MAX_PATH = 250
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
 def build_dictionary(specification: str | Sequence[str], variables: Variables) -> tuple[Expression, ...]:
@@ -37,8 +72,10 @@ def build_dictionary(specification: str | Sequence[str], variables: Variables) -
     Parameters
     ----------
     specification : str or sequence of str
-        ``oscillator`` (eq. (31)), ``polynomial:3``, a file with one term per line (``#`` starts a comment), terms
-        separated by commas, or a list of terms.
+        ``oscillator`` (eq. (31)), ``polynomial:3``, ``fourier:2``, ``neighbours``, a file with one term per line (``#``
+        starts a comment), or terms separated by commas; a union of families and terms, ``oscillator + sin(x) - x**5``,
+        which leaves out the term behind a minus; or a list of families, unions and terms. Text is divided at + and -
+        where one of the parts is a family: ``x + v`` is one term.
     variables : Variables
         States and inputs that the terms may use.
 
@@ -53,43 +90,104 @@ def build_dictionary(specification: str | Sequence[str], variables: Variables) -
     36
     >>> [t.text for t in build_dictionary("x, v, sign( v )", Variables(("x", "v")))]
     ['x', 'v', 'sign(v)']
+    >>> [t.text for t in build_dictionary("polynomial:2 + abs(v) - x*v", Variables(("x", "v")))]
+    ['x', 'v', 'x**2', 'v**2', 'abs(v)']
     """
-    if not isinstance(specification, str):
-        return _parse_terms([(str(text), f"term {k + 1}") for k, text in enumerate(specification)], variables)
-    name, colon, argument = specification.partition(":")
-    if name in FAMILIES:
-        texts = _family_terms(name, argument if colon else None, variables)
-        return _parse_terms([(text, f"dictionary {specification!r}") for text in texts], variables)
-    if isfile(specification):
+    text = isinstance(specification, str)
+    texts = split_at_commas(specification) if isinstance(specification, str) else [str(one) for one in specification]
+    union = members(texts, FAMILIES.keys())
+    if union is not None:
+        return _union(union, f"dictionary {written(specification)[:60]!r}", variables)
+    if isinstance(specification, str) and isfile(specification):
         found = read_terms(specification)
         if not found:
             raise FileFormatError(f"{specification}: no terms in the file; write one per line")
         return _parse_terms(found, variables)
-    texts = _split_at_commas(specification)
-    if len(texts) > 1:
-        return _parse_terms([(text, f"dictionary, term {k + 1}") for k, text in enumerate(texts)], variables)
+    if not text or len(texts) > 1:
+        label = "dictionary, term" if text else "term"
+        return _parse_terms([(one, f"{label} {k + 1}") for k, one in enumerate(texts)], variables)
     try:
-        return _parse_terms([(specification, "dictionary")], variables)
+        return _parse_terms([(texts[0], "dictionary")], variables)
     except InputError as error:
-        raise _not_a_dictionary(specification.strip(), variables, error) from None
+        raise _not_a_dictionary(texts[0], variables, error) from None
 
 
-def _split_at_commas(text: str) -> list[str]:
-    """The parts between the commas outside of brackets.
+def build_dictionaries(
+    specification: Specification, targets: Sequence[str], variables: Variables
+) -> tuple[tuple[Expression, ...], Bools]:
+    """Candidate terms of several equations.
 
-    Examples
-    --------
-    >>> _split_at_commas("x, sin(x, v)")
-    ['x', 'sin(x, v)']
+    Parameters
+    ----------
+    specification : str, sequence of str or mapping
+        As for `build_dictionary`, the same for every equation; or one for each by its target, ``{"a1": "oscillator",
+        "a2": "polynomial:3"}`` or ``"a1: oscillator; a2: polynomial:3"``.
+    targets : sequence of str
+        Names of the C equations' targets.
+    variables : Variables
+        With chains, in the same order.
+
+    Returns
+    -------
+    tuple of Expression
+        The P terms of all equations together.
+    (C, P) bool array
+        Which of them each equation may have.
+
+    Raises
+    ------
+    InputError
+        As `build_dictionary`; a target that is not there, or that has no dictionary.
     """
-    parts, depth = [""], 0
-    for c in text:
-        depth += (c == "(") - (c == ")")
-        if c == "," and depth <= 0:
-            parts.append("")
+    given = of_equations(specification, targets)
+    if given is None and not _by_equation(specification):
+        assert not isinstance(specification, Mapping)
+        terms = build_dictionary(specification, variables)
+        return terms, np.ones((len(targets), len(terms)), dtype=np.bool_)
+    own = []
+    for k, target in enumerate(targets):
+        one = given[target] if given is not None else specification
+        assert not isinstance(one, Mapping)
+        try:
+            own.append(build_dictionary(one, replace(variables, own=k)))
+        except InputError as error:
+            if given is None:
+                raise
+            raise InputError(f"equation {target}: {error}") from error
+    whole = tuple(dict.fromkeys(term for terms in own for term in terms))
+    return whole, np.array([[term in terms for term in whole] for terms in map(set, own)], dtype=np.bool_)
+
+
+def _by_equation(specification: Specification) -> bool:
+    words = re.findall(r"\w+", written(specification))
+    return any(FAMILIES[word].by_equation for word in words if word in FAMILIES)
+
+
+def _union(union: Sequence[Member], where: str, variables: Variables) -> tuple[Expression, ...]:
+    """The terms of families and terms together, without those left out."""
+    terms: dict[Expression, None] = {}
+    gone: list[tuple[str, tuple[Expression, ...]]] = []
+    for member in union:
+        name, colon, argument = member.text.partition(":")
+        texts = [member.text]
+        if name.strip() in FAMILIES:
+            texts = _family_terms(name.strip(), argument.strip() if colon else None, variables)
+        found = _parse_terms([(text, where) for text in texts], variables)
+        if member.left_out:
+            gone.append((member.text, found))
         else:
-            parts[-1] += c
-    return [part.strip() for part in parts]
+            terms |= dict.fromkeys(found)
+    for text, found in gone:
+        if not any(term in terms for term in found):
+            near = UnknownNameError("term", text, [term.text for term in terms], where)
+            raise InputError(f"{near}: there is nothing to leave out")
+    left_out = {term for _, found in gone for term in found}
+    kept = tuple(term for term in terms if term not in left_out)
+    if not kept:
+        raise InputError(f"{where}: no terms are left")
+    if len(kept) > MAX_TERMS:
+        raise InputError(f"{where}: {len(kept)} terms; at most {MAX_TERMS} are allowed")
+    return kept
 
 
 def _not_a_dictionary(text: str, variables: Variables, error: InputError) -> InputError:
@@ -104,6 +202,10 @@ def _not_a_dictionary(text: str, variables: Variables, error: InputError) -> Inp
         return FileFormatError(
             f"no such file of terms: {text!r}{near_files(Path(text))}; and it is not a term either ({reason})"
         )
+    for word in re.findall(r"[^\W\d]\w*", text):
+        near = difflib.get_close_matches(word, FAMILIES, n=1, cutoff=0.8)
+        if near and word not in variables.known:
+            return InputError(f"dictionary: no channel named {word!r}; did you mean the dictionary {near[0]!r}?")
     return error
 
 
@@ -129,20 +231,23 @@ def read_terms(path: str | Path) -> list[tuple[str, str]]:
 
 
 def _family_terms(name: str, argument: str | None, variables: Variables) -> list[str]:
+    family = FAMILIES[name]
     if argument is None:
-        return FAMILIES[name](variables, None)
-    if not (argument.isascii() and argument.isdigit() and len(argument) < 4 and 1 <= int(argument) <= MAX_DEGREE):
+        return family.terms(variables, None)
+    if not family.argument:
+        raise InputError(f"dictionary '{name}:{argument[:40]}': {name} takes nothing after a colon")
+    if not (argument.isascii() and argument.isdigit() and len(argument) < 4 and 1 <= int(argument) <= MAX_ARGUMENT):
         raise InputError(
-            f"dictionary '{name}:{argument[:40]}': the degree after the colon must be a whole number from 1 to"
-            f" {MAX_DEGREE}, as in {name}:3"
+            f"dictionary '{name}:{argument[:40]}': the {family.argument} after the colon must be a whole number from 1"
+            f" to {MAX_ARGUMENT}, as in {name}:3"
         )
-    count = comb(len(variables.states) + int(argument), int(argument))
+    count = polynomial.count(len(variables.states), int(argument)) if family.argument == "degree" else 0
     if count > MAX_TERMS:
         raise InputError(
             f"dictionary '{name}:{argument}' of {len(variables.states)} states would have {count} terms, more than"
             f" {MAX_TERMS}; lower the degree or list the terms"
         )
-    return FAMILIES[name](variables, argument)
+    return family.terms(variables, argument)
 
 
 def _parse_terms(texts: Sequence[tuple[str, str]], variables: Variables) -> tuple[Expression, ...]:
@@ -155,7 +260,7 @@ def _parse_terms(texts: Sequence[tuple[str, str]], variables: Variables) -> tupl
         if not text.strip():
             raise ExpressionError(f"{where}: empty; write a term there, or leave out the comma before or after")
         try:
-            term = parse(text, variables.names)
+            term = parse(text, variables.known)
         except UnknownNameError as error:
             raise InputError(f"{where}: {error}") from error
         except ExpressionError as error:

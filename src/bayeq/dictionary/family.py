@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bayeq.expressions.functions import TIME
+
 __all__ = ["Variables"]
 
 
@@ -17,11 +19,27 @@ class Variables:
         Coordinates and their derivatives below the target.
     inputs : tuple of str
         Forces and other inputs.
+    chains : tuple of tuples of str
+        The states chain by chain; empty where that is not known.
+    own : int or None
+        The chain whose equation the terms are for; None for all.
     """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...] = ()
+    chains: tuple[tuple[str, ...], ...] = ()
+    own: int | None = None
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """The lowest state of each chain; all states where chains are not known."""
+        return tuple(chain[0] for chain in self.chains) if self.chains else self.states
 
     @property
     def names(self) -> tuple[str, ...]:
         return (*self.states, *self.inputs)
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """The names, and t, the time."""
+        return self.names if TIME in self.names else (*self.names, TIME)

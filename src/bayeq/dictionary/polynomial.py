@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from itertools import combinations_with_replacement
+from math import comb
 
 from bayeq.dictionary.family import Variables
 from bayeq.expressions import Binary, Expression, Node, Number
 
-__all__ = ["degree", "monomials", "terms"]
+__all__ = ["count", "degree", "monomials", "terms"]
 
 DEFAULT_DEGREE = 3
 
@@ -27,6 +28,11 @@ def monomials(names: tuple[str, ...], degree: int) -> list[str]:
             powers = Counter(combination).items()
             out.append("*".join(name if power == 1 else f"{name}**{power}" for name, power in powers))
     return out
+
+
+def count(names: int, degree: int) -> int:
+    """How many monomials of degree 1 to `degree` there are, and the constant."""
+    return comb(names + degree, degree)
 
 
 def terms(variables: Variables, argument: str | None = None) -> list[str]:

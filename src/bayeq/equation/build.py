@@ -39,6 +39,9 @@ RUNNER_UP_WINDOW = 12.0
 RUNNERS_UP = 5
 AMBIGUOUS = math.log(20.0)
 
+# What tells columns apart that are alike over the range of the motion.
+TELL_APART = "keep one of them in the dictionary, or measure at other amplitudes"
+
 
 def build_equations(
     selections: Sequence[Selection], units: Mapping[str, str], log: WarningLog, scored: Sequence[Equation] = ()
@@ -167,7 +170,12 @@ def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...
     if signs is not None:
         own = model_log_posterior(problem, shown, signs)
         moves = [replace(move, gain=model_log_posterior(problem, move.apply(shown), signs) - own) for move in moves]
-        moves = sorted((move for move in moves if move.gain > -RUNNER_UP_WINDOW), key=lambda move: -move.gain)
+    average = fit.posterior.average
+    if average is not None:
+        # what was averaged may know more of models than the information about the one shown
+        gains = average.log_odds(shown, {move.apply(shown).tobytes(): move.gain for move in moves})
+        moves = [replace(move, gain=gain) for move, gain in zip(moves, gains, strict=True)]
+    moves = sorted((move for move in moves if move.gain > -RUNNER_UP_WINDOW), key=lambda move: -move.gain)
     return tuple(
         RunnerUp(
             leaves=None if move.leaves is None else names[move.leaves],
@@ -183,7 +191,11 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     target, posterior = equation.target, equation.posterior
     if not posterior.converged:
         rhat = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
-        log.warn(f"{target}: {posterior.method} not converged after {posterior.n_iter} steps{rhat}", ConvergenceWarning)
+        log.warn(
+            f"{target}: {posterior.method} not converged after {posterior.n_iter} steps{rhat}: probabilities may be"
+            " off; give fewer candidate terms, or compare with another method",
+            ConvergenceWarning,
+        )
     if posterior.contradicted:
         log.warn(
             f"{target}: the data contradict the known sign of {', '.join(posterior.contradicted)} (Bayes factor above"
@@ -201,7 +213,7 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
         other = [n for n, kept in zip(found.names, found.optimum, strict=True) if kept]
         log.warn(
             f"{target}: the optimum of variational Bayes is another model ({', '.join(other) or 'no terms'});"
-            " the included terms are those with a model-averaged PIP above 0.5",
+            " the included terms are those with a model-averaged PIP above 0.5; a longer record would decide",
             AmbiguityWarning,
         )
     _warn_of_undecided(equation, selection, log)
@@ -219,14 +231,15 @@ def _warn_of_undecided(equation: Equation, selection: Selection, log: WarningLog
     for term, others in selection.undecided.items():
         log.warn(
             f"{target}: {term} is needed, but its form is undecided: with {' or '.join(others)} instead predictions"
-            " and free runs are within the tolerance too",
+            f" and free runs are within the tolerance too; {TELL_APART}",
             AmbiguityWarning,
         )
     likelier = [r for r in equation.runners_up if r.log_odds > 0.0]
     if likelier and not equation.left_out:
         listed = "; ".join(f"{r} (odds {r.odds})" for r in likelier)
         log.warn(
-            f"{target}: the terms shown are those with a PIP above 0.5, but not the likeliest model: {listed}",
+            f"{target}: the terms shown are those with a PIP above 0.5, but not the likeliest model: {listed};"
+            " a longer record would decide",
             AmbiguityWarning,
         )
 
@@ -241,20 +254,22 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
         log.warn(
             f"{target}: the residuals are correlated in time (lag-1 autocorrelation {residuals.lag1:.2f},"
             f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}{counted}): standard deviations and"
-            " intervals may be too narrow, and terms may be included that only fit the correlation",
+            " intervals may be too narrow, and terms may be included that only fit the correlation; use smooth='auto',"
+            " or add terms or inputs that may be missing",
             CorrelatedResidualsWarning,
         )
     if residuals.excess is not None and residuals.excess > INADEQUATE:
         log.warn(
             f"{target}: the residual has {residuals.excess_text} times the power that the noise of the channels"
             " explains: the equation is only nearly true, or the channels do not fit each other. Included"
-            " terms may compensate for what is missing, and intervals do not cover that",
+            " terms may compensate for what is missing, and intervals do not cover that; add terms or inputs, and check"
+            " the channels against each other",
             DataWarning,
         )
     if residuals.driven and residuals.driver is not None:
         log.warn(
             f"{target}: the residuals follow {residuals.driver}: the equation misses dynamics, or channels are"
-            " delayed against each other",
+            " delayed against each other; add terms, or shift the channel (bayeq.correct_delay)",
             CorrelatedResidualsWarning,
         )
 
@@ -288,7 +303,7 @@ def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], log: Warning
     swaps = [r for r in runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
     if swaps:
         listed = "; ".join(f"{r} (odds {r.odds})" for r in swaps)
-        log.warn(f"{target}: columns that the data hardly tell apart: {listed}", AmbiguityWarning)
+        log.warn(f"{target}: columns that the data hardly tell apart: {listed}; {TELL_APART}", AmbiguityWarning)
 
 
 def _warn_of_groups(equation: Equation, left_out: Set[str], log: WarningLog) -> None:
@@ -302,9 +317,9 @@ def _warn_of_groups(equation: Equation, left_out: Set[str], log: WarningLog) -> 
         beside = [posterior.names[j] for j in members if posterior.names[j] in left_out]
         none = f"none, for {', '.join(beside)} is left out" if beside else "none"
         decided = len(shown) == 1 or (not shown and beside)
-        advice = "" if decided else "; keep one of them in the dictionary, or decide by other knowledge"
+        advice = "other amplitudes would tell" if decided else TELL_APART
         log.warn(
             f"{equation.target}: columns that the data hardly tell apart: {listed}; at least one of them is in with"
-            f" probability {some:.2f}; shown here: {', '.join(shown) or none}{advice}",
+            f" probability {some:.2f}; shown here: {', '.join(shown) or none}; {advice}",
             AmbiguityWarning,
         )

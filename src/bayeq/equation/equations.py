@@ -6,6 +6,7 @@ import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -15,14 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.equation.answer import DataSummary
 from bayeq.equation.equation import Equation
+from bayeq.equation.prepare import prepared, rows_of_record
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError, UnknownNameError
+from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
 from bayeq.records import Record
 from bayeq.records.atomic import replacing
 from bayeq.refine.results import Refinement
+from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import DroppedTerm
-from bayeq.states import Chain, Roles, Smooth, estimate_motion, rates
+from bayeq.states import Chain, Roles, Smooth, rates
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -111,15 +115,24 @@ class Equations:
         """Names of the first-order state vector, the order of `rhs`."""
         return tuple(name for chain in self.chains for name in chain.states)
 
-    @property
+    @cached_property
     def roles(self) -> Roles:
-        """Chains and inputs."""
-        return Roles(self.chains, self.inputs)
+        """Chains and inputs, and whether terms use the time."""
+        return Roles(self.chains, self.inputs).for_terms(term for equation in self.equations for term in equation.terms)
 
     @property
     def verdict(self) -> Verdict:
         """Whether the equations were found: the worst verdict of them."""
         return worst([(equation.target, equation.verdict) for equation in self.equations])
+
+    def known(self) -> tuple[Constraints, ...]:
+        """What `constraints` say of the coefficients of each equation."""
+        dropped = {term.name: term.reason for term in self.dropped}
+        targets = [equation.target for equation in self.equations]
+        return tuple(
+            parse_constraints(self.constraints, equation.terms, targets, dropped)[k]
+            for k, equation in enumerate(self.equations)
+        )
 
     def table(self) -> pd.DataFrame:
         """All candidates of all equations: target, term, coef, sd, ci_low, ci_high, pip, included."""
@@ -147,7 +160,7 @@ class Equations:
         Parameters
         ----------
         t : float
-            Time; the equations are autonomous.
+            Time [s], for terms that use it.
         state : (d,) array
             In the order of `states`: each coordinate and its derivatives below the highest.
         u : (m,) array or float, optional
@@ -159,7 +172,6 @@ class Equations:
             In the unit of each state per second, also where the channels of a chain have units that do not belong
             together (see `Equation.unit_gains`).
         """
-        del t
         values = np.asarray(state, dtype=np.float64)
         if values.shape != (len(self.states),):
             raise InputError(f"the state has {len(self.states)} entries {self.states}, got shape {values.shape}")
@@ -167,6 +179,8 @@ class Equations:
         if given.shape != (len(self.inputs),):
             raise InputError(f"need {len(self.inputs)} input values {self.inputs}, got {given.size}")
         columns = dict(zip(self.states, values, strict=True)) | dict(zip(self.inputs, given, strict=True))
+        if self.roles.timed:
+            columns[TIME] = np.float64(t)
         out: list[float] = []
         for equation in self.equations:
             above = [*(columns[name] for name in equation.chain.states[1:]), float(equation.evaluate(columns))]
@@ -177,10 +191,12 @@ class Equations:
         """The equations shown as one system of first order; by default all have an intercept."""
         from bayeq.forecast.dynamics import Dynamics
 
-        return Dynamics.of([equation.law for equation in self.equations], self.inputs, intercepts)
+        return Dynamics.of([equation.law for equation in self.equations], self.inputs, intercepts, self.roles.timed)
 
     def predict(self, record: Record, return_std: bool = False) -> Any:
         """Target(s) of a record, eqs. (29)-(30): the right-hand side at its measured states and inputs.
+
+        Bad samples are left out as in `discover`; where samples are missing states and inputs are bridged.
 
         Parameters
         ----------
@@ -197,10 +213,16 @@ class Equations:
         ------
         InputError
             Not a Record, or one without the channels.
+
+        Warns
+        -----
+        DataWarning
+            Samples that are missing or left out, if `discover` has not said so.
         """
         if not isinstance(record, Record):
             raise InputError(f"predict needs a Record (bayeq.read reads a file), not {type(record).__name__}")
-        columns = estimate_motion([record], self.roles, self.smooth).records[0].columns
+        (record,) = prepared([record], self.roles, self.smooth, self.warnings)
+        columns = rows_of_record(record, self.roles, self.smooth, self.data.sensors)
         parts = [equation.predict(columns, return_std) for equation in self.equations]
         if len(parts) == 1:
             return parts[0]
@@ -247,13 +269,22 @@ class Equations:
         ------
         InputError
             No time, an input that is missing, an initial state that is neither measured nor given, rows out of range.
+
+        Warns
+        -----
+        DataWarning
+            As `predict`, where all channels of the chains are in the record: without them nobody can tell a blow of an
+            input from a spike.
         """
         from bayeq.forecast.run import forecast
 
+        if isinstance(record, Record) and all(name in record.channels for name in self.roles.channels):
+            (record,) = prepared([record], self.roles, self.smooth, self.warnings)
         return forecast(
             self.dynamics(),
             record,
             self.smooth,
+            self.data.sensors,
             initial=initial,
             draws=draws,
             seed=seed,
@@ -279,6 +310,7 @@ class Equations:
             With the channels that the equations were found from.
         start, rows : int, optional
             First row, and how many; by default the last of each record, as many as were held out (a fifth, if none).
+            Records are then divided at long gaps, as in `discover`.
         interpolation : "cubic", "linear", "hold" or "band-limited", optional
             See `simulate`.
 
@@ -291,13 +323,22 @@ class Equations:
         ------
         InputError
             As `simulate`, and channels that are missing.
+
+        Warns
+        -----
+        DataWarning
+            As `predict`.
         """
         from bayeq.forecast.score import score_records
 
+        pieces = _as_list(records, "score")
+        # rows that are named are counted in whole records
+        pieces = prepared(pieces, self.roles, self.smooth, self.warnings, divide=start is None)
         return score_records(
             self.dynamics(),
-            _as_list(records, "score"),
+            pieces,
             self.smooth,
+            self.data.sensors,
             start=start,
             rows=rows,
             share=self.data.holdout or LAST,
@@ -324,6 +365,11 @@ class Equations:
         missing term) make intervals too narrow. So they are where free runs over windows of the rows used are worse
         than before.
 
+        Constraints of `discover` hold here too: equations between coefficients exactly; of one that may have but one
+        sign, coefficient and standard deviation are those of the posterior that this leaves, as in the regression.
+        Records are prepared as in `discover`, without bad samples and divided at long gaps. Noise that was given of
+        measured channels is used as their weight, that of inputs is not.
+
         Parameters
         ----------
         records : Record or sequence of Record
@@ -342,13 +388,15 @@ class Equations:
         Raises
         ------
         InputError
-            No time, too few rows, channels that are missing, no terms to refine, constraints.
+            No time, too few rows, channels that are missing, no terms to refine, or none that constraints leave free.
 
         Warns
         -----
         ConvergenceWarning
             Nothing better was found, and why; free runs over the rows held out are worse than before; the fit did not
             converge.
+        DataWarning
+            As `predict`; runs contradict a known sign, or leave more of a channel than the noise given of it.
         """
         from bayeq.forecast.rows import check_interpolation
         from bayeq.refine.output_error import Unrefined
@@ -358,11 +406,11 @@ class Equations:
         check_interpolation(interpolation)
         if not 0 <= holdout < 1:
             raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
-        if self.constraints:
-            raise InputError(f"refine cannot keep to what is known of coefficients: {'; '.join(self.constraints)}")
         for equation in self.equations:
             if not equation.shown:
                 raise InputError(f"{equation.target}: there are no terms to refine")
+        constraints = self.known()
+        pieces = prepared(pieces, self.roles, self.smooth, self.warnings, divide=True)
         found = refine(
             self.dynamics(),
             self.dynamics([equation.intercept_matters for equation in self.equations]),
@@ -370,20 +418,21 @@ class Equations:
             smooth=self.smooth,
             holdout=holdout,
             interpolation=interpolation,
+            constraints=constraints,
+            sensors=self.data.sensors,
         )
         if isinstance(found, Unrefined):
-            message = f"not refined: {found.reason}; the equations are returned as they were"
+            message = f"not refined: {found.reason}; the equations are returned as they were: {found.advice}"
             warnings.warn(message, ConvergenceWarning, stacklevel=2)
             return self
-        for note in found.warnings:
-            warnings.warn(note, ConvergenceWarning, stacklevel=2)
+        found.log.emit(stacklevel=3)
         return replace(
             self,
             equations=tuple(
                 old.with_posterior(new.posterior, train=new.train, held_out=new.held_out, residuals=new.residuals)
                 for old, new in zip(self.equations, found.equations, strict=True)
             ),
-            warnings=(*self.warnings, *found.warnings),
+            warnings=(*self.warnings, *found.log.messages),
             scores=found.scores,
             refined=found.summary,
         )
@@ -451,10 +500,15 @@ class Equations:
 
         if not self.inputs:
             raise InputError("the equations have no input: there is nothing to excite")
+        if self.roles.timed:
+            raise InputError("terms use t, the time: a measurement is planned for equations that do not depend on it")
         if not all(equation.models for equation in self.equations):
             raise InputError("the likeliest models are not in the file of the equations: find and save them again")
         if self.verdict.kind == "none":
-            message = f"the plan is for equations that were not found ({self.verdict.reason}): do not rely on it"
+            message = (
+                f"the plan is for equations that were not found ({self.verdict.reason}): do not rely on it; check the"
+                " channels and the dictionary first"
+            )
             warnings.warn(message, DataWarning, stacklevel=2)
         conditions = conditions_of(
             self.data.measured,
@@ -489,6 +543,9 @@ class Equations:
     ) -> PhysicalParameters:
         """Mass, damping, stiffness, natural frequency and damping ratio of an oscillator, with intervals.
 
+        Stiffness and damping are those of small motion about the position of rest, which is listed as ``x0`` where the
+        displacement was measured from elsewhere.
+
         Parameters
         ----------
         mass : float, optional
@@ -512,12 +569,20 @@ class Equations:
         from bayeq.equation.physical import physical_parameters
 
         equation = _oscillator(self, target)
+        span = self.data.measured.ranges.get(equation.chain.names[0])
+        if span and not span[0] <= 0.0 <= span[1] and equation.verdict.kind in ("none", "not determined"):
+            name = equation.chain.names[0]
+            raise InputError(
+                f"the stiffness cannot be told: the verdict is {equation.verdict.kind!r}, and {name} is nowhere zero;"
+                f" measure {name} from the position of rest (bayeq.remove_offset, --remove-offset {name})"
+            )
         return physical_parameters(
             equation.law,
             self.inputs,
             equation.units,
             mass=mass,
             force=force,
+            span=span,
             draws=draws,
             seed=seed,
         )

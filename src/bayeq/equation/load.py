@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from bayeq.equation.to_json import FORMAT
 from bayeq.equation.verdict import KINDS, Verdict
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.expressions import parse
+from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.plan.measured import Measured
@@ -27,7 +28,7 @@ from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Residuals
 from bayeq.selection.select import LeftOut
-from bayeq.states import Sensors, parse_chain
+from bayeq.states import Roles, Sensors, Tails, check_sensors, parse_chain
 
 __all__ = ["load"]
 
@@ -76,6 +77,9 @@ def _restore(content: Mapping[str, Any]) -> Equations:
     data, diagnostics = content["data"], content["diagnostics"]
     files = data["file"]
     equations = []
+    names = [TIME, *map(str, data["inputs"])]
+    for chain in data["chains"]:
+        names += parse_chain(chain).names
     for k, chain in enumerate(data["chains"]):
         saved = content["equations"][k]
         equations.append(
@@ -86,9 +90,10 @@ def _restore(content: Mapping[str, Any]) -> Equations:
                 diagnostics["equations"][saved["target"]],
                 content["method"],
                 {str(name): str(unit) for name, unit in data.get("units", {}).items()},
+                names,
             )
         )
-    return Equations(
+    found = Equations(
         equations=tuple(equations),
         inputs=tuple(str(name) for name in data["inputs"]),
         method=str(content["method"]),
@@ -104,7 +109,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
             holdout=float(data["holdout"]),
             refitted=bool(data.get("refitted", False)),
             measured=_restored_measured(data.get("measured")),
-            sensors=Sensors(_numbers(data.get("noise")), _numbers(data.get("gain_sd"))),
+            sensors=_restored_sensors(data, equations),
         ),
         dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
         warnings=tuple(str(w) for w in diagnostics["warnings"]),
@@ -112,6 +117,17 @@ def _restore(content: Mapping[str, Any]) -> Equations:
         scores=_restored_scores(diagnostics.get("scores")),
         refined=_restored_refinement(diagnostics.get("refined")),
     )
+    found.known()  # constraints that cannot be read are damage
+    return found
+
+
+def _restored_sensors(data: Mapping[str, Any], equations: Sequence[Equation]) -> Sensors:
+    """What was known of channels; nothing in a file of an earlier version."""
+    tails: Tails = "student" if data.get("tails") == "student" else "gauss"
+    sensors = Sensors(_numbers(data.get("noise")), _numbers(data.get("gain_sd")), tails)
+    roles = Roles(tuple(equation.chain for equation in equations), tuple(str(name) for name in data["inputs"]))
+    check_sensors(sensors.noise, sensors.gain_sd, roles)
+    return sensors
 
 
 def _numbers(saved: Mapping[str, Any] | None) -> dict[str, float]:
@@ -145,6 +161,7 @@ def _restored_refinement(saved: Mapping[str, Any] | None) -> Refinement | None:
         noise_sd={str(name): float(sd) for name, sd in saved["noise_sd"].items()},
         interpolation=saved["interpolation"],
         converged=bool(saved["converged"]),
+        at_bound=tuple(str(name) for name in saved.get("at_bound", ())),
     )
 
 
@@ -168,8 +185,9 @@ def _restore_equation(
     checks: Mapping[str, Any],
     method: str,
     units: Mapping[str, str],
+    names: Sequence[str],
 ) -> Equation:
-    terms = tuple(parse(term["name"]) for term in saved["terms"])
+    terms = tuple(parse(term["name"], names) for term in saved["terms"])
     support = np.array([bool(term["included"]) for term in saved["terms"]], dtype=np.bool_)
     r = int(support.sum())
     posterior = Posterior(

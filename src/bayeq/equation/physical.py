@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.equation.physical_units import OscillatorUnits
+from bayeq.equation.rest import about_rest, is_displaced
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
-from bayeq.forecast.dynamics import Law, normal_draws
+from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
+from bayeq.inference.posterior import Z95
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -153,10 +155,13 @@ def physical_parameters(
     *,
     mass: float | None = None,
     force: str | None = None,
+    span: tuple[float, float] | None = None,
     draws: int = 10_000,
     seed: int = 0,
 ) -> PhysicalParameters:
     """Parameters of an oscillator from the posterior of its equation, given the included terms.
+
+    Stiffnesses and damping are those about the position of rest.
 
     Parameters
     ----------
@@ -167,6 +172,8 @@ def physical_parameters(
     units : mapping of str to str
         Of states, target and inputs, as far as known. Where lengths and forces are known ones, parameters are in SI
         units (a displacement in mm is fine); otherwise in those of the channels.
+    span : (float, float), optional
+        Least and largest displacement of the record; without it the position of rest is taken to be zero.
     mass, force, draws, seed
         See `bayeq.Equations.physical`.
 
@@ -176,7 +183,8 @@ def physical_parameters(
         Not of second order, no term in the displacement alone that restores, a mass that is not positive, or units that
         are not those of a motion and its derivatives, or not those of this motion.
     """
-    coefficients, forces = _read(law, draws, seed)
+    coefficients, position = _read(law, draws, seed, span)
+    forces = _named_forces(law, coefficients)
     driven = _force(inputs, coefficients, force)
     system = OscillatorUnits(units, law.chain, law.unit_gains, driven, mass is not None)
     theta = {f.symbol: coefficients[f.term] * system.scale(f.powers) for f in forces}
@@ -189,13 +197,15 @@ def physical_parameters(
         values = -theta[f.symbol] * (1.0 if weight is None else weight)
         meaning = f.meaning if weight is not None else f"{f.meaning} per unit of mass"
         quantities.append(_quantity(f.symbol + per, meaning, values, system.unit(f.powers, weight is not None)))
+    if position is not None:
+        quantities.append(_quantity("x0", "position of rest", position * system.per_length, system.displacement()))
     explained = {f.term for f in forces} | ({driven} if driven is not None else set())
     return PhysicalParameters(tuple(quantities), tuple(name for name in coefficients if name not in explained))
 
 
-def _read(law: Law, draws: int, seed: int) -> tuple[dict[str, Floats], list[_Force]]:
-    """Draws of the coefficient of each included term, and the forces among the terms."""
-    chain, posterior = law.chain, law.posterior
+def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> tuple[dict[str, Floats], Floats | None]:
+    """Draws of the coefficient of each included term, about the position of rest where that is not zero, and that."""
+    chain = law.chain
     if chain.order != 2:
         raise InputError(
             f"physical parameters are those of a second-order equation, but that of {chain.target} is of order"
@@ -208,19 +218,34 @@ def _read(law: Law, draws: int, seed: int) -> tuple[dict[str, Floats], list[_For
     if count < 100:
         raise InputError(f"draws must be a whole number, at least 100, got {draws!r}")
     x, v = chain.states
-    coef = posterior.coef[posterior.support]
-    drawn = normal_draws(coef, posterior.covariance, count, np.random.default_rng(seed))
-    kept = [term for term, inside in zip(law.terms, posterior.support, strict=True) if inside]
+    others = {name for term in law.terms for name in term.names} - set(chain.states)
+    alone = Dynamics.of([law], sorted(others))
+    drawn = normal_draws(alone.mean, alone.covariance, count, np.random.default_rng(seed))
+    coefficients, position = {term: drawn[:, 1 + j] for j, term in enumerate(alone.terms[0])}, None
+    if span is not None and is_displaced(coefficients, _has_constant(law), x, v, span):
+        position, coefficients = about_rest(coefficients, drawn[:, 0], x, v, span)
     # |v|*v is v*|v|
     same = {parse(f"abs({v})*{v}"): f"{v}*abs({v})"}
-    coefficients = {same.get(term, term.text): drawn[:, j] for j, term in enumerate(kept)}
+    return {same.get(term, term.text): values for term, values in coefficients.items()}, position
+
+
+def _has_constant(law: Law) -> bool:
+    """Whether the constant is probably not zero."""
+    p = law.posterior
+    return p.intercept_pip > 0.5 if p.intercept_pip is not None else abs(p.intercept) > Z95 * p.intercept_sd
+
+
+def _named_forces(law: Law, coefficients: Mapping[str, Floats]) -> list[_Force]:
+    """The forces among the terms."""
+    chain = law.chain
+    x, v = chain.states
     forces = [f for f in _forces(x, v) if f.term in coefficients]
     if not any(f.powers[0] > 0 for f in forces):
         raise InputError(
             f"the equation of {chain.target} has no restoring term (a power of {x}): it has no stiffness and no natural"
             " frequency"
         )
-    return coefficients, forces
+    return forces
 
 
 def _force(inputs: Sequence[str], coefficients: Mapping[str, Floats], force: str | None) -> str | None:

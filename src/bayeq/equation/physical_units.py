@@ -74,6 +74,10 @@ class OscillatorUnits:
         """Of the coefficient of the force."""
         return self.per_length / (self.acceleration * self.per_force)
 
+    def displacement(self) -> str | None:
+        """Unit of the displacement; None where it is not known."""
+        return None if self.length is None else _written(self.length)
+
     def mass(self) -> str | None:
         """Unit of the mass; None where it is not known."""
         if self.length is None or self.force is None:

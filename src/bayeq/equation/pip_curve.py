@@ -311,7 +311,7 @@ def _curve(
     if not curve.listed[curve.current]:
         warnings.warn(
             "too many models share the posterior mass to list them: PIPs are averages over models that hold about"
-            f" {100 * (1 - left_out[curve.current]):.0f} % of it; see left_out",
+            f" {100 * (1 - left_out[curve.current]):.0f} % of it; see left_out, or give fewer terms",
             ConvergenceWarning,
             stacklevel=4,
         )

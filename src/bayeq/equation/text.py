@@ -75,6 +75,8 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     if known.noise:
         listed = ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items())
         console.print(escape(f"noise given, standard deviation: {listed}"))
+    if known.tails == "student":
+        console.print("noise: Student's t, with degrees of freedom estimated per channel")
     if known.gain_sd:
         listed = ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items())
         include = "do not include" if eq.refined else "include"

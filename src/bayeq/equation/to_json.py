@@ -43,6 +43,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "measured": asdict(eq.data.measured),
             "noise": dict(eq.data.sensors.noise),
             "gain_sd": dict(eq.data.sensors.gain_sd),
+            "tails": eq.data.sensors.tails,
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],

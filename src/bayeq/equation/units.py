@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
-from bayeq.expressions import Binary, Call, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
 from bayeq.records.units import Unit, multiply_units, parse_unit
 from bayeq.states import Chain
 
@@ -30,15 +30,20 @@ def _power(exponent: Fraction) -> str:
 def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
     """Unit of a term; None where a channel's is not known, or where units do not fit together."""
     match node:
-        case Number():
+        case Number() | Constant():
             return {}
         case Symbol(name):
             return parse_unit(units[name]) if name in units else None
-        case Negate(operand) | Call("abs", operand):
+        case Negate(operand) | Call("abs" | "relu", (operand,)):
             return _of(operand, units)
-        case Call("sqrt", operand):
+        case Call("sqrt" | "cbrt" as root, (operand,)):
             inside = _of(operand, units)
-            return None if inside is None else multiply_units({}, inside, Fraction(1, 2))
+            return None if inside is None else multiply_units({}, inside, Fraction(1, 2 if root == "sqrt" else 3))
+        case Call("mod", (operand, _)):
+            return _of(operand, units)
+        case Call("max" | "min", arguments) | Call("where", (_, *arguments)):
+            found = [_of(one, units) for one in arguments if one != Number(0)]  # 0 has every unit
+            return found[0] if found and all(one == found[0] for one in found) else None
         case Call():
             return {}
         case Binary("+" | "-", left, right):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from bayeq.expressions.evaluate import Evaluator, FloatArray
 from bayeq.expressions.functions import FUNCTIONS
-from bayeq.expressions.nodes import Binary, Call, Expression, Negate, Node, Number, Symbol, number
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, number
 from bayeq.expressions.parse import parse
 from bayeq.expressions.symbolic import latex, to_sympy
 
@@ -31,6 +31,7 @@ __all__ = [
     "FUNCTIONS",
     "Binary",
     "Call",
+    "Constant",
     "Evaluator",
     "Expression",
     "FloatArray",

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.expressions.functions import FUNCTIONS
-from bayeq.expressions.nodes import Binary, Call, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
 
 __all__ = ["ARITHMETIC", "MAX_INTEGER_POWER", "Evaluator", "FloatArray"]
 
@@ -101,15 +101,19 @@ class Evaluator:
         if isinstance(node, Binary):
             if node.op == "**":
                 return self._power(node.left, self._value(node.right))
+            if node.op in COMPARISONS:
+                return COMPARISONS[node.op].numpy(self._value(node.left), self._value(node.right)) * np.float64(1.0)
             result = ARITHMETIC[node.op](self._value(node.left), self._value(node.right))
             return result
         if isinstance(node, Call):
-            result = FUNCTIONS[node.function].numpy(self._value(node.argument))
+            result = FUNCTIONS[node.function].numpy(*map(self._value, node.arguments))
             return result
         if isinstance(node, Negate):
             return -self._value(node.operand)
         if isinstance(node, Number):
             return np.float64(node.value)
+        if isinstance(node, Constant):
+            return np.float64(CONSTANTS[node.name])
         raise UnknownNameError("channel", node.name, self._names)
 
     def _power(self, base: Node, exponent: FloatArray | np.float64) -> FloatArray | np.float64:

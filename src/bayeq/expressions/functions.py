@@ -1,42 +1,167 @@
-"""The functions that a term may call: one table for parsing, evaluating, compiling and SymPy.
+"""The functions, comparisons and constants of a term: one table for parsing, evaluating, compiling and SymPy.
 
-A new function is a row here, an opcode, and in `bayeq.expressions.tape.apply_function` a line for its value and its
-derivative.
+A new function is a row here. Where its row defines it by other functions, that is all. Otherwise it has an opcode, and
+in `bayeq.expressions.tape` a line for its value and its derivative.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from collections.abc import Callable
+from functools import reduce
+from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["FUNCTIONS", "Function"]
+__all__ = ["ALIASES", "COMPARISONS", "CONSTANTS", "FUNCTIONS", "SQUARE", "TIME", "Comparison", "Function"]
 
-# Opcodes below 16 are the arithmetic of the tape.
+# The time [s], where no channel has that name.
+TIME = "t"
+
+# Names of numbers, where no channel has them.
+CONSTANTS = {"pi": math.pi, "e": math.e}
+
+# Opcodes below 16 are the arithmetic of the tape, those from PAIRS on take two operands.
 SIN, COS, TAN, ASIN, ACOS, ATAN, EXP, LOG, SQRT, ABS, SIGN, SINH, COSH, TANH = range(16, 30)
+ASINH, ACOSH, ATANH, LOG10, LOG1P, CBRT, ERF, FLOOR = range(30, 38)
+PAIRS = 64
+MAX, MIN, ATAN2, MOD, LESS, AT_MOST, MORE, AT_LEAST, EQUAL, OTHER, PICK, UNLESS = range(PAIRS, PAIRS + 12)
+NONE = 0
 
 
 class Function(NamedTuple):
-    """A function of one real argument."""
+    """A function of real arguments.
+
+    Attributes
+    ----------
+    numpy : callable
+        Its values on columns.
+    opcode : int
+        Its instruction on the tape; NONE for a function that is compiled as others.
+    sympy : str
+        SymPy's name, or an expression of other functions in a and b, which SymPy shows instead.
+    arguments : (int, int or None)
+        How many it takes, at least and at most.
+    definition : str
+        By other functions in a and b, for the tape.
+    meaning : str
+        For the documentation.
+    """
+
+    numpy: Callable[..., Any]
+    opcode: int
+    sympy: str
+    arguments: tuple[int, int | None] = (1, 1)
+    definition: str = ""
+    meaning: str = ""
+
+
+class Comparison(NamedTuple):
+    """A comparison of two numbers, 1 where it holds and 0 elsewhere."""
 
     numpy: np.ufunc
     opcode: int
     sympy: str
 
 
-FUNCTIONS: dict[str, Function] = {
-    "sin": Function(np.sin, SIN, "sin"),
-    "cos": Function(np.cos, COS, "cos"),
-    "tan": Function(np.tan, TAN, "tan"),
-    "asin": Function(np.arcsin, ASIN, "asin"),
-    "acos": Function(np.arccos, ACOS, "acos"),
-    "atan": Function(np.arctan, ATAN, "atan"),
-    "exp": Function(np.exp, EXP, "exp"),
-    "log": Function(np.log, LOG, "log"),
-    "sqrt": Function(np.sqrt, SQRT, "sqrt"),
-    "abs": Function(np.abs, ABS, "Abs"),
-    "sign": Function(np.sign, SIGN, "sign"),
-    "sinh": Function(np.sinh, SINH, "sinh"),
-    "cosh": Function(np.cosh, COSH, "cosh"),
-    "tanh": Function(np.tanh, TANH, "tanh"),
+COMPARISONS: dict[str, Comparison] = {
+    "<": Comparison(np.less, LESS, "Lt"),
+    "<=": Comparison(np.less_equal, AT_MOST, "Le"),
+    ">": Comparison(np.greater, MORE, "Gt"),
+    ">=": Comparison(np.greater_equal, AT_LEAST, "Ge"),
+    "==": Comparison(np.equal, EQUAL, "Eq"),
+    "!=": Comparison(np.not_equal, OTHER, "Ne"),
 }
+
+
+def _erf(a: Any) -> Any:
+    from scipy.special import erf
+
+    return erf(a)
+
+
+def _where(condition: Any, a: Any, b: Any) -> Any:
+    return np.where(condition, a, b)[()]
+
+
+def _max(*values: Any) -> Any:
+    return reduce(np.maximum, values)
+
+
+def _min(*values: Any) -> Any:
+    return reduce(np.minimum, values)
+
+
+FUNCTIONS: dict[str, Function] = {
+    "sin": Function(np.sin, SIN, "sin", meaning="sine"),
+    "cos": Function(np.cos, COS, "cos", meaning="cosine"),
+    "tan": Function(np.tan, TAN, "tan", meaning="tangent"),
+    "asin": Function(np.arcsin, ASIN, "asin", meaning="inverse sine"),
+    "acos": Function(np.arccos, ACOS, "acos", meaning="inverse cosine"),
+    "atan": Function(np.arctan, ATAN, "atan", meaning="inverse tangent"),
+    "exp": Function(np.exp, EXP, "exp", meaning="exponential"),
+    "log": Function(np.log, LOG, "log", meaning="natural logarithm"),
+    "sqrt": Function(np.sqrt, SQRT, "sqrt", meaning="square root"),
+    "abs": Function(np.abs, ABS, "Abs", meaning="magnitude"),
+    "sign": Function(np.sign, SIGN, "sign", meaning="-1, 0 or 1"),
+    "sinh": Function(np.sinh, SINH, "sinh", meaning="hyperbolic sine"),
+    "cosh": Function(np.cosh, COSH, "cosh", meaning="hyperbolic cosine"),
+    "tanh": Function(np.tanh, TANH, "tanh", meaning="hyperbolic tangent"),
+    "asinh": Function(np.arcsinh, ASINH, "asinh", meaning="inverse hyperbolic sine"),
+    "acosh": Function(np.arccosh, ACOSH, "acosh", meaning="inverse hyperbolic cosine"),
+    "atanh": Function(np.arctanh, ATANH, "atanh", meaning="inverse hyperbolic tangent"),
+    "log10": Function(np.log10, LOG10, "log(a)/log(10)", meaning="logarithm to base 10"),
+    "log1p": Function(np.log1p, LOG1P, "log(1+a)", meaning="log(1 + a), accurate for small a"),
+    "cbrt": Function(np.cbrt, CBRT, "sign(a)*abs(a)**(1/3)", meaning="cube root, of negative numbers too"),
+    "erf": Function(_erf, ERF, "erf", meaning="error function"),
+    "floor": Function(np.floor, FLOOR, "floor", meaning="the next whole number below"),
+    "ceil": Function(np.ceil, NONE, "ceiling", definition="-floor(-a)", meaning="the next whole number above"),
+    "relu": Function(
+        lambda a: np.maximum(a, 0.0), NONE, "max(0,a)", definition="max(a,0)", meaning="a where it is positive, else 0"
+    ),
+    "heaviside": Function(
+        lambda a: np.heaviside(a, 0.5),
+        NONE,
+        "Heaviside",
+        definition="(1+sign(a))/2",
+        meaning="unit step: 0 below zero, 1 above, 1/2 at zero",
+    ),
+    "sigmoid": Function(
+        lambda a: 0.5 + 0.5 * np.tanh(0.5 * a),
+        NONE,
+        "1/(1+exp(-a))",
+        definition="0.5+0.5*tanh(0.5*a)",
+        meaning="logistic function 1/(1 + exp(-a))",
+    ),
+    "max": Function(_max, MAX, "Max", (2, None), meaning="the largest of two or more"),
+    "min": Function(_min, MIN, "Min", (2, None), meaning="the smallest of two or more"),
+    "atan2": Function(np.arctan2, ATAN2, "atan2", (2, 2), meaning="angle of the point (b, a), from -pi to pi"),
+    "mod": Function(np.mod, MOD, "Mod", (2, 2), meaning="a - b floor(a/b): the remainder, with the sign of b"),
+    "where": Function(_where, NONE, "Piecewise", (3, 3), meaning="the second where the first holds, else the third"),
+}
+
+# Other spellings of functions; the function's own name is what is printed.
+ALIASES: dict[str, str] = {
+    "ln": "log",
+    "arcsin": "asin",
+    "arccos": "acos",
+    "arctan": "atan",
+    "arctan2": "atan2",
+    "arcsinh": "asinh",
+    "arccosh": "acosh",
+    "arctanh": "atanh",
+    "Abs": "abs",
+    "fabs": "abs",
+    "sgn": "sign",
+    "step": "heaviside",
+    "Heaviside": "heaviside",
+    "ceiling": "ceil",
+    "maximum": "max",
+    "minimum": "min",
+    "Max": "max",
+    "Min": "min",
+    "Mod": "mod",
+}
+
+# square(a) is a**2.
+SQUARE = "square"

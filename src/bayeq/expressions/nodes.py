@@ -1,4 +1,4 @@
-"""The expression tree: five kinds of frozen, hashable nodes, and their canonical text."""
+"""The expression tree: six kinds of frozen, hashable nodes, and their canonical text."""
 
 from __future__ import annotations
 
@@ -8,12 +8,26 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 from bayeq.errors import ExpressionError
-from bayeq.expressions.functions import FUNCTIONS
+from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
 
-__all__ = ["OPERATORS", "Binary", "Call", "Expression", "Negate", "Node", "Number", "Symbol", "number"]
+__all__ = [
+    "OPERATORS",
+    "Binary",
+    "Call",
+    "Constant",
+    "Expression",
+    "Negate",
+    "Node",
+    "Number",
+    "Symbol",
+    "arguments_of",
+    "is_comparison",
+    "number",
+    "with_arguments",
+]
 
 # Binding strength of the operators in Python's grammar; unary minus stands between * and **.
-OPERATORS = {"+": 1, "-": 1, "*": 2, "/": 2, "**": 4}
+OPERATORS = {**dict.fromkeys(COMPARISONS, 0), "+": 1, "-": 1, "*": 2, "/": 2, "**": 4}
 _UNARY, _ATOM = 3, 5
 
 
@@ -66,6 +80,25 @@ class Symbol(_Hashed):
 
 
 @dataclass(frozen=True, slots=True)
+class Constant(_Hashed):
+    """A number that has a name: a key of `CONSTANTS`."""
+
+    name: str
+    _hash: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.name not in CONSTANTS:
+            raise ExpressionError(f"no constant {self.name!r}; there are: {', '.join(CONSTANTS)}")
+        self._remember(self.name)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Constant, (self.name,)
+
+
+@dataclass(frozen=True, slots=True)
 class Negate(_Hashed):
     """Unary minus."""
 
@@ -84,7 +117,7 @@ class Negate(_Hashed):
 
 @dataclass(frozen=True, slots=True)
 class Binary(_Hashed):
-    """``left op right`` with `op` one of `OPERATORS`."""
+    """``left op right`` with `op` one of `OPERATORS`; comparisons are 1 or 0, and conditions of ``where`` only."""
 
     op: str
     left: Node
@@ -105,25 +138,34 @@ class Binary(_Hashed):
 
 @dataclass(frozen=True, slots=True)
 class Call(_Hashed):
-    """``function(argument)`` with `function` a key of `FUNCTIONS`."""
+    """``function(arguments)`` with `function` a key of `FUNCTIONS`."""
 
     function: str
-    argument: Node
+    arguments: tuple[Node, ...]
     _hash: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.function not in FUNCTIONS:
             raise ExpressionError(f"no function {self.function!r}; there are: {', '.join(FUNCTIONS)}")
-        self._remember(self.function, self.argument)
+        least, most = FUNCTIONS[self.function].arguments
+        if not least <= len(self.arguments) <= (most or len(self.arguments)):
+            raise ExpressionError(f"{self.function} takes {argument_count(least, most)}, not {len(self.arguments)}")
+        self._remember(self.function, self.arguments)
 
     def __hash__(self) -> int:
         return self._hash
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Call, (self.function, self.argument)
+        return Call, (self.function, self.arguments)
 
 
-Node: TypeAlias = Number | Symbol | Negate | Binary | Call
+def argument_count(least: int, most: int | None) -> str:
+    """How many arguments a function takes, in words."""
+    words = {1: "one argument", 2: "two arguments", 3: "three arguments"}
+    return f"exactly {words[least]}" if most == least else f"{words[least]} or more"
+
+
+Node: TypeAlias = Number | Constant | Symbol | Negate | Binary | Call
 
 
 def number(value: float) -> Node:
@@ -131,15 +173,44 @@ def number(value: float) -> Node:
     return Negate(Number(-value)) if math.copysign(1.0, value) < 0 else Number(value)
 
 
+def is_comparison(node: Node) -> bool:
+    """Whether a node is a comparison."""
+    return isinstance(node, Binary) and node.op in COMPARISONS
+
+
+def arguments_of(node: Node) -> tuple[Node, ...]:
+    """What a node is made of; nothing for numbers, constants and symbols."""
+    match node:
+        case Negate(operand):
+            return (operand,)
+        case Binary(_, left, right):
+            return (left, right)
+        case Call(_, arguments):
+            return arguments
+    return ()
+
+
+def with_arguments(node: Node, arguments: tuple[Node, ...]) -> Node:
+    """The same operation or function of other nodes."""
+    match node:
+        case Negate():
+            return Negate(arguments[0])
+        case Binary(op):
+            return Binary(op, *arguments)
+        case Call(function):
+            return Call(function, arguments)
+    return node
+
+
 def _written(node: Node) -> tuple[str, int]:
     """Text of a node, and how strongly it binds."""
     match node:
         case Number(value):
             return repr(value), _ATOM
-        case Symbol(name):
+        case Symbol(name) | Constant(name):
             return name, _ATOM
-        case Call(function, argument):
-            return f"{function}({_written(argument)[0]})", _ATOM
+        case Call(function, arguments):
+            return f"{function}({','.join(_written(argument)[0] for argument in arguments)})", _ATOM
         case Negate(operand):
             return "-" + _bracketed(operand, _UNARY), _UNARY
         case Binary(op, left, right):
@@ -156,25 +227,17 @@ def _bracketed(node: Node, least: int) -> str:
 
 
 def _symbols(node: Node) -> frozenset[str]:
-    match node:
-        case Number():
-            return frozenset()
-        case Symbol(name):
-            return frozenset((name,))
-        case Negate(operand) | Call(_, operand):
-            return _symbols(operand)
-        case Binary(_, left, right):
-            return _symbols(left) | _symbols(right)
+    own = frozenset((node.name,)) if isinstance(node, Symbol) else frozenset[str]()
+    return own.union(*map(_symbols, arguments_of(node)))
+
+
+def _constants(node: Node) -> frozenset[str]:
+    own = frozenset((node.name,)) if isinstance(node, Constant) else frozenset[str]()
+    return own.union(*map(_constants, arguments_of(node)))
 
 
 def _size(node: Node) -> int:
-    match node:
-        case Number() | Symbol():
-            return 1
-        case Negate(operand) | Call(_, operand):
-            return 1 + _size(operand)
-        case Binary(_, left, right):
-            return 1 + _size(left) + _size(right)
+    return 1 + sum(map(_size, arguments_of(node)))
 
 
 @dataclass(frozen=True, repr=False)
@@ -186,10 +249,11 @@ class Expression:
     tree : Node
         The root of the expression tree.
     text : str
-        Canonical text: no spaces, no needless brackets, valid in Python and in SymPy;
-        ``parse(e.text) == e``.
+        Canonical text: no spaces, no needless brackets, Python's syntax; ``parse(e.text) == e``.
     names : frozenset of str
         The symbols that occur.
+    constants : frozenset of str
+        The names of numbers that occur.
     size : int
         Number of nodes: 1 of ``x``, 2 of ``sign(v)``, 3 of ``x**3``.
 
@@ -210,6 +274,10 @@ class Expression:
     @cached_property
     def names(self) -> frozenset[str]:
         return _symbols(self.tree)
+
+    @cached_property
+    def constants(self) -> frozenset[str]:
+        return _constants(self.tree)
 
     @cached_property
     def size(self) -> int:

@@ -1,23 +1,37 @@
 """``parse``: the text of a term becomes a tree, and nothing else can happen.
 
-The text is scanned by a small lexer, parsed (never compiled) by Python's own grammar, and every node has to
-be on a short list. Terms come from files and command lines: nothing here evaluates, imports or looks up
-anything.
+The text is divided into tokens, and these are parsed by precedence. Terms come from files and command lines: nothing
+here evaluates, imports or looks up anything.
 """
 
 from __future__ import annotations
 
-import ast
 import difflib
 import keyword
 import math
 import re
+import unicodedata
 from collections.abc import Iterable
 from functools import lru_cache
+from typing import NamedTuple
 
 from bayeq.errors import ExpressionError, UnknownNameError
-from bayeq.expressions.functions import FUNCTIONS
-from bayeq.expressions.nodes import Binary, Call, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.functions import ALIASES, COMPARISONS, CONSTANTS, FUNCTIONS, SQUARE
+from bayeq.expressions.nodes import (
+    OPERATORS,
+    Binary,
+    Call,
+    Constant,
+    Expression,
+    Negate,
+    Node,
+    Number,
+    Symbol,
+    argument_count,
+    arguments_of,
+    is_comparison,
+    with_arguments,
+)
 
 __all__ = ["MAX_DEPTH", "MAX_LENGTH", "MAX_NODES", "parse"]
 
@@ -25,25 +39,27 @@ MAX_LENGTH = 1000
 MAX_DEPTH = 50
 MAX_NODES = 500
 
+# Brackets, signs and functions within each other, needless ones too.
+MAX_NESTING = 2 * MAX_DEPTH
+
 _NUMBER = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.])"
-_TOKEN = re.compile(rf"[ \t]+|(?P<number>{_NUMBER})|(?P<name>[^\W\d]\w*)|\*\*|[-+*/()]")
+_TOKEN = re.compile(rf"(?P<number>{_NUMBER})|(?P<name>[^\W\d]\w*)|(?P<mark>\*\*|[<>=!]=|[-+*/^()<>,])")
+_SPACE = re.compile(r"[ \t]*")
 _BAD_NUMBER = re.compile(r"\.?[0-9][\w.]*")
 _HINTS = {
-    "^": "use ** for powers",
-    ",": "a function takes exactly one argument",
-    "=": "give the right-hand side only; there are no comparisons and no keyword arguments",
+    "=": "give the right-hand side only; there are no keyword arguments, and == compares",
     "\n": "a term is one line",
     "\r": "a term is one line",
     ".": "there are no attributes",
 }
-_ALLOWED = "numbers, names, + - * / **, brackets and functions of one argument"
-_OPERATORS: dict[type[ast.operator], str] = {
-    ast.Add: "+",
-    ast.Sub: "-",
-    ast.Mult: "*",
-    ast.Div: "/",
-    ast.Pow: "**",
-}
+_ALLOWED = "numbers, names, + - * / **, brackets and functions"
+_CONDITION = "comparisons are conditions of where, as in where(x > 0, x, 0)"
+
+
+class _Token(NamedTuple):
+    kind: str  # number, name, mark or end
+    text: str
+    column: int  # counted from 1
 
 
 def _shown(text: object) -> str:
@@ -55,28 +71,42 @@ def _error(text: object, reason: str) -> ExpressionError:
     return ExpressionError(f"expression {_shown(text)}: {reason}")
 
 
-def _scan(text: str) -> None:
-    """Refuse every character, number and keyword outside the language, by name and place."""
-    at = 0
-    while at < len(text):
+def _tokens(text: str) -> list[_Token]:
+    """The tokens of a text, which refuses every character, number and word outside the language, by name and place."""
+    out, at = [], 0
+    while (at := _end_of_space(text, at)) < len(text):
         token = _TOKEN.match(text, at)
         if token is None:
             bad = _BAD_NUMBER.match(text, at)
             if bad is not None:
-                raise _error(text, f"{_shown(bad[0])} is not a number; write 2, 0.5 or 1e-3")
+                raise _error(text, f"{_shown(bad[0])} is not a number, at column {at + 1}; write 2, 0.5 or 1e-3")
             hint = _HINTS.get(text[at], f"there are {_ALLOWED}")
             raise _error(text, f"{text[at]!r} at column {at + 1} is not allowed: {hint}")
-        name = token["name"]
-        if name is not None:
-            _check_name(text, name)
+        kind, part = str(token.lastgroup), token[0]
+        if kind == "name":
+            part = _name(text, part, at + 1)
+        elif kind == "number" and re.fullmatch(r"0+[1-9][0-9]*", part):
+            raise _error(text, f"{_shown(part)} is not a number, at column {at + 1}; leave out the zeros in front")
+        out.append(_Token(kind, "**" if part == "^" else part, at + 1))
         at = token.end()
+    return [*out, _Token("end", "", len(text.rstrip(" \t")) + 1)]
 
 
-def _check_name(text: str, name: str) -> None:
+def _end_of_space(text: str, at: int) -> int:
+    space = _SPACE.match(text, at)
+    return space.end() if space else at
+
+
+def _name(text: str, written: str, column: int) -> str:
+    """A name in the form in which Python compares them (NFKC)."""
+    name = unicodedata.normalize("NFKC", written)
+    if not written.isidentifier():
+        raise _error(text, f"{_shown(written)} at column {column} is not allowed as a name")
     if keyword.iskeyword(name):
         raise _error(text, f"the word {name!r} is not allowed: there are {_ALLOWED}")
     if name.startswith("__"):
         raise _error(text, f"the name {_shown(name)} is not allowed: names must not begin with two underscores")
+    return name
 
 
 @lru_cache(maxsize=8192)
@@ -85,82 +115,189 @@ def _shared(node: Node) -> Node:
     return node
 
 
-class _Converter:
-    """Python's syntax tree to ours, counting nodes and depth."""
+class _Parser:
+    """Tokens to a tree, counting nodes and depth."""
 
     def __init__(self, text: str) -> None:
         self.text = text
+        self.tokens = _tokens(text)
+        self.at = 0
         self.nodes = 0
+        self.nesting = 0
+        self.depth: dict[Node, int] = {}
 
-    def convert(self, node: ast.expr, depth: int = 1) -> Node:
-        return _shared(self._converted(node, depth))
+    @property
+    def next(self) -> _Token:
+        return self.tokens[self.at]
 
-    def _converted(self, node: ast.expr, depth: int) -> Node:
+    def take(self) -> _Token:
+        self.at += 1
+        return self.tokens[self.at - 1]
+
+    def accept(self, *marks: str) -> _Token | None:
+        return self.take() if self.next.kind == "mark" and self.next.text in marks else None
+
+    def error(self, reason: str) -> ExpressionError:
+        return _error(self.text, reason)
+
+    def made(self, node: Node) -> Node:
+        """A new node, unless there are too many or it is too deep."""
         self.nodes += 1
-        if depth > MAX_DEPTH:
-            raise _error(self.text, f"nested deeper than {MAX_DEPTH} levels")
         if self.nodes > MAX_NODES:
-            raise _error(self.text, f"more than {MAX_NODES} operations, names and numbers")
-        match node:
-            case ast.Constant(value=value):
-                return self._number(value)
-            case ast.Name(id=name):
-                return self._symbol(name)
-            case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return Negate(self.convert(operand, depth + 1))
-            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-                return self.convert(operand, depth + 1)
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-                return Binary(_OPERATORS[type(op)], self.convert(left, depth + 1), self.convert(right, depth + 1))
-            case ast.Call():
-                return self._call(node, depth)
-        what = type(node).__name__
-        raise _error(self.text, f"{what} is not allowed: there are {_ALLOWED}")
+            raise self.error(f"more than {MAX_NODES} operations, names and numbers")
+        depth = 1 + max((self.depth[part] for part in arguments_of(node)), default=0)
+        if depth > MAX_DEPTH:
+            raise self.error(f"nested deeper than {MAX_DEPTH} levels")
+        self.depth[node] = depth
+        return _shared(node)
 
-    def _number(self, value: object) -> Node:
-        # The scan lets through decimal literals only: no bool, complex, str or bytes can arrive here.
-        if type(value) is not int and type(value) is not float:
-            raise _error(self.text, f"{_shown(value)} is not a number")
-        try:
-            finite = math.isfinite(float(value))
-        except OverflowError:
-            finite = False
-        if not finite:
-            raise _error(self.text, "a number is too large")
-        return Number(value)
+    def whole(self) -> Node:
+        """The tree of the whole text."""
+        node = self.value()
+        if self.next.kind != "end":
+            raise self.error(self.misplaced())
+        return node
 
-    def _symbol(self, name: str) -> Node:
-        _check_name(self.text, name)  # again: Python normalises Unicode names (NFKC), the scan does not
-        if name in FUNCTIONS:
-            raise _error(self.text, f"{name} is a function and needs its argument: {name}(...)")
-        return Symbol(name)
+    def misplaced(self) -> str:
+        """What is wrong with a token where an operator, or the end, should be."""
+        token = self.next
+        where = f"{_shown(token.text)} at column {token.column}"
+        if token.text == ")":
+            return f"{where} closes no bracket"
+        if token.text == ",":
+            return f"{where} is not allowed: commas stand between the arguments of a function"
+        if token.text == "(":
+            return f"{where} follows a value; write * for products"
+        return f"malformed: an operator is missing before {where}"
 
-    def _call(self, node: ast.Call, depth: int) -> Node:
-        if not isinstance(node.func, ast.Name):
-            raise _error(self.text, "only functions can be called; write * for products")
-        name = node.func.id
-        if name not in FUNCTIONS:
-            near = difflib.get_close_matches(name, FUNCTIONS, n=1, cutoff=0.6)
-            hint = f"did you mean {near[0]!r}?" if near else "write * for products"
-            raise _error(self.text, f"no function {_shown(name)}; {hint} (there are: {', '.join(FUNCTIONS)})")
-        if node.keywords or len(node.args) != 1 or isinstance(node.args[0], ast.Starred):
-            raise _error(self.text, f"{name} takes exactly one argument")
-        return Call(name, self.convert(node.args[0], depth + 1))
+    def value(self) -> Node:
+        """Anything but a comparison."""
+        column = self.next.column
+        node = self.operation()
+        if is_comparison(node):
+            raise self.error(f"a comparison stands at column {column} where a value should: {_CONDITION}")
+        if self.next.text in COMPARISONS:
+            raise self.error(f"{self.next.text!r} at column {self.next.column} is not allowed: {_CONDITION}")
+        return node
+
+    def operation(self, least: int = 1) -> Node:
+        """Values and operators between them that bind at least so strongly; comparisons bind less than all."""
+        left = self.signed()
+        while (op := self.next).kind == "mark" and OPERATORS.get(op.text, 0) >= least:
+            self.take()
+            right = self.operation(OPERATORS[op.text] + 1)
+            left = self.made(Binary(op.text, self.number(left, op), self.number(right, op)))
+        return left
+
+    def number(self, node: Node, op: _Token) -> Node:
+        """An operand, which must be no comparison."""
+        if is_comparison(node):
+            raise self.error(f"{op.text!r} at column {op.column} has a comparison beside it: {_CONDITION}")
+        return node
+
+    def condition(self) -> Node:
+        """The first argument of where."""
+        column = self.next.column
+        left = self.operation()
+        if is_comparison(left):  # in brackets
+            return left
+        op = self.accept(*COMPARISONS)
+        if op is None:
+            raise self.error(f"where needs a condition at column {column}, as in where(x > 0, x, 0)")
+        node = self.made(Binary(op.text, left, self.number(self.operation(), op)))
+        if self.next.text in COMPARISONS:
+            raise self.error(
+                f"{self.next.text!r} at column {self.next.column}: one comparison each; nest where in where"
+            )
+        return node
+
+    def signed(self) -> Node:
+        """A value with signs in front and a power behind."""
+        self.nesting += 1
+        if self.nesting > MAX_NESTING:
+            raise self.error(f"nested deeper than {MAX_DEPTH} levels")
+        sign = self.accept("-", "+")
+        if sign is not None:
+            node = self.number(self.signed(), sign)
+            node = self.made(Negate(node)) if sign.text == "-" else node
+        else:
+            node = self.atom()
+            power = self.accept("**")
+            if power is not None:
+                exponent = self.number(self.signed(), power)
+                node = self.made(Binary("**", self.number(node, power), exponent))
+        self.nesting -= 1
+        return node
+
+    def atom(self) -> Node:
+        token = self.take()
+        if token.kind == "number":
+            return self.made(self.constant(token))
+        if token.kind == "name":
+            opened = self.accept("(")
+            return self.call(token, opened) if opened else self.made(Symbol(token.text))
+        if token.text == "(":
+            node = self.bracket()
+            self.close(token)
+            return node
+        self.at -= 1
+        what = "at the end" if token.kind == "end" else f"before {token.text!r}"
+        raise self.error(f"malformed: a number, a name or a bracket is missing {what}, at column {token.column}")
+
+    def bracket(self) -> Node:
+        """What stands in brackets: a value, or a comparison."""
+        node = self.operation()
+        op = self.accept(*COMPARISONS)
+        if op is None:
+            return node
+        right = self.operation()
+        return self.made(Binary(op.text, self.number(node, op), self.number(right, op)))
+
+    def close(self, opened: _Token) -> None:
+        if self.accept(")") is None:
+            if self.next.kind != "end":
+                raise self.error(self.misplaced())
+            raise self.error(f"missing ')' at column {self.next.column}, of the bracket at column {opened.column}")
+
+    def constant(self, token: _Token) -> Number:
+        value = float(token.text)
+        if not math.isfinite(value):
+            raise self.error(f"a number is too large, at column {token.column}")
+        return Number(int(token.text) if token.text.isdigit() else value)
+
+    def call(self, name: _Token, opened: _Token) -> Node:
+        function = ALIASES.get(name.text, name.text)
+        if function not in FUNCTIONS and function != SQUARE:
+            raise self.error(self.no_function(name))
+        arguments: list[Node] = []
+        if self.accept(")") is None:
+            while True:
+                first = function == "where" and not arguments
+                arguments.append(self.condition() if first else self.value())
+                if self.accept(",") is None:
+                    break
+            self.close(opened)
+        least, most = (1, 1) if function == SQUARE else FUNCTIONS[function].arguments
+        if not least <= len(arguments) <= (most or len(arguments)):
+            takes = argument_count(least, most)
+            raise self.error(f"{name.text} takes {takes}, not {len(arguments)}, at column {name.column}")
+        if function == SQUARE:
+            return self.made(Binary("**", arguments[0], self.made(Number(2))))
+        return self.made(Call(function, tuple(arguments)))
+
+    def no_function(self, name: _Token) -> str:
+        near = difflib.get_close_matches(name.text, [*FUNCTIONS, *ALIASES, SQUARE], n=1, cutoff=0.6)
+        missing = f"at column {name.column} there is no function {_shown(name.text)}"
+        if near:
+            return f"{missing}; did you mean {near[0]!r}?"
+        return f"{missing}; write * for products (there are: {', '.join(FUNCTIONS)})"
 
 
 @lru_cache(maxsize=4096)
 def _parse(text: str) -> Expression:
-    stripped = text.strip(" \t")
-    if not stripped:
+    if not text.strip(" \t"):
         raise _error(text, "empty")
-    _scan(text)
-    try:
-        body = ast.parse(stripped, mode="eval").body
-    except (SyntaxError, ValueError):
-        raise _error(text, "malformed: an operator, an operand or a bracket is missing or out of place") from None
-    except (MemoryError, RecursionError):
-        raise _error(text, f"nested deeper than {MAX_DEPTH} levels") from None
-    expression = Expression(_Converter(text).convert(body))
+    expression = Expression(_Parser(text).whole())
     if len(expression.text) > MAX_LENGTH:
         # 1e15 is written 1000000000000000: what is accepted must also be accepted in canonical form.
         raise _error(text, f"longer than {MAX_LENGTH} characters in canonical form")
@@ -170,8 +307,9 @@ def _parse(text: str) -> Expression:
 def parse(text: str, names: Iterable[str] | None = None) -> Expression:
     """Parse a term or a right-hand side.
 
-    Allowed are decimal numbers, names, ``+ - * / **``, unary ``+ -``, brackets and calls of one argument to
-    sin, cos, tan, asin, acos, atan, exp, log, sqrt, abs, sign, sinh, cosh and tanh, with Python's precedence.
+    Allowed are decimal numbers, names, ``+ - * / **`` (``^`` is ``**``), unary ``+ -``, brackets, calls of the
+    functions of `bayeq.expressions.functions.FUNCTIONS`, other spellings of them (`ALIASES`), and comparisons as
+    conditions of ``where``, with Python's precedence. ``pi`` and ``e`` are numbers unless `names` has them.
     At most 1000 characters, 50 levels and 500 nodes. The text is never evaluated.
 
     Parameters
@@ -179,12 +317,12 @@ def parse(text: str, names: Iterable[str] | None = None) -> Expression:
     text : str
         Such as ``"x**2*v"`` or ``"(u - c*v - k*x)/m"``.
     names : iterable of str, optional
-        The names that may occur; without it every name may.
+        The names that may occur, besides constants; without it every name may that is not a function's.
 
     Returns
     -------
     Expression
-        Equal texts up to spaces, brackets and spelling of numbers give equal expressions.
+        Equal texts up to spaces, brackets, spelling of numbers and of functions give equal expressions.
 
     Raises
     ------
@@ -197,22 +335,41 @@ def parse(text: str, names: Iterable[str] | None = None) -> Expression:
     --------
     >>> parse("x ** 2.0 * (v)")
     parse('x**2*v')
-    >>> parse("x^2")
+    >>> parse("x^2 + arctan2(v, x)")
+    parse('x**2+atan2(v,x)')
+    >>> parse("sin(x")
     Traceback (most recent call last):
     ...
-    bayeq.errors.ExpressionError: expression 'x^2': '^' at column 2 is not allowed: use ** for powers
+    bayeq.errors.ExpressionError: expression 'sin(x': missing ')' at column 6, of the bracket at column 4
     >>> parse("k*x", names=["x", "v"])
     Traceback (most recent call last):
     ...
-    bayeq.errors.UnknownNameError: expression 'k*x': no channel named 'k'; there are: x, v
+    bayeq.errors.UnknownNameError: expression 'k*x', column 1: no channel named 'k'; there are: x, v
     """
     if not isinstance(text, str):
         raise _error(text, f"a term is text (str), not {type(text).__name__}")
     if len(text) > MAX_LENGTH:
         raise _error(text, f"longer than {MAX_LENGTH} characters")
     expression = _parse(text)
-    if names is not None:
-        known = list(names)
-        for name in sorted(expression.names.difference(known)):
-            raise UnknownNameError("channel", name, known, where=f"expression {_shown(text)}")
-    return expression
+    known = () if names is None else tuple(names)
+    for name in sorted(expression.names.difference(known)):
+        if name in FUNCTIONS:
+            reason = f"{name} is a function and needs its argument: {name}(...), at column {_column(text, name)}"
+            raise _error(text, reason)
+        if names is not None and name not in CONSTANTS:
+            place = f"expression {_shown(text)}, column {_column(text, name)}"
+            raise UnknownNameError("channel", name, list(known), where=place)
+    constants = expression.names.intersection(CONSTANTS).difference(known)
+    return Expression(_with_constants(expression.tree, constants)) if constants else expression
+
+
+def _with_constants(node: Node, names: frozenset[str]) -> Node:
+    """A tree with constants for the symbols of their names."""
+    if isinstance(node, Symbol):
+        return Constant(node.name) if node.name in names else node
+    return with_arguments(node, tuple(_with_constants(part, names) for part in arguments_of(node)))
+
+
+def _column(text: str, name: str) -> int:
+    """Where a name stands in a text that has been parsed, counted from 1."""
+    return next(token.column for token in _tokens(text) if token.kind == "name" and token.text == name)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
-from bayeq.expressions.functions import FUNCTIONS
-from bayeq.expressions.nodes import Binary, Call, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.definitions import substituted, template
+from bayeq.expressions.functions import COMPARISONS, FUNCTIONS
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
 
 __all__ = ["latex", "to_sympy"]
 
@@ -20,7 +22,7 @@ def to_sympy(expression: Expression) -> Any:
     """The expression as a SymPy object.
 
     Integers become `sympy.Integer` (so that ``1/3`` is the rational), other numbers `sympy.Float`, names
-    plain symbols. Built from the tree; no text is handed to ``sympify``.
+    plain symbols, ``pi`` and ``e`` SymPy's numbers. Built from the tree; no text is handed to ``sympify``.
 
     Parameters
     ----------
@@ -71,17 +73,40 @@ def _convert(node: Node) -> Any:
     match node:
         case Number(value):
             return sympy.Integer(value) if isinstance(value, int) else sympy.Float(value)
+        case Constant(name):
+            return {"pi": sympy.pi, "e": sympy.E}[name]
         case Symbol(name):
             return sympy.Symbol(name)
         case Negate(operand):
             return -_convert(operand)
-        case Call(function, argument):
-            return getattr(sympy, FUNCTIONS[function].sympy)(_convert(argument))
+        case Call(function, arguments):
+            return _called(function, arguments)
         case Binary("**", left, right):
             return _power(_convert(left), _convert(right))
+        case Binary(op, left, right) if op in COMPARISONS:
+            try:
+                return getattr(sympy, COMPARISONS[op].sympy)(_convert(left), _convert(right))
+            except TypeError:  # of numbers that are not real; NaN compares as false too
+                return sympy.false
         case Binary(op, left, right):
             a, b = _convert(left), _convert(right)
             return _bounded(a + b if op == "+" else a - b if op == "-" else a * b if op == "*" else a / b)
+
+
+def _called(function: str, arguments: Sequence[Node]) -> Any:
+    import sympy
+
+    if function == "where":
+        condition, first, second = map(_convert, arguments)
+        return sympy.Piecewise((first, condition), (second, True))
+    shown = FUNCTIONS[function].sympy
+    if not shown.isidentifier():
+        return _convert(substituted(template(shown), arguments))
+    converted = list(map(_convert, arguments))
+    try:
+        return getattr(sympy, shown)(*converted)
+    except (TypeError, ValueError, ZeroDivisionError):  # not defined there: mod(x, 0), or of complex numbers
+        return sympy.nan
 
 
 def _numerical(factor: Any, bits: float) -> Any:

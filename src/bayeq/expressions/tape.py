@@ -8,33 +8,58 @@ variables are carried along where asked for (forward differentiation), exact to 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from functools import reduce
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError, UnknownNameError
+from bayeq.expressions.definitions import substituted, template
 from bayeq.expressions.evaluate import ARITHMETIC, MAX_INTEGER_POWER, FloatArray
 from bayeq.expressions.functions import (
     ABS,
     ACOS,
+    ACOSH,
     ASIN,
+    ASINH,
+    AT_LEAST,
+    AT_MOST,
     ATAN,
+    ATAN2,
+    ATANH,
+    CBRT,
+    COMPARISONS,
+    CONSTANTS,
     COS,
     COSH,
+    EQUAL,
+    ERF,
     EXP,
+    FLOOR,
     FUNCTIONS,
+    LESS,
     LOG,
+    LOG1P,
+    LOG10,
+    MAX,
+    MIN,
+    MOD,
+    MORE,
+    OTHER,
+    PAIRS,
+    PICK,
     SIGN,
     SIN,
     SINH,
     SQRT,
     TAN,
     TANH,
+    UNLESS,
 )
-from bayeq.expressions.nodes import Binary, Call, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
 from bayeq.kernels import kernel
 
 __all__ = ["IndexArray", "Program", "Tape", "run_tape"]
@@ -42,11 +67,22 @@ __all__ = ["IndexArray", "Program", "Tape", "run_tape"]
 IndexArray: TypeAlias = NDArray[np.uint32]
 
 ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, NEGATE = range(6)
-_OPCODES = {"+": ADD, "-": SUBTRACT, "*": MULTIPLY, "/": DIVIDE, "**": POWER}
-_UFUNCS: dict[int, np.ufunc] = {
-    **{opcode: ARITHMETIC[op] for op, opcode in _OPCODES.items()},
-    **{function.opcode: function.numpy for function in FUNCTIONS.values()},
+_OPCODES = {
+    "+": ADD,
+    "-": SUBTRACT,
+    "*": MULTIPLY,
+    "/": DIVIDE,
+    "**": POWER,
+    **{op: comparison.opcode for op, comparison in COMPARISONS.items()},
+}
+# what instructions make of constants
+_ON_CONSTANTS: dict[int, Callable[..., Any]] = {
+    **{_OPCODES[op]: ufunc for op, ufunc in ARITHMETIC.items()},
+    **{comparison.opcode: comparison.numpy for comparison in COMPARISONS.values()},
+    **{function.opcode: function.numpy for function in FUNCTIONS.values() if function.opcode},
     NEGATE: np.negative,
+    PICK: lambda a, b: b if a else 0.0,
+    UNLESS: lambda a, b: 0.0 if a else b,
 }
 
 
@@ -99,7 +135,62 @@ def apply_function(opcode: int, a: float, slope: bool) -> float:
         return math.sinh(a) if slope else math.cosh(a)
     if opcode == TANH:
         return 1.0 - math.tanh(a) ** 2 if slope else math.tanh(a)
+    return _further_function(opcode, a, slope)
+
+
+@kernel
+def _further_function(opcode: int, a: float, slope: bool) -> float:
+    """As `apply_function`, of the rarer ones."""
+    if opcode == FLOOR:
+        return 0.0 if slope else np.floor(a)
+    if opcode == ASINH:
+        return 1.0 / math.sqrt(1.0 + a * a) if slope else math.asinh(a)
+    if opcode == ACOSH:
+        return 1.0 / math.sqrt(a * a - 1.0) if slope else math.acosh(a)
+    if opcode == ATANH:
+        return 1.0 / (1.0 - a * a) if slope else math.atanh(a)
+    if opcode == LOG10:
+        return 1.0 / (a * math.log(10.0)) if slope else math.log10(a)
+    if opcode == LOG1P:
+        return 1.0 / (1.0 + a) if slope else math.log1p(a)
+    if opcode == CBRT:
+        root = np.cbrt(a)
+        return 1.0 / (3.0 * root * root) if slope else root
+    if opcode == ERF:
+        return 2.0 / math.sqrt(math.pi) * math.exp(-a * a) if slope else math.erf(a)
     return math.nan
+
+
+@kernel
+def apply_pair(opcode: int, a: float, b: float) -> tuple[float, float, float]:
+    """Value of a function of two numbers, and its derivatives by them; NaN if there is no such opcode."""
+    if opcode == PICK:
+        return (b, 0.0, 1.0) if a != 0.0 else (0.0, 0.0, 0.0)
+    if opcode == UNLESS:
+        return (0.0, 0.0, 0.0) if a != 0.0 else (b, 0.0, 1.0)
+    if opcode == MAX:
+        return (a, 1.0, 0.0) if a >= b or a != a else (b, 0.0, 1.0)
+    if opcode == MIN:
+        return (a, 1.0, 0.0) if a <= b or a != a else (b, 0.0, 1.0)
+    if opcode == ATAN2:
+        square = a * a + b * b
+        return math.atan2(a, b), b / square, -a / square
+    if opcode == MOD:
+        return np.mod(a, b), 1.0, -np.floor(a / b)
+    holds = math.nan
+    if opcode == LESS:
+        holds = 1.0 if a < b else 0.0
+    elif opcode == AT_MOST:
+        holds = 1.0 if a <= b else 0.0
+    elif opcode == MORE:
+        holds = 1.0 if a > b else 0.0
+    elif opcode == AT_LEAST:
+        holds = 1.0 if a >= b else 0.0
+    elif opcode == EQUAL:
+        holds = 1.0 if a == b else 0.0
+    elif opcode == OTHER:
+        holds = 1.0 if a != b else 0.0
+    return holds, 0.0, 0.0
 
 
 @kernel
@@ -152,6 +243,14 @@ def run_tape(program: Program, tangents: FloatArray | None) -> None:
                     slope = b * a ** (b - 1.0) * tangents[left, j] if tangents[left, j] != 0.0 else 0.0
                     if tangents[right, j] != 0.0:
                         slope += value * math.log(a) * tangents[right, j]
+                    tangents[to, j] = slope
+        elif opcode >= PAIRS:
+            value, by_a, by_b = apply_pair(opcode, a, b)
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    slope = by_a * tangents[left, j] if tangents[left, j] != 0.0 and by_a != 0.0 else 0.0
+                    if tangents[right, j] != 0.0 and by_b != 0.0:
+                        slope += by_b * tangents[right, j]
                     tangents[to, j] = slope
         else:
             value = apply_function(opcode, a, False)
@@ -247,14 +346,30 @@ class _Compiler:
                 if name not in self.variables:
                     raise UnknownNameError("channel", name, self.variables)
                 return self.variables[name]
+            case Constant(name):
+                return self.constant(np.float64(CONSTANTS[name]))
             case Negate(operand):
                 return self.emit(NEGATE, self.register(operand))
-            case Call(function, argument):
-                return self.emit(FUNCTIONS[function].opcode, self.register(argument))
+            case Call(function, arguments):
+                return self.call(function, arguments)
             case Binary("**", left, right):
                 return self.power(self.register(left), self.register(right))
             case Binary(op, left, right):
                 return self.emit(_OPCODES[op], self.register(left), self.register(right))
+
+    def call(self, function: str, arguments: Sequence[Node]) -> int:
+        """The register that holds the value of a function."""
+        row = FUNCTIONS[function]
+        if row.definition:
+            return self.register(substituted(template(row.definition), arguments))
+        registers = [self.register(argument) for argument in arguments]
+        if function == "where":
+            # what is not picked counts as 0, whatever it is
+            condition, first, second = registers
+            return self.emit(ADD, self.emit(PICK, condition, first), self.emit(UNLESS, condition, second))
+        if len(registers) == 1:
+            return self.emit(row.opcode, registers[0])
+        return reduce(lambda a, b: self.emit(row.opcode, a, b), registers)
 
     def constant(self, value: np.float64) -> int:
         key = value.tobytes()  # the bits: 0.0 and -0.0 differ, NaN equals itself
@@ -267,7 +382,7 @@ class _Compiler:
     def emit(self, opcode: int, a: int, b: int | None = None) -> int:
         operands: tuple[int, ...] = (a,) if b is None else (a, b)
         if all(r in self.values for r in operands):
-            return self.constant(np.float64(_UFUNCS[opcode](*(self.values[r] for r in operands))))
+            return self.constant(np.float64(_ON_CONSTANTS[opcode](*(self.values[r] for r in operands))))
         if opcode in (ADD, MULTIPLY):
             operands = tuple(sorted(operands))
         key = (opcode, operands[0], operands[-1])

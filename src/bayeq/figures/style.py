@@ -228,6 +228,7 @@ def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
     names = {stand: sympy.latex(symbol) for symbol, stand in stand_in.items()}
     text = sympy.latex(to_sympy(parse(expression)).xreplace(stand_in), fold_short_frac=True, symbol_names=names)
     text = text.replace(r"\operatorname{sign}", r"\mathrm{sgn}").replace(" / ", "/")
+    text = text.replace(r"\bmod", r"\,\mathrm{mod}\,").replace(r"\theta\left(", r"\mathrm{H}\left(")
     # matplotlib needs no brackets that grow, and sets them too wide
     text = re.sub(r"\{\\left\((\S+) \\right\)\}", r"(\1)", text)
     text = re.sub(r"\\left\|\{(\S+)\}\\right\|", r"|\1|", text)
@@ -252,6 +253,7 @@ def term_label(term: str, dictionary: Sequence[str] = (), longest: int = 18) -> 
     plain = short.replace("$", r"\$")
     order = tuple(dict.fromkeys(re.findall(r"[^\W\d]\w*", " ".join(dictionary))))
     try:
-        return mathtext(term, order) if short == term else plain
+        set_text = mathtext(term, order) if short == term else plain
     except BayeqError:
         return plain
+    return plain if r"\begin" in set_text else set_text  # matplotlib sets no cases of where

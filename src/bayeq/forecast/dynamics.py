@@ -58,13 +58,15 @@ class Dynamics:
         The equations.
     inputs : tuple of str
         Names of the inputs.
+    timed : bool
+        Whether terms may use t, the time [s]: the last of what drives a run.
     terms : tuple of tuples of Expression
         The terms that each equation includes.
     intercepts : tuple of bool
         Equations that have an intercept.
     tape : Tape
-        Of states, inputs and parameters; its outputs are the states' derivatives, then the targets. The parameters are,
-        equation by equation, the intercept (if there is one) and the coefficients of the terms.
+        Of states, inputs, t (if it is used) and parameters; its outputs are the states' derivatives, then the targets.
+        The parameters are, equation by equation, the intercept (if there is one) and the coefficients of the terms.
     """
 
     laws: tuple[Law, ...]
@@ -72,14 +74,17 @@ class Dynamics:
     terms: tuple[tuple[Expression, ...], ...]
     intercepts: tuple[bool, ...]
     tape: Tape
+    timed: bool = False
 
     @classmethod
-    def of(cls, laws: Sequence[Law], inputs: Sequence[str], intercepts: Sequence[bool] | None = None) -> Dynamics:
+    def of(
+        cls, laws: Sequence[Law], inputs: Sequence[str], intercepts: Sequence[bool] | None = None, timed: bool = False
+    ) -> Dynamics:
         """From the terms that equations include; nothing is compiled to machine code for them.
 
         Parameters
         ----------
-        laws, inputs
+        laws, inputs, timed
             As the attributes.
         intercepts : sequence of bool, optional
             By default all have one.
@@ -102,15 +107,16 @@ class Dynamics:
             for factor, node in zip(factors, above, strict=True):
                 slopes.append(Expression(node if factor == 1.0 else Binary("*", number(factor), node)))
         states = [name for law in laws for name in law.chain.states]
-        tape = Tape.compile([*slopes, *targets], [*states, *inputs, *parameters])
-        return cls(tuple(laws), tuple(inputs), tuple(kept), constant, tape)
+        drivers = Roles((), tuple(inputs), timed).drivers
+        tape = Tape.compile([*slopes, *targets], [*states, *drivers, *parameters])
+        return cls(tuple(laws), tuple(inputs), tuple(kept), constant, tape, timed)
 
     @classmethod
     def on(cls, motion: Motion, terms: Sequence[Expression], posteriors: Sequence[Posterior]) -> Dynamics:
         """From the posterior of each equation of some motion, all of the same candidate terms."""
         parts = zip(motion.roles.chains, posteriors, motion.unit_gains, strict=True)
         laws = [Law(chain, terms, posterior, gains.tolist()) for chain, posterior, gains in parts]
-        return cls.of(laws, motion.roles.inputs)
+        return cls.of(laws, motion.roles.inputs, timed=motion.roles.timed)
 
     @cached_property
     def chains(self) -> tuple[Chain, ...]:
@@ -120,7 +126,7 @@ class Dynamics:
     @property
     def roles(self) -> Roles:
         """Chains and inputs."""
-        return Roles(self.chains, self.inputs)
+        return Roles(self.chains, self.inputs, self.timed)
 
     @cached_property
     def states(self) -> tuple[str, ...]:
@@ -174,7 +180,7 @@ class Dynamics:
         """The tape with fresh registers, with these parameters."""
         program = self.tape.program()
         if parameters is not None:
-            first = len(self.states) + len(self.inputs)
+            first = len(self.states) + len(self.roles.drivers)
             program.registers[first : first + self.size] = parameters
         return program
 

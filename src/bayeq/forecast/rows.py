@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError, RecordError
 from bayeq.expressions import Expression
-from bayeq.ode.rk4 import Drive, Interpolation, interpolant
+from bayeq.ode.rk4 import Drive, Interpolation, interpolant, with_time
 from bayeq.records import Record
-from bayeq.states import ChainSmoothing, Motion
+from bayeq.states import ChainSmoothing, Motion, Roles
 
 __all__ = [
     "Rows",
+    "between",
     "check_interpolation",
     "divided",
     "normalised_error",
@@ -47,7 +48,7 @@ class Rows:
     samples : mapping of str to (n,) array
         What was measured of states and targets; NaN where a sample is missing.
     driven : (n, m, 4) array
-        Inputs between the rows, from `bayeq.ode.rk4.interpolant` over the whole record.
+        Inputs, and t where it is used, between the rows, from `bayeq.ode.rk4.interpolant` over the whole record.
     estimated : mapping of str to ChainSmoothing
         How targets that were not measured were estimated.
     """
@@ -76,9 +77,9 @@ class Rows:
         """What drives a run over these rows, within a range of the states."""
         return Drive.over(self.time, self.driven, low, high)
 
-    def interpolated(self, inputs: Sequence[str], kind: Interpolation) -> Rows:
+    def interpolated(self, roles: Roles, kind: Interpolation) -> Rows:
         """The same with inputs interpolated otherwise, of a whole record."""
-        return replace(self, driven=interpolant(self.time, self.stack(inputs), kind))
+        return replace(self, driven=between(roles, self.time, self.columns, kind))
 
     def nearest(self, time: float) -> int:
         """The row that is nearest to a time."""
@@ -105,7 +106,7 @@ def rows_of(motion: Motion, purpose: str, interpolation: Interpolation = "cubic"
     for rows in motion.records:
         if rows.time is None:
             raise RecordError(f"{rows.name or 'record'}: {purpose} needs a time column or fs")
-        driven = interpolant(rows.time, side_by_side(rows.columns, roles.inputs, rows.n), interpolation)
+        driven = between(roles, rows.time, rows.columns, interpolation)
         out.append(Rows(rows.time, {**rows.columns, **rows.observed}, rows.samples, driven, estimated))
     return out
 
@@ -115,6 +116,12 @@ def divided(motion: Motion, records: Sequence[Rows]) -> tuple[list[Rows], list[R
     pairs = list(zip(records, motion.cuts, strict=True))
     train = [rows.part(slice(0, cut)) for rows, cut in pairs]
     return train, [rows.part(slice(cut, rows.n)) for rows, cut in pairs if cut < rows.n]
+
+
+def between(roles: Roles, time: Floats, columns: Mapping[str, Floats], kind: Interpolation) -> Floats:
+    """What drives a run between samples, (n, m, 4): inputs, and t where it is used."""
+    inputs = interpolant(time, side_by_side(columns, roles.inputs, len(time)), kind)
+    return with_time(time, inputs) if roles.timed else inputs
 
 
 def side_by_side(columns: Mapping[str, Floats], names: Sequence[str], n: int) -> Floats:

@@ -17,18 +17,19 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import ANYWHERE, GENEROUS, mean_run, run_bands, state_range
 from bayeq.forecast.rows import (
     Rows,
+    between,
     check_interpolation,
     normalised_error,
     require_time,
     rows_of,
-    side_by_side,
     whole_number,
     window_of,
 )
 from bayeq.forecast.start import fitted_start
-from bayeq.ode.rk4 import Drive, Interpolation, interpolant
+from bayeq.ode.rk4 import Drive, Interpolation
 from bayeq.records import Record
-from bayeq.states import Smooth, estimate_motion
+from bayeq.states import Sensors, Smooth, estimate_motion
+from bayeq.states.missing import inputs_filled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -133,6 +134,7 @@ def forecast(
     dynamics: Dynamics,
     record: Record,
     smooth: Smooth,
+    sensors: Sensors | None = None,
     *,
     initial: Mapping[str, float] | None = None,
     draws: int = 200,
@@ -147,11 +149,11 @@ def forecast(
     time = require_time(record, "a free run")
     window = window_of(record, start, rows)
     draws = whole_number("draws", draws, 0)
-    part = record.slice(window.start, window.stop)
+    part = inputs_filled(record.slice(window.start, window.stop), dynamics.inputs)
     part.require_finite(dynamics.inputs)
     time = time[window]
-    inputs = _inputs(dynamics, record, window, interpolation)
-    first, low, high = _beginning(dynamics, record, smooth, window, initial)
+    inputs = _inputs(dynamics, record, part, window, interpolation)
+    first, low, high = _beginning(dynamics, record, (smooth, sensors), window, initial)
     mean, stopped, drive = mean_run(dynamics, dynamics.mean, first, Drive.over(time, inputs, low, high))
     bottom: Mapping[str, Floats] = {}
     top: Mapping[str, Floats] = {}
@@ -178,18 +180,19 @@ def forecast(
     )
 
 
-def _inputs(dynamics: Dynamics, record: Record, window: slice, interpolation: Interpolation) -> Floats:
-    """Inputs between the rows of a window, by what is known of them outside it too."""
-    samples = side_by_side(record.channels, dynamics.inputs, record.n)
-    known = window if not np.isfinite(samples).all() else slice(0, record.n)
-    out = interpolant(require_time(record, "a free run")[known], samples[known], interpolation)
-    return out if known is window else out[window]
+def _inputs(dynamics: Dynamics, record: Record, part: Record, window: slice, interpolation: Interpolation) -> Floats:
+    """Inputs between the rows of a window, by what is known of them outside it too; `part` is the window, filled in."""
+    whole = all(np.isfinite(record[name]).all() for name in dynamics.inputs)
+    source = record if whole else part
+    columns = {name: np.asarray(source[name]) for name in dynamics.inputs}
+    out = between(dynamics.roles, require_time(source, "a free run"), columns, interpolation)
+    return out[window] if whole else out
 
 
 def _beginning(
     dynamics: Dynamics,
     record: Record,
-    smooth: Smooth,
+    how: tuple[Smooth, Sensors | None],
     window: slice,
     initial: Mapping[str, float] | None,
 ) -> tuple[Floats, Floats, Floats]:
@@ -204,7 +207,7 @@ def _beginning(
         if not math.isfinite(value):
             raise InputError(f"initial: {name} must be finite, not {value!r}")
     needed = [name for name in dynamics.states if name not in given]
-    rows = _rows(dynamics, record, smooth) if needed else None
+    rows = _rows(dynamics, record, *how) if needed else None
     if rows is not None:
         times = require_time(record, "a free run")
         row = rows.nearest(times[window.start])
@@ -226,11 +229,11 @@ def _beginning(
     return start, low, high
 
 
-def _rows(dynamics: Dynamics, record: Record, smooth: Smooth) -> Rows | None:
+def _rows(dynamics: Dynamics, record: Record, smooth: Smooth, sensors: Sensors | None) -> Rows | None:
     """The record with its states, where all channels that they come from are measured."""
     if not all(name in record.channels for name in dynamics.roles.measured):
         return None
-    return rows_of(estimate_motion([record], dynamics.roles, smooth), "a free run")[0]
+    return rows_of(estimate_motion([record], dynamics.roles, smooth, sensors=sensors), "a free run")[0]
 
 
 def _measured_states(dynamics: Dynamics, record: Record, row: int, needed: Sequence[str]) -> Mapping[str, Floats]:

@@ -24,7 +24,7 @@ from bayeq.forecast.rows import (
 from bayeq.forecast.start import fitted_start
 from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
-from bayeq.states import Motion, Smooth, estimate_motion
+from bayeq.states import Motion, Sensors, Smooth, estimate_motion
 
 __all__ = ["held_out_scores", "score_records", "score_rows"]
 
@@ -93,6 +93,7 @@ def score_records(
     dynamics: Dynamics,
     records: Sequence[Record],
     smooth: Smooth,
+    sensors: Sensors,
     *,
     start: int | None,
     rows: int | None,
@@ -101,7 +102,7 @@ def score_records(
 ) -> Scores:
     """Scores on rows of records; see `bayeq.Equations.score`. Without `start` these are the last ones, a share."""
     check_interpolation(interpolation)
-    motion = estimate_motion(records, dynamics.roles, smooth, share if start is None else 0.0)
+    motion = estimate_motion(records, dynamics.roles, smooth, share if start is None else 0.0, sensors)
     pieces = []
     for record, whole in zip(records, rows_of(motion, "a free run", interpolation), strict=True):
         time = require_time(record, "a free run")

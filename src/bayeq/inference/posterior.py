@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -70,6 +72,27 @@ class ModelAverage:
         """Probability that terms i and j are both in, (P, P); the diagonal holds the PIPs."""
         weighted = self.models * self.probability[:, None]
         return np.asarray(weighted.T @ self.models.astype(np.float64))
+
+    def log_odds(self, model: NDArray[np.bool_], others: Mapping[bytes, float]) -> list[float]:
+        """Of other models against one.
+
+        Parameters
+        ----------
+        model : (P,) bool array
+            Which terms it holds.
+        others : mapping of bytes to float
+            Models, and the log odds of those where the first is not listed; a model that is not listed has at most
+            the probability left out.
+        """
+        listed = {one.tobytes(): p for one, p in zip(self.models, self.probability.tolist(), strict=True)}
+        own = math.log(listed.get(model.tobytes(), 0.0) or math.inf)
+        if math.isinf(own):
+            return list(others.values())
+        most = math.log(self.left_out or math.inf) - own
+        return [
+            math.log(listed[key] or 1e-300) - own if key in listed else min(otherwise, most)
+            for key, otherwise in others.items()
+        ]
 
     def credible_groups(self, least: float = 0.05) -> list[tuple[tuple[int, ...], float]]:
         """Terms that replace each other: undecided, and rarely in together.

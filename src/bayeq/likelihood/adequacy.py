@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import marginal
+from bayeq.likelihood.fit import State, adjoints, marginal
+from bayeq.likelihood.levels import MEMORY
+from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.numerics.beta import incomplete_beta
 
-__all__ = ["Adequacy", "Discrepancy", "Octave", "adequacy_of", "octaves_of"]
+__all__ = ["Adequacy", "Discrepancy", "Octave", "adequacy_of", "chance_of", "octaves_of", "turn_of"]
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +34,9 @@ OCTAVES, LEAST_BINS = 9, 8
 
 # Half of the width of a 95 % interval, in standard deviations.
 HALF = 1.96
+
+# Memories of a discrepancy between which its test is followed.
+MEMORIES = 33
 
 # Step in ln size that the curvature of the likelihood is read from, and the curvature below which it tells nothing.
 STEP, LEAST_BEND = 0.1, 1e-3
@@ -47,7 +52,7 @@ class Discrepancy(NamedTuple):
     low, high : float
         Ends of its 95 % interval.
     p : float
-        Probability by chance of a likelihood that is greater than without by as much.
+        Probability by chance of a likelihood that is greater than without by as much, see `chance_of`.
     octave : (float, float)
         Between these frequencies [Hz] lies most of its power.
     """
@@ -138,8 +143,7 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     discrepancies = []
     for c, size in enumerate(levels.kappa.tolist()):
         gain = 2.0 * (here.value - log_likelihood(c, 0.0))
-        # of no discrepancy the ratio is zero in half of the records, else chi-square of one degree of freedom
-        p = 0.5 * math.erfc(math.sqrt(0.5 * gain)) if gain > 0.0 else 1.0
+        p = chance_of(gain, _length(task, state, linears, precision, c)) if gain > 0.0 else 1.0
         bend = -(log_likelihood(c, math.exp(STEP)) - 2.0 * here.value + log_likelihood(c, math.exp(-STEP))) / STEP**2
         factor = math.exp(0.5 * HALF / math.sqrt(bend)) if bend > LEAST_BEND else math.inf
         paths = [path[:, layout.discrepancy[c]] for path in state.paths]
@@ -151,7 +155,12 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     noise = levels.noise._replace(channels=levels.noise.channels[order])
     filtered = [
         run_filter(
-            one._replace(residual=np.ascontiguousarray(one.residual[:, order]), kinds=one.kinds[order]),
+            one._replace(
+                residual=np.ascontiguousarray(one.residual[:, order]),
+                kinds=one.kinds[order],
+                spread=np.ascontiguousarray(one.spread[:, order]),
+                unresolved=np.ascontiguousarray(one.unresolved[:, order]),
+            ),
             state.chosen,
             noise,
         )
@@ -170,6 +179,69 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
         else:
             octaves += octaves_of(channel, left, interval, otherwise if kind < 0 else set())
     return Adequacy(tuple(discrepancies), tuple(octaves))
+
+
+def chance_of(gain: float, length: float) -> float:
+    """Probability that the likelihood of the likeliest discrepancy is greater by chance, of an equation without one.
+
+    The signed root of twice the log ratio is about standard normal at each memory, and zero where it is negative. The
+    memory is the likeliest too: to the normal tail at one end of its range are added the crossings of the level on the
+    way to the other (Davies 1977, with the rate of Rice).
+
+    Parameters
+    ----------
+    gain : float
+        Twice the logarithm of the ratio of the likelihoods.
+    length : float
+        Angle that the test turns through from the least memory to the most: two tests of correlation r are arccos(r)
+        apart.
+
+    Examples
+    --------
+    >>> round(chance_of(1.96**2, 0.0), 3)
+    0.025
+    >>> round(chance_of(1.96**2, 2.0), 3)
+    0.072
+    """
+    return min(1.0, 0.5 * math.erfc(math.sqrt(0.5 * gain)) + math.exp(-0.5 * gain) * length / (2.0 * math.pi))
+
+
+def _length(task: Task, state: State, linears: Sequence[Linear], precision: Floats, c: int) -> float:
+    """What `chance_of` takes, of the discrepancy of equation c."""
+    levels, d = state.levels, task.layout.discrepancy[c]
+    sizes, memory = levels.discrepancy.copy(), levels.memory.copy()
+    sizes[c], memory[c] = levels.sizes[0][c], MEMORY[0]
+    # a small discrepancy without memory is, smoothed, what the likelihood would gain by a force at each sample
+    little = replace(levels, discrepancy=sizes, memory=memory)
+    found = marginal(linears, state, little, precision)
+    pulls = [
+        path[:, d] + one.deviation[:, d]
+        for path, one in zip(state.paths, adjoints(linears, little, found, found.delta), strict=True)
+    ]
+    return turn_of(pulls)
+
+
+def turn_of(pulls: Sequence[Floats]) -> float:
+    """Angle that the score of a discrepancy turns through from the least memory to the most.
+
+    Parameters
+    ----------
+    pulls : sequence of (n,) arrays
+        What the likelihood of an equation without discrepancy gains by a force at each sample. The score is the sum
+        over frequencies of its power times the spectrum of the discrepancy.
+    """
+    weights, angles = [], []
+    for values in pulls:
+        lines = np.fft.rfft(values - values.mean())[1 : (len(values) + 1) // 2]
+        weights.append(np.abs(lines) ** 2)
+        angles.append(2.0 * np.pi * np.arange(1, len(lines) + 1) / len(values))
+    power, angle = np.concatenate(weights), np.concatenate(angles)
+    low, high = (math.log(m / (1.0 - m)) for m in MEMORY)
+    memory = 1.0 / (1.0 + np.exp(-np.linspace(low, high, MEMORIES)))[:, None]
+    spectra = power * (1.0 - memory**2) / (1.0 - 2.0 * memory * np.cos(angle) + memory**2)
+    units = spectra / np.linalg.norm(spectra, axis=1)[:, None]
+    cosines = np.einsum("mf,mf->m", units[1:], units[:-1])
+    return float(np.arccos(np.clip(cosines, -1.0, 1.0)).sum())
 
 
 def octaves_of(

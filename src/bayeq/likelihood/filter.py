@@ -255,6 +255,7 @@ def _forward(
     path, end, transition, gradient, residual = linear[:5]
     terms, middle, weights, kinds, follows = linear[5:10]
     added, memory, steps = noise.channels, noise.memory, noise.steps
+    spread, unresolved = linear.spread, linear.unresolved
     work, step, lines, starts, scaled, variances = at
     innovation, variance, gain, mean, covariance = out[:5]
     size, start, blocks, used = path.shape[1], 1 + len(chosen.chain), len(starts) - 1, 0
@@ -273,7 +274,7 @@ def _forward(
         for channel in range(len(kinds)):
             S, kind = 0.0, kinds[channel]
             if not np.isnan(residual[k, channel]):
-                S = added[channel]
+                S = added[channel] * spread[k, channel] + unresolved[k, channel]
                 if kind >= 0:
                     for j in range(work.shape[2]):
                         lines[0, j] = work[now, kind, j]
@@ -559,8 +560,9 @@ def _backward(
             for channel in range(len(kinds)):
                 if kinds[channel] < 0 and variance[k, channel] > 0.0:
                     _curve_at(gradient, covariance, k, -1 - kinds[channel], work, now, lines, at_samples, start)
+                    own = added[channel] * linear.spread[k, channel] + linear.unresolved[k, channel]
                     for i in range(size):
-                        at_samples[k, -1 - kinds[channel], i] /= added[channel]
+                        at_samples[k, -1 - kinds[channel], i] /= own
         for channel in range(len(kinds) - 1, -1, -1):
             S, kind = variance[k, channel], kinds[channel]
             if S > 0.0:
@@ -569,7 +571,7 @@ def _backward(
                 total = -spread
                 for j in range(start):
                     total += lines[0, j] ** 2
-                by_channels[channel] += 0.5 * total
+                by_channels[channel] += 0.5 * total * linear.spread[k, channel]
                 if kind >= 0:
                     _absorb_state(kind, spread, work, now, lines, start)
                 else:

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
+from bayeq.expressions.functions import TIME
 from bayeq.likelihood.low_pass import feedback
-from bayeq.likelihood.signs import mean_of_signs
+from bayeq.likelihood.signs import mean_of_jumps
 from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Roles, rates
 
@@ -68,9 +69,9 @@ class Layout:
         Of the spectrum of each noisy input [rad/s]; not used of a random sequence.
     interpolation : "cubic", "band-limited", "linear" or "hold"
         The other inputs between their samples.
-    blur : mapping of Expression to float
-        What the terms take the sign of, and the standard deviation with which that is known along the path: there the
-        sign is its mean.
+    blur : mapping of Node to float
+        The jumps of the terms (`bayeq.likelihood.signs.jumps_of`), and the standard deviation with which the argument
+        of each is known along the path: there the jump is its mean.
     """
 
     roles: Roles
@@ -138,6 +139,11 @@ class Layout:
         return tuple(name for name in self.roles.inputs if name not in self.noisy)
 
     @cached_property
+    def given(self) -> tuple[str, ...]:
+        """What terms use that is no state: the exact inputs, and t where it is used."""
+        return (*self.exact, TIME) if self.roles.timed else self.exact
+
+    @cached_property
     def rates(self) -> tuple[tuple[float, ...], ...]:
         """Of each chain, the factors between each derivative's channel and the rate of the one below."""
         return tuple(tuple(rates(c, g.tolist())) for c, g in zip(self.roles.chains, self.gains, strict=True))
@@ -176,8 +182,8 @@ class Layout:
 
     @cached_property
     def blurred(self) -> tuple[Expression, ...]:
-        """The terms with the mean of each sign in its place."""
-        return tuple(Expression(mean_of_signs(term.tree, self.blur)) for term in self.terms)
+        """The terms with the mean of each jump in its place."""
+        return tuple(Expression(mean_of_jumps(term.tree, self.blur)) for term in self.terms)
 
     def tape(self, chosen: Candidates) -> Tape:
         """Rates of the states, then the targets, in states, exact inputs and the chosen coefficients."""
@@ -195,9 +201,9 @@ class Layout:
         out += [Number(0)] * self.chains
         for name, width in zip(self.noisy, self.widths, strict=True):
             out += [*(Symbol(f"{name}[{k}]") for k in range(1, width)), Number(0)]
-        return Tape.compile(map(Expression, [*out, *targets]), [*self.names, *self.exact, *parameters])
+        return Tape.compile(map(Expression, [*out, *targets]), [*self.names, *self.given, *parameters])
 
     def terms_tape(self) -> Tape:
         """The candidate terms and the constant, in states and exact inputs."""
         trees: Sequence[Node] = [*(term.tree for term in self.blurred), Number(1)]
-        return Tape.compile(map(Expression, trees), [*self.names, *self.exact])
+        return Tape.compile(map(Expression, trees), [*self.names, *self.given])

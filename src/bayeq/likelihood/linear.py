@@ -30,12 +30,18 @@ class Series(NamedTuple):
     samples : (n, M) array
         Of `Layout.channels`; NaN where there is none.
     inputs : (n, m, 4) array
-        The exact inputs, from `bayeq.ode.rk4.interpolant`.
+        What `Layout.given` names, from `bayeq.ode.rk4.interpolant`.
+    spread : (n, M) array
+        Variance of the noise of each sample as a multiple of its channel's.
+    unresolved : (n, M) array
+        Variance that each sample has besides: of what the mean of jumps leaves out.
     """
 
     intervals: Floats
     samples: Floats
     inputs: Floats
+    spread: Floats
+    unresolved: Floats
 
 
 class Linear(NamedTuple):
@@ -61,6 +67,8 @@ class Linear(NamedTuple):
         See `Layout.channels`.
     follows, leads : (S, S) int arrays
         Of each state, how many others its next value may depend on, and which; and how many depend on it, and which.
+    spread, unresolved : (n, M) arrays
+        As in `Series`.
     """
 
     path: Floats
@@ -74,6 +82,8 @@ class Linear(NamedTuple):
     kinds: Ints
     follows: Ints
     leads: Ints
+    spread: Floats
+    unresolved: Floats
 
 
 @kernel
@@ -169,6 +179,8 @@ def linearise(
         kinds=layout.kinds,
         follows=_others(related),
         leads=_others(related.T),
+        spread=series.spread,
+        unresolved=series.unresolved,
     )
 
 
@@ -198,7 +210,7 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
 def _terms(layout: Layout, states: Floats, inputs: Floats) -> Floats:
     """Candidates and the constant at some states, (n, P + 1)."""
     columns = dict(zip(layout.names, np.asfortranarray(states).T, strict=True))
-    columns |= dict(zip(layout.exact, inputs.T, strict=True))
+    columns |= dict(zip(layout.given, inputs.T, strict=True))
     out = np.ones((len(states), len(layout.terms) + 1))
     out[:, :-1] = evaluate_terms(layout.blurred, columns)
     return out

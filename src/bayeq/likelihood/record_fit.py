@@ -17,8 +17,9 @@ from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.fit import Quadratic, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
-from bayeq.likelihood.search import ADEQUATE, Fitted, Task, fit, resumed, search, with_model
+from bayeq.likelihood.search import ADEQUATE, Fitted, Task, fit, resumed, search, with_mean_signs, with_model
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
+from bayeq.likelihood.student import with_heavy_tails
 from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Motion
 
@@ -229,8 +230,8 @@ def fit_record(
         One that `suits`.
     terms : sequence of Expression
         The P candidates.
-    log_odds : (P + 1,) array
-        Of each candidate, and of the constant, not being zero.
+    log_odds : (P + 1,) or (C, P + 1) array
+        Of each candidate, and of the constant, not being zero; of all equations or of each.
     grams : sequence of Gram
         Of the smoothed rows, one per equation.
 
@@ -243,13 +244,17 @@ def fit_record(
     try:
         with np.errstate(all="ignore"):
             some, places = _stretches(motion)
-            start = start_from(some, terms, grams)
-            odds = np.tile(log_odds, start.layout.chains)
+            log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
+            start = start_from(some, terms, grams, log_odds[:, :-1] > -np.inf)
+            odds = log_odds.ravel()
             known = all(map(motion.sensors.noisy, motion.roles.inputs))
             others = [] if known else [partial(with_exact_inputs, some, kind=kind) for kind in EXACT]
             found = search(Task(start.layout, start.series, start.precision, odds), start.states, others)
             if some is not motion:
                 return _resumed(motion, *found, places)
+            if motion.sensors.tails == "student":
+                task, state = with_heavy_tails(found[0], found[1].state)
+                found = task, resumed(task, state)
             return _checked(RecordFit.of(*found))
     except np.linalg.LinAlgError:
         return None
@@ -284,13 +289,16 @@ def refit_record(
         found = None
     if found is not None and found.own and found.kappa.max() < ADEQUATE:
         return found
-    other = fit_record(motion, terms, former.task.log_odds[former.block(0)], grams)
+    other = fit_record(motion, terms, former.task.log_odds.reshape(-1, former.width), grams)
     pairs = [one for one in (found, other) if one is not None]
     return max(pairs, key=lambda one: one.fitted.evidence, default=None)
 
 
 def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> RecordFit:
     task, state = carried_over(motion, task, fitted, places)
+    task = with_mean_signs(task, state)
+    if motion.sensors.tails == "student":
+        task, state = with_heavy_tails(task, state)
     return _checked(RecordFit.of(task, resumed(task, state)))
 
 

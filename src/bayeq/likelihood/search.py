@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.expressions import Node
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
@@ -34,9 +35,9 @@ from bayeq.likelihood.fit import (
 )
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear, Series
-from bayeq.likelihood.signs import arguments_of_signs, error_where_it_changes
+from bayeq.likelihood.signs import error_where_it_changes, jumps_of, variance_of_jumps
 
-__all__ = ["ADEQUATE", "Fitted", "Task", "fit", "resumed", "search", "with_model"]
+__all__ = ["ADEQUATE", "Fitted", "Task", "fit", "resumed", "search", "with_mean_signs", "with_model"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -307,21 +308,38 @@ def suited(task: Task, state: State) -> Task:
 
 
 def with_mean_signs(task: Task, state: State) -> Task:
-    """The task with signs averaged over the errors of what they are taken of."""
+    """The task with signs, and other jumps, averaged over the errors of what they are taken of."""
     layout = task.layout
-    arguments = {argument for term in layout.terms for argument in arguments_of_signs(term.tree)}
-    if not arguments:
+    jumps = {jump for term in layout.terms for jump in jumps_of(term.tree)}
+    if not jumps:
         return task
-    errors = dict.fromkeys(arguments, 0.0)
+    errors: dict[Node, float] = dict.fromkeys(jumps, 0.0)
+    blur: dict[Node, float] = dict.fromkeys(jumps, 0.0)
     for one, linear in zip(task.series, task.linearised(state), strict=True):
         columns = dict(zip(layout.names, linear.path.T, strict=True))
-        columns |= dict(zip(layout.exact, one.inputs[:, :, 0].T, strict=True))
+        columns |= dict(zip(layout.given, one.inputs[:, :, 0].T, strict=True))
         # the future determines a sample as well as the past does
         covariance = 0.5 * run_filter(linear, state.chosen, state.levels.noise).covariance
-        for argument in arguments:
-            error = error_where_it_changes(argument, columns, covariance)
-            errors[argument] = max(errors[argument], error)
-    return replace(task, layout=replace(layout, blur=errors))
+        for jump in jumps:
+            error, width = error_where_it_changes(jump, columns, covariance)
+            errors[jump], blur[jump] = max(errors[jump], error), max(blur[jump], width)
+    series = tuple(_with_variance_of_jumps(task, state, k, blur, errors) for k in range(len(task.series)))
+    return replace(task, layout=replace(layout, blur=blur), series=series)
+
+
+def _with_variance_of_jumps(
+    task: Task, state: State, k: int, blur: Mapping[Node, float], errors: Mapping[Node, float]
+) -> Series:
+    """A record whose targets have beside their noise what the mean of jumps leaves out."""
+    layout, one, chosen = task.layout, task.series[k], state.chosen
+    columns = dict(zip(layout.names, state.paths[k].T, strict=True))
+    columns |= dict(zip(layout.given, one.inputs[:, :, 0].T, strict=True))
+    unresolved = np.zeros(one.unresolved.shape)
+    for i in np.flatnonzero(layout.kinds < 0):
+        own = np.flatnonzero((chosen.chain == -1 - layout.kinds[i]) & (chosen.term < len(layout.terms)))
+        terms = [layout.terms[j] for j in chosen.term[own]]
+        unresolved[:, i] = variance_of_jumps(terms, state.theta[own], columns, blur, errors)
+    return one._replace(unresolved=unresolved)
 
 
 def finer(task: Task, state: State) -> Task:

@@ -22,7 +22,7 @@ from bayeq.likelihood.levels import LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.linear import Series
 from bayeq.likelihood.low_pass import spectrum_of, step_variance
 from bayeq.likelihood.search import Fitted, Task
-from bayeq.ode.rk4 import Interpolation, interpolant
+from bayeq.ode.rk4 import Interpolation, interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
 __all__ = ["Start", "carried_over", "start_from", "with_exact_inputs"]
@@ -65,7 +65,9 @@ class Start:
     precision: Floats
 
 
-def start_from(motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram]) -> Start:
+def start_from(
+    motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram], allowed: NDArray[np.bool_] | None = None
+) -> Start:
     """Where fits of a dictionary to the training rows of some motion start.
 
     Parameters
@@ -76,6 +78,8 @@ def start_from(motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram
         The candidates.
     grams : sequence of Gram
         Of the smoothed rows, one per equation.
+    allowed : (C, P) bool array, optional
+        Candidates of each equation; by default all.
     """
     roles, pieces = motion.roles, motion.train
     known = motion.sensors.noise
@@ -107,15 +111,16 @@ def start_from(motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram
     )
     none = np.zeros(0, dtype=np.int64)
     empty = State(Candidates(none, none), np.zeros(0), paths, levels)
-    return Start(layout, series, (_by_rows(empty, grams), empty), _precision(motion, layout))
+    return Start(layout, series, (_by_rows(empty, grams, allowed), empty), _precision(motion, layout))
 
 
-def _by_rows(empty: State, grams: Sequence[Gram]) -> State:
+def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_] | None) -> State:
     """The likeliest model of each equation as a regression of the smoothed rows."""
     chains, terms, theta, left = [], [], [], []
     for c, gram in enumerate(grams):
         standard = gram.standardise(residual_scale(gram))
-        prior = Prior(slab_variance=learn_slab_variance(standard.gram, Prior()))
+        first = Prior() if allowed is None else Prior(prior_inclusion=np.where(allowed[c], 0.1, 0.0))
+        prior = replace(first, slab_variance=learn_slab_variance(standard.gram, first))
         problem = Problem.of(standard.gram, prior)
         model = best_models(problem)[0][1]
         coef = exact_posterior(problem, model, None)[0] / standard.scale * standard.target_scale
@@ -194,7 +199,10 @@ def _series(layout: Layout, rows: MotionRows) -> Series:
     for i, (name, _) in enumerate(layout.channels):
         samples[:, i] = rows.samples[name]
     exact = np.column_stack([rows.columns[name] for name in layout.exact]) if layout.exact else np.zeros((rows.n, 0))
-    return Series(np.diff(rows.time), samples, interpolant(rows.time, exact, layout.interpolation))
+    inputs = interpolant(rows.time, exact, layout.interpolation)
+    if layout.roles.timed:
+        inputs = with_time(rows.time, inputs)
+    return Series(np.diff(rows.time), samples, inputs, np.ones(samples.shape), np.zeros(samples.shape))
 
 
 def _path(layout: Layout, rows: MotionRows, inputs: Sequence[Floats]) -> Floats:
@@ -278,4 +286,4 @@ def _smoothed(series: Sequence[Series], state: State) -> tuple[Floats, ...]:
 
 def _stretch(series: Series, rows: int) -> Series:
     """The first rows of a record."""
-    return Series(series.intervals[: rows - 1], series.samples[:rows], series.inputs[:rows])
+    return Series(series.intervals[: rows - 1], *(one[:rows] for one in series[1:]))

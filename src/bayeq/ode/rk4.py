@@ -16,7 +16,17 @@ from bayeq.expressions.tape import IndexArray, Program, run_tape
 from bayeq.kernels import kernel
 from bayeq.numerics.spline import spline_slopes
 
-__all__ = ["STAGES", "Drive", "Interpolation", "advance", "free_runs", "interpolant", "local_errors", "slope_at"]
+__all__ = [
+    "STAGES",
+    "Drive",
+    "Interpolation",
+    "advance",
+    "free_runs",
+    "interpolant",
+    "local_errors",
+    "slope_at",
+    "with_time",
+]
 
 Interpolation = Literal["cubic", "linear", "hold", "band-limited"]
 
@@ -96,6 +106,11 @@ def interpolant(time: FloatArray, samples: FloatArray, kind: Interpolation) -> F
         start, end = h * slopes[:-1] - rise, h * slopes[1:] - rise
         out[:-1, :, 2], out[:-1, :, 3] = start, -(start + end)
     return out
+
+
+def with_time(time: FloatArray, inputs: FloatArray) -> FloatArray:
+    """Inputs (n, m, 4) from `interpolant`, and the time [s] itself as one more, (n, m + 1, 4)."""
+    return np.concatenate([inputs, interpolant(time, np.asarray(time, dtype=np.float64)[:, None], "linear")], axis=1)
 
 
 def _thirds(samples: FloatArray) -> FloatArray:

@@ -340,7 +340,7 @@ def _dropped(record: Record, name: str) -> list[Finding]:
     first = int(np.flatnonzero(gaps)[0])
     message = (
         f"{missing} sample{'s are' if missing > 1 else ' is'} missing: {int(gaps.sum())} of {len(steps)} steps of time"
-        f" are multiples of {np.median(steps):.4g} s, the first after row {first + 1}"
+        f" are multiples of {np.median(steps):.4g} s, the first after row {first + 1}; check the acquisition"
     )
     return [Finding("dropped", (name,), message, float(missing))]
 

@@ -64,11 +64,15 @@ def split_at_gaps(records: Sequence[Record], channels: Sequence[str]) -> tuple[l
         gaps = f"{record.name or 'record'}: gaps longer than {limit}, the first after row {ends[0]}:"
         left_out = record.n - sum(piece.n for piece in used)
         if left_out > _missing(record, ends):
-            messages.append(f"{gaps} interpolated all the same, since the pieces between them are too short to use")
+            messages.append(
+                f"{gaps} interpolated all the same, since the pieces between them are too short to use; measure"
+                " without gaps"
+            )
             out.append(record)
             continue
         rest = f"; {left_out} rows in pieces of less than {SHORTEST_PIECE} are not used" if left_out else ""
-        messages.append(f"{gaps} taken as {len(used)} pieces{rest}")
+        pieces_used = "1 piece" if len(used) == 1 else f"{len(used)} pieces"
+        messages.append(f"{gaps} taken as {pieces_used}{rest}; check the acquisition")
         out += used
     return out, messages
 

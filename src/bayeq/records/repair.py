@@ -97,7 +97,7 @@ def _interpolate(values: Floats, rows: NDArray[np.int64], steps: float) -> Float
     return out
 
 
-def remove_offset(record: Record, channel: str, offset: float, drift: float = 0.0) -> Record:
+def remove_offset(record: Record, channel: str, offset: float | None = None, drift: float = 0.0) -> Record:
     """Subtract an offset, and a drift, from a channel.
 
     Parameters
@@ -106,8 +106,9 @@ def remove_offset(record: Record, channel: str, offset: float, drift: float = 0.
         With time, where there is a drift.
     channel : str
         The channel.
-    offset : float
-        At the middle of the record, in the unit of the channel; what an ``"offset"`` of `check_record` gives.
+    offset : float, optional
+        At the middle of the record, in the unit of the channel; what an ``"offset"`` of `check_record` gives. By
+        default the mean of the channel, as of a laser's stand-off.
     drift : float
         Change per second; what a ``"drift"`` of `check_record` gives.
 
@@ -122,6 +123,9 @@ def remove_offset(record: Record, channel: str, offset: float, drift: float = 0.
     >>> remove_offset(record, "v", 0.5, drift=1.0)["v"]
     array([1.5, 1.5, 1.5])
     """
+    if offset is None:
+        known = record[channel][np.isfinite(record[channel])]
+        offset = float(known.mean()) if len(known) else 0.0
     offset, drift = _number("an offset", offset), _number("a drift", drift)
     values = record[channel] - offset
     if drift:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bayeq.expressions.tape import IndexArray
 from bayeq.forecast.dynamics import Dynamics
+from bayeq.refine.known import Known
 
 __all__ = ["Measured", "Piece"]
 
@@ -54,6 +55,10 @@ class Measured:
         Longest step of integration [s].
     low, high : (d,) arrays
         Range of the states; a run that leaves it has infinite cost.
+    given : Known or None
+        What is known of the parameters; None where all are free.
+    noise : mapping of str to float
+        Standard deviations of channels whose noise is known.
     """
 
     dynamics: Dynamics
@@ -62,6 +67,13 @@ class Measured:
     step: float
     low: Floats
     high: Floats
+    given: Known | None = None
+    noise: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def known(self) -> Known:
+        """What is known of the parameters."""
+        return self.given or Known.nothing(self.dynamics.size)
 
     @cached_property
     def channels(self) -> IndexArray:
@@ -90,3 +102,8 @@ class Measured:
     def spread(self) -> Floats:
         """Standard deviation of each channel over all pieces, (m,)."""
         return np.asarray(np.nanstd(np.concatenate([piece.channels for piece in self.pieces]), axis=0))
+
+    @cached_property
+    def known_noise(self) -> Floats:
+        """Known standard deviation of each channel's noise, (m,); NaN where it is not known."""
+        return np.array([self.noise.get(name, np.nan) for name in self.names])

@@ -12,7 +12,7 @@ a regression. Whether it is so is tested (White 1982), and such an estimate refu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,6 +58,10 @@ TOLERANCE = 1e-7
 ROUNDS = 5
 SAME_WEIGHT = 1e-2
 
+# Known noise of a channel is not believed where runs leave more than this multiple of its power; see
+# `bayeq.equation.build.INADEQUATE`.
+MISFIT = 1.75
+
 # Blocks of rows that the covariance is tested with: enough for a variance of some certainty, and yet long against the
 # memory of the noise; fewer where one would have fewer rows than this.
 BLOCKS = 16
@@ -78,13 +82,22 @@ class OutputError:
     Attributes
     ----------
     measured : Measured
-        What they were fitted to, of the candidates given.
+        What they were fitted to.
+    candidate : int
+        Which of those given that is.
     parameters : (p,) array
-        As in `Dynamics`.
+        As in `Dynamics`; with known signs in doubt the mean of what they leave of the posterior.
     covariance : (p, p) array
-        Inverse of the Gauss-Newton Hessian, initial states eliminated.
+        Inverse of the Gauss-Newton Hessian, initial states eliminated; singular where parameters follow from others.
+    at_bound : (p,) bool array
+        Parameters that were 0, the end of their known sign, where runs were closest.
+    contradicted : bool
+        Whether runs speak against these signs, by a likelihood ratio of more than a hundred.
     noise_sd : (m,) array
         Standard deviation of each channel's noise.
+    misfit : mapping of str to float
+        Channels of which runs leave more than the noise that was given, and how many times its standard deviation:
+        theirs is what runs leave.
     segments : int
         Free runs; one per record where they are longest.
     longest : int
@@ -94,9 +107,13 @@ class OutputError:
     """
 
     measured: Measured
+    candidate: int
     parameters: Floats
     covariance: Floats
+    at_bound: NDArray[np.bool_]
+    contradicted: bool
     noise_sd: Floats
+    misfit: Mapping[str, float]
     segments: int
     longest: int
     converged: bool
@@ -104,9 +121,10 @@ class OutputError:
 
 @dataclass(frozen=True)
 class Unrefined:
-    """Why the parameters are better left as they are."""
+    """Why the parameters are better left as they are, and what to do."""
 
     reason: str
+    advice: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +136,22 @@ class _Fit:
     rms: Floats
 
     @property
-    def deviance(self) -> float:
-        """-2 log likelihood up to a constant, each channel's noise at its likeliest level."""
+    def ratio(self) -> Floats:
+        """Of channels of known noise, what is left over it, (m,); 1 of others."""
         measured = self.segments.measured
-        return float(2.0 * measured.samples @ np.log(np.maximum(self.rms, LEAST_NOISE * measured.spread)))
+        return np.where(np.isfinite(measured.known_noise), self.rms / _levels(measured, self.rms), 1.0)
+
+    @property
+    def misfit(self) -> dict[str, float]:
+        """Channels of which far more is left than their known noise, and how many times its standard deviation."""
+        names = self.segments.measured.names
+        return {n: float(r) for n, r in zip(names, self.ratio, strict=True) if r**2 > MISFIT}
+
+    @property
+    def deviance(self) -> float:
+        """-2 log likelihood up to a constant, each channel's noise at its likeliest level unless it is known."""
+        measured = self.segments.measured
+        return float(measured.samples @ (2.0 * np.log(_levels(measured, self.rms)) + self.ratio**2))
 
 
 def output_error(candidates: Sequence[Measured], parameters: Floats) -> OutputError | Unrefined:
@@ -139,67 +169,103 @@ def output_error(candidates: Sequence[Measured], parameters: Floats) -> OutputEr
     -------
     OutputError or Unrefined
     """
-    first = _longest_fit(candidates[0], parameters)
+    first = _longest_fit(candidates[0], candidates[0].known.start(parameters))
     if first is None:
-        return Unrefined("no free run follows the records")
-    others = [_fit(other, first.solution.parameters, first.segments.length, first.rms) for other in candidates[1:]]
+        return Unrefined("no free run follows the records", "check signs and terms, or sample faster")
+    if first.misfit:
+        learned = [replace(one, noise=_without(one.noise, first.misfit)) for one in candidates]
+        found = output_error(learned, parameters)
+        return found if isinstance(found, Unrefined) else replace(found, misfit=first.misfit)
+    others = [_fit(other, first.solution.free, first.segments.length, first.rms) for other in candidates[1:]]
     better = [other for other in others if other is not None and other.deviance < first.deviance - CLOSER]
     best = min(better, key=lambda fit: fit.deviance, default=first)
     J, residuals = _sensitivity(best.solution)
     covariance = _inverse(np.einsum("nmp,nmq->pq", J, J))
     if covariance is None:
-        return Unrefined("the records do not determine all coefficients in a free run")
-    excess = _excess(J, residuals)
+        return Unrefined(
+            "the records do not determine all coefficients in a free run",
+            "show fewer terms (max_terms, tolerance), or fix one (constraints)",
+        )
+    measured, known, free = best.segments.measured, best.segments.measured.known, best.solution.free
+    samples, unknowns = int(measured.samples.sum()), len(free) + best.solution.starts.size
+    # known noise is no less than it is given; where runs leave more intervals are wider
+    squares = float(measured.samples @ np.maximum(best.ratio, 1.0) ** 2)
+    # where a sign ended the step the runs would come closer beyond
+    beyond = covariance @ np.einsum("nmp,nm->p", J, residuals) if known.at_bound(free).any() else np.zeros(len(free))
+    excess = _excess(J, (residuals - J @ beyond) / np.sqrt(squares / samples))
     if excess:
         return Unrefined(
             "what free runs leave of the channels is correlated in time, as noise of a measured force or a missing term"
-            f" makes it: the variance of the coefficients would be {excess:.2g} times that of their intervals"
+            f" makes it: the variance of the coefficients would be {excess:.2g} times that of their intervals",
+            "add the input or term that is missing, or keep the regression",
         )
-    measured = best.segments.measured
-    samples, unknowns = int(measured.samples.sum()), len(parameters) + best.solution.starts.size
-    factor = samples / max(samples - unknowns, 1)
+    freedom = max(samples - unknowns, 1)
+    mean, spread = free, squares / freedom * covariance
+    if known.signs.any():
+        from bayeq.inference.signs.truncated import truncated
+
+        mean, spread = truncated(free + beyond, covariance, known.signs, squares, 0.5 * freedom)
+    at_bound = np.zeros(len(parameters), dtype=np.bool_)
+    at_bound[known.free] = known.at_bound(free)
+    drop = float(beyond @ np.linalg.solve(covariance, beyond)) * samples / squares
     return OutputError(
         measured=measured,
-        parameters=best.solution.parameters,
-        covariance=factor * covariance,
-        noise_sd=np.sqrt(factor) * best.rms,
+        candidate=[first, *others].index(best),
+        parameters=known.full(mean),
+        covariance=known.basis @ spread @ known.basis.T,
+        at_bound=at_bound,
+        contradicted=drop > CLOSER,
+        noise_sd=np.where(
+            np.isfinite(measured.known_noise), measured.known_noise, np.sqrt(samples / freedom) * best.rms
+        ),
+        misfit={},
         segments=best.segments.count,
         longest=best.segments.longest,
         converged=best.solution.converged,
     )
 
 
-def _longest_fit(measured: Measured, parameters: Floats) -> _Fit | None:
+def _longest_fit(measured: Measured, free: Floats) -> _Fit | None:
     """The fit of the longest segments whose runs follow the records."""
     rows = min(max(measured.longest / FIRST, SHORTEST), measured.longest)
-    best = _fit(measured, parameters, rows, measured.spread)
+    best = _fit(measured, free, rows, measured.spread)
     while best is None and rows >= 2 * SHORTEST:  # the regression follows for a shorter time only
         rows /= 2
-        best = _fit(measured, parameters, rows, measured.spread)
+        best = _fit(measured, free, rows, measured.spread)
     if best is None:
         return None
     most = best.rms**2 + (FOLLOWS * measured.spread) ** 2
     while rows < measured.longest:
         rows = min(LONGER * rows, measured.longest)
-        longer = _fit(measured, best.solution.parameters, rows, best.rms)
+        longer = _fit(measured, best.solution.free, rows, best.rms)
         if longer is None or (longer.rms**2 > most).any():
             break
         best = longer
     return best
 
 
-def _fit(measured: Measured, parameters: Floats, length: float, rms: Floats) -> _Fit | None:
+def _without(noise: Mapping[str, float], names: Collection[str]) -> dict[str, float]:
+    return {name: sd for name, sd in noise.items() if name not in names}
+
+
+def _levels(measured: Measured, rms: Floats) -> Floats:
+    """Noise of each channel, (m,): as it is known, else what runs leave; not below what runs err by themselves."""
+    known = measured.known_noise
+    return np.maximum(np.where(np.isfinite(known), known, rms), LEAST_NOISE * measured.spread)
+
+
+def _fit(measured: Measured, free: Floats, length: float, rms: Floats) -> _Fit | None:
     """Output error, channels weighted by the inverse of what it leaves (at first of `rms`); None if a run is lost."""
     segments = Segments(measured, length)
-    found = Solution(parameters, segments.starts(), [], True)
+    found = Solution(free, segments.starts(), [], True)
     for _ in range(ROUNDS):
-        weights = 1.0 / np.maximum(rms, LEAST_NOISE * measured.spread)
-        again = minimise(segments, weights, found.parameters, found.starts, TOLERANCE)
+        former = _levels(measured, rms)
+        again = minimise(segments, 1.0 / former, found.free, found.starts, TOLERANCE)
         if again is None:
             return None
         found = again
-        former, rms = 1.0 / weights, segments.rms(found.runs) / weights
-        if (np.abs(np.maximum(rms, LEAST_NOISE * measured.spread) - former) <= SAME_WEIGHT * former).all():
+        rms = segments.rms(found.runs) * former
+        if (np.abs(_levels(measured, rms) - former) <= SAME_WEIGHT * former).all():
             break
     else:
         found = replace(found, converged=False)
@@ -207,8 +273,8 @@ def _fit(measured: Measured, parameters: Floats, length: float, rms: Floats) -> 
 
 
 def _sensitivity(found: Solution) -> tuple[Floats, Floats]:
-    """Derivatives of all runs by the parameters, initial states eliminated, (n, m, p), and the residuals, (n, m)."""
-    d, p = found.starts.shape[1], len(found.parameters)
+    """Derivatives of runs by the free parameters, initial states eliminated, (n, m, f), and the residuals, (n, m)."""
+    d, p = found.starts.shape[1], len(found.free)
     out = []
     for run in found.runs:
         J = run[:, :, 1:].reshape(-1, d + p)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import RecordError
+from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.free_run import state_range
@@ -20,11 +20,13 @@ from bayeq.forecast.windows import apart, typical_period, window_runs
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Drive, Interpolation
 from bayeq.records import Record
+from bayeq.refine.known import Known
 from bayeq.refine.measured import Measured, Piece
 from bayeq.refine.output_error import OutputError, Unrefined, output_error
 from bayeq.refine.results import Refinement
+from bayeq.regression.constraints import Constraints
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
-from bayeq.states import Smooth, estimate_motion
+from bayeq.states import Sensors, Smooth, estimate_motion
 from bayeq.states.motion import held_out_share
 
 __all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "refine", "runs_are_worse"]
@@ -69,7 +71,7 @@ class RefinedEquations:
     equations: tuple[RefinedEquation, ...]
     summary: Refinement
     scores: Scores | None
-    warnings: tuple[str, ...]
+    log: WarningLog
 
 
 def refine(
@@ -80,6 +82,8 @@ def refine(
     smooth: Smooth,
     holdout: float,
     interpolation: Interpolation | None,
+    constraints: Sequence[Constraints],
+    sensors: Sensors,
 ) -> RefinedEquations | Unrefined:
     """Output-error estimate of the coefficients and intercepts.
 
@@ -95,6 +99,10 @@ def refine(
         As `discover` takes it.
     holdout, interpolation
         See `bayeq.Equations.refine`.
+    constraints : sequence of Constraints
+        What is known of the coefficients of each equation.
+    sensors : Sensors
+        Known noise of channels is not estimated.
 
     Returns
     -------
@@ -104,34 +112,53 @@ def refine(
     Raises
     ------
     InputError
-        Channels that are missing, no time, too few rows.
+        Channels that are missing, no time, too few rows, nothing that constraints leave free.
     """
+    known = Known.of(dynamics, constraints) if any(one.binding for one in constraints) else None
     kinds: list[Interpolation] = ["cubic", "linear"] if dynamics.inputs else ["cubic"]
     if interpolation is not None:
         kinds = [interpolation]
-    rows = _rows(dynamics, records, smooth, holdout)
-    whole = {kind: [(r.interpolated(dynamics.inputs, kind), cut) for r, cut in rows] for kind in kinds}
+    rows = _rows(dynamics, records, smooth, holdout, sensors)
+    whole = {kind: [(r.interpolated(dynamics.roles, kind), cut) for r, cut in rows] for kind in kinds}
     means = dynamics.mean
-    measured = {kind: _measured(dynamics, means, whole[kind]) for kind in kinds}
+    measured = {kind: _measured(dynamics, means, whole[kind], known, sensors) for kind in kinds}
     found = output_error(list(measured.values()), means)
     if isinstance(found, Unrefined):
         return found
-    kind = next(kind for kind in kinds if measured[kind] is found.measured)
+    kind = kinds[found.candidate]
     train = [each.part(slice(0, cut)) for each, cut in whole[kind]]
     held_out = [each.part(slice(cut, each.n)) for each, cut in whole[kind] if cut < each.n]
     duration = PERIODS * typical_period(dynamics, train)
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
     if runs_are_worse(*runs):
         former, now = (f"{100.0 * apart(pairs):.3g} %" for pairs in runs)
-        return Unrefined(f"free runs over windows of the rows used would err by {now} instead of {former}")
-    scores, notes = None, []
+        return Unrefined(
+            f"free runs over windows of the rows used would err by {now} instead of {former}", "keep the regression"
+        )
+    scores, log = None, WarningLog()
     if held_out:
         scores = score_rows(dynamics, found.parameters, held_out)
-        notes = _worse_scores(score_rows(before, before.mean, held_out), scores)
+        log.extend(_worse_scores(score_rows(before, before.mean, held_out), scores), ConvergenceWarning)
     if not found.converged:
-        notes.append("the output-error estimate did not converge: its steps ended at their limit")
+        log.warn(
+            "the output-error estimate did not converge, its steps ended at their limit: refine the result once more",
+            ConvergenceWarning,
+        )
+    bound = _at_bound(dynamics, found)
+    if found.contradicted:
+        log.warn(
+            f"free runs contradict the known sign of {', '.join(bound)} (likelihood ratio above 100 against it): check"
+            " the directions of the channels, or drop the constraint",
+            DataWarning,
+        )
+    for name, ratio in found.misfit.items():
+        log.warn(
+            f"{name}: free runs leave {ratio:.2g} times the noise that was given: what they leave is taken instead;"
+            " check the noise given, or whether terms are missing",
+            DataWarning,
+        )
     refined = [_refined(dynamics, k, block, found, (train, held_out)) for k, block in enumerate(dynamics.blocks())]
-    return RefinedEquations(tuple(refined), _summary(found, records, kind), scores, tuple(notes))
+    return RefinedEquations(tuple(refined), _summary(found, records, kind, bound), scores, log)
 
 
 def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tuple[Floats, Floats]]) -> bool:
@@ -167,7 +194,10 @@ def _worse_scores(before: Scores, after: Scores) -> list[str]:
     if not worse:
         return []
     former, now = (percentages({name: one.free_run[name] for name in worse}) for one in (before, after))
-    return [f"free runs over the rows held out err more than before refining: {now}, before {former}"]
+    return [
+        f"free runs over the rows held out err more than before refining: {now}, before {former};"
+        " compare both on another record before relying on either"
+    ]
 
 
 def _refined(
@@ -181,33 +211,49 @@ def _refined(
     train, held_out = parts
     target, terms = dynamics.targets[k], dynamics.terms[k]
     parameters, covariance = found.parameters[block], found.covariance[block, block]
+    free = found.measured.known.free[block]
     residuals = [_residual(target, terms, parameters, rows) for rows in train]
-    noise = sum(float(e @ e) for e in residuals) / max(sum(map(len, residuals)) - len(parameters), 1)
+    noise = sum(float(e @ e) for e in residuals) / max(sum(map(len, residuals)) - int(free.sum()), 1)
     names = (*dynamics.inputs, *dynamics.chains[k].states)
     return RefinedEquation(
-        _posterior(dynamics.laws[k].posterior, parameters, covariance, noise),
+        _posterior(dynamics.laws[k].posterior, parameters, covariance, free, noise),
         _fit(target, terms, parameters, train),
         _fit(target, terms, parameters, held_out) if held_out else None,
         inspect_residuals(residuals, {name: [rows.columns[name] for rows in train] for name in names}),
     )
 
 
-def _summary(found: OutputError, pieces: Sequence[Record], interpolation: Interpolation) -> Refinement:
+def _at_bound(dynamics: Dynamics, found: OutputError) -> tuple[str, ...]:
+    """Coefficients that were at the end of their known sign, with their target in front."""
+    return tuple(
+        f"{target}: {term.text}"
+        for target, terms, block in zip(dynamics.targets, dynamics.terms, dynamics.blocks(), strict=True)
+        for term, there in zip(terms, found.at_bound[block][-len(terms) :], strict=True)
+        if there
+    )
+
+
+def _summary(
+    found: OutputError, pieces: Sequence[Record], interpolation: Interpolation, bound: tuple[str, ...]
+) -> Refinement:
     return Refinement(
-        files=tuple(piece.name for piece in pieces),
+        files=tuple(dict.fromkeys(piece.name for piece in pieces)),
         n=found.measured.rows,
         segments=found.segments,
         longest=found.longest,
         noise_sd=dict(zip(found.measured.names, found.noise_sd.tolist(), strict=True)),
         interpolation=interpolation,
         converged=found.converged,
+        at_bound=bound,
     )
 
 
-def _rows(dynamics: Dynamics, pieces: Sequence[Record], smooth: Smooth, holdout: float) -> list[tuple[Rows, int]]:
+def _rows(
+    dynamics: Dynamics, pieces: Sequence[Record], smooth: Smooth, holdout: float, sensors: Sensors
+) -> list[tuple[Rows, int]]:
     """Rows of each record, with the states as `discover` has them, and the first of those that are held out."""
     share = held_out_share(holdout, sum(piece.n for piece in pieces))
-    motion = estimate_motion(pieces, dynamics.roles, smooth, share)
+    motion = estimate_motion(pieces, dynamics.roles, smooth, share, sensors)
     out = []
     for piece, rows, cut in zip(pieces, rows_of(motion, "refine"), motion.cuts, strict=True):
         if cut < LEAST_ROWS:
@@ -216,7 +262,9 @@ def _rows(dynamics: Dynamics, pieces: Sequence[Record], smooth: Smooth, holdout:
     return out
 
 
-def _measured(dynamics: Dynamics, means: Floats, whole: Sequence[tuple[Rows, int]]) -> Measured:
+def _measured(
+    dynamics: Dynamics, means: Floats, whole: Sequence[tuple[Rows, int]], known: Known | None, sensors: Sensors
+) -> Measured:
     names = tuple(name for chain in dynamics.chains for name in chain.measured if name is not None)
     pieces = [
         Piece(
@@ -229,10 +277,12 @@ def _measured(dynamics: Dynamics, means: Floats, whole: Sequence[tuple[Rows, int
     ]
     limits = state_range(np.concatenate([piece.states for piece in pieces]))
     step = min(finest_step(dynamics, means, p.states, Drive.over(p.time, p.inputs, *limits)) for p in pieces)
-    return Measured(dynamics, pieces, names, step, *limits)
+    return Measured(dynamics, pieces, names, step, *limits, known, sensors.noise)
 
 
-def _posterior(before: Posterior, parameters: Floats, covariance: Floats, noise: float) -> Posterior:
+def _posterior(
+    before: Posterior, parameters: Floats, covariance: Floats, free: NDArray[np.bool_], noise: float
+) -> Posterior:
     """A posterior with coefficients and intercept from output error; terms and probabilities stay."""
     support = before.support
     r = int(support.sum())
@@ -242,7 +292,11 @@ def _posterior(before: Posterior, parameters: Floats, covariance: Floats, noise:
     if len(parameters) > r:
         # intercept = target_mean - center'coef: with this center its covariance with the coefficients is what was
         # found, and what is left of its variance stands as noise_variance/n
-        center[support] = -np.linalg.solve(spread, covariance[1:, 0])
+        # those that follow from others leave no covariance of their own
+        among = np.flatnonzero(free[1:])
+        center[np.flatnonzero(support)[among]] = -np.linalg.solve(
+            spread[np.ix_(among, among)], covariance[1 + among, 0]
+        )
         intercept = float(parameters[0])
         left = float(covariance[0, 0] - center[support] @ spread @ center[support])
     return replace(

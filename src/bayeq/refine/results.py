@@ -27,6 +27,8 @@ class Refinement:
         Of the inputs between their samples.
     converged : bool
         Whether the fit ended by itself.
+    at_bound : tuple of str
+        Coefficients, ``"a: v"``, for which the runs were closest at 0, the end of their known sign.
     """
 
     files: tuple[str, ...]
@@ -36,9 +38,11 @@ class Refinement:
     noise_sd: Mapping[str, float]
     interpolation: Literal["cubic", "linear", "hold", "band-limited"]
     converged: bool
+    at_bound: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """In a line."""
         runs = "one run" if self.segments == 1 else f"{self.segments} runs"
         noise = ", ".join(f"{name} {sd:.3g}" for name, sd in self.noise_sd.items())
-        return f"coefficients refined by output error: {runs} of up to {self.longest} rows, noise sd {noise}"
+        bound = f"; closest with 0, the end of the known sign, for {', '.join(self.at_bound)}" if self.at_bound else ""
+        return f"coefficients refined by output error: {runs} of up to {self.longest} rows, noise sd {noise}{bound}"

@@ -3,6 +3,9 @@
 Least squares over the parameters and all initial states (Bock 1981) by Gauss-Newton steps with Levenberg-Marquardt
 damping. The normal equations have the shape of an arrow: initial states are eliminated segment by segment, so that the
 cost is linear in the number of rows, where a general solver's grows with the cube of the number of segments.
+
+What is known of the parameters holds at every step: equations between them leave fewer free ones (`refine.known`), and
+a step ends where a free one would lose its sign.
 """
 
 from __future__ import annotations
@@ -23,8 +26,8 @@ __all__ = ["Segments", "Solution", "minimise"]
 
 Floats = NDArray[np.float64]
 
-# Of each segment (n, m, 1 + d + p): residuals of the channels, and the derivatives of the run by the initial state and
-# the parameters, both weighted; 0 where a sample is missing.
+# Of each segment (n, m, 1 + d + f): residuals of the channels, and the derivatives of the run by the initial state and
+# the free parameters, both weighted; 0 where a sample is missing.
 Runs: TypeAlias = list[Floats]
 
 # Derivatives beyond this have no square in floating point.
@@ -73,10 +76,14 @@ class Segments:
         """Initial states as the pieces have them, (K, d)."""
         return np.array([piece.states[a] for piece, a, _ in self.bounds])
 
-    def runs(self, parameters: Floats, starts: Floats, weights: Floats) -> Runs | None:
-        """Runs from initial states (K, d), residuals times the channels' weights (m,); None if one leaves the range."""
+    def runs(self, free: Floats, starts: Floats, weights: Floats) -> Runs | None:
+        """Runs with free parameters (f,) from initial states (K, d), residuals times the channels' weights (m,).
+
+        None if one leaves the range.
+        """
         m = self.measured
         program = m.dynamics.program()
+        parameters, d = m.known.full(free), starts.shape[1]
         out = []
         for (piece, a, e), start in zip(self.bounds, starts, strict=True):
             samples = piece.channels[a:e]
@@ -86,7 +93,9 @@ class Segments:
             done = shoot(program, drive, parameters, start, m.channels, values, jacobian)
             if done < e - a or not (np.abs(jacobian) < LARGEST).all():
                 return None
-            whole = np.concatenate([(samples - values)[:, :, None], jacobian], axis=2) * weights[:, None]
+            by_free = jacobian[:, :, d:] if m.given is None else jacobian[:, :, d:] @ m.given.basis
+            whole = np.concatenate([(samples - values)[:, :, None], jacobian[:, :, :d], by_free], axis=2)
+            whole *= weights[:, None]
             out.append(np.where(np.isnan(samples)[:, :, None], 0.0, whole))
         return out
 
@@ -102,24 +111,22 @@ class Solution:
 
     Attributes
     ----------
-    parameters, starts : (p,) and (K, d) arrays
-        At the minimum.
-    runs : list of (n, m, 1 + d + p) arrays
+    free, starts : (f,) and (K, d) arrays
+        Free parameters and initial states at the minimum.
+    runs : list of (n, m, 1 + d + f) arrays
         Residuals and derivatives of the segments there.
     converged : bool
         False if it stopped at their limit.
     """
 
-    parameters: Floats
+    free: Floats
     starts: Floats
     runs: Runs
     converged: bool
 
 
-def minimise(
-    segments: Segments, weights: Floats, parameters: Floats, starts: Floats, tolerance: float
-) -> Solution | None:
-    """Least squares over parameters and initial states, by Levenberg-Marquardt.
+def minimise(segments: Segments, weights: Floats, free: Floats, starts: Floats, tolerance: float) -> Solution | None:
+    """Least squares over free parameters and initial states, by Levenberg-Marquardt.
 
     Parameters
     ----------
@@ -127,8 +134,8 @@ def minimise(
         What is run.
     weights : (m,) array
         Of the channels' residuals.
-    parameters, starts : (p,) and (K, d) arrays
-        Where to start.
+    free, starts : (f,) and (K, d) arrays
+        Where to start; no parameter has another sign than its known one.
     tolerance : float
         Relative decrease of the sum of squares at which to stop.
 
@@ -137,26 +144,26 @@ def minimise(
     Solution or None
         None if the first run already leaves the range.
     """
-    runs = segments.runs(parameters, starts, weights)
+    runs = segments.runs(free, starts, weights)
     if runs is None:
         return None
     damping, steps, converged, cost = 1e-4, 0, False, _cost(runs)
     while steps < MOST_STEPS and not converged:
         H, g = _normal(runs)
         while True:
-            change = _step(H, g, damping, starts.shape[1])
+            change = _step(H, g, damping, starts.shape[1], _ends(free, segments.measured.known.signs))
             if change is not None:
-                trial = segments.runs(parameters + change[0], starts + change[1], weights)
+                trial = segments.runs(free + change[0], starts + change[1], weights)
                 if trial is not None and (new := _cost(trial)) <= cost:
                     break
             damping *= 8.0
             if damping > MOST_DAMPING:  # no step makes it better: a minimum, to rounding
-                return Solution(parameters, starts, runs, True)
+                return Solution(free, starts, runs, True)
         converged = cost - new <= tolerance * cost
-        parameters, starts, runs, cost = parameters + change[0], starts + change[1], trial, new
+        free, starts, runs, cost = free + change[0], starts + change[1], trial, new
         damping = max(damping / 8.0, LEAST_DAMPING)
         steps += 1
-    return Solution(parameters, starts, runs, converged)
+    return Solution(free, starts, runs, converged)
 
 
 def _cost(runs: Runs) -> float:
@@ -164,7 +171,7 @@ def _cost(runs: Runs) -> float:
 
 
 def _normal(runs: Runs) -> tuple[Floats, Floats]:
-    """J'J and J'r of each segment, (K, d + p, d + p) and (K, d + p)."""
+    """J'J and J'r of each segment, (K, d + f, d + f) and (K, d + f)."""
     H, g = [], []
     for run in runs:
         flat = run.reshape(-1, run.shape[2])
@@ -173,8 +180,13 @@ def _normal(runs: Runs) -> tuple[Floats, Floats]:
     return np.array(H), np.array(g)
 
 
-def _step(H: Floats, g: Floats, damping: float, d: int) -> tuple[Floats, Floats] | None:
-    """Change of the parameters and of the initial states; None where the damped matrix is singular."""
+def _ends(free: Floats, signs: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Least and largest change that leaves the free parameters their signs, (f,) arrays."""
+    return np.where(signs > 0, -free, -np.inf), np.where(signs < 0, -free, np.inf)
+
+
+def _step(H: Floats, g: Floats, damping: float, d: int, ends: tuple[Floats, Floats]) -> tuple[Floats, Floats] | None:
+    """Change of the free parameters, between ends, and of the initial states; None if the damped matrix is singular."""
     A, B, C = H[:, :d, :d].copy(), H[:, :d, d:], H[:, d:, d:].sum(axis=0)
     index = np.arange(d)
     A[:, index, index] *= 1.0 + damping
@@ -185,8 +197,25 @@ def _step(H: Floats, g: Floats, damping: float, d: int) -> tuple[Floats, Floats]
         rest = g[:, d:].sum(axis=0) - np.einsum("kdp,kd->p", B, solved[:, :, -1])
         # a parameter that nothing depends on makes the matrix singular whatever its scale
         scale = 1.0 / np.sqrt(np.maximum(np.diagonal(C), np.finfo(float).tiny))
-        change = scale * np.linalg.solve(S * np.outer(scale, scale), scale * rest)
+        scaled = S * np.outer(scale, scale)
+        change = scale * np.linalg.solve(scaled, scale * rest)
+        if (change < ends[0]).any() or (change > ends[1]).any():
+            change = _bounded(scaled, scale * rest, scale, ends)
     except np.linalg.LinAlgError:
         return None
     moved = solved[:, :, -1] - solved[:, :, :-1] @ change
     return (change, moved) if np.isfinite(change).all() and np.isfinite(moved).all() else None
+
+
+def _bounded(S: Floats, rest: Floats, scale: Floats, ends: tuple[Floats, Floats]) -> Floats:
+    """The change scale*z between ends for which z'S z/2 - rest'z is least, by an active set; at an end exactly so."""
+    from scipy.linalg import solve_triangular
+    from scipy.optimize import lsq_linear
+
+    L = np.linalg.cholesky(S)
+    low, high = ends
+    bounds = low / scale, high / scale
+    found = lsq_linear(L.T, solve_triangular(L, rest, lower=True), bounds, method="bvls")
+    change = scale * found.x
+    change = np.where(found.active_mask < 0, low, np.where(found.active_mask > 0, high, change))
+    return np.asarray(np.clip(change, low, high))

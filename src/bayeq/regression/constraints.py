@@ -7,6 +7,7 @@ the regression before inference (`bayeq.regression.equalities`), signs are part 
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -16,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
-from bayeq.expressions import Binary, Evaluator, Expression, Negate, Node, parse
+from bayeq.expressions import FUNCTIONS, Binary, Evaluator, Expression, Negate, Node, parse
+from bayeq.expressions.functions import CONSTANTS
 from bayeq.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
@@ -48,6 +50,38 @@ class Constraints:
     def binding(self) -> bool:
         """Whether anything is known at all."""
         return bool(self.signs.any()) or len(self.equalities.eliminated) > 0
+
+    @property
+    def concerned(self) -> NDArray[np.bool_]:
+        """Terms that something is known of, (P,)."""
+        out = self.signs != 0
+        out[self.equalities.eliminated] = True
+        out[self.equalities.kept[(self.equalities.slopes != 0.0).any(axis=0)]] = True
+        return out
+
+    def among(self, allowed: NDArray[np.bool_]) -> Constraints:
+        """The same with the coefficients of other terms zero.
+
+        Parameters
+        ----------
+        allowed : (P,) bool array
+            Terms that the equation may have.
+
+        Raises
+        ------
+        InputError
+            What is known contradicts that, or no term is left.
+        """
+        if allowed.all():
+            return self
+        known = self.equalities
+        equations = [
+            (Linear({int(e): 1.0, **{int(known.kept[j]): -row[j] for j in np.flatnonzero(row)}}, -value), "constraints")
+            for e, row, value in zip(known.eliminated, known.slopes, known.offsets, strict=True)
+        ]
+        names = known.names
+        equations += [(Linear({int(j): 1.0}, 0.0), f"term {names[j]}") for j in np.flatnonzero(~allowed)]
+        return replace(self, equalities=Equalities.solving(names, equations))
 
     def reduce(self, gram: Gram) -> Gram:
         """The regression that the equalities leave."""
@@ -180,7 +214,11 @@ def _addressed(text: str, targets: Sequence[str], where: str) -> tuple[str | Non
 
 
 def _sides(text: str, where: str) -> tuple[str, str, str]:
-    left, *rest = re.split(f"({_RELATIONS})", text)
+    # comparisons in brackets are conditions of where
+    depth = np.cumsum([(c == "(") - (c == ")") for c in text]) if text else np.zeros(0)
+    found = [m for m in re.finditer(_RELATIONS, text) if depth[m.start()] <= 0]
+    ends = [0, *(edge for m in found for edge in m.span()), len(text)]
+    left, *rest = [text[a:b] for a, b in itertools.pairwise(ends)]
     if len(rest) != 2 or rest[0] in ("=", "!=") or not left.strip() or not rest[1].strip():
         raise InputError(f"{where}: write one ==, <= or >= between two sides, as in 'u == 1' or 'v <= 0'")
     return left.strip(), rest[0], rest[1].strip()
@@ -199,6 +237,7 @@ class _Reader:
 
     def __init__(self, terms: Sequence[Expression], dropped: Mapping[str, str]) -> None:
         self.names = [term.text for term in terms]
+        self.channels = {name for term in terms for name in term.names}
         self.dropped = list(dropped.items())
         # candidates as written, and as products whatever their order; those that were left out count down from -1
         self.trees: dict[Node, int] = {}
@@ -206,7 +245,7 @@ class _Reader:
         for j, term in enumerate(terms):
             self._enter(term, j)
         for k, (name, _) in enumerate(self.dropped):
-            self._enter(parse(name), -1 - k)
+            self._enter(self._parsed(name), -1 - k)
 
     def _enter(self, term: Expression, j: int) -> None:
         self.trees.setdefault(term.tree, j)
@@ -216,13 +255,18 @@ class _Reader:
 
     def read(self, text: str, where: str) -> Linear:
         try:
-            tree = parse(text).tree
+            tree = self._parsed(text).tree
         except ExpressionError as error:
             raise ExpressionError(f"{where}: {error}") from error
         out = self._linear(tree, where)
         if not all(map(math.isfinite, (out.constant, *out.slopes.values()))):
             raise InputError(f"{where}: a number is not finite")
         return out
+
+    def _parsed(self, text: str) -> Expression:
+        """A side of a relation; a channel of the terms may have the name of a constant, or of a function."""
+        others = {name for name in re.findall(r"[^\W\d]\w*", text) if name not in CONSTANTS and name not in FUNCTIONS}
+        return parse(text, self.channels | others)
 
     def _linear(self, node: Node, where: str) -> Linear:
         if not Expression(node).names:

@@ -7,7 +7,7 @@ earlier column.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,8 @@ class Design:
         Candidates left out.
     kept : tuple of (n, P) array
         Columns on the training rows of each record; empty where there would be too many numbers.
+    allowed : (C, P) bool array
+        Candidates of each equation; the others are in the dictionaries of other equations only.
     """
 
     motion: Motion
@@ -72,6 +74,11 @@ class Design:
     held_out: tuple[Gram, ...]
     dropped: tuple[DroppedTerm, ...]
     kept: tuple[Floats, ...]
+    allowed: NDArray[np.bool_] = field(default_factory=lambda: np.ones((1, 1), dtype=np.bool_))
+
+    def __post_init__(self) -> None:
+        shape = len(self.motion.roles.chains), len(self.terms)
+        object.__setattr__(self, "allowed", np.broadcast_to(self.allowed, shape))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -83,7 +90,12 @@ class Design:
         return self.kept[i] if self.kept else evaluate_terms(self.terms, self.motion.train[i].columns)
 
 
-def build_design(terms: Sequence[Expression], motion: Motion, progress: Progress | None = None) -> Design:
+def build_design(
+    terms: Sequence[Expression],
+    motion: Motion,
+    progress: Progress | None = None,
+    allowed: NDArray[np.bool_] | None = None,
+) -> Design:
     """Evaluate terms on motion and add up their Gram matrices.
 
     Parameters
@@ -94,6 +106,8 @@ def build_design(terms: Sequence[Expression], motion: Motion, progress: Progress
         With the states and inputs that terms are made of.
     progress : callable, optional
         Called with (rows done, rows in all).
+    allowed : (C, P) bool array, optional
+        Candidates of each equation; by default all.
 
     Raises
     ------
@@ -103,13 +117,15 @@ def build_design(terms: Sequence[Expression], motion: Motion, progress: Progress
     builder = _Builder(terms, motion, progress)
     train = builder.grams(motion.train, keep=sum(rows.n for rows in motion.train) * len(terms) <= MOST_KEPT)
     held_out = builder.grams(motion.held_out) if motion.held_out else ()
-    reasons = _reasons(train[0], builder.bad, builder.total)
+    if allowed is None:
+        allowed = np.ones((len(motion.roles.chains), len(terms)), dtype=np.bool_)
+    reasons = _reasons(train[0], builder.bad, builder.total, allowed)
     dropped = tuple(DroppedTerm(terms[j].text, why) for j, why in sorted(reasons.items()))
     kept = np.array([j for j in range(len(terms)) if j not in reasons], dtype=np.intp)
     if not len(kept):
         raise InputError(f"no usable term in the dictionary: {'; '.join(f'{d.name}: {d.reason}' for d in dropped[:5])}")
     if not dropped:
-        return Design(motion, tuple(terms), train, held_out, dropped, tuple(builder.kept))
+        return Design(motion, tuple(terms), train, held_out, dropped, tuple(builder.kept), allowed)
     return Design(
         motion=motion,
         terms=tuple(terms[j] for j in kept),
@@ -117,6 +133,7 @@ def build_design(terms: Sequence[Expression], motion: Motion, progress: Progress
         held_out=tuple(gram.select(kept) for gram in held_out),
         dropped=dropped,
         kept=tuple(np.asfortranarray(columns[:, kept]) for columns in builder.kept),
+        allowed=allowed[:, kept],
     )
 
 
@@ -159,8 +176,8 @@ class _Builder:
         return D
 
 
-def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int) -> dict[int, str]:
-    """Why each unusable column is left out."""
+def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int, allowed: NDArray[np.bool_]) -> dict[int, str]:
+    """Why each unusable column is left out; a copy is, if every equation that it is for may have the other."""
     sd = gram.standard_deviation
     out: dict[int, str] = {}
     for j in range(len(sd)):
@@ -172,6 +189,6 @@ def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int) -> dict[int, str]:
     scaled = gram.DtD[np.ix_(usable, usable)] / (sd[usable][:, None] * sd[usable] * gram.n)
     rows_of, columns_of = np.nonzero(np.triu(np.abs(scaled) >= COPY_CORRELATION, k=1))
     for a, b in zip(usable[rows_of], usable[columns_of], strict=True):
-        if int(a) not in out:
+        if int(a) not in out and (allowed[:, a] >= allowed[:, b]).all():
             out.setdefault(int(b), f"a copy of {gram.names[a]} on the data")
     return out

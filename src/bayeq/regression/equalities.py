@@ -97,10 +97,17 @@ class Equalities:
         support : (P,) bool array
             The terms.
         """
-        whole = np.zeros((len(self.names), len(self.kept)))
-        whole[self.kept, np.arange(len(self.kept))] = 1.0
-        whole[self.eliminated] = self.slopes
-        return whole[np.ix_(support, support[self.kept])]
+        return self._jacobian(support, support[self.kept])
+
+    def offset(self, support: Bools) -> Floats:
+        """What the r coefficients of some terms are where the free ones among them are 0, (r,)."""
+        whole = np.zeros(len(self.names))
+        whole[self.eliminated] = self.offsets
+        return whole[support]
+
+    def closed(self, support: Bools) -> bool:
+        """Whether some terms (P,) hold all that follow from them, and no others."""
+        return bool((self._any(support[self.kept]) == support).all())
 
     @classmethod
     def solving(cls, names: Sequence[str], equations: Sequence[tuple[Linear, str]]) -> Equalities:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.dictionary import Specification, of_equations
 from bayeq.dictionary.polynomial import degree
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
@@ -42,17 +43,24 @@ FIRST, PER_DEGREE = 1.0, 2.0
 CONSTANT = math.log(0.1 / 0.9)
 
 
-def record_of(
-    design: Design, smooth: str, dictionary: str | Sequence[str], prior: Prior | None = None
-) -> RecordFit | None:
+def record_of(design: Design, smooth: str, dictionary: Specification, prior: Prior | None = None) -> RecordFit | None:
     """The likelihood of the records of a design; None where it is not used."""
     if smooth != "auto" or not suits(design.motion, len(design.terms)):
         return None
     return fit_record(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train)
 
 
-def _log_odds(design: Design, dictionary: str | Sequence[str], prior: Prior | None) -> Floats:
-    """Of every candidate, and of the constant, not being zero."""
+def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
+    """Of every candidate of each equation, and of the constant, not being zero, (C, P + 1)."""
+    targets = design.motion.roles.targets
+    given = of_equations(dictionary, targets)
+    out = np.array([_of_dictionary(design, dictionary if given is None else given[t], prior) for t in targets])
+    out[:, :-1][~design.allowed] = -np.inf
+    return out
+
+
+def _of_dictionary(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
+    """The same, (P + 1,), of one equation."""
     terms, inputs = design.terms, design.motion.roles.inputs
     if prior is None and isinstance(dictionary, str) and dictionary.partition(":")[0] == "polynomial":
         degrees = [1 if term.text in inputs else degree(term) for term in terms]
@@ -92,7 +100,7 @@ def fit_equations(
         ]
     used = [one.thinned() if engine.spike_slab else one for one in regressions]
     return [
-        fit_regression(one, own, engine, prior, coarsen, seed=(*first, one.k))
+        fit_regression(one, own.among(one.design.allowed[one.k]), engine, prior, coarsen, seed=(*first, one.k))
         for one, own in zip(used, constraints, strict=True)
     ]
 

@@ -80,7 +80,7 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float = TOL
 
 def _points(motion: Motion) -> list[dict[str, Floats]]:
     """States and inputs at rows of the record, and each at rows of its own."""
-    names = (*motion.roles.states, *motion.roles.inputs)
+    names = (*motion.roles.states, *motion.roles.drivers)
     whole = {name: np.concatenate([rows.columns[name] for rows in motion.train]) for name in names}
     rng = np.random.default_rng(SEED)
     rows = len(whole[names[0]])

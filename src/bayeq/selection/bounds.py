@@ -38,7 +38,8 @@ def bounds(fit: RegressionFit) -> Floats | None:
     Returns
     -------
     (P,) array or None
-        In original units; NaN for terms that are included, or tied to others by equalities. None of very many.
+        In original units; NaN for terms that are included, tied to others by equalities, or candidates of other
+        equations only. None of very many.
     """
     problem, support, kept = fit.problem, fit.posterior.support, fit.constraints.equalities.kept
     if len(support) > MOST_TERMS:
@@ -55,6 +56,7 @@ def bounds(fit: RegressionFit) -> Floats | None:
     out[others] = np.abs(mean) + Z95 * sd
     whole = np.full(len(fit.regression.design.terms), np.nan)
     whole[kept] = out * fit.standard.target_scale / fit.standard.scale
+    whole[~fit.regression.design.allowed[fit.regression.k]] = np.nan
     return whole
 
 
@@ -83,8 +85,9 @@ def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> 
     share = share * unit[inside][:, None] / unit[others]
     constant = gram.mean[others] - gram.mean[inside] @ share
     effect = np.zeros(len(others))
+    clock = {*fit.regression.motion.roles.drivers}.difference(fit.regression.motion.roles.inputs)
     for amplitude in AMPLITUDES:
-        columns = {name: amplitude * values for name, values in _some_rows(fit).items()}
+        columns = {name: values if name in clock else amplitude * values for name, values in _some_rows(fit).items()}
         D = evaluate_terms(terms, columns)
         known, added = D[:, : len(inside)], D[:, len(inside) :]
         spread = float(np.std(known @ found.coef[inside])) if len(inside) else 0.0
@@ -102,7 +105,7 @@ def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> 
 def _some_rows(fit: RegressionFit) -> dict[str, Floats]:
     """States and inputs of training rows spread over the records."""
     motion = fit.regression.motion
-    names = (*motion.roles.states, *motion.roles.inputs)
+    names = (*motion.roles.states, *motion.roles.drivers)
     whole = {name: np.concatenate([rows.columns[name] for rows in motion.train]) for name in names}
     step = max(1, len(whole[names[0]]) // ROWS)
     return {name: values[::step] for name, values in whole.items()}

@@ -6,7 +6,7 @@ from bayeq.states.derived_channels import measured_apart
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing
 from bayeq.states.motion import FEW_ROWS, Motion, MotionRows, estimate_motion
 from bayeq.states.roles import Roles
-from bayeq.states.sensors import Sensors, check_sensors, known_sensors
+from bayeq.states.sensors import Sensors, Tails, check_sensors, known_sensors
 from bayeq.states.unit_gains import rates, unit_gains
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "Sensors",
     "Smooth",
     "States",
+    "Tails",
     "check_sensors",
     "derive_states",
     "estimate_motion",

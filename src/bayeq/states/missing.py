@@ -8,15 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import RecordError
-from bayeq.records import Record
+from bayeq.records import Record, split_at_gaps
 from bayeq.states.bad_samples import listed
 from bayeq.states.roles import Roles
+from bayeq.states.uniform_grid import filled_in
 from bayeq.states.unit_gains import bridged
 
 __all__ = [
     "LEAST_USABLE",
     "bridged_record",
     "complete_rows",
+    "has_all",
+    "inputs_filled",
     "missing_messages",
     "require_enough",
     "without_empty_rows",
@@ -47,14 +50,14 @@ def missing_messages(records: Sequence[Record], roles: Roles) -> list[str]:
     return out
 
 
-def _complete(record: Record, roles: Roles) -> Bools:
-    """Rows with a sample of every channel that is used."""
+def has_all(record: Record, roles: Roles) -> Bools:
+    """Rows with a sample of every channel that is used, (n,)."""
     return np.all([np.isfinite(record[name]) for name in (*roles.measured, *roles.inputs)], axis=0)
 
 
 def require_enough(records: Sequence[Record], roles: Roles) -> None:
     """Raise a RecordError unless 20 rows have a sample of every channel."""
-    usable = sum(int(_complete(record, roles).sum()) for record in records)
+    usable = sum(int(has_all(record, roles).sum()) for record in records)
     if usable < LEAST_USABLE:
         where, total = ", ".join(record.name or "record" for record in records[:3]), sum(r.n for r in records)
         rows = f"{usable} row{'s' * (usable != 1)}"
@@ -64,7 +67,7 @@ def require_enough(records: Sequence[Record], roles: Roles) -> None:
 
 def complete_rows(record: Record, roles: Roles) -> Record:
     """The record without rows in which a sample is missing."""
-    kept = _complete(record, roles)
+    kept = has_all(record, roles)
     return record if kept.all() else record.take(kept)
 
 
@@ -107,3 +110,25 @@ def bridged_record(record: Record, roles: Roles, most: float = 1.0) -> Record:
     if not changed:
         return record
     return record.with_channels(changed, {name: record.units[name] for name in changed if name in record.units})
+
+
+def inputs_filled(record: Record, inputs: Sequence[str]) -> Record:
+    """The record with missing samples of inputs filled in, of which a free run needs every one.
+
+    Raises
+    ------
+    RecordError
+        A gap longer than half the shortest period, at which `discover` would divide the record, or at an end.
+    """
+    lacking = [name for name in inputs if np.isnan(record[name]).any()]
+    if not lacking or record.time is None:
+        return record
+    gaps = np.any([_long(np.isnan(record[name])) for name in lacking], axis=0)
+    if gaps.any() and (gaps[0] or gaps[-1] or len(split_at_gaps([record.take(~gaps)], inputs)[0]) > 1):
+        raise RecordError(
+            f"{record.name or 'record'}: {', '.join(lacking)}: samples are missing for too long to fill in"
+            f" ({listed(gaps)} of those that are run over); run over rows before or after (start, rows)"
+        )
+    time = np.asarray(record.time)
+    changed = {name: filled_in(time, np.asarray(record[name])) for name in lacking}
+    return record.with_channels(changed, {name: record.units[name] for name in lacking if name in record.units})

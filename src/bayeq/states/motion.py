@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import ChainError, RecordError
+from bayeq.expressions.functions import TIME
 from bayeq.records import Record
 from bayeq.states.chain import Chain
 from bayeq.states.derive import Smooth, derive_states, require_usable
@@ -47,7 +48,8 @@ class MotionRows:
     time : (n,) array or None
         [s].
     columns : mapping of str to (n,) array
-        What regressions are made of: states and targets (smoothed, where they were) and inputs, missing ones bridged.
+        What regressions are made of: states and targets (smoothed, where they were) and inputs, missing ones bridged,
+        and t where terms use it.
     observed : mapping of str to (n,) array
         What equations are judged by: each target as it was measured, as in `columns` where it was not.
     samples : mapping of str to (n,) array
@@ -226,6 +228,7 @@ def _as_measured(record: Record, roles: Roles, smooth: Smooth) -> MotionRows:
     columns = derive_states(record, roles.chains, roles.inputs, smooth).columns
     samples = {name: np.asarray(record[name]) for name in (*roles.measured, *roles.inputs)}
     observed = {target: columns[target] for target in roles.targets}
+    columns = {**columns, **_time(record, roles)}
     return MotionRows(record.name, record.time, columns, observed, samples, np.ones(record.n, dtype=np.bool_))
 
 
@@ -267,6 +270,7 @@ def _rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
     assert record.time is not None
     columns = {name: filled_in(np.asarray(record.time), samples[name]) for name in roles.inputs}
     columns.update(_named(roles.chains, means))
+    columns.update(_time(record, roles))
     observed = {
         target: np.where(np.isnan(samples[target]), columns[target], samples[target])
         if target in samples
@@ -277,6 +281,18 @@ def _rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
     for values in samples.values():
         known &= np.isfinite(values)
     return MotionRows(record.name, record.time, columns, observed, samples, known)
+
+
+def _time(record: Record, roles: Roles) -> dict[str, Floats]:
+    """The column of t, where terms use it."""
+    if not roles.timed:
+        return {}
+    if record.time is None:
+        raise RecordError(
+            f"{record.name or 'record'}: a term uses t, the time, but the record has none; name its time column (time=,"
+            " --time) or give the sampling rate (fs=, --fs)"
+        )
+    return {TIME: np.asarray(record.time, dtype=np.float64)}
 
 
 def _named(chains: Sequence[Chain], means: Sequence[Floats]) -> Iterator[tuple[str, Floats]]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from bayeq.errors import ChainError, InputError
+from bayeq.expressions import Expression
+from bayeq.expressions.functions import TIME
 from bayeq.states.chain import Chain, parse_chains
 
 __all__ = ["Roles"]
@@ -21,6 +23,8 @@ class Roles:
         One per equation.
     inputs : tuple of str
         Channels of forces and other inputs.
+    timed : bool
+        Whether terms may use t, the time [s].
 
     Examples
     --------
@@ -31,6 +35,7 @@ class Roles:
 
     chains: tuple[Chain, ...]
     inputs: tuple[str, ...] = ()
+    timed: bool = False
 
     @classmethod
     def parse(
@@ -80,6 +85,25 @@ class Roles:
     def measured(self) -> tuple[str, ...]:
         """Channels of the chains."""
         return tuple(name for chain in self.chains for name in chain.measured if name is not None)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """All channels: those of the chains, then the inputs."""
+        return (*self.measured, *self.inputs)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All channels and derivatives."""
+        return (*self.states, *self.targets, *self.inputs)
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        """What terms may use beside the states: the inputs, and t where it is used."""
+        return (*self.inputs, TIME) if self.timed else self.inputs
+
+    def for_terms(self, terms: Iterable[Expression]) -> Roles:
+        """The same with the time as a variable where terms use it, unless a channel has its name."""
+        return replace(self, timed=TIME not in self.names and any(TIME in term.names for term in terms))
 
     def with_chains(self, chains: Sequence[Chain]) -> Roles:
         """The same inputs with other chains."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -13,7 +14,9 @@ from bayeq.records import Record
 from bayeq.states.chain import Chain
 from bayeq.states.roles import Roles
 
-__all__ = ["LEAST_SHARE", "Sensors", "check_sensors", "known_sensors", "scaled_with"]
+__all__ = ["LEAST_SHARE", "Sensors", "Tails", "check_sensors", "known_sensors", "scaled_with"]
+
+Tails = Literal["gauss", "student"]
 
 # Noise of nothing, as a share of the standard deviation of a channel: the smoother divides by it.
 LEAST_SHARE = 1e-5
@@ -29,10 +32,13 @@ class Sensors:
         Standard deviation of the noise of a channel, in its unit; only of channels where it was given.
     gain_sd : mapping of str to float
         Standard deviation of the factor by which a sensor may be wrong, 0.01 for 1 %.
+    tails : "gauss" or "student"
+        Distribution of the noise: normal, or Student's t, whose tails are heavier.
     """
 
     noise: Mapping[str, float] = field(default_factory=dict)
     gain_sd: Mapping[str, float] = field(default_factory=dict)
+    tails: Tails = "gauss"
 
     def noisy(self, name: str) -> bool:
         """Whether noise was given that is not zero."""
@@ -62,6 +68,7 @@ def known_sensors(
     gain_sd: Mapping[str, float | str],
     roles: Roles,
     records: Sequence[Record],
+    tails: Tails = "gauss",
 ) -> Sensors:
     """What was given of the channels of some records, in their units.
 
@@ -85,7 +92,8 @@ def known_sensors(
                 f"noise: the noise of {name!r} is given as {levels[name]:g}, and the standard deviation of the channel"
                 f" is {spread:g}: nothing else would be in it; check the unit"
             )
-    return Sensors(levels, {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used})
+    gains = {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used}
+    return Sensors(levels, gains, tails)
 
 
 def _amount(what: str, name: str, value: float | str) -> tuple[float, bool]:

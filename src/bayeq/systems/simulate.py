@@ -114,7 +114,7 @@ def simulate(
     }
     evaluate_coefficient = Evaluator(values)
     coefficients = {
-        target: {term: float(evaluate_coefficient(parse(text))) for term, text in terms.items()}
+        target: {term: float(evaluate_coefficient(parse(text, values))) for term, text in terms.items()}
         for target, terms in system.terms.items()
     }
     return Record(

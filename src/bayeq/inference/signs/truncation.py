@@ -15,13 +15,10 @@ from scipy.special import stdtr
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, score, swept
 from bayeq.inference.signs.orthant import Orthants
+from bayeq.inference.signs.truncated import NEGLIGIBLE, carried
 from bayeq.kernels import kernel
 
 __all__ = ["Truncation", "signed_scores", "truncated_models"]
-
-# A sign that is wrong with less than this share of the probability of all signs right takes no part in the orthant:
-# far below what the quadrature resolves.
-NEGLIGIBLE = 1e-9
 
 # Numbers (models times squares of constrained terms) held at a time, and models whose orthants are computed at a time.
 CHUNK = 1 << 21
@@ -157,19 +154,10 @@ def truncated_models(p: Problem, signs: Ints, models: Bools) -> Iterator[tuple[i
 def _carried(
     p: Problem, active: Bools, truncated: Ints, mean: Floats, covariance: Floats, variance: float
 ) -> tuple[Floats, Floats, float]:
-    """Moments of all coefficients of a model from those of the truncated ones.
-
-    Given these and sigma^2 the others are Gaussian as ever, with means linear in these.
-    """
+    """Moments of all P coefficients of a model, and the mean of sigma^2, from those of the truncated ones."""
     T, kept = swept(p, active), np.flatnonzero(active)
     V = active_block(T, kept)
-    V = 0.5 * (V + V.T)
     among = np.searchsorted(kept, truncated)
-    slope = V[:, among] @ np.linalg.pinv(V[np.ix_(among, among)], hermitian=True)
-    slope[among] = np.eye(len(among))
-    rest = V - slope @ V[among]
-    rest[among], rest[:, among] = 0.0, 0.0
     coef = np.zeros(len(active))
-    coef[kept] = T.partial[kept] + slope @ (mean - T.partial[truncated])
-    total = variance * rest + slope @ covariance @ slope.T
-    return coef, 0.5 * (total + total.T), variance
+    coef[kept], total = carried(T.partial[kept], 0.5 * (V + V.T), among, mean, covariance, variance)
+    return coef, total, variance

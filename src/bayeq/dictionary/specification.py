@@ -1,0 +1,144 @@
+"""How a dictionary is written: families and terms, joined and left out, and one of them per equation."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence, Set
+from typing import NamedTuple, TypeAlias
+
+from bayeq.errors import InputError, UnknownNameError
+
+__all__ = ["Member", "Specification", "members", "of_equations", "split_at_commas", "written"]
+
+# A family, a file, terms or unions of them; or one of these by the target of each equation.
+Specification: TypeAlias = str | Sequence[str] | Mapping[str, str | Sequence[str]]
+
+# What stands in front of a sign that belongs to a number or an operand.
+_OPERATOR = re.compile(r"(?:^|[-+*/^(,<>=]|(?:^|[^\w.])[0-9.]+[eE])$")
+
+
+class Member(NamedTuple):
+    """A family or a term of a dictionary, or one to leave out."""
+
+    text: str
+    left_out: bool
+
+
+def members(texts: Sequence[str], families: Set[str]) -> list[Member] | None:
+    """Families and terms of a union; None where there is no family, and each text is a term.
+
+    A text is divided at its + and - outside of brackets if one of the parts is a family, or if others have one and it
+    begins with -.
+
+    Examples
+    --------
+    >>> [(m.text, m.left_out) for m in members(["oscillator + sign(v)*x**2 - x**-1"], {"oscillator"})]
+    [('oscillator', False), ('sign(v)*x**2', False), ('x**-1', True)]
+    >>> members(["x + v"], {"oscillator"}) is None
+    True
+    """
+    divided = [_parts(text) for text in texts]
+    unions = [any(_family(part.text) in families for part in parts) for parts in divided]
+    if not any(unions):
+        return None
+    out: list[Member] = []
+    for text, parts, union in zip(texts, divided, unions, strict=True):
+        if union:
+            out += parts
+        else:
+            bare = text.strip()
+            out.append(Member(bare.removeprefix("-").strip(), bare.startswith("-")))
+    return out
+
+
+def _family(text: str) -> str:
+    return text.partition(":")[0].strip()
+
+
+def _parts(text: str) -> list[Member]:
+    """The parts between + and - outside of brackets, each with its sign."""
+    parts, left_out, depth = [""], [False], 0
+    for c in text:
+        depth += (c == "(") - (c == ")")
+        before = parts[-1].rstrip()
+        if c in "+-" and depth <= 0 and not before and len(parts) == 1:
+            left_out[0] = c == "-"
+        elif c in "+-" and depth <= 0 and not _OPERATOR.search(before):
+            parts.append("")
+            left_out.append(c == "-")
+        else:
+            parts[-1] += c
+    return [Member(part.strip(), out) for part, out in zip(parts, left_out, strict=True)]
+
+
+def split_at_commas(text: str) -> list[str]:
+    """The parts between the commas outside of brackets.
+
+    Examples
+    --------
+    >>> split_at_commas("x, atan2(x, v)")
+    ['x', 'atan2(x, v)']
+    """
+    parts, depth = [""], 0
+    for c in text:
+        depth += (c == "(") - (c == ")")
+        if c == "," and depth <= 0:
+            parts.append("")
+        else:
+            parts[-1] += c
+    return [part.strip() for part in parts]
+
+
+def of_equations(specification: Specification, targets: Sequence[str]) -> dict[str, str | Sequence[str]] | None:
+    """The dictionary of each equation, by its target; None where all have the same.
+
+    Parameters
+    ----------
+    specification : str, sequence of str or mapping
+        Text may be ``"a1: oscillator; a2: polynomial:3"``.
+    targets : sequence of str
+        Names of the equations' targets.
+
+    Raises
+    ------
+    InputError
+        A target that is not there, given twice, or without a dictionary.
+    """
+    if isinstance(specification, Mapping):
+        found = [(str(target), one) for target, one in specification.items()]
+    elif isinstance(specification, str) and _addressed(specification, targets):
+        found = []
+        for piece in specification.split(";"):
+            target, colon, rest = piece.partition(":")
+            if not colon:
+                raise InputError(
+                    f"dictionary {piece.strip()!r}: write the target of its equation in front, as in"
+                    f" {targets[0]}: oscillator"
+                )
+            found.append((target.strip(), rest.strip()))
+    else:
+        return None
+    out: dict[str, str | Sequence[str]] = {}
+    for target, one in found:
+        if target not in targets:
+            raise UnknownNameError("equation", target, targets, where="dictionary")
+        if target in out:
+            raise InputError(f"dictionary: equation {target} has two; join them with +")
+        out[target] = one
+    missing = [target for target in targets if target not in out]
+    if missing:
+        raise InputError(f"dictionary: none is given for equation {', '.join(missing)}; give one for each equation")
+    return out
+
+
+def _addressed(text: str, targets: Sequence[str]) -> bool:
+    return text.partition(":")[0].strip() in targets or (";" in text and ":" in text)
+
+
+def written(specification: Specification) -> str:
+    """A dictionary as one text."""
+    if isinstance(specification, str):
+        return specification
+    if isinstance(specification, Mapping):
+        return "; ".join(f"{target}: {written(one)}" for target, one in specification.items())
+    return ", ".join(map(str, specification))

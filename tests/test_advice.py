@@ -1,0 +1,107 @@
+"""Every warning says what to do."""
+
+from __future__ import annotations
+
+import ast
+import re
+
+import numpy as np
+import pytest
+
+from bayeq import errors
+from bayeq.records import Record
+from bayeq.records.findings import check_record
+from bayeq.states.bad_samples import ADVICE, BAD
+from tests.layers import SOURCE, modules
+
+CATEGORIES = {name for name in errors.__all__ if name.endswith("Warning")}
+
+# What a user can do, in the words of the messages.
+DOES = re.compile(
+    r"\b(add|check|compare|drop|give|keep|leave|look|measure|rename|resample|reverse|shift|use)\b"
+    r"|would (decide|tell)|asks for|refine the result|takes (it out|them as they are)|shifts it back|do not rely"
+)
+
+
+def _text(node: ast.expr) -> str:
+    """What of a message is written in the source: its constant parts."""
+    return "".join(
+        part.value for part in ast.walk(node) if isinstance(part, ast.Constant) and isinstance(part.value, str)
+    )
+
+
+def _messages() -> list[tuple[str, str]]:
+    """Messages that are written where they are given, with their file and line."""
+    out = []
+    for path in modules():
+        constants: dict[str, str] = {}
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+                constants[node.targets[0].id] = _text(node.value)
+        for node in ast.walk(tree):
+            if not (isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "warn" and len(node.args) > 1):
+                continue
+            category, message = node.args[1], node.args[0]
+            if not (isinstance(category, ast.Name) and category.id in CATEGORIES):
+                continue
+            names = [part.id for part in ast.walk(message) if isinstance(part, ast.Name)]
+            whole = _text(message) + "".join(constants.get(name, "") for name in names)
+            if not isinstance(message, ast.Name) or names[0] in constants:
+                out.append((f"{path.relative_to(SOURCE)}:{node.lineno}", whole))
+    return out
+
+
+MESSAGES = _messages()
+
+
+def test_messages_are_found():
+    assert len(MESSAGES) > 25
+    assert {where.split(":")[0] for where, _ in MESSAGES} >= {"discovery.py", "equation/build.py", "refine/refine.py"}
+
+
+@pytest.mark.parametrize(("where", "message"), MESSAGES, ids=[where for where, _ in MESSAGES])
+def test_a_warning_says_what_to_do(where, message):
+    assert DOES.search(message), f"{where}: {message}"
+
+
+def test_bad_samples_come_with_advice():
+    assert set(ADVICE) == set(BAD)
+    assert all(DOES.search(text) for text in ADVICE.values())
+
+
+def test_findings_come_with_advice():
+    t, rng = np.arange(4000) / 500, np.random.default_rng(0)
+    x, v = np.sin(9 * t) + np.sin(23 * t), 9 * np.cos(9 * t) + 23 * np.cos(23 * t)
+    noise = rng.normal(size=(2, 4000))
+    found = []
+    spoilt = {
+        "sign offset": (x, 0.5 - v),
+        "gain": (x, 1.2 * v),
+        "delay": (x, np.roll(v, 3)),
+        "drift": (x, v + 3.0 * t),
+        "clipping": (x, np.clip(v, -20.0, 20.0)),
+        "inconsistent": (x, v * np.sign(np.sin(16.0 * t))),
+        "repeated": (x, np.where(np.arange(4000) % 50 == 0, np.nan, v)),
+    }
+    for kind, (position, speed) in spoilt.items():
+        position, speed = position + 0.01 * noise[0], speed + 0.05 * noise[1]
+        if kind == "clipping":
+            speed = np.clip(speed, -20.0, 20.0)
+        lost = np.flatnonzero(np.isnan(speed))
+        speed[lost] = speed[lost - 1]
+        found += check_record(Record({"x": position, "v": speed}, time=t), ["x:v:"])
+    kept = np.delete(np.arange(4000), [100, 200, 300])
+    found += check_record(Record({"x": x[kept]}, time=t[kept]), ["x::"])
+    assert {one.kind for one in found} >= {
+        "sign",
+        "offset",
+        "gain",
+        "delay",
+        "drift",
+        "clipping",
+        "dropped",
+        "repeated",
+    }
+    for one in found:
+        assert DOES.search(one.message), one.message
