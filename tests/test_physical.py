@@ -261,3 +261,20 @@ def test_equations_without_or_with_several_of_second_order():
     with pytest.raises(InputError, match="name one of the equations as target: a, b"):
         both.physical()
     assert both.physical(target="a")["omega_n"].mean == pytest.approx(3.0, rel=0.01)
+
+
+def test_an_angle_from_the_upright_position_is_no_stand_off():
+    n = 1500
+    rng, angle, rate, angles = np.random.default_rng(4), math.pi - 1.0, 0.0, []
+    for _ in range(n):
+        angles.append((angle, rate))
+        for _ in range(10):
+            rate += 5e-4 * (9.81 * math.sin(angle) - 0.05 * rate)
+            angle += 5e-4 * rate
+    th, om = np.array(angles).T
+    record = bq.Record.from_arrays(th=th + 0.01 * rng.normal(size=n), om=om + 0.01 * rng.normal(size=n), fs=200.0)
+    eq = bq.discover(record, chains="th:om:", dictionary="sin(th), om, om*abs(om)")
+    assert not any("nowhere zero" in message for message in eq.warnings)
+    found = eq.physical()
+    assert found["k/m"].low < 9.81 < found["k/m"].high
+    assert found["x0"].mean == pytest.approx(math.pi, abs=0.01)

@@ -408,7 +408,7 @@ def _warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) ->
             continue
         samples = np.concatenate([record[name] for record in records])
         low, high = float(np.nanmin(samples)), float(np.nanmax(samples))
-        powers = [term for term in design.terms if term.names == {name} and term.text != name]
+        powers = [term for term in design.terms if term.text.startswith(f"{name}**")]
         if powers and not low <= 0.0 <= high:
             log.warn(
                 f"{name} is nowhere zero, it lies between {low:.4g} and {high:.4g}: terms such as {powers[0]} can"
