@@ -2,11 +2,12 @@
 
 A unit mass on a spring under the paper's force, with none to three further terms of the 36 and coefficients that give
 each a share of the acceleration's variance, log-uniform from 1e-4 to 0.3, in the motion of the mass on the spring
-alone; drawn again until the motion is stable, not held by friction, and resolved by the integration and the samples. 4,000 rows at 1 kHz, 5 % noise on displacement,
-velocity, acceleration and force, all rows used. Lines of the table: candidates by their posterior inclusion
-probability, with the share of them that is true and its standard error (records are the units of chance); the terms
-above 0.99; and the intervals of included terms, and those that are printed of the terms shown (but for effective
-coefficients, which have other values to cover), those of false terms among them, which ought to cover zero.
+alone; drawn again until the motion is stable, not held by friction, and resolved by the integration and the samples.
+4,000 rows at 1 kHz, 5 % noise on displacement, velocity, acceleration and force, all rows used. Lines of the table:
+candidates by their posterior inclusion probability, with the share of them that is true and its standard error
+(records are the units of chance); the terms above 0.99; and the intervals of included terms, and those that are
+printed of the terms shown (but for effective coefficients, which have other values to cover), those of false terms
+among them, which ought to cover zero.
 
     python -m studies.random_truths > docs/tables/random_truths.csv
 """
