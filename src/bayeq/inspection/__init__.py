@@ -1,0 +1,12 @@
+"""What is in a record or a file: `info`, before anything is inferred.
+
+info       the summary, `RecordInfo`, and how it is made
+timing     which column is time, which counts experiments, where one ends
+channels   numbers of each channel
+spectrum   power by frequency
+samples    spikes, stuck and clipped stretches
+links      which channel is the derivative of another
+roles      which channel is displacement, velocity, acceleration, force
+proposal   the command to run next
+text       all that as text and HTML
+"""
