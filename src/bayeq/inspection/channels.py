@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,12 @@ from bayeq.inspection.spectrum import Spectrum, spectrum
 from bayeq.records import Record
 from bayeq.records.findings import equal_runs
 
-__all__ = ["ChannelInfo", "describe_channel", "even_pieces"]
+__all__ = ["ChannelInfo", "describe_channels"]
 
 Floats = NDArray[np.float64]
 
 # Rows by which a channel's levels and repeated samples are judged: enough to see how it was sampled.
-JUDGED = 100_000
+JUDGED = 20_000
 
 # A channel is said to be coarse if its standard deviation is fewer levels than this.
 COARSE = 20.0
@@ -67,8 +68,21 @@ class ChannelInfo:
         return not self.greatest > self.least
 
 
-def describe_channel(records: Sequence[Record], name: str) -> ChannelInfo:
-    """Numbers of a channel over all records, which are parts of one file."""
+def describe_channels(records: Sequence[Record]) -> dict[str, ChannelInfo]:
+    """Numbers of every channel over all records, which are parts of one file."""
+    clocks = [_Clock(record.time, record.dt, record.is_uniform()) for record in records]
+    return {name: _described(records, clocks, name) for name in records[0].names}
+
+
+class _Clock(NamedTuple):
+    """Time of a record, its step, and whether that is even."""
+
+    time: Floats | None
+    step: float | None
+    even: bool
+
+
+def _described(records: Sequence[Record], clocks: Sequence[_Clock], name: str) -> ChannelInfo:
     samples = np.concatenate([record[name] for record in records])
     known = np.isfinite(samples)
     missing = int(len(samples) - np.count_nonzero(known))
@@ -80,8 +94,8 @@ def describe_channel(records: Sequence[Record], name: str) -> ChannelInfo:
     size = max(abs(least), abs(greatest)) or 1.0  # so that no square overflows
     scaled = values / size
     resolution, held = _sampling(values[:JUDGED])
-    step = records[0].dt
-    pieces = [piece for record in records for piece in even_pieces(record, name)] if step else []
+    step = clocks[0].step
+    pieces = [piece for r, clock in zip(records, clocks, strict=True) for piece in _even_pieces(r[name], clock)]
     return ChannelInfo(
         name=name,
         unit=records[0].units.get(name, ""),
@@ -110,21 +124,19 @@ def _sampling(values: Floats) -> tuple[float | None, float | None]:
     return (distance if coarse else None), held
 
 
-def even_pieces(record: Record, name: str) -> list[Floats]:
+def _even_pieces(values: Floats, clock: _Clock) -> list[Floats]:
     """Samples of a channel at even steps of time, interpolated where time is uneven or samples are missing.
 
     The record is divided at gaps of more than 2.5 steps, which nothing is interpolated over.
     """
-    assert record.time is not None
-    time, values = record.time, record[name]
+    time, step = clock.time, clock.step
     known = np.isfinite(values)
+    if time is None or step is None or not known.any():
+        return []
     if not known.all():
-        if not known.any():
-            return []
         values = np.interp(time, time[known], values[known])
-    step = record.dt
-    if step is None or record.is_uniform():
-        return [np.asarray(values)]
+    if clock.even:
+        return [values]
     out = []
     cuts = np.flatnonzero(np.diff(time) > GAP * step) + 1
     for t, piece in zip(np.split(time, cuts), np.split(values, cuts), strict=True):

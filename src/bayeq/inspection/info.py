@@ -5,101 +5,42 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayeq.errors import InputError, RecordError
-from bayeq.inspection.channels import ChannelInfo, describe_channel
-from bayeq.inspection.links import Link, find_links, first_order, short_record
-from bayeq.inspection.proposal import Proposal, Reading, propose
+from bayeq.inspection.channels import ChannelInfo, describe_channels
+from bayeq.inspection.contents import Contents
+from bayeq.inspection.dynamics import drivers, first_order
+from bayeq.inspection.links import Link, find_links, short_record
+from bayeq.inspection.proposal import Reading, propose
 from bayeq.inspection.remarks import remarks
-from bayeq.inspection.roles import INPUT, Clue, Guess, clue_of, guess_roles
-from bayeq.inspection.samples import Bad, find_bad
-from bayeq.inspection.timing import Experiments, Gap, gaps_of, sort_rows
+from bayeq.inspection.roles import INPUT, Guess, clue_of, guess_roles
+from bayeq.inspection.samples import find_bad
+from bayeq.inspection.text import as_html, as_text
+from bayeq.inspection.timing import Experiments, gaps_of, sort_rows
 from bayeq.records import Record, check_record, read
 from bayeq.records.names import is_time_name
 
 __all__ = ["RecordInfo", "info"]
 
 # Of longer records channels are checked against each other on this many rows, the middle ones.
-CHECKED = 100_000
+CHECKED = 40_000
 
 
-@dataclass(frozen=True, eq=False)
-class RecordInfo:
-    """What is in a record or a file; print it, or take `to_dict`.
-
-    Attributes
-    ----------
-    name : str
-        File or label.
-    rows : int
-        In all experiments.
-    experiments : Experiments
-        The rows by experiment, and the columns that were taken for time and for numbers of experiments.
-    fs : float or None
-        Sampling rate [Hz], the median one where steps are uneven; None without time.
-    uniform : bool
-        Whether all steps of time are the same.
-    duration : float or None
-        Of all experiments together [s].
-    gaps : tuple of Gap
-        Steps of time longer than 2.5 usual ones.
-    channels : mapping of str to ChannelInfo
-        Numbers of each channel.
-    bad : mapping
-        Rows (counted from 1) that are spikes, stuck or clipped, by channel and kind.
-    looked_at : int
-        Rows that were searched for spikes and stuck stretches: all of a record of up to 20,000 rows, the most suspect
-        stretches of a longer one.
-    copies : mapping of str to str
-        Channels that are the same as another one, which is described instead.
-    links : tuple of Link
-        Channels that are derivatives of each other.
-    guess : Guess
-        Likely roles of the channels.
-    findings : tuple of str
-        What was noticed, a sentence each.
-    proposal : Proposal
-        What to run next.
-    clues : mapping of str to Clue
-        What unit and name of each channel say.
-    reading : Reading
-        How the file is to be read.
-    """
-
-    name: str
-    rows: int
-    experiments: Experiments
-    fs: float | None
-    uniform: bool
-    duration: float | None
-    gaps: tuple[Gap, ...]
-    channels: Mapping[str, ChannelInfo]
-    bad: Bad
-    looked_at: int
-    copies: Mapping[str, str]
-    links: tuple[Link, ...]
-    guess: Guess
-    findings: tuple[str, ...]
-    proposal: Proposal
-    clues: Mapping[str, Clue]
-    reading: Reading
+class RecordInfo(Contents):
+    """What is in a record or a file; print it, or take `to_dict`. Attributes are those of `Contents`."""
 
     def __str__(self) -> str:
-        from bayeq.inspection.text import as_text
-
         return as_text(self)
 
     def __repr__(self) -> str:
         return f"<RecordInfo of {self.name or 'a record'}: {self.rows} rows, {len(self.channels)} channels>"
 
     def _repr_html_(self) -> str:
-        from bayeq.inspection.text import as_html
-
         return as_html(self)
 
     def to_dict(self) -> dict[str, Any]:
@@ -108,14 +49,16 @@ class RecordInfo:
         Returns
         -------
         dict
-            ``file``, ``rows``; ``time``: ``column`` (None unless one was taken for time), ``step_column``,
-            ``fs`` [Hz], ``uniform``, ``duration`` [s], ``gaps`` (``row``, ``seconds``, ``long``); ``experiments``: ``count``, ``rows`` of each,
-            ``column``, ``time_starts_over``; ``channels``: ``name``, ``unit``, ``role``, ``why``, ``missing``, ``min``,
-            ``max``, ``mean``, ``sd``, ``constant``, ``resolution``, ``held``, ``bad`` (counts and first rows by kind)
-            and ``spectrum`` (``octaves`` [Hz], ``shares``, ``peak`` and ``bandwidth`` [Hz]); ``copies``; ``derivatives``: ``below``,
-            ``above``, ``order``, ``gain``, ``delay`` [s], ``fit``, ``expected``; ``roles``: ``chains``, ``inputs``,
-            ``undecided``; ``findings``; ``next``: ``command``, ``python``, ``complete``, ``notes``. What is not known is
-            None.
+            ``file``, ``rows``;
+            ``time``: ``column`` (None unless one was taken for time), ``step_column``, ``fs`` [Hz], ``uniform``,
+            ``duration`` [s], ``gaps`` (``row``, ``seconds``, ``long``);
+            ``experiments``: ``count``, ``rows`` of each, ``column``, ``time_starts_over``;
+            ``channels``: ``name``, ``unit``, ``role``, ``why``, ``missing``, ``min``, ``max``, ``mean``, ``sd``,
+            ``constant``, ``resolution``, ``held``, ``bad`` (``samples`` and ``first_row`` by kind) and ``spectrum``
+            (``octaves`` [Hz], ``shares``, ``peak`` and ``bandwidth`` [Hz]); ``copies``;
+            ``derivatives``: ``below``, ``above``, ``order``, ``gain``, ``delay`` [s], ``fit``, ``expected``;
+            ``roles``: ``chains``, ``inputs``, ``undecided``; ``findings``;
+            ``next``: ``command``, ``python``, ``complete``, ``notes``. What is not known is None.
         """
         return {
             "file": self.name,
@@ -217,7 +160,8 @@ def info(
     if not isinstance(source, (str, os.PathLike)):
         raise InputError(f"info needs a Record or the path of a file, not {type(source).__name__}")
     path = Path(source)
-    reading = Reading((str(path),), time, fs, names if names is None or isinstance(names, str) else ",".join(names), group)
+    listed = names if names is None or isinstance(names, str) else ",".join(names)
+    reading = Reading((str(path),), time, fs, listed, group)
     return _described(_opened(path, time, fs, names, units, group), path.name, reading)
 
 
@@ -252,7 +196,7 @@ def _opened(
 def _described(experiments: Experiments, name: str, reading: Reading) -> RecordInfo:
     experiments, copies = _without_copies(experiments)
     records = experiments.records
-    channels = {key: describe_channel(records, key) for key in records[0].names}
+    channels = describe_channels(records)
     moving = [key for key, channel in channels.items() if not channel.constant]
     clues = {key: clue_of(key, channels[key].unit) for key in channels}
     short = short_record(records, channels)
@@ -261,6 +205,9 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     free = [key for key in moving if key not in derived and clues[key].order != INPUT and not clues[key].by_unit]
     first = first_order(short, free, [key for key in moving if clues[key].order == INPUT])
     guess = guess_roles(moving, clues, links, first)
+    second = [chain for chain in guess.chains if len(chain) == 3]
+    if len(second) == 1 and not guess.inputs:
+        guess = guess.driven_by(drivers(short, second[0], guess.undecided))
     bad, looked_at = find_bad(records, guess, moving)
     gaps = tuple(gaps_of(records))
     rates = [record for record in records if record.fs is not None]
@@ -314,12 +261,14 @@ def _completed(reading: Reading, experiments: Experiments) -> Reading:
     records = experiments.records
     group = experiments.column if len(records) > 1 else None
     step = records[0].dt if experiments.step is not None else None
+    found = experiments.time
     return replace(
         reading,
-        time=reading.time or experiments.time,
+        time=reading.time or (None if found is None or is_time_name(found) else found),
         fs=reading.fs if step is None else 1.0 / step,
         group=reading.group or group,
         clocked=any(record.fs is not None for record in records),
+        unnumbered=experiments.restarts and experiments.column is None,
     )
 
 

@@ -15,7 +15,7 @@ from bayeq.records import Record
 from bayeq.records.consistency import Frames, Relation, relate, uniform_frames
 from bayeq.records.units import derivative_ratio
 
-__all__ = ["Link", "find_links", "first_order", "short_record"]
+__all__ = ["Link", "find_links", "short_record"]
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +24,9 @@ Floats = NDArray[np.float64]
 # that leaves a derivative a derivative.
 ROWS = 16_384
 PER_PERIOD = 16.0
+
+# Missing samples are interpolated in a channel that has more than this share of them.
+MOSTLY = 0.8
 
 # More channels than these are not compared, each with each: that would take seconds.
 MOST_CHANNELS = 16
@@ -34,7 +37,7 @@ LEAST_FIT = 0.9
 LEAST_COHERENCE = 0.6
 MOST_DELAY = 3.0
 
-# ... and the gain is that of the units, or, where they are not known, of units that are often mixed, within this factor.
+# ... and the gain is that of the units, or, where they are not known, of units that are often mixed, within a factor.
 NEAR = 1.25
 MIXED = (1.0, 1e-3, 1e3, 1e-2, 1e2, 9.80665, 2.0 * math.pi, 180.0 / math.pi)
 
@@ -43,12 +46,6 @@ MIXED = (1.0, 1e-3, 1e3, 1e-2, 1e2, 9.80665, 2.0 * math.pi, 180.0 / math.pi)
 BROAD = 1.1
 # Noise may bring the frequency of a derivative this near to that of the motion, or below.
 NOT_SLOWER = 0.97
-
-# A channel is a state of first order if this share of its changes is explained by the channels themselves and their
-# products; of a coordinate of second order hardly any is, for its rate is a state of its own.
-EXPLAINED = 0.8
-MOST_STATES = 8
-LEAST_ROWS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +99,20 @@ def short_record(records: Sequence[Record], channels: Mapping[str, ChannelInfo])
 
 
 def _even(record: Record) -> Record:
-    """Channels interpolated at even steps of time: what is between samples is a guess, but alike for all channels."""
+    """Channels interpolated at even steps of time: what is between samples is a guess, but alike for all channels.
+
+    So are samples that are missing, in channels of which most are there.
+    """
     step = record.dt
-    if record.time is None or step is None or record.is_uniform():
+    if record.time is None or step is None:
+        return record
+    known = {name: np.isfinite(values) for name, values in record.channels.items()}
+    gappy = {name: rows for name, rows in known.items() if MOSTLY < rows.mean() < 1.0}
+    if gappy:
+        filled = {name: np.interp(record.time, record.time[r], record[name][r]) for name, r in gappy.items()}
+        units = {name: unit for name, unit in record.units.items() if name in filled}
+        record = record.with_channels(filled, units)
+    if record.is_uniform() or record.time is None:
         return record
     time = record.time[0] + step * np.arange(min(int((record.time[-1] - record.time[0]) / step) + 1, 2 * record.n))
     channels = {name: np.interp(time, record.time, values) for name, values in record.channels.items()}
@@ -179,52 +187,3 @@ def _doubt(relation: Relation, expected: float | None, frames: Frames) -> float:
     """Small for a derivative of the right sign and gain, without delay."""
     wrong = min(_nearest(relation.gain, expected), 3.0) + (1.0 if relation.sign < 0 else 0.0)
     return wrong + abs(relation.delay) / frames.dt + 5.0 * (1.0 - relation.fit)
-
-
-def first_order(record: Record, names: Sequence[str], others: Sequence[str]) -> dict[str, float]:
-    """Channels whose changes are explained by the channels themselves, each with the share that is explained.
-
-    Changes over an eighth of a period are compared with integrals over the same time of the channels and their products:
-    the equation of a first-order state, integrated, without differentiating what is measured.
-
-    Parameters
-    ----------
-    record : Record
-        A short one, with time.
-    names : sequence of str
-        Channels that may be states.
-    others : sequence of str
-        Inputs.
-    """
-    used = [name for name in (*names, *others) if np.isfinite(record[name]).all()]
-    states = [name for name in names if name in used]
-    if not states or record.time is None or len(used) > MOST_STATES:
-        return {}
-    scaled = {name: _standardised(record[name]) for name in used}
-    peak = max(1, max(int(np.argmax(np.abs(np.fft.rfft(scaled[name]))[1:])) + 1 for name in states))
-    width = max(1, round(record.n / (8 * peak)))
-    rows = record.n - width
-    terms = [scaled[name] for name in used]
-    terms += [terms[i] * terms[j] for i in range(len(used)) for j in range(i + 1)]
-    if rows < max(LEAST_ROWS, 2 * len(terms)):
-        return {}
-    steps = np.diff(record.time)
-    design = [np.ones(rows)]
-    for term in terms:
-        area = np.concatenate([[0.0], np.cumsum(0.5 * (term[1:] + term[:-1]) * steps)])
-        design.append(area[width:] - area[:-width])
-    D = np.column_stack(design)
-    out = {}
-    for name in states:
-        change = scaled[name][width:] - scaled[name][:-width]
-        left = change - D @ np.linalg.lstsq(D, change, rcond=None)[0]
-        lost = float(left @ left) / max(float(np.sum((change - change.mean()) ** 2)), 1e-300)
-        share = 1.0 - lost * (rows - 1) / (rows - D.shape[1])
-        if share > EXPLAINED:
-            out[name] = share
-    return out
-
-
-def _standardised(values: Floats) -> Floats:
-    scaled = values / (float(np.abs(values).max()) or 1.0)
-    return np.asarray((scaled - scaled.mean()) / (float(scaled.std()) or 1.0))

@@ -30,6 +30,8 @@ class Reading:
         Sampling rate [Hz].
     clocked : bool
         Whether there is time at all.
+    unnumbered : bool
+        Whether time starts over and no column numbers the experiments.
     """
 
     files: tuple[str, ...] = ()
@@ -38,6 +40,7 @@ class Reading:
     names: str | None = None
     group: str | None = None
     clocked: bool = True
+    unnumbered: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +73,16 @@ def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading) -> Propos
     """Command and notes for what was found out about a file."""
     options: list[tuple[str, str]] = []
     notes: list[str] = []
-    if not reading.clocked:
+    if not reading.clocked and reading.files:
         notes.append(
             "RATE: there is no time in the file; write the sampling rate in Hz, or name the column of time (--time)"
+        )
+    elif not reading.clocked:
+        notes.append("the record has no time: make it with time= or fs=, as in Record.from_arrays(x=x, fs=1000)")
+    if reading.unnumbered:
+        notes.append(
+            "this works once the file has a column that numbers its experiments (then add --group), or is divided:"
+            " its time starts over"
         )
     arguments = _roles(guess, options, notes)
     dictionary = _dictionary(guess, clues)
@@ -87,7 +97,7 @@ def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading) -> Propos
         for option, value in (*_reading_options(reading), *options):
             words += [option, value]
         command = " ".join(shlex.quote(word) for word in words)
-    complete = reading.clocked and bool(guess.chains)
+    complete = reading.clocked and bool(guess.chains) and not reading.unnumbered
     return Proposal(command, _python(reading, arguments), complete, tuple(notes))
 
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+from bayeq.inspection.contents import Contents
 from bayeq.states.bad_samples import ADVICE
-
-if TYPE_CHECKING:
-    from bayeq.inspection.info import RecordInfo
 
 __all__ = ["remarks"]
 
@@ -16,16 +13,19 @@ __all__ = ["remarks"]
 LISTED = 3
 
 
-def remarks(found: RecordInfo, checks: Sequence[str]) -> list[str]:
+def remarks(found: Contents, checks: Sequence[str]) -> list[str]:
     """Sentences about time, experiments, channels and samples, then what channels say of each other."""
     return [*_time(found), *_experiments(found), *_channels(found), *_bad(found), *checks]
 
 
-def _time(found: RecordInfo) -> list[str]:
+def _time(found: Contents) -> list[str]:
     out = []
     column = found.experiments.time
     if column is not None and not found.experiments.restarts:
-        out.append(f"time: nobody says which column it is; {column} is taken, which rises from row to row, in seconds unless a unit stands in its header")
+        out.append(
+            f"time: no column has its name; {column}, which rises from row to row, is taken, in seconds unless its"
+            " header has a unit"
+        )
     if found.experiments.step is not None:
         out.append(f"time: {found.experiments.step} is constant and named as the time step [s]: taken for it")
     if found.experiments.counter is not None:
@@ -43,12 +43,13 @@ def _time(found: RecordInfo) -> list[str]:
     return out
 
 
-def _experiments(found: RecordInfo) -> list[str]:
+def _experiments(found: Contents) -> list[str]:
     one = found.experiments
     count = len(one.records)
     if count == 1:
         return [f"{one.column} numbers the experiments: there is one"] if one.column else []
-    rows = f"{min(r.n for r in one.records)} to {max(r.n for r in one.records)} rows each"
+    least, most = min(record.n for record in one.records), max(record.n for record in one.records)
+    rows = f"{least} rows each" if least == most else f"{least} to {most} rows each"
     if one.column is not None:
         return [f"{count} experiments, {rows}, numbered by {one.column}"]
     first = 1 + one.records[0].n
@@ -58,7 +59,7 @@ def _experiments(found: RecordInfo) -> list[str]:
     ]
 
 
-def _channels(found: RecordInfo) -> list[str]:
+def _channels(found: Contents) -> list[str]:
     out = [f"{name} is the same as {other}: left out" for name, other in found.copies.items()]
     for name, channel in found.channels.items():
         if channel.missing == found.rows:
@@ -76,7 +77,7 @@ def _channels(found: RecordInfo) -> list[str]:
     return out
 
 
-def _bad(found: RecordInfo) -> list[str]:
+def _bad(found: Contents) -> list[str]:
     out = []
     for name, kinds in found.bad.items():
         for kind, rows in kinds.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from bayeq.inspection.links import Link
@@ -20,24 +20,17 @@ FORCES = {"N", "kN", "mN", "MN", "daN", "lbf", "kgf", "Nm", "kNm", "mNm"}
 ANGLES = {"rad", "mrad", "deg", "°", "rev", "rpm"}
 
 # Parts of names in the usual languages, in small letters; single letters count where they are all of the name.
-NAMES: Mapping[int, frozenset[str]] = {
-    0: frozenset(
-        "x y z q s d o th theta phi psi disp displ displacement pos position angle deflection weg auslenkung winkel"
-        " lage deplacement desplazamiento spostamento lvdt laser hub level".split()
-    ),
-    1: frozenset(
-        "v w om omega vel velo velocity speed rate gyro xd xdot yd ydot zd zdot dx dy dz thd thdot dth geschwindigkeit"
-        " vitesse velocidad velocita".split()
-    ),
-    2: frozenset(
-        "a acc accel acceleration accelerometer beschleunigung xdd xddot ydd yddot zdd zddot ddx ddy ddz thdd thddot"
-        " ddth aceleracion accelerazione".split()
-    ),
-    INPUT: frozenset(
-        "u f fx fy fz force load kraft in input exc excitation shaker torque moment tau voltage drive cmd command"
-        " anregung effort fuerza forza".split()
-    ),
+WORDS: Mapping[int, str] = {
+    0: "x y z q s d o th theta phi psi disp displ displacement pos position angle deflection weg auslenkung winkel lage"
+    " deplacement desplazamiento spostamento lvdt laser hub level",
+    1: "v w om omega vel velo velocity speed rate gyro xd xdot yd ydot zd zdot dx dy dz thd thdot dth"
+    " geschwindigkeit vitesse velocidad velocita",
+    2: "a acc accel acceleration accelerometer beschleunigung xdd xddot ydd yddot zdd zddot ddx ddy ddz thdd thddot"
+    " ddth aceleracion accelerazione",
+    INPUT: "u f fx fy fz force load kraft in input exc excitation shaker torque moment tau voltage drive cmd command"
+    " anregung effort fuerza forza",
 }
+NAMES = {word: order for order, words in WORDS.items() for word in words.split()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +65,7 @@ class Guess:
     Attributes
     ----------
     chains : tuple of tuples
-        Names of a coordinate and its derivatives, None where one is not measured. One name alone is a first-order state.
+        Names of a coordinate and its derivatives, None where one is not measured; one name alone: a first-order state.
     inputs : tuple of str
     undecided : tuple of str
         Channels that may be anything.
@@ -84,6 +77,15 @@ class Guess:
     inputs: tuple[str, ...]
     undecided: tuple[str, ...]
     reasons: Mapping[str, str]
+
+    def driven_by(self, shares: Mapping[str, float]) -> Guess:
+        """The same with channels that were undecided as inputs, for the share of the motion that each explains."""
+        reasons = {
+            name: f"explains {100.0 * min(share, 0.999):.1f} % of what the motion itself leaves of the acceleration"
+            for name, share in shares.items()
+        }
+        undecided = tuple(name for name in self.undecided if name not in shares)
+        return replace(self, inputs=(*self.inputs, *shares), undecided=undecided, reasons={**self.reasons, **reasons})
 
     def role_of(self, name: str) -> str:
         """Role of a channel as a word; empty where it is not decided."""
@@ -134,10 +136,9 @@ def _order_of_name(name: str) -> tuple[int | None, str]:
     """What the first telling word of a name says, and the other words."""
     parts = _parts(name)
     for k, part in enumerate(parts):
-        for order, words in NAMES.items():
-            # of several words a single letter tells only in front of a number or at the beginning
-            if part.casefold() in words and (len(part) > 1 or k == 0):
-                return order, "_".join(parts[:k] + parts[k + 1 :]).casefold()
+        # a single letter counts at the beginning only
+        if part.casefold() in NAMES and (len(part) > 1 or k == 0):
+            return NAMES[part.casefold()], "_".join(parts[:k] + parts[k + 1 :]).casefold()
     return None, "_".join(part for part in parts if part.isdigit())
 
 
@@ -228,12 +229,10 @@ def _reaches(up: Mapping[str, Link], start: str, end: str) -> bool:
 
 def _placed(run: list[str | None], clues: Mapping[str, Clue]) -> tuple[str | None, ...]:
     """A run as a chain of second order: it begins at the derivative that most of its channels' clues say."""
-    votes = [
-        order - k for k, name in enumerate(run) if name is not None and (order := clues[name].order) in (0, 1, 2)
-    ]
+    votes = [order - k for k, name in enumerate(run) if name is not None and (order := clues[name].order) in (0, 1, 2)]
     shift = max(set(votes), key=votes.count) if votes else 0
     shift = min(max(shift, 0), 3 - len(run))
-    return tuple([*[None] * shift, *run, *[None] * (3 - shift - len(run))])
+    return (*[None] * shift, *run, *[None] * (3 - shift - len(run)))
 
 
 def _completed(

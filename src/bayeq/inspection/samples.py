@@ -21,10 +21,11 @@ Bools = NDArray[np.bool_]
 #: Rows that are bad, counted from 1, by channel and kind ("spikes", "stuck", "clipped").
 Bad = dict[str, dict[str, list[int]]]
 
-# Files of up to this many rows are looked at as a whole. Of longer ones as many rows at most, in windows around what is
-# suspect: a third difference, or a run of equal samples, beyond this many times the usual one.
-WHOLE = 20_000
-WINDOW = 2_000
+# Files of up to WHOLE rows are looked at whole. In longer ones windows around what is most suspect, of MOST rows at
+# most: a third difference, or a run of equal samples, beyond SUSPECT times the usual one. Beside a window there
+# are MARGIN more rows, for a sample is judged by those on both sides of it.
+WHOLE, MOST = 20_000, 8_000
+WINDOW, MARGIN = 1_600, 200
 SUSPECT = 30.0
 LONG_RUN = 10
 
@@ -50,20 +51,17 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
     timed = all(record.time is not None for record in records)
     if not names or not timed:
         return found, 0
-    chains = [":".join(name or "" for name in chain) for chain in guess.chains if len(chain) == 3]
-    alone = [name for name in names if not any(name in chain for chain in guess.chains if len(chain) == 3)]
-    roles = Roles.parse(chains, inputs=alone) if chains else Roles((), tuple(alone))
     looked, first = 0, 0
     for record in records:
-        windows = [(0, record.n)] if total <= WHOLE else _windows(record, names, WHOLE - looked)
-        for a, b in windows:
+        whole = [(0, record.n, set(names))]
+        for a, b, suspects in whole if total <= WHOLE else _windows(record, names, MOST - looked):
             looked += b - a
-            (bad,) = find_bad_samples([record.slice(a, b)], roles)
+            (bad,) = find_bad_samples([record.slice(a, b)], _roles(guess, names, suspects))
             for name, one in bad.items():
                 for kind, rows in one.kinds.items():
                     if kind != "clipped":  # which were looked for everywhere
                         place = found.setdefault(name, {}).setdefault(kind, [])
-                        place.extend((np.flatnonzero(rows) + first + a + 1).tolist())
+                        found[name][kind] = sorted({*place, *(np.flatnonzero(rows) + first + a + 1).tolist()})
         first += record.n
     order = {name: found[name] for name in names if name in found}
     return {name: {kind: one[kind] for kind in BAD if kind in one} for name, one in order.items()}, looked
@@ -84,19 +82,35 @@ def _stays(rows: Bools) -> bool:
     return bool((rows[: 1 - LEAST_RUN] & rows[1 : 2 - LEAST_RUN] & rows[LEAST_RUN - 1 :]).any())
 
 
-def _windows(record: Record, names: Sequence[str], most: int) -> list[tuple[int, int]]:
-    """Rows around the most suspect places of a long record, as many as may be looked at."""
-    length = min(WINDOW, record.n)
-    suspect = np.zeros(-(-record.n // length))
+def _roles(guess: Guess, names: Sequence[str], suspects: set[str]) -> Roles:
+    """Chains and single channels that have suspects among them."""
+    chains = [chain for chain in guess.chains if len(chain) == 3]
+    alone = [name for name in names if name in suspects and not any(name in chain for chain in chains)]
+    texts = [":".join(name or "" for name in chain) for chain in chains if suspects.intersection(filter(None, chain))]
+    return Roles.parse(texts, inputs=alone) if texts else Roles((), tuple(alone))
+
+
+def _windows(record: Record, names: Sequence[str], most: int) -> list[tuple[int, int, set[str]]]:
+    """First rows and ends of the most suspect stretches of a long record, and the channels that are suspect there."""
+    places: dict[int, float] = {}
+    suspects: dict[int, set[str]] = {}
     for name in names:
-        values = record[name]
-        third = np.abs(np.diff(values, 3))
-        third[~np.isfinite(third)] = 0.0
-        usual = float(np.median(third[:: max(1, len(third) // 50_000)]))  # of a part: only its size matters
-        ratio = third / usual if usual > 0.0 else np.where(third > 0.0, SUSPECT, 0.0)
-        np.maximum.at(suspect, np.flatnonzero(ratio > SUSPECT) // length, ratio[ratio > SUSPECT])
-        starts, lengths = equal_runs(values)
-        long = lengths >= max(LONG_RUN, 4.0 * float(np.median(lengths)))
-        np.maximum.at(suspect, starts[long] // length, SUSPECT * lengths[long] / LONG_RUN)
-    places = [int(k) for k in np.argsort(-suspect, kind="stable") if suspect[k] > 0.0][: max(0, most // length)]
-    return [(max(0, min(k * length, record.n - length)), min((k + 1) * length, record.n)) for k in sorted(places)]
+        for row, size in _suspicious(record[name]):
+            place = row // WINDOW
+            places[place] = max(places.get(place, 0.0), size)
+            suspects.setdefault(place, set()).add(name)
+    worst = sorted(places, key=lambda place: (-places[place], place))[: max(0, most // (WINDOW + 2 * MARGIN))]
+    return [(max(0, k * WINDOW - MARGIN), min((k + 1) * WINDOW + MARGIN, record.n), suspects[k]) for k in sorted(worst)]
+
+
+def _suspicious(values: Floats) -> list[tuple[int, float]]:
+    """Rows of sudden changes and of long runs of equal samples, and how far they are from the usual."""
+    third = np.abs(np.diff(values, 3))
+    third[~np.isfinite(third)] = 0.0
+    usual = float(np.median(third[:: max(1, len(third) // 50_000)]))  # of a part: only its size matters
+    limit = SUSPECT * usual if usual > 0.0 else np.inf
+    rows = np.flatnonzero(third > limit)
+    out = [(int(row) + 1, float(third[row]) / usual) for row in rows[:: max(1, len(rows) // 1000)]]
+    starts, lengths = equal_runs(values)
+    long = np.flatnonzero(lengths >= max(LONG_RUN, 4.0 * float(np.median(lengths))))
+    return out + [(int(starts[k]), SUSPECT * float(lengths[k]) / LONG_RUN) for k in long[:1000]]

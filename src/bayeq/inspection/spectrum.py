@@ -18,7 +18,7 @@ SHARE = 0.99
 
 # A record of up to SHORT rows is one segment, longer ones are segments of a quarter, up to LONGEST rows, half over each
 # other. Of more than MOST_SEGMENTS some are taken, evenly over the record: the rest would hardly change the picture.
-SHORT, LONGEST, MOST_SEGMENTS = 8192, 65536, 32
+SHORT, LONGEST, MOST_SEGMENTS = 8192, 65536, 16
 
 # Octaves that are shown, from half the sampling rate down; the lowest one takes what is below.
 MOST_OCTAVES = 12

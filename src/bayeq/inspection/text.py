@@ -1,28 +1,37 @@
-"""A `RecordInfo` as text and as HTML."""
+"""A `Contents` as text and as HTML."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from bayeq import markup
 from bayeq.inspection.channels import ChannelInfo
+from bayeq.inspection.contents import Contents
 from bayeq.inspection.spectrum import bars
-
-if TYPE_CHECKING:
-    from bayeq.inspection.info import RecordInfo
 
 __all__ = ["as_html", "as_text"]
 
-HEADER = ("channel", "unit", "likely", "min", "max", "mean", "sd", "missing", "power by octave", "most at", "99 % below")
+HEADER = (
+    "channel",
+    "unit",
+    "likely",
+    "min",
+    "max",
+    "mean",
+    "sd",
+    "missing",
+    "power by octave",
+    "most at",
+    "99 % below",
+)
 LEFT = (0, 1, 2, 8)
 
 # Longer names and units are cut, so that rows stay rows.
 LONGEST = 24
 
 
-def as_text(found: RecordInfo, plain: bool = False) -> str:
+def as_text(found: Contents, plain: bool = False) -> str:
     """The summary; with `plain` in characters that every terminal has."""
     lines = [title(found), ""]
     lines += _aligned([HEADER, *(_row(found, channel, plain) for channel in found.channels.values())], plain)
@@ -33,7 +42,7 @@ def as_text(found: RecordInfo, plain: bool = False) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def as_html(found: RecordInfo) -> str:
+def as_html(found: Contents) -> str:
     """The summary for a notebook: title, channels, what was noticed, and what to run next."""
     rows = [_row(found, channel, False) for channel in found.channels.values()]
     parts = [markup.paragraph(title(found), strong=True), markup.table(HEADER, rows, LEFT)]
@@ -43,7 +52,7 @@ def as_html(found: RecordInfo) -> str:
     return markup.join(*parts, markup.items(found.proposal.notes))
 
 
-def title(found: RecordInfo) -> str:
+def title(found: Contents) -> str:
     """Name, rows, rate and duration in one line."""
     name = f"{found.name}: " if found.name else ""
     count = len(found.channels)
@@ -51,13 +60,17 @@ def title(found: RecordInfo) -> str:
     rows = f"{found.rows} row{'s' * (found.rows != 1)}"
     if found.fs is None or found.duration is None:
         return f"{name}{rows}, {channels}; no time in it: rate and duration are not known"
-    rate = f"at {found.fs:.6g} Hz" if found.uniform else f"at uneven steps, mostly {1 / found.fs:.4g} s ({found.fs:.4g} Hz)"
+    rate = (
+        f"at {found.fs:.6g} Hz"
+        if found.uniform
+        else f"at uneven steps, mostly {1 / found.fs:.4g} s ({found.fs:.4g} Hz)"
+    )
     number = len(found.experiments.records)
     several = f" in {number} experiments" if number > 1 else ""
     return f"{name}{rows} {rate}, {found.duration:.6g} s{several}; {channels}"
 
 
-def _sections(found: RecordInfo) -> list[tuple[str, Sequence[str]]]:
+def _sections(found: Contents) -> list[tuple[str, Sequence[str]]]:
     out: list[tuple[str, Sequence[str]]] = []
     if found.guess.reasons:
         out.append(("why", [f"{_cut(name)}: {why}" for name, why in _reasons(found)]))
@@ -66,7 +79,7 @@ def _sections(found: RecordInfo) -> list[tuple[str, Sequence[str]]]:
     return out
 
 
-def _reasons(found: RecordInfo) -> list[tuple[str, str]]:
+def _reasons(found: Contents) -> list[tuple[str, str]]:
     """Channels with a role, and what says so."""
     out = []
     for name in found.channels:
@@ -76,7 +89,7 @@ def _reasons(found: RecordInfo) -> list[tuple[str, str]]:
     return out
 
 
-def _row(found: RecordInfo, channel: ChannelInfo, plain: bool) -> tuple[str, ...]:
+def _row(found: Contents, channel: ChannelInfo, plain: bool) -> tuple[str, ...]:
     numbers = (channel.least, channel.greatest, channel.mean, channel.sd)
     power = channel.spectrum
     spectrum = ("", "", "") if power is None else (bars(power, plain), _hertz(power.peak), _hertz(power.bandwidth))
@@ -97,8 +110,6 @@ def _aligned(rows: Sequence[Sequence[str]], plain: bool) -> list[str]:
     """Columns under each other; those that are empty throughout are left out."""
     kept = [k for k in range(len(rows[0])) if k < 3 or any(row[k] for row in rows[1:])]
     widths = {k: max(len(row[k]) for row in rows) for k in kept}
-    lines = [
-        "  ".join(row[k].ljust(widths[k]) if k in LEFT else row[k].rjust(widths[k]) for k in kept) for row in rows
-    ]
+    lines = ["  ".join(row[k].ljust(widths[k]) if k in LEFT else row[k].rjust(widths[k]) for k in kept) for row in rows]
     rule = "-" if plain else "─"
     return [lines[0], rule * max(map(len, lines)), *lines[1:]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,14 +90,16 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
         The channel that is time, which may start over.
     """
     counter = step = None
-    clock = record.time
+    clock: Floats | None = record.time
     if clock is None:
-        counter = next((name for name in record.names if _counts_rows(record[name])), None)
+        counter = next(
+            (name for name in record.names if _counts_rows(record[name]) and _doubt(record, name) == 2), None
+        )
         time = time or _time_column(record, counter)
         if time is not None:
             clock = record[time] * SECONDS.get(record.units.get(time, "s"), 1.0)
         elif (step := next((name for name in record.names if _is_step(record, name)), None)) is not None:
-            clock = np.arange(record.n) * float(np.nanmax(record[step]))
+            clock = np.asarray(np.arange(record.n) * float(np.nanmax(record[step])), dtype=np.float64)
     restarts = np.zeros(0, dtype=np.intp) if clock is None else np.flatnonzero(np.diff(clock) <= 0.0) + 1
     column = _trial_column(record, restarts, clock, {time, counter, step})
     starts = restarts if column is None else np.union1d(restarts, equal_runs(record[column])[0][1:])
@@ -109,7 +112,7 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
         units.pop("t", None)
     bounds = [0, *starts.tolist(), record.n]
     records = []
-    for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+    for k, (a, b) in enumerate(pairwise(bounds)):
         name = record.name if len(bounds) == 2 else f"{record.name} [experiment {k + 1}]".strip()
         piece = {key: values[a:b] for key, values in channels.items()}
         records.append(Record(piece, None if clock is None else clock[a:b], units, name, None))
@@ -131,13 +134,14 @@ def _counts_rows(values: Floats) -> bool:
 def _time_column(record: Record, counter: str | None) -> str | None:
     """The column that rises steadily, or starts over: by its unit, its name, or the first there is."""
     rising = [name for name in record.names if name != counter and _rises(record[name])]
+    return min(rising, key=lambda name: _doubt(record, name), default=None)
 
-    def doubt(name: str) -> int:
-        if record.units.get(name) in SECONDS:
-            return 0
-        return 1 if is_time_name(name) or any(word in name.casefold() for word in TIME_WORDS) else 2
 
-    return min(rising, key=doubt, default=None)
+def _doubt(record: Record, name: str) -> int:
+    """How surely a column is time: 0 for its unit, 1 for its name, 2 for neither."""
+    if record.units.get(name) in SECONDS:
+        return 0
+    return 1 if is_time_name(name) or any(word in name.casefold() for word in TIME_WORDS) else 2
 
 
 def _rises(values: Floats) -> bool:
@@ -183,12 +187,15 @@ def _at_gaps(clock: Floats | None, rows: Ints) -> bool:
 
 def gaps_of(records: Sequence[Record]) -> list[Gap]:
     """Steps of time of more than 2.5 usual ones, in all records; rows are counted over all of them."""
-    out, first = [], 0
+    out: list[Gap] = []
+    first = 0
     for record in records:
         if record.time is not None and record.n > 2:
             steps = np.diff(record.time)
             usual = float(np.median(steps))
-            for row in np.flatnonzero(steps > GAP * usual):
-                out.append(Gap(first + int(row) + 1, float(steps[row]), bool(steps[row] > LONG_GAP * usual)))
+            out += [
+                Gap(first + int(row) + 1, float(steps[row]), bool(steps[row] > LONG_GAP * usual))
+                for row in np.flatnonzero(steps > GAP * usual)
+            ]
         first += record.n
     return out

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from bayeq.inspection.info import RecordInfo
+from bayeq.inspection.contents import Contents
 from bayeq.inspection.proposal import Proposal, propose
 
 __all__ = ["proposal_for_all"]
 
 
-def proposal_for_all(found: Sequence[RecordInfo]) -> Proposal | None:
+def proposal_for_all(found: Sequence[Contents]) -> Proposal | None:
     """The command for all files; None for one, or where channels, roles or the way to read them differ."""
     first = found[0]
     alike = [(one.guess.chains, one.guess.inputs, replace(one.reading, files=())) for one in found]
