@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from bayeq import markup
 from bayeq.inspection.channels import ChannelInfo
 from bayeq.inspection.contents import Contents
 from bayeq.inspection.spectrum import bars
+from bayeq.markup import code, items, join, paragraph, table
 
 __all__ = ["as_html", "as_text"]
 
@@ -45,11 +45,11 @@ def as_text(found: Contents, plain: bool = False) -> str:
 def as_html(found: Contents) -> str:
     """The summary for a notebook: title, channels, what was noticed, and what to run next."""
     rows = [_row(found, channel, False) for channel in found.channels.values()]
-    parts = [markup.paragraph(title(found), strong=True), markup.table(HEADER, rows, LEFT)]
+    parts = [paragraph(title(found), strong=True), table(HEADER, rows, LEFT)]
     for heading, texts in _sections(found):
-        parts += [markup.paragraph(heading), markup.items(texts)]
-    parts += [markup.paragraph("next"), markup.code(found.proposal.command or found.proposal.python)]
-    return markup.join(*parts, markup.items(found.proposal.notes))
+        parts += [paragraph(heading), items(texts)]
+    parts += [paragraph("next"), code(found.proposal.command or found.proposal.python)]
+    return join(*parts, items(found.proposal.notes))
 
 
 def title(found: Contents) -> str:
