@@ -12,6 +12,7 @@ from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
 from bayeq.states import Roles
 from bayeq.states.bad_samples import BAD, find_bad_samples
+from bayeq.states.kinematic.model import LARGEST
 
 __all__ = ["Bad", "find_bad"]
 
@@ -49,6 +50,8 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
     total = sum(record.n for record in records)
     _clipped(records, names, found)
     timed = all(record.time is not None for record in records)
+    # a square of what is larger is infinite
+    names = [name for name in names if all(np.nanmax(np.abs(r[name]), initial=0.0) <= LARGEST for r in records)]
     if not names or not timed:
         return found, 0
     looked, first = 0, 0
@@ -84,7 +87,7 @@ def _stays(rows: Bools) -> bool:
 
 def _roles(guess: Guess, names: Sequence[str], suspects: set[str]) -> Roles:
     """Chains and single channels that have suspects among them."""
-    chains = [chain for chain in guess.chains if len(chain) == 3]
+    chains = [chain for chain in guess.chains if len(chain) == 3 and set(filter(None, chain)) <= set(names)]
     alone = [name for name in names if name in suspects and not any(name in chain for chain in chains)]
     texts = [":".join(name or "" for name in chain) for chain in chains if suspects.intersection(filter(None, chain))]
     return Roles.parse(texts, inputs=alone) if texts else Roles((), tuple(alone))
