@@ -22,10 +22,10 @@ Bools = NDArray[np.bool_]
 #: Rows that are bad, counted from 1, by channel and kind ("spikes", "stuck", "clipped").
 Bad = dict[str, dict[str, list[int]]]
 
-# Files of up to WHOLE rows are looked at whole. In longer ones windows around what is most suspect, of MOST rows at
-# most: a third difference, or a run of equal samples, beyond SUSPECT times the usual one. Beside a window there
-# are MARGIN more rows, for a sample is judged by those on both sides of it.
-WHOLE, MOST = 20_000, 8_000
+# Files of up to WHOLE rows and MANY channels are looked at whole. In larger ones windows around what is most suspect, of
+# MOST rows in all: a third difference, or a run of equal samples, beyond SUSPECT times the usual one. Beside a window
+# there are MARGIN more rows, for a sample is judged by those on both sides of it.
+WHOLE, MANY, MOST = 20_000, 16, 8_000
 WINDOW, MARGIN = 1_600, 200
 SUSPECT = 30.0
 LONG_RUN = 10
@@ -57,7 +57,8 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
     looked, first = 0, 0
     for record in records:
         whole = [(0, record.n, set(names))]
-        for a, b, suspects in whole if total <= WHOLE else _windows(record, names, MOST - looked):
+        small = total <= WHOLE and len(names) <= MANY
+        for a, b, suspects in whole if small else _windows(record, names, MOST - looked):
             looked += b - a
             (bad,) = find_bad_samples([record.slice(a, b)], _roles(guess, names, suspects))
             for name, one in bad.items():
