@@ -40,8 +40,8 @@ class Contents:
     bad : mapping
         Rows (counted from 1) that are spikes, stuck or clipped, by channel and kind.
     looked_at : int
-        Rows that were searched for spikes and stuck stretches: all of a record of up to 20,000 rows and 16 channels, the most suspect
-        stretches of a longer one.
+        Rows that were searched for spikes and stuck stretches: all of a record of up to 20,000 rows and 16 channels,
+        the most suspect stretches of a larger one.
     copies : mapping of str to str
         Channels that are the same as another one, which is described instead.
     links : tuple of Link
