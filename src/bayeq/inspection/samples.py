@@ -23,8 +23,8 @@ Bools = NDArray[np.bool_]
 Bad = dict[str, dict[str, list[int]]]
 
 # Files of up to WHOLE rows and MANY channels are looked at whole. In larger ones windows around what is most suspect,
-# of MOST rows in all: a third difference, or a run of equal samples, beyond SUSPECT times the usual one. Beside a window
-# there are MARGIN more rows, for a sample is judged by those on both sides of it.
+# of MOST rows in all: a third difference, or a run of equal samples, beyond SUSPECT times the usual one. Beside a
+# window there are MARGIN more rows, for a sample is judged by those on both sides of it.
 WHOLE, MANY, MOST = 20_000, 16, 8_000
 WINDOW, MARGIN = 1_600, 200
 SUSPECT = 30.0
