@@ -413,7 +413,7 @@ def test_what_is_no_record_is_refused():
             "schmidt_lipson/real_double_pend_h_1.txt",
             "--time c2 --group c1 --chain c3:c5:c9 --chain c4:c6:c10 --dictionary polynomial:2",
         ),
-        ("lynx_hare/hudson-bay-lynx-hare.csv", "--time Year --chain Lynx --chain Hare --dictionary polynomial:3"),
+        ("lynx_hare/hudson-bay-lynx-hare.csv", "--time Year --chain Lynx --chain Hare --dictionary polynomial:2"),
     ],
 )
 def test_measured_records(name, options):

@@ -227,7 +227,7 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
         links=tuple(link for link in links if _used(link, guess)),
         guess=guess,
         findings=(),
-        proposal=propose(guess, clues, reading),
+        proposal=propose(guess, clues, reading, sum(record.n for record in records)),
         clues=clues,
         reading=reading,
     )

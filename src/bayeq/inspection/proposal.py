@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -11,9 +12,9 @@ from bayeq.inspection.roles import Clue, Guess
 
 __all__ = ["Proposal", "Reading", "propose"]
 
-# Products of up to three states and inputs for first-order states, up to two where that would be too many terms.
-CUBIC, SOME_STATES = "polynomial:3", 3
-QUADRATIC = "polynomial:2"
+# Products of up to three states and inputs for first-order states; up to two where there are fewer rows for each term.
+CUBIC, QUADRATIC = "polynomial:3", "polynomial:2"
+ROWS_PER_TERM = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +70,8 @@ class Proposal:
         return {**asdict(self), "notes": list(self.notes)}
 
 
-def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading) -> Proposal:
-    """Command and notes for what was found out about a file."""
+def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int) -> Proposal:
+    """Command and notes for what was found out about a file, or files, of this many rows."""
     options: list[tuple[str, str]] = []
     notes: list[str] = []
     if not reading.clocked and reading.files:
@@ -85,7 +86,7 @@ def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading) -> Propos
             " its time starts over"
         )
     arguments = _roles(guess, options, notes)
-    dictionary = _dictionary(guess, clues)
+    dictionary = _dictionary(guess, clues, rows)
     if dictionary is not None:
         options.append(("--dictionary", dictionary))
         arguments.append(f"dictionary={dictionary!r}")
@@ -141,12 +142,13 @@ def _roles(guess: Guess, options: list[tuple[str, str]], notes: list[str]) -> li
     return arguments
 
 
-def _dictionary(guess: Guess, clues: Mapping[str, Clue]) -> str | None:
+def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int) -> str | None:
     """Terms that suit the chains; None for the default, eq. (31)."""
     if not guess.chains:
         return None
     if any(len(chain) == 1 for chain in guess.chains):
-        return CUBIC if len(guess.chains) <= SOME_STATES else QUADRATIC
+        variables = len(guess.chains) + len(guess.inputs)
+        return CUBIC if rows >= ROWS_PER_TERM * (math.comb(variables + 3, 3) - 1) else QUADRATIC
     if len(guess.chains) > 1:
         return QUADRATIC
     motion = guess.chains[0][0]

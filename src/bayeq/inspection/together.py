@@ -18,4 +18,4 @@ def proposal_for_all(found: Sequence[Contents]) -> Proposal | None:
     if len(found) < 2 or any(one != alike[0] for one in alike):
         return None
     files = tuple(file for one in found for file in one.reading.files)
-    return propose(first.guess, first.clues, replace(first.reading, files=files))
+    return propose(first.guess, first.clues, replace(first.reading, files=files), sum(one.rows for one in found))
