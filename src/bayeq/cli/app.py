@@ -16,6 +16,7 @@ from typing import Any
 import click
 
 from bayeq.cli.discover import discover
+from bayeq.cli.info import info
 from bayeq.cli.options import FILE, option
 from bayeq.cli.plan import plan
 from bayeq.cli.streams import prepare_streams, say
@@ -98,7 +99,7 @@ def systems(as_json: bool) -> None:
         click.echo(f"    {', '.join(f'{k} = {v:g}' for k, v in s.parameters.items())}")
 
 
-for command in (discover, plan, simulate, systems, study):
+for command in (discover, info, plan, simulate, systems, study):
     app.add_command(command)
 
 
