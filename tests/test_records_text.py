@@ -14,10 +14,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bayeq.errors import DataWarning, FileFormatError, InputError, MissingExtraError, RecordError, UnknownNameError
-from bayeq.records import Record, parquet, read, write
+from bayeq.records import Record, read, write
 from bayeq.records.columns import Headers
-from bayeq.records.layout import sniff
-from bayeq.records.text import _Lines
+from bayeq.records.formats import parquet
+from bayeq.records.formats.layout import sniff
+from bayeq.records.formats.text import _Lines
 
 DATA = Path(os.environ.get("BAYEQ_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured records in {DATA}; set BAYEQ_DATA")
@@ -165,9 +166,9 @@ def test_group(tmp_path: Path) -> None:
 
 def test_suffixes(tmp_path: Path) -> None:
     assert read(put(tmp_path, "1 2\n", "run.asc")).names == ("c1", "c2")
-    with pytest.raises(FileFormatError, match=r"no format for the suffix '.mat', and not text; known: .csv"):
-        read(put(tmp_path, b"\x00", "run.mat"))
-    with pytest.raises(FileFormatError, match=r"no format for the suffix '.xyz'; known: .csv"):
+    with pytest.raises(FileFormatError, match=r"no format for the suffix '.bin', and not text; known: .csv"):
+        read(put(tmp_path, b"\x00", "run.bin"))
+    with pytest.raises(FileFormatError, match=r"no format for the suffix '.xyz' is written; written are: .csv"):
         write(Record.from_arrays(x=[1.0]), tmp_path / "run.xyz")
     with pytest.raises(FileFormatError, match="there is no directory"):
         read(tmp_path / "nowhere" / "run.csv")
@@ -225,8 +226,7 @@ def test_formats_by_hand(tmp_path: Path) -> None:
         read(tmp_path / "d.npz")
     with (tmp_path / "a.npz").open("wb") as file:
         np.save(file, np.arange(3))
-    with pytest.raises(FileFormatError, match=r"not a readable \.npz archive"):
-        read(tmp_path / "a.npz")
+    assert read(tmp_path / "a.npz").names == ("c1",)  # its content tells
 
 
 def test_parquet_types(tmp_path: Path) -> None:

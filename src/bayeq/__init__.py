@@ -26,7 +26,7 @@ _NAMES = {
     "inference.posterior": "Posterior",
     "inference.prior": "Prior",
     "plan.result": "Plan",
-    "records": "Finding Record Truth check_record correct_delay read remove_offset write",
+    "records": "Finding Record Truth check_record correct_delay join read remove_offset write",
     "systems": "SYSTEMS System simulate",
 }
 _HOME = {name: f"bayeq.{module}" for module, names in _NAMES.items() for name in names.split()}
@@ -52,7 +52,8 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.inference.prior import Prior as Prior
     from bayeq.plan.result import Plan as Plan
     from bayeq.records import Finding as Finding, Record as Record, Truth as Truth, check_record as check_record
-    from bayeq.records import correct_delay as correct_delay, read as read, remove_offset as remove_offset
+    from bayeq.records import correct_delay as correct_delay, join as join, read as read
+    from bayeq.records import remove_offset as remove_offset
     from bayeq.records import write as write
     from bayeq.systems import SYSTEMS as SYSTEMS, System as System, simulate as simulate
     # isort: on

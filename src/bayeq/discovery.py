@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.record_fit import refit_record, suits
-from bayeq.records import Record, check_messages
+from bayeq.records import Record, as_records, check_messages
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.joint import fit_equations, record_of
@@ -74,7 +74,7 @@ MOST_BRIDGED = 0.05
 
 # The parameters are those of the public contract; all but the records have defaults.
 def discover(
-    records: Record | Sequence[Record],
+    records: Any,
     *,
     chains: str | Sequence[str] | None = None,
     displacement: str | None = None,
@@ -96,13 +96,14 @@ def discover(
     tails: Tails = "gauss",
     seed: int = 0,
     progress: Progress | None = None,
+    t: Any = None,
 ) -> Equations:
     """Find the governing equations of measured motion.
 
     Parameters
     ----------
-    records : Record or sequence of Record
-        Measured channels; several records of the same system are used together.
+    records : Record, path, DataFrame, mapping of str to array_like, object with `u`, `y`, or sequence of such
+        Measured channels (`bayeq.records.as_record`); several records of the same system are used together.
     chains : sequence of str, optional
         A coordinate and its measured derivatives each: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order). In ``"::a"``,
         only the acceleration measured, the coordinate is called x; where another chain or an input has that name, as
@@ -163,6 +164,8 @@ def discover(
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional
         Called with (stage, done, total).
+    t : str or array_like, optional
+        The column that is time, of files and data frames, or sampling times [s] of arrays.
 
     Returns
     -------
@@ -199,7 +202,7 @@ def discover(
     terms, allowed = build_dictionaries(dictionary, roles.targets, variables)
     known = [constraints] if isinstance(constraints, str) else list(constraints)
     constrained = parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
-    measured = _as_records(records)
+    measured = as_records(records, t)
     roles = roles.for_terms(terms)
     _require_unambiguous(terms, measured, roles)
 
@@ -282,13 +285,6 @@ def _check_tails(tails: str, smooth: str) -> None:
         raise InputError(f"tails is 'gauss' or 'student', got {tails!r}")
     if tails == "student" and smooth != "auto":
         raise InputError(f"tails='student' needs the likelihood of the record, smooth='auto', not {smooth!r}")
-
-
-def _as_records(records: Record | Sequence[Record]) -> list[Record]:
-    pieces = [records] if isinstance(records, Record) else list(records)
-    if not pieces or not all(isinstance(piece, Record) for piece in pieces):
-        raise InputError("discover needs a Record or a list of Records (bayeq.read, Record.from_arrays)")
-    return pieces
 
 
 def _prepared(

@@ -86,6 +86,7 @@ class UnknownNameError(InputError):
     """
 
     def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
+        self.name = name
         known = [str(k) for k in known]
         folded = {k.casefold(): k for k in known}
         near = [folded[m] for m in difflib.get_close_matches(name.casefold(), list(folded), n=3, cutoff=0.5)]

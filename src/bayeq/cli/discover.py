@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bayeq.cli.channels import named_channels, path_of
 from bayeq.cli.options import FILE, option
 from bayeq.cli.outputs import OUTPUTS, Outputs
+from bayeq.cli.reading import join_records, read_records
 from bayeq.cli.streams import say
-from bayeq.errors import FileFormatError, InputError
+from bayeq.errors import InputError
 from bayeq.inference.engines import ENGINES
 from bayeq.kernels import announce_compiling
 
@@ -59,11 +61,12 @@ class Progress:
 
 @click.command()
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
-@option("--time", help="Time column [s].")
+@option("--time", help="Time column [s], or the path of an array.")
 @option("--fs", type=float, help="Sampling frequency [Hz], where there is no time column.")
 @option("--names", help="Column names, separated by commas, for a file without header.")
 @option("--group", help="Column that numbers the trials within a file.")
-@option("--disp", "displacement", help="Displacement channel.")
+@option("--join", is_flag=True, help="FILE... are channels of one motion: join them on the time of the first.")
+@option("--disp", "displacement", help="Displacement channel: its name, or name=path in files of many arrays.")
 @option("--vel", "velocity", help="Velocity channel.")
 @option("--acc", "acceleration", help="Acceleration channel.")
 @option("--force", help="Force channel.")
@@ -164,10 +167,15 @@ class Progress:
 def discover(files: tuple[Path, ...], as_json: bool, **options: Any) -> None:
     """Find the equation of motion of a measured record.
 
-    FILE... are one or several records: CSV, TSV, text, Parquet or NPZ.
+    FILE... are one or several records: text (CSV ...), MATLAB, HDF5, universal files, TDMS, LabVIEW, Excel, WAV,
+    Parquet, NumPy. A channel of a file of many arrays is named by its path: --disp th=Y_id[0].0 is the first row of the
+    first cell of Y_id, th=Y_id[*].0 one record for each cell.
     """
     outputs = Outputs(**{name: options.pop(name) for name in OUTPUTS})
     reading = {name: options.pop(name) for name in READING}
+    reading["time"], reading["group"] = path_of(reading["time"]), path_of(reading["group"])
+    joined = options.pop("join")
+    options, paths = named_channels(options)
     outputs.check(files, options)
     for k, file in enumerate(files):
         if file.exists() and any(other.exists() and file.samefile(other) for other in files[:k]):
@@ -176,10 +184,11 @@ def discover(files: tuple[Path, ...], as_json: bool, **options: Any) -> None:
     announce_compiling(lambda: say(COMPILING))
     progress = Progress()
     try:
-        records: list[Record] = []
+        parts: list[list[Record]] = []
         for k, file in enumerate(files):
             progress("reading", k, len(files))
-            records.extend(_read(file, _used(options), reading))
+            parts.append(read_records(file, _used(options), paths, reading, joined))
+        records = join_records(parts) if joined else [record for part in parts for record in part]
         if not options["chains"]:  # which may be badly written
             _require_channels(records, _used(options))
         outputs.check_records(records)
@@ -240,36 +249,3 @@ def _require_channels(records: Sequence[Record], names: Sequence[str]) -> None:
     for name in names:
         for record in records:
             _ = record[name]
-
-
-def _read(file: Path, used: list[str], options: Mapping[str, Any]) -> list[Record]:
-    from bayeq.records import read
-
-    names = options["names"]
-    options = {**options, "names": None if names is None else [name.strip() for name in names.split(",")]}
-    try:
-        found = read(file, **options)
-    except FileFormatError:
-        # Perhaps it is in a column that is not used, where words are welcome.
-        found = read(file, columns=used or None, **options)
-    records = found if isinstance(found, list) else [found]
-    if options["fs"] is not None:
-        for record in records:
-            for name in ("t", "time", "Time"):
-                if name in record.names:
-                    _require_rate(record, name)
-    return records
-
-
-def _require_rate(record: Record, name: str) -> None:
-    """Refuse an --fs that contradicts a column that looks like time (with --fs it is read as a channel)."""
-    import numpy as np
-
-    with np.errstate(invalid="ignore"):  # of infinite times
-        steps = np.diff(record[name])
-    step = float(np.median(steps)) if len(steps) else 0.0
-    if record.fs is not None and step > 0 and not 0.99 < record.fs * step < 1.01:
-        raise InputError(
-            f"{record.name}: --fs {record.fs:g} contradicts column {name!r}, whose median step is {step:g}; leave --fs"
-            f" out to use the column, or rename it if it is not time"
-        )

@@ -1,15 +1,18 @@
 """Records: measured channels, and the files they come from.
 
-`read` and `write` go by the file's suffix (`FORMATS`); `Record` holds the channels, their time and units;
+`read` goes by a file's content, `write` by its suffix (`FORMATS`); `Record` holds the channels, their time and units;
 `Truth` what is known about a simulated one. Nothing here imports pandas or pyarrow before it is needed.
 """
 
 from bayeq.records.findings import Finding, check_messages, check_record
+from bayeq.records.formats import FORMATS, Format
 from bayeq.records.gaps import split_at_gaps
-from bayeq.records.io import FORMATS, Format, read, write
+from bayeq.records.io import read, write
+from bayeq.records.join import join
 from bayeq.records.names import RESERVED, clean_name, clean_names
 from bayeq.records.record import Record
 from bayeq.records.repair import correct_delay, remove_offset
+from bayeq.records.sources import as_record, as_records
 from bayeq.records.truth import FloatArray, Truth
 
 __all__ = [
@@ -20,11 +23,14 @@ __all__ = [
     "Record",
     "RESERVED",
     "Truth",
+    "as_record",
+    "as_records",
     "clean_name",
     "check_messages",
     "check_record",
     "clean_names",
     "correct_delay",
+    "join",
     "read",
     "remove_offset",
     "split_at_gaps",

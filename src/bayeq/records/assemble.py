@@ -11,10 +11,25 @@ from numpy.typing import NDArray
 
 from bayeq.errors import DataWarning, RecordError
 from bayeq.records.columns import Columns, listed
+from bayeq.records.names import time_unit
 from bayeq.records.truth import FloatArray
 from bayeq.records.validate import SECONDS, check_time, time_from, trial_starts
 
-__all__ = ["Trial", "assemble"]
+__all__ = ["RATE_NAMES", "STEP_NAMES", "Trial", "assemble", "find_time"]
+
+#: Names of a single number that is the time step [s], or the sampling rate [Hz].
+STEP_NAMES = ("dt", "Dt", "DT", "Ts", "dT", "delta_t", "time_step", "sampling_time", "sample_time", "wf_increment")
+RATE_NAMES = (
+    "fs",
+    "Fs",
+    "FS",
+    "fsamp",
+    "sample_rate",
+    "sampling_rate",
+    "SampleRate",
+    "samplerate",
+    "sampling_frequency",
+)
 
 
 class Trial(NamedTuple):
@@ -48,7 +63,7 @@ def assemble(
     known_units: dict[int, str | None] = dict(enumerate(data.headers.units))
     for key, unit in (units or {}).items():
         known_units[data.headers.find(key)] = unit
-    time_column = None if fs is not None else data.headers.find(time) if time is not None else data.headers.time
+    time_column = find_time(data, known_units, time, fs)
     group_column = None if group is None else data.headers.find(group)
     wanted = None if columns is None else {data.headers.find(c) for c in listed(columns)}
 
@@ -69,14 +84,68 @@ def assemble(
     if not channels:
         raise RecordError(f"{where}: no channels besides time; the columns are {', '.join(data.names)}")
 
+    step = None if seconds is not None else _stated_step(data, fs)
     label = where if name is None else name
     trials = []
     for trial, (start, stop) in enumerate(zip(starts, stops, strict=True)):
         rows = {column: values[start:stop] for column, values in channels.items()}
         t = None if seconds is None else seconds[start:stop]
         title = label if group is None else f"{label} [trial {trial}]"
+        if t is None and fs is None and step is not None:
+            t = data.start + step * np.arange(stop - start, dtype=np.float64)
         trials.append(Trial(rows, time_from(rows, t, fs, where), kept_units, title))
     return trials
+
+
+def find_time(
+    data: Columns, units: Mapping[int, str | None], time: str | None = None, fs: float | None = None
+) -> int | None:
+    """The column that is time: the one named, else by its name, else the first rising one whose unit is a time.
+
+    Parameters
+    ----------
+    data : Columns
+        The columns.
+    units : mapping of int to str or None
+        Unit of each column.
+    time : str, optional
+        The column that the caller names.
+    fs : float, optional
+        Sampling rate [Hz]; no column is time then.
+    """
+    if fs is not None:
+        return None
+    if time is not None:
+        return data.headers.find(time)
+    if data.time is not None:
+        return data.time
+    if data.headers.time is not None or data.step is not None or len(data.values) < 2:
+        return data.headers.time
+    return next((i for i, x in enumerate(data.values) if units.get(i) in SECONDS and _rises(x)), None)
+
+
+def _rises(values: FloatArray) -> bool:
+    with np.errstate(invalid="ignore"):
+        return len(values) > 1 and bool(np.all(np.isfinite(values))) and bool(np.all(np.diff(values) > 0))
+
+
+def _stated_step(data: Columns, fs: float | None) -> float | None:
+    """The time step [s] that the file states, in its header or a column such as Ts whose one value it is."""
+    step = data.step
+    if step is None and fs is None:
+        for name, values in zip(data.names, data.values, strict=True):
+            known = values[np.isfinite(values)]
+            if known.size and values[0] == known[0] and np.all(known == known[0]) and known[0] > 0:
+                if name in STEP_NAMES:
+                    return float(known[0])
+                if name in RATE_NAMES:
+                    return 1.0 / float(known[0])
+    if step is not None and fs is not None and fs > 0 and not 0.99 < fs * step < 1.01:
+        raise RecordError(
+            f"{data.headers.where}: fs {fs:g} contradicts the file, whose sampling rate is {1 / step:.6g} Hz; leave fs"
+            " out, or name a column as time"
+        )
+    return step
 
 
 def _time(
@@ -88,7 +157,8 @@ def _time(
     """Time in seconds, checked, and the unit it has if that cannot be turned into seconds."""
     if column is None:
         return None, {}
-    seconds, unit = data.values[column], units[column]
+    seconds, unit = data.values[column], units[column] or time_unit(data.names[column])
+    seconds, unit = _since_first(seconds, unit)
     if unit is not None and unit in SECONDS:
         factor = SECONDS[unit]
         # Dividing by 1000 rounds once; multiplying by 0.001, itself rounded, would round twice.
@@ -98,3 +168,12 @@ def _time(
     check_time(seconds, where, starts)
     others = [name for i, name in enumerate(data.names) if i != column]
     return seconds, {"t": unit} if unit and "t" not in others else {}
+
+
+def _since_first(time: FloatArray, unit: str | None) -> tuple[FloatArray, str | None]:
+    """Time since 1970, of the years 2001 to 2096, as time since the first row, and its unit; others as they are."""
+    if len(time) > 1:
+        for own, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+            if unit in (None, own) and np.all((time > 1e9 * factor) & (time < 4e9 * factor)):
+                return time - time[0], own
+    return time, unit

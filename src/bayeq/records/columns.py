@@ -19,7 +19,7 @@ from bayeq.records.validate import as_column, as_time
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Columns", "Headers", "Select", "listed", "select"]
+__all__ = ["Columns", "Headers", "Select", "listed"]
 
 
 def listed(names: Sequence[str] | str) -> list[str]:
@@ -63,6 +63,9 @@ class Headers:
         for keys, asked in ((self.names, key), (self.texts, key.strip()), (self.names, clean_name(key)[0])):
             if asked in keys:
                 return keys.index(asked)
+        as_path = key.strip().strip("/").replace("/", ".")  # as HDF5 writes paths
+        if as_path in self.texts:
+            return self.texts.index(as_path)
         raise UnknownNameError("column", key, self.names, self.where)
 
     def clashes(self, rows: Sequence[int]) -> list[str]:
@@ -101,31 +104,35 @@ class Headers:
 
 
 #: Which columns to read, given their names.
-Select = Callable[[Headers], Iterable[int]]
-
-
-def select(columns: Sequence[str] | str | None, time: str | None, fs: float | None, group: str | None) -> Select:
-    """Which columns `read` needs: the named ones, time and the group; all of them without names."""
-
-    def chosen(headers: Headers) -> list[int]:
-        if columns is None:
-            return list(range(len(headers)))
-        needed = {headers.find(name) for name in listed(columns)}
-        needed.update(headers.find(name) for name in (time, group) if name is not None)
-        if time is None and fs is None and headers.time is not None:
-            needed.add(headers.time)
-        return sorted(needed)
-
-    return chosen
+Select = Callable[[Headers], Sequence[int]]
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Columns of a file, in order: headers, samples (float64, missing cells NaN), and what to warn of."""
+    """Columns of a file, in order.
+
+    Parameters
+    ----------
+    headers : Headers
+        Names and units.
+    values : list of ndarray, shape (n,)
+        Samples; missing cells are NaN.
+    doubts : tuple of str
+        What to warn of.
+    time : int, optional
+        The column that is time, where something other than its name says so.
+    step : float, optional
+        Time step [s] that the file states.
+    start : float
+        Time of the first row [s], where `step` is given.
+    """
 
     headers: Headers
     values: list[FloatArray]
     doubts: tuple[str, ...] = ()
+    time: int | None = None
+    step: float | None = None
+    start: float = 0.0
 
     @property
     def names(self) -> list[str]:
@@ -137,16 +144,21 @@ class Columns:
         """Take the chosen columns; `values(i)` gives the samples of column i, of any numeric type."""
         rows = list(chosen(headers)) if chosen else list(range(len(headers)))
         arrays = []
+        units = list(headers.units)
         for i in rows:
             raw = np.asanyarray(values(i))
             what = f"column {headers.texts[i] or headers.names[i]!r}"
             try:
-                arrays.append(as_time(raw) if raw.dtype.kind in "mM" else as_column(raw, what))
+                if raw.dtype.kind in "mM":
+                    arrays.append(as_time(raw))
+                    units[i] = "s"
+                else:
+                    arrays.append(as_column(raw, what))
             except RecordError as error:
                 hint = "; name the columns to read if this one is not needed" if raw.dtype.kind not in "biufc" else ""
                 raise FileFormatError(f"{headers.where}: {error}{hint}") from None
         parts = [[column[i] for i in rows] for column in (headers.texts, headers.names)]
-        kept = Headers(parts[0], parts[1], [headers.units[i] for i in rows], headers.where)
+        kept = Headers(parts[0], parts[1], [units[i] for i in rows], headers.where)
         return cls(kept, arrays, tuple(headers.clashes(rows)))
 
     @classmethod
@@ -166,9 +178,7 @@ class Columns:
         return cls(Headers(names, names, kept, where), values)
 
     @classmethod
-    def from_dataframe(
-        cls, df: pd.DataFrame, time: str | None = None, columns: Sequence[str] | str | None = None
-    ) -> Columns:
+    def from_dataframe(cls, df: pd.DataFrame, time: str | None = None, chosen: Select | None = None) -> Columns:
         """The columns of a data frame; an index named like time comes first."""
         index = [] if df.index.name is None else [str(df.index.name)]
         if index and not (is_time_name(clean_name(index[0])[0]) or time == index[0]):
@@ -183,4 +193,4 @@ class Columns:
                 series = series.tz_convert(None) if i < len(index) else series.dt.tz_convert(None)
             return series.to_numpy()
 
-        return cls.build(headers, values, select(columns, time, None, None))
+        return cls.build(headers, values, chosen)

@@ -1,7 +1,4 @@
-"""``read`` and ``write``: files to records and back; the table of formats.
-
-A new format is one new file with the two functions of `Format`, and a row in `FORMATS`.
-"""
+"""``read`` and ``write``: files to records and back."""
 
 from __future__ import annotations
 
@@ -9,40 +6,18 @@ import difflib
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol, overload
+from typing import overload
 
-from bayeq.errors import FileFormatError
-from bayeq.records import npz, parquet, text
+from bayeq.errors import FileFormatError, InputError
 from bayeq.records.assemble import assemble
 from bayeq.records.atomic import replacing
-from bayeq.records.columns import Columns, Select, select
+from bayeq.records.columns import Columns
+from bayeq.records.formats import format_of, writers
+from bayeq.records.formats.nested import read_pieces
 from bayeq.records.record import Record
+from bayeq.records.request import STAR, Request
 
-__all__ = ["FORMATS", "Format", "read", "write"]
-
-
-class Format(Protocol):
-    """What the module of a file format provides."""
-
-    def read_columns(
-        self, path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None
-    ) -> Columns:
-        """Read the chosen columns; FileFormatError if the file is not what it should be."""
-
-    def write(self, record: Record, path: Path) -> None:
-        """Write a record so that reading gives the same arrays bit by bit."""
-
-
-#: Suffix -> the module that reads and writes it.
-FORMATS: Mapping[str, Format] = {
-    ".csv": text,
-    ".tsv": text,
-    ".txt": text,
-    ".dat": text,
-    ".npz": npz,
-    ".parquet": parquet,
-    ".pq": parquet,
-}
+__all__ = ["read", "write"]
 
 Names = Sequence[str] | str | None
 
@@ -50,13 +25,20 @@ Names = Sequence[str] | str | None
 @overload
 def read(
     path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
-    units: Mapping[str, str] | None = None, group: None = None, columns: Names = None,
+    units: Mapping[str, str] | None = None, group: None = None, columns: Names = None, channels: None = None,
 ) -> Record: ...  # fmt: skip
 @overload
 def read(
     path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
     units: Mapping[str, str] | None = None, group: str, columns: Names = None,
+    channels: Mapping[str, str] | None = None,
 ) -> list[Record]: ...  # fmt: skip
+@overload
+def read(
+    path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
+    units: Mapping[str, str] | None = None, group: str | None = None, columns: Names = None,
+    channels: Mapping[str, str] | None = None,
+) -> Record | list[Record]: ...  # fmt: skip
 def read(
     path: str | os.PathLike[str],
     *,
@@ -66,21 +48,24 @@ def read(
     units: Mapping[str, str] | None = None,
     group: str | None = None,
     columns: Names = None,
+    channels: Mapping[str, str] | None = None,
 ) -> Record | list[Record]:
     """Read measured channels from a file.
 
-    The suffix tells the format: delimited text, NumPy archives and Parquet; a file with another suffix is
-    read as text if it looks like text. Columns are found by their cleaned name (``Time``) or by their
-    header as written (``Time [s]``).
+    The content tells the format, or else the suffix: delimited text, MATLAB, HDF5, universal files, TDMS, LabVIEW,
+    Excel, WAV, Parquet, NumPy; a file with another suffix is read as text if it looks like text. Columns are found
+    by their cleaned name (``Time``) or by their header as written (``Time [s]``), arrays of files that hold many of
+    them by their path: ``rec.acc.data``, ``Y_id[0]`` (a cell, counted from 0), ``Y_id[0].0`` (a row of a matrix).
 
     Parameters
     ----------
     path : str or path
         The file.
     time : str, optional
-        The column that holds time [s]; a header such as ``t [ms]`` is converted. Without it, and without
-        `fs`, a column named t, time, time_s or timestamp (in any case) is time; if there is none, the
-        record has no time.
+        The column that holds time [s]; a header such as ``t [ms]`` is converted, and time since 1970 counts from
+        the first row. Without it, and without `fs`, a column named t or time in any usual language is time, or else
+        the first rising one whose unit is a time, or else the rate that the file states; if there is none, the record
+        has no time.
     fs : float, optional
         Sampling rate [Hz], for a file without time; a column named time stays a channel then.
     names : list of str, or str, optional
@@ -92,11 +77,14 @@ def read(
         A column that is constant within a trial: one record for each run of equal values.
     columns : list of str, or str, optional
         Keep these channels only; other columns need not even be numbers.
+    channels : mapping of str to str, optional
+        The same with new names: ``{"th": "Y_id[0].0"}`` calls a row of an array th. ``Y_id[*].0`` is one record for
+        each cell.
 
     Returns
     -------
     Record or list of Record
-        A list if `group` is given.
+        A list if `group` is given, or where a path has ``[*]``.
 
     Raises
     ------
@@ -123,19 +111,35 @@ def read(
     Record('run.csv': 2 rows at 2 Hz; x [m])
     """
     path = Path(path)
+    request = Request(columns, dict(channels or {}), time, group, fs)
     try:
-        module = _format_of(path)
-        data = module.read_columns(
-            path,
-            names=names if names is None or isinstance(names, str) else list(names),
-            chosen=select(columns, time, fs, group),
-        )
+        pieces = _pieces(path, request, names if names is None or isinstance(names, str) else list(names))
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or type(error).__name__
         raise FileFormatError(f"{path}: cannot be read ({reason})") from None
-    trials = assemble(data, time=time, fs=fs, units=units, group=group, columns=columns, name=path.name)
-    records = [Record(*trial) for trial in trials]
-    return records[0] if group is None else records
+    records: list[Record] = []
+    starred = any(STAR in name for name in (*(request.names or ()), time or ""))
+    for k, (part, data) in enumerate(pieces):
+        named = part.renamed(data)
+        label = f"{path.name} [{k}]" if starred else path.name
+        kept = part.kept(named)
+        trials = assemble(named, time=part.time, fs=fs, units=units, group=part.group, columns=kept, name=label)
+        records.extend(Record(*trial) for trial in trials)
+    return records if starred or group is not None else records[0]
+
+
+def _pieces(path: Path, request: Request, names: list[str] | str | None) -> list[tuple[Request, Columns]]:
+    """The columns that are asked for; of each array where a path has ``[*]``."""
+    _require_file(path)
+    row = format_of(path)
+    if row.nested is not None:
+        return read_pieces(row.nested.channels(path), str(path), request, names)
+    starred = [name for name in (*(request.names or ()), request.time or "") if STAR in name]
+    if starred:
+        raise InputError(f"{path}: {starred[0]!r}: the file is one table, without arrays to count; leave out {STAR}")
+    if row.flat is None:
+        raise InputError(f"{path}: {row.title} cannot be read")
+    return [(request, row.flat.read_columns(path, names=names, chosen=request.rows))]
 
 
 def write(record: Record, path: str | os.PathLike[str]) -> None:
@@ -154,9 +158,12 @@ def write(record: Record, path: str | os.PathLike[str]) -> None:
         An unknown suffix, or a place that cannot be written.
     """
     path = Path(path)
-    module = FORMATS.get(path.suffix.lower())
+    known = writers()
+    module = known.get(path.suffix.lower())
     if module is None:
-        raise FileFormatError(f"{path}: no format for the suffix {path.suffix!r}; known: {', '.join(FORMATS)}")
+        raise FileFormatError(
+            f"{path}: no format for the suffix {path.suffix!r} is written; written are: {', '.join(known)}"
+        )
     try:
         with replacing(path) as part:
             module.write(record, part)
@@ -164,20 +171,12 @@ def write(record: Record, path: str | os.PathLike[str]) -> None:
         raise FileFormatError(f"{path}: cannot be written ({error.strerror or type(error).__name__})") from None
 
 
-def _format_of(path: Path) -> Format:
-    """The format of a file that exists, or an error that says what is wrong with the path."""
+def _require_file(path: Path) -> None:
+    """Refuse a path that is no file, saying what is wrong with it."""
     if path.is_dir():
         raise FileFormatError(f"{path}: is a directory; name a file in it")
     if not path.exists():
         raise FileFormatError(f"no such file: {path}{near_files(path)}")
-    known = FORMATS.get(path.suffix.lower())
-    if known is not None:
-        return known
-    if text.looks_like_text(path):
-        return text
-    raise FileFormatError(
-        f"{path}: no format for the suffix {path.suffix!r}, and not text; known: {', '.join(FORMATS)}"
-    )
 
 
 def near_files(path: Path) -> str:

@@ -11,7 +11,7 @@ import re
 import unicodedata
 from collections.abc import Iterable
 
-__all__ = ["RESERVED", "clean_name", "clean_names", "is_time_name"]
+__all__ = ["RESERVED", "clean_name", "clean_names", "is_time_name", "time_unit"]
 
 #: Names that a channel cannot have: functions and constants of terms.
 RESERVED: frozenset[str] = frozenset(
@@ -23,7 +23,16 @@ RESERVED: frozenset[str] = frozenset(
 )
 # A header made of these alone would read as a row of missing numbers.
 _NUMBER_WORDS = frozenset({"nan", "inf", "infinity", "na", "null", "none"})
-_TIME_NAMES = frozenset({"t", "time", "time_s", "timestamp"})
+# Time in the usual languages: English, German, French, Spanish, Portuguese and Italian, Danish, Norwegian and Swedish,
+# Dutch, Czech, Polish, Finnish, Hungarian, Turkish, Russian, Chinese, Japanese, Korean.
+_TIME_WORDS = (
+    *("t", "time", "timestamp", "datetime", "zeit", "zeitstempel", "temps", "tiempo", "tempo", "tid", "tijd", "čas"),
+    *("cas", "czas", "aika", "idő", "zaman", "время", "时间", "時間", "시간"),
+)
+_TIME_NAME = re.compile(
+    rf"(?:(?:elapsed|relative|rel|absolute|abs|total|test|run|running|sample|date)_)?(?:{'|'.join(_TIME_WORDS)})"
+    r"(?:_?stamp)?(?:_(?P<unit>s|sec|ms|msec|us|µs|μs|ns|min|h))?"
+)
 _UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()\[\]]*)\))$", re.DOTALL)
 
 
@@ -102,5 +111,23 @@ def clean_names(headers: Iterable[str]) -> tuple[list[str], list[str | None]]:
 
 
 def is_time_name(name: str) -> bool:
-    """Whether a channel name says that the column is time: t, time, time_s, timestamp in any case."""
-    return name.casefold() in _TIME_NAMES
+    """Whether a channel name says that the column is time: ``t`` or ``time`` in the usual languages, in any case.
+
+    Examples
+    --------
+    >>> [is_time_name(name) for name in ("Zeit", "time_ms", "Elapsed_Time", "Timer", "index")]
+    [True, True, True, False, False]
+    """
+    return _TIME_NAME.fullmatch(name.casefold()) is not None
+
+
+def time_unit(name: str) -> str | None:
+    """The unit that a time's name ends in.
+
+    Examples
+    --------
+    >>> time_unit("time_ms"), time_unit("Zeit"), time_unit("x_ms")
+    ('ms', None, None)
+    """
+    match = _TIME_NAME.fullmatch(name.casefold())
+    return match["unit"] if match else None

@@ -13,6 +13,7 @@ import numpy as np
 from bayeq.errors import RecordError, UnknownNameError
 from bayeq.records.assemble import assemble
 from bayeq.records.columns import Columns
+from bayeq.records.request import Request
 from bayeq.records.sampling import even_step
 from bayeq.records.truth import FloatArray, Truth, frozen_array
 from bayeq.records.validate import (
@@ -150,8 +151,8 @@ class Record:
     ) -> Self:
         """Build a record from a data frame, with the rules of `bayeq.records.read`.
 
-        A column (or a named index) called t, time, time_s or timestamp is time unless `time` names
-        another or `fs` is given.
+        A column (or a named index) called t or time, in any usual language, or else the first rising one whose
+        unit is a time, is time unless `time` names another or `fs` is given.
 
         Parameters
         ----------
@@ -172,7 +173,7 @@ class Record:
         >>> Record.from_dataframe(pd.DataFrame({"t": [0.0, 0.1], "x [m]": [1.0, 2.0]}))
         Record('data frame': 2 rows at 10 Hz; x [m])
         """
-        data = Columns.from_dataframe(df, time=time, columns=columns)
+        data = Columns.from_dataframe(df, time, Request(columns, time=time, fs=fs).rows)
         return cls(*assemble(data, time=time, fs=fs, units=units, columns=columns)[0])
 
     def to_columns(self) -> Columns:

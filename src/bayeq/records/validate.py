@@ -101,8 +101,10 @@ def check_time(time: FloatArray, where: str = "", starts: NDArray[np.intp] | Non
 
 #: How many seconds a unit of time is.
 SECONDS: Mapping[str, float] = {
-    "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0,
-    "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0,
+    "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0,
+    "Sec": 1.0, "SEC": 1.0, "Second": 1.0, "Seconds": 1.0, "Sekunde": 1.0, "Sekunden": 1.0,
+    "ms": 1e-3, "msec": 1e-3, "milliseconds": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9,
+    "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0,
 }  # fmt: skip
 
 

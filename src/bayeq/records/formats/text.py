@@ -17,17 +17,9 @@ from numpy.typing import NDArray
 
 from bayeq.errors import FileFormatError
 from bayeq.records.columns import Columns, Headers, Select
-from bayeq.records.layout import (
-    MISSING,
-    Layout,
-    comment_header,
-    encodings,
-    is_blank,
-    is_comment,
-    looks_like_text,
-    sniff,
-    split,
-)
+from bayeq.records.formats.cells import MISSING, is_blank, is_comment, split
+from bayeq.records.formats.layout import Layout, comment_header, encodings, looks_like_text, sniff
+from bayeq.records.formats.stamps import Stamp, parse_stamp
 from bayeq.records.record import Record
 from bayeq.records.truth import FloatArray
 
@@ -37,7 +29,9 @@ _FORTRAN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))[dD]([+-]?\d+)")
 _ROWS_AT_ONCE = 20_000
 
 
-def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
+def read_columns(
+    path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None, where: str = ""
+) -> Columns:
     """Read the columns of a text file.
 
     Comment lines begin with ``#`` or ``%``; the one directly before the data names the columns if there is
@@ -51,6 +45,8 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
         Names instead of the header; a string is split at commas and white space.
     chosen : callable, optional
         Which columns to read; the others need not be numbers.
+    where : str, optional
+        What messages call the file.
 
     Returns
     -------
@@ -63,24 +59,23 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
     """
     for encoding in encodings(path):
         try:
-            return _read(path, encoding, names, chosen)
-        except UnicodeDecodeError:
+            return _read(path, where or str(path), encoding, names, chosen)
+        except UnicodeError:  # also a UTF-16 file that ends within a character
             continue
-    raise FileFormatError(f"{path}: not a text file")
+    raise FileFormatError(f"{where or path}: not a text file")
 
 
-def _read(path: Path, encoding: str, names: list[str] | str | None, chosen: Select | None) -> Columns:
-    layout = sniff(path, encoding)
-    where = str(path)
+def _read(path: Path, where: str, encoding: str, names: list[str] | str | None, chosen: Select | None) -> Columns:
+    layout = sniff(path, encoding, where)
     readings = comment_header(layout)
     texts = layout.header or (readings[0] if readings and len(readings[0]) == layout.width else None)
     headers = Headers.parse(texts or [""] * layout.width, where)
     given = None if names is None else names.replace(",", " ").split() if isinstance(names, str) else names
     try:
         data = np.loadtxt(
-            where, delimiter=layout.delimiter, comments=None, skiprows=layout.skip, encoding=encoding, ndmin=2
+            str(path), delimiter=layout.delimiter, comments=None, skiprows=layout.skip, encoding=encoding, ndmin=2
         )
-    except UnicodeDecodeError:
+    except UnicodeError:
         raise
     except ValueError:
         # The names say which columns may be passed over, unless it takes the data to know the names.
@@ -88,15 +83,19 @@ def _read(path: Path, encoding: str, names: list[str] | str | None, chosen: Sele
         if chosen is not None and (given is not None or texts is not None or not readings):
             named = headers if given is None else headers.renamed([*given, *[""] * (layout.width - len(given))])
             skipped = set(range(layout.width)) - set(chosen(named))
-        lines = _Lines(path, layout, headers, skipped)
+        lines = _Lines(path, layout, headers, skipped, where)
         data = lines.read()
         if lines.trailing and not headers.texts[-1] and layout.width > 1 and len(given or ()) != layout.width:
             data = data[:, :-1]
             headers = Headers.parse(headers.texts[:-1], where)
     if texts is None and readings and given is None and _is_trial_and_time(data):
         headers = Headers.parse(["trial", "t", *readings[0]], where)
+    if layout.stamps:
+        kept = range(len(headers))
+        headers = headers.with_units(["s" if i in layout.stamps else headers.units[i] for i in kept])
     columns = np.ascontiguousarray(data.T)
-    return Columns.build(headers.renamed(given), columns.__getitem__, chosen)
+    found = Columns.build(headers.renamed(given), columns.__getitem__, chosen)
+    return Columns(found.headers, found.values, found.doubts, step=layout.step)
 
 
 def _is_trial_and_time(data: NDArray[np.float64]) -> bool:
@@ -109,9 +108,11 @@ def _is_trial_and_time(data: NDArray[np.float64]) -> bool:
 class _Lines:
     """The thorough reader: every cell is looked at, the first fault is reported."""
 
-    def __init__(self, path: Path, layout: Layout, headers: Headers, skipped: Collection[int]) -> None:
+    def __init__(self, path: Path, layout: Layout, headers: Headers, skipped: Collection[int], where: str = "") -> None:
         self.path, self.layout, self.headers, self.skipped = path, layout, headers, skipped
+        self.where = where or str(path)
         self.trailing = True  # whether the last cell of every row is empty
+        self.first: dict[int, Stamp] = {}  # the first time stamp of each column that has them
 
     def read(self) -> FloatArray:
         layout, mark = self.layout, self.layout.delimiter
@@ -126,6 +127,8 @@ class _Lines:
                 if len(cells) != layout.width:
                     cells = self._fit(cells, number)
                 rows += 1
+                for column in layout.stamps:
+                    cells[column] = self._seconds(cells[column], number, column)
                 try:
                     if "_" in line:  # float() allows 1_000
                         raise ValueError
@@ -142,6 +145,19 @@ class _Lines:
         # Rows of empty cells at the end are what spreadsheets leave behind; within the data they are gaps.
         return data[:last] if last else data
 
+    def _seconds(self, cell: str, number: int, column: int) -> str:
+        """A time stamp as seconds since the first of its column."""
+        if cell.strip().strip("\"'").lower() in MISSING or column in self.skipped:
+            return ""
+        stamp = parse_stamp(cell)
+        if stamp is None:
+            raise FileFormatError(
+                f"{self.where}, line {number}, column {self.headers.texts[column] or self.headers.names[column]!r}:"
+                f" {cell.strip()[:40]!r} is not a time stamp, as those above are"
+            )
+        first = self.first.setdefault(column, stamp)
+        return repr((stamp[0] - first[0]) + (stamp[1] - first[1]))
+
     def _fit(self, cells: list[str], number: int) -> list[str]:
         width, found = self.layout.width, len(cells)
         if found == width + 1 and not cells[-1].strip():
@@ -150,7 +166,7 @@ class _Lines:
             return [*cells, ""]
         hint = "; if the comma is the decimal mark, write points" if found == 2 * width else ""
         values = f"{found} value{'s' * (found != 1)}"
-        raise FileFormatError(f"{self.path}, line {number}: {values} where {width} are expected{hint}")
+        raise FileFormatError(f"{self.where}, line {number}: {values} where {width} are expected{hint}")
 
     def _cell(self, cell: str, number: int, column: int) -> float:
         text = cell.strip("\"'").strip()
@@ -179,7 +195,7 @@ class _Lines:
             hint = "; correct it, or leave out the row"
         elif self.layout.header is not None:
             hint = "; if the column is not needed, name the columns to read"
-        return FileFormatError(f"{self.path}, line {number}, column {name!r}: {shown} is not a number{hint}")
+        return FileFormatError(f"{self.where}, line {number}, column {name!r}: {shown} is not a number{hint}")
 
 
 def write_text(record: Record, path: Path) -> None:

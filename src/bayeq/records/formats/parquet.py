@@ -10,6 +10,7 @@ import numpy as np
 
 from bayeq.errors import FileFormatError, MissingExtraError
 from bayeq.records.columns import Columns, Headers, Select
+from bayeq.records.formats.limits import check_array, reading
 from bayeq.records.record import Record
 
 __all__ = ["read_columns", "write"]
@@ -44,13 +45,11 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
     """
     pa, pq = _pyarrow()
     where = str(path)
-    try:
-        with pq.ParquetFile(path) as file:
-            table = file.read()
-            units = _units((file.schema_arrow.metadata or {}).get(_UNITS))
-    except (pa.ArrowException, OSError, ValueError) as error:
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise FileFormatError(f"{where}: not a readable Parquet file ({reason})") from None
+    with reading(where, "Parquet file"), pq.ParquetFile(path) as file:
+        shape = (file.metadata.num_rows, file.metadata.num_columns)
+        check_array(where, "the table", shape, 8, path.stat().st_size)
+        units = _units((file.schema_arrow.metadata or {}).get(_UNITS))
+        table = file.read()
     if table.num_columns == 0 or table.num_rows == 0:
         raise FileFormatError(f"{where}: no {'rows' if table.num_columns else 'columns'}")
     headers = Headers.parse(table.column_names, where)

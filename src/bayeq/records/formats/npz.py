@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +11,14 @@ import numpy as np
 
 from bayeq.errors import FileFormatError
 from bayeq.records.columns import Columns, Headers, Select
+from bayeq.records.formats.limits import check_claim, reading
+from bayeq.records.formats.npy import read_array
 from bayeq.records.record import Record
 
 __all__ = ["read_columns", "write"]
 
 AnyArray = np.ndarray[Any, np.dtype[Any]]
 _UNITS = "__units__"
-#: What NumPy and zipfile raise on damaged or hostile archives.
-_FAULTS = (
-    OSError, ValueError, EOFError, KeyError, TypeError, SyntaxError, OverflowError, MemoryError, RuntimeError,
-    zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
 
 
 def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
@@ -42,12 +38,8 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
     Columns
     """
     where = str(path)
-    try:
+    with reading(where, ".npz archive"):
         arrays, units = _load(path)
-    except _FAULTS as error:
-        if "allow_pickle" in str(error) and zipfile.is_zipfile(path):
-            raise FileFormatError(f"{where}: holds pickled objects, which are refused; save plain arrays") from None
-        raise FileFormatError(f"{where}: not a readable .npz archive ({type(error).__name__})") from None
     if not arrays:
         raise FileFormatError(f"{where}: the archive holds no arrays")
     headers = Headers.parse(arrays, where)
@@ -63,17 +55,16 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
 
 
 def _load(path: Path) -> tuple[dict[str, AnyArray], dict[str, str]]:
+    where, stored = str(path), path.stat().st_size
     arrays: dict[str, AnyArray] = {}
     units: dict[str, str] = {}
-    # Opened here, for NumPy leaves a damaged file open.
-    with path.open("rb") as file:
-        archive = np.load(file, allow_pickle=False)
-        if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise TypeError("a single array")
-        for key in archive.files:
-            array = archive[key]
-            if not isinstance(array, np.ndarray):  # a member that is no .npy file comes as bytes
-                raise TypeError(key)
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        check_claim(where, "the archive", sum(member.file_size for member in members), stored)
+        for member in members:
+            key = member.filename.removesuffix(".npy")
+            with archive.open(member) as file:
+                array = read_array(file, member.file_size, where, f"array {key!r}")
             if key == _UNITS:
                 found = json.loads(str(array))
                 units = {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}

@@ -1,0 +1,148 @@
+"""Excel's sheets, .xlsx by openpyxl and .xls by xlrd (the extra ``files``); formulas are never evaluated."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+import zipfile
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from datetime import date, datetime, time, timedelta
+from pathlib import Path
+from typing import Any
+
+from bayeq.errors import FileFormatError, MissingExtraError
+from bayeq.records.columns import Columns, Select
+from bayeq.records.formats import text
+from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, reading
+
+__all__ = ["is_excel", "read_columns"]
+
+_OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
+Sheet = tuple[str, Iterable[Iterable[Any]]]
+
+
+def is_excel(path: Path, head: bytes) -> bool:
+    """Whether a file is a workbook: an archive that holds one, or the container of the older format."""
+    if head.startswith(_OLE):
+        return True
+    if not head.startswith(b"PK\x03\x04"):
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "xl/workbook.xml" in archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return False  # damaged: the suffix tells whose it was
+
+
+def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
+    """Read the first sheet that holds numbers, with the rules for text: preamble, header, units, missing cells.
+
+    Parameters
+    ----------
+    path : Path
+        The file. Of a formula the value that Excel saved is read.
+    names : list of str, or str, optional
+        Names instead of the header.
+    chosen : callable, optional
+        Which columns to read.
+
+    Returns
+    -------
+    Columns
+    """
+    where = str(path)
+    found: Columns | None = None
+    others = []
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder) / "sheet"
+        with reading(where, "Excel file"):
+            for title, rows in _sheets(path):
+                if not _write_text(rows, plain):
+                    continue
+                if found is None:
+                    found = text.read_columns(plain, names=names, chosen=chosen, where=f"{where}, sheet {title!r}")
+                else:
+                    others.append(title)
+    if found is None:
+        raise FileFormatError(f"{where}: no sheet holds numbers")
+    if others:
+        doubt = f"{where}: only the first sheet with numbers is read, not {', '.join(others[:8])}; save those as files"
+        return replace(found, doubts=(*found.doubts, doubt))
+    return found
+
+
+def _sheets(path: Path) -> Iterator[Sheet]:
+    with path.open("rb") as file:
+        old = file.read(8) == _OLE
+    yield from _xls(path) if old else _xlsx(path)
+
+
+def _xlsx(path: Path) -> Iterator[Sheet]:
+    try:
+        import openpyxl
+    except ImportError:
+        raise MissingExtraError("openpyxl", "files", "reading Excel files") from None
+    with zipfile.ZipFile(path) as archive:
+        check_claim(str(path), "the workbook", sum(m.file_size for m in archive.infolist()), path.stat().st_size)
+    with path.open("rb") as file:  # by its name openpyxl would judge the suffix
+        book = openpyxl.load_workbook(file, read_only=True, data_only=True, keep_links=False)
+        try:
+            for sheet in book.worksheets:
+                sheet.reset_dimensions()  # which the file claims, and every row would be padded to
+                yield sheet.title, sheet.iter_rows(values_only=True)
+        finally:
+            book.close()
+
+
+def _xls(path: Path) -> Iterator[Sheet]:
+    try:
+        import xlrd
+    except ImportError:
+        raise MissingExtraError("xlrd", "files", "reading .xls files") from None
+    with xlrd.open_workbook(path, on_demand=True, logfile=io.StringIO()) as book:
+        for k in range(book.nsheets):
+            sheet = book.sheet_by_index(k)
+            yield sheet.name, (_xls_row(xlrd, book, sheet.row(i)) for i in range(sheet.nrows))
+
+
+def _xls_row(xlrd: Any, book: Any, cells: Iterable[Any]) -> list[Any]:
+    return [
+        xlrd.xldate_as_datetime(cell.value, book.datemode)
+        if cell.ctype == xlrd.XL_CELL_DATE
+        else None
+        if cell.ctype in (xlrd.XL_CELL_ERROR, xlrd.XL_CELL_EMPTY, xlrd.XL_CELL_BLANK)
+        else cell.value
+        for cell in cells
+    ]
+
+
+def _write_text(rows: Iterable[Iterable[Any]], path: Path) -> bool:
+    """Write a sheet as text separated by tabs; whether it holds a number."""
+    numbers, width = False, 0
+    with path.open("w", encoding="utf-8") as file:
+        for row in rows:
+            cells = list(row)
+            while cells and cells[-1] is None:
+                cells.pop()
+            if len(cells) > MOST_COLUMNS:
+                raise FileFormatError(f"{len(cells)} columns; at most {MOST_COLUMNS} are read")
+            width = max(width, len(cells))
+            if cells:  # an empty cell at the end of a row is a missing sample
+                cells += [None] * (width - len(cells))
+            numbers = numbers or any(isinstance(cell, (int, float)) for cell in cells)
+            file.write("\t".join(map(_cell, cells)) + "\n")
+    return numbers
+
+
+def _cell(value: Any) -> str:
+    """A cell as text that reads back as the same number or time."""
+    if value is None:
+        return ""
+    if isinstance(value, (bool, int, float)):
+        return repr(float(value))
+    if isinstance(value, timedelta):
+        return repr(value.total_seconds())
+    if isinstance(value, (datetime, date, time)):
+        return value.isoformat(" ") if isinstance(value, datetime) else value.isoformat()
+    return " ".join(str(value).replace('"', "").split())

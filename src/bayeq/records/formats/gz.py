@@ -1,0 +1,74 @@
+"""Text compressed by gzip: ``run.csv.gz``."""
+
+from __future__ import annotations
+
+import gzip
+import shutil
+import tempfile
+from pathlib import Path
+
+from bayeq.errors import FileFormatError
+from bayeq.records.columns import Columns, Select
+from bayeq.records.formats import text
+from bayeq.records.formats.limits import check_claim, reading
+from bayeq.records.record import Record
+
+__all__ = ["read_columns", "write"]
+
+_BYTES_AT_ONCE = 2**20
+
+
+def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
+    """Unpack into a temporary file, as far as the limits allow, and read that as text.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    names : list of str, or str, optional
+        Names instead of the header.
+    chosen : callable, optional
+        Which columns to read.
+
+    Returns
+    -------
+    Columns
+    """
+    where = str(path)
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder) / "unpacked"
+        with reading(where, ".gz file"):
+            _unpack(path, plain)
+        try:
+            return text.read_columns(plain, names=names, chosen=chosen, where=where)
+        except FileFormatError as error:
+            if not text.looks_like_text(plain):
+                raise FileFormatError(f"{where}: what it holds is not text; unpack it first") from error
+            raise
+
+
+def _unpack(path: Path, target: Path) -> None:
+    stored, written = path.stat().st_size, 0
+    with gzip.open(path) as source, target.open("wb") as out:
+        while block := source.read(_BYTES_AT_ONCE):
+            written += len(block)
+            check_claim(str(path), "the text", written, stored)
+            out.write(block)
+
+
+def write(record: Record, path: Path) -> None:
+    """Write a record as compressed text; the same record gives the same bytes.
+
+    Parameters
+    ----------
+    record : Record
+        What to write.
+    path : Path
+        The file, replaced if it is there.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder) / "plain.csv"
+        text.write(record, plain)
+        # neither the time of day nor the name of the file is written
+        with plain.open("rb") as source, path.open("wb") as raw, gzip.GzipFile("", "wb", 6, raw, mtime=0) as out:
+            shutil.copyfileobj(source, out)

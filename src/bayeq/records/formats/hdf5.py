@@ -1,0 +1,236 @@
+"""HDF5 files and MATLAB's v7.3, which is HDF5, by h5py (the extra ``files``); nothing outside the file is followed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayeq.errors import FileFormatError, MissingExtraError
+from bayeq.records.assemble import RATE_NAMES, STEP_NAMES
+from bayeq.records.formats.limits import check_array, reading
+from bayeq.records.formats.nested import DEEPEST, MOST_ARRAYS, Channel, channels_of, step_of
+from bayeq.records.record import Record
+
+__all__ = ["channels", "write"]
+
+_MARK = "bayeq"  # an attribute of files that bayeq wrote: arrays of one number are channels there
+_KIND = "HDF5 file"
+_NUMBERS = frozenset({"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64))})
+
+
+def _h5py() -> Any:
+    try:
+        import h5py
+    except ImportError:
+        raise MissingExtraError("h5py", "files", "reading HDF5 and MATLAB v7.3 files") from None
+    return h5py
+
+
+@dataclass(frozen=True, slots=True)
+class _Dataset:
+    """A dataset that is read when it is asked for, or a field of one."""
+
+    path: Path
+    place: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    transposed: bool = False  # MATLAB counts the other way round
+    column: str | None = None
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, key: Any) -> Any:
+        where = str(self.path)
+        check_array(where, self.place, self.shape, self.dtype.itemsize, self.path.stat().st_size)
+        if self.transposed and isinstance(key, tuple):
+            key = key[::-1]
+        with reading(where, _KIND), _h5py().File(self.path, "r") as file:
+            found = file[self.place]
+            values = found[self.column][key] if self.column else found[key]
+        return values.T if self.transposed else values
+
+
+def channels(path: Path) -> list[Channel]:
+    """List the arrays of a file: datasets, rows of matrices, MATLAB's structs and cells.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    list of Channel
+
+    Raises
+    ------
+    FileFormatError
+        A damaged file; a link or virtual dataset that takes its samples from another file.
+    MissingExtraError
+        h5py is not installed.
+    """
+    h5py = _h5py()
+    with reading(str(path), _KIND), h5py.File(path, "r") as file:
+        tree = _Tree(h5py, file, path).group(file["/"], 0)
+    return channels_of(tree, str(path))
+
+
+class _Tree:
+    """Groups as mappings, cells as lists, datasets as arrays."""
+
+    def __init__(self, h5py: Any, file: Any, path: Path) -> None:
+        self.h5py, self.file, self.path = h5py, file, path
+        self.visited = 0
+        self.own = _MARK in file.attrs
+
+    def group(self, group: Any, depth: int) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        about = _about(group)
+        if "unit" in about:
+            found["units"] = about["unit"]
+        if "step" in about:
+            found["dt"] = np.asarray(about["step"])
+        for name in group:
+            if not name.startswith("#"):  # where MATLAB keeps what it refers to
+                link = group.get(name, getlink=True)
+                place = f"{group.name.rstrip('/')}/{name}"
+                if isinstance(link, self.h5py.ExternalLink):
+                    self._refuse(place, "a link to another file")
+                if isinstance(link, self.h5py.HardLink):
+                    found[name.replace(".", "_")] = self.node(group[name], place, depth + 1)
+        return found
+
+    def node(self, node: Any, place: str, depth: int) -> Any:
+        self.visited += 1
+        if depth > DEEPEST or self.visited > 2 * MOST_ARRAYS:
+            raise FileFormatError(f"{self.path}: {place[:60]!r} is nested too deeply, or refers to itself")
+        if isinstance(node, self.h5py.Group):
+            if "MATLAB_sparse" in node.attrs:
+                return None
+            fields = self.group(node, depth)
+            return _by_index(fields) if self.is_struct_array(node) else fields
+        if isinstance(node, self.h5py.Dataset):
+            return self.dataset(node, place, depth)
+        return None
+
+    def is_struct_array(self, group: Any) -> bool:
+        """Whether a group is MATLAB's array of structs: every field refers to its value in each of them."""
+        fields = [group[name] for name in group if isinstance(group.get(name, getlink=True), self.h5py.HardLink)]
+        return bool(fields) and all(
+            isinstance(field, self.h5py.Dataset)
+            and self.h5py.check_ref_dtype(field.dtype) is self.h5py.Reference
+            and _attribute(field, "MATLAB_class") is None
+            for field in fields
+        )
+
+    def dataset(self, node: Any, place: str, depth: int) -> Any:
+        if node.is_virtual or node.external:
+            self._refuse(place, "put together from other files")
+        if node.shape is None or "MATLAB_empty" in node.attrs:
+            return None
+        kind = _text(_attribute(node, "MATLAB_class"))
+        if self.h5py.check_ref_dtype(node.dtype) is self.h5py.Reference:
+            return self.cells(node, place, depth)
+        if self.h5py.check_string_dtype(node.dtype) is not None:
+            return _text(node[()]) if node.size == 1 else None
+        if kind == "char":
+            return "".join(map(chr, np.ravel(node[...]).tolist())) if node.size < 200 else None
+        if kind and kind not in _NUMBERS:
+            return None  # MATLAB's strings, tables, functions
+        about = _about(node)
+        if self.own and node.ndim == 1:
+            about["single"] = True
+        shape = tuple(node.shape)
+        if node.dtype.names:
+            return {
+                name: _Dataset(self.path, node.name, shape, node.dtype[name], column=name, about=about)
+                for name in node.dtype.names
+            }
+        return _Dataset(
+            self.path, node.name, shape[::-1] if kind else shape, node.dtype, transposed=bool(kind), about=about
+        )
+
+    def cells(self, node: Any, place: str, depth: int) -> Any:
+        """What the cells of a dataset refer to, within the same file."""
+        self.visited += math.prod(node.shape)
+        if self.visited > 2 * MOST_ARRAYS:
+            raise FileFormatError(f"{self.path}: {place[:60]!r} has too many cells")
+        cells = np.asarray(node[...]).T  # MATLAB counts the other way round
+        if cells.size == 0:
+            return None
+        flat = max(cells.shape, default=1) == cells.size
+        found = {}
+        for index in np.ndindex(cells.shape):
+            k = max(index, default=0) if flat else ",".join(map(str, index))
+            target = self.file[cells[index]] if cells[index] else None
+            found[f"[{k}]"] = None if target is None else self.node(target, f"{place}[{k}]", depth + 1)
+        return found
+
+    def _refuse(self, place: str, what: str) -> None:
+        raise FileFormatError(
+            f"{self.path}: {place!r} is {what}, which is not followed; copy the samples into the file"
+        )
+
+
+def _by_index(fields: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Fields of an array of structs as structs by their index."""
+    indices = {index: None for cells in fields.values() if isinstance(cells, Mapping) for index in cells}
+    return {
+        index: {name: cells.get(index) for name, cells in fields.items() if isinstance(cells, Mapping)}
+        for index in indices
+    }
+
+
+def _about(node: Any) -> dict[str, Any]:
+    """The unit and the time step that attributes state."""
+    out: dict[str, Any] = {}
+    for name in node.attrs:
+        if name.casefold() in ("unit", "units"):
+            unit = _text(_attribute(node, name))
+            if unit:
+                out["unit"] = unit
+        elif name in (*STEP_NAMES, *RATE_NAMES) and (step := step_of(name, _attribute(node, name))) is not None:
+            out["step"] = step
+    return out
+
+
+def _attribute(node: Any, name: str) -> Any:
+    """The value of an attribute that is one text or one number; None of others, or if there is none.
+
+    Damaged attributes of other types, sequences of varying length among them, crash the HDF5 library itself.
+    """
+    if name not in node.attrs:
+        return None
+    h5t, attribute = _h5py().h5t, node.attrs.get_id(name)
+    plain = attribute.get_type().get_class() in (h5t.STRING, h5t.INTEGER, h5t.FLOAT)
+    return node.attrs[name] if plain and attribute.get_space().get_simple_extent_npoints() == 1 else None
+
+
+def _text(value: Any) -> str:
+    """Text of an attribute or of a dataset of one string; empty if it holds something else."""
+    if isinstance(value, np.ndarray):
+        value = value.ravel()[0] if value.size == 1 else ""
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value if isinstance(value, str) else ""
+
+
+def write(record: Record, path: Path) -> None:
+    """Write a record as HDF5: one dataset for each channel, its unit as the attribute ``unit``.
+
+    Parameters
+    ----------
+    record : Record
+        What to write.
+    path : Path
+        The file, replaced if it is there.
+    """
+    columns = record.to_columns()
+    with _h5py().File(path, "w", track_order=True) as file:
+        file.attrs[_MARK] = 1
+        for name, values, unit in zip(columns.names, columns.values, columns.headers.units, strict=True):
+            dataset = file.create_dataset(name, data=values)
+            if unit:
+                dataset.attrs["unit"] = unit

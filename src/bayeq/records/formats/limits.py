@@ -1,0 +1,106 @@
+"""What a damaged or hostile file may cost: claimed sizes are checked before anything is allocated."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from bayeq.errors import BayeqError, FileFormatError
+
+__all__ = ["MOST_BYTES", "MOST_COLUMNS", "MOST_RATIO", "check_array", "check_claim", "plain", "reading"]
+
+#: A file may unpack to this many times its size ...
+MOST_RATIO = 100
+#: ... or to this many bytes, whichever is more,
+SMALL_BYTES = 64 * 2**20
+#: and never to more than this.
+MOST_BYTES = 4 * 2**30
+#: Columns of a table, the width of an Excel sheet.
+MOST_COLUMNS = 16_384
+
+
+def check_claim(where: str, what: str, claimed: int, stored: int) -> None:
+    """Refuse what claims to unpack to far more than the file holds.
+
+    Parameters
+    ----------
+    where : str
+        The file.
+    what : str
+        The part of it, for the message.
+    claimed : int
+        Bytes that it would take in memory.
+    stored : int
+        Bytes of the file.
+
+    Raises
+    ------
+    FileFormatError
+        Above 4 GiB, or above 64 MiB and 100 times what is stored.
+    """
+    if claimed > MOST_BYTES:
+        raise FileFormatError(f"{where}: {what} takes {in_words(claimed)}; at most {in_words(MOST_BYTES)} are read")
+    if claimed > max(SMALL_BYTES, MOST_RATIO * stored):
+        raise FileFormatError(
+            f"{where}: {what} claims {in_words(claimed)} in a file of {in_words(stored)}; more than {MOST_RATIO} times"
+            " the file's size is not read: the file is damaged, or unpack it yourself first"
+        )
+
+
+def check_array(where: str, what: str, shape: Sequence[int], itemsize: int, stored: int) -> None:
+    """Refuse an array whose shape claims far more than the file holds."""
+    if any(length < 0 for length in shape):
+        raise FileFormatError(f"{where}: {what} has the shape {tuple(shape)}; the file is damaged")
+    # as float64, which every channel becomes
+    check_claim(where, what, math.prod(int(length) for length in shape) * max(itemsize, 8), stored)
+
+
+def in_words(size: int) -> str:
+    """A number of bytes as text.
+
+    Examples
+    --------
+    >>> in_words(2_400_000_000), in_words(2048)
+    ('2.24 GiB', '2 KiB')
+    """
+    for unit, factor in (("GiB", 2**30), ("MiB", 2**20), ("KiB", 2**10)):
+        if size >= factor:
+            return f"{size / factor:.3g} {unit}"
+    return f"{size} bytes"
+
+
+def plain(values: Any, where: str, what: str) -> np.ndarray[Any, np.dtype[Any]]:
+    """An array of plain numbers or times, or a FileFormatError that says what it holds instead."""
+    array = np.asanyarray(values)
+    if array.dtype.hasobject:
+        raise FileFormatError(f"{where}: {what} holds objects, not numbers; they are refused")
+    return array
+
+
+@contextmanager
+def reading(where: str, kind: str) -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into one line; its warnings are dropped.
+
+    Raises
+    ------
+    FileFormatError
+        With the first line of the library's message.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except (BayeqError, FileNotFoundError, PermissionError, IsADirectoryError):
+        raise
+    except MemoryError:
+        raise FileFormatError(f"{where}: not a readable {kind} (it claims more than there is memory)") from None
+    except Exception as error:  # noqa: BLE001  # parsers of others raise anything on damaged bytes
+        lines = [line for line in str(error).splitlines() if line.strip()]
+        text = "".join(c for c in lines[0] if c.isprintable())[:120] if lines else ""
+        reason = f"{type(error).__name__}: {text}" if text else type(error).__name__
+        raise FileFormatError(f"{where}: not a readable {kind} ({reason})") from None

@@ -1,0 +1,158 @@
+"""LabVIEW measurement files (``.lvm``): text with a header, and a header for each segment of samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from bayeq.errors import FileFormatError
+from bayeq.records.formats.cells import unit_cell
+from bayeq.records.formats.layout import encodings
+from bayeq.records.formats.nested import Channel
+
+__all__ = ["channels"]
+
+_END = "***End_of_Header***"
+_X = "X_Value"
+_SEPARATORS = {"tab": "\t", "comma": ","}
+
+
+def channels(path: Path) -> list[Channel]:
+    """List the channels of a file; of several segments as ``[0].name``, ``[1].name`` ....
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    list of Channel
+
+    Raises
+    ------
+    FileFormatError
+        A header without end, fewer samples than stated, or a cell that is no number.
+    """
+    where = str(path)
+    lines = _text(path).splitlines()
+    if not lines or not lines[0].startswith("LabVIEW Measurement"):
+        raise FileFormatError(f"{where}: not a LabVIEW measurement file: its first line is another")
+    header, place = _header(lines, 1, where, "\t")
+    mark = _SEPARATORS.get(header.get("Separator", ["Tab"])[0].casefold(), "\t")
+    comma = header.get("Decimal_Separator", ["."])[0] == ","
+    # otherwise one header stands for all segments, whose rows follow each other
+    several = header.get("Multi_Headings", ["Yes"])[0].casefold() == "yes"
+    segments: list[list[Channel]] = []
+    while (place := _next(lines, place)) < len(lines):
+        about, place = _header(lines, place, where, mark)
+        stop = len(lines)
+        if several:
+            stop = next((i for i in range(place + 1, len(lines)) if not lines[i].strip()), len(lines))
+        one_x = header.get("X_Columns", ["One"])[0].casefold() == "one"
+        segments.append(_segment(lines[:stop], place, about, mark, comma, one_x, several, where))
+        place = stop
+    if not segments:
+        raise FileFormatError(f"{where}: a header but no samples")
+    if len(segments) == 1:
+        return segments[0]
+    return [
+        Channel(f"[{k}].{c.path}", c.size, c.values, c.label, c.unit, c.step, c.start, main=False)
+        for k, segment in enumerate(segments)
+        for c in segment
+    ]
+
+
+def _text(path: Path) -> str:
+    for encoding in encodings(path):
+        try:
+            return path.read_text(encoding=encoding)
+        except UnicodeError:
+            continue
+    raise FileFormatError(f"{path}: not a text file")
+
+
+def _next(lines: Sequence[str], place: int) -> int:
+    """The next line that is not blank."""
+    return next((i for i in range(place, len(lines)) if lines[i].strip()), len(lines))
+
+
+def _header(lines: Sequence[str], place: int, where: str, mark: str) -> tuple[dict[str, list[str]], int]:
+    """Keys and values up to the end of a header, and the line after it."""
+    found: dict[str, list[str]] = {}
+    for i in range(place, len(lines)):
+        if lines[i].startswith(_END):
+            return found, i + 1
+        key, *values = lines[i].split(mark)
+        found[key.strip()] = [value.strip() for value in values] or [""]
+    raise FileFormatError(f"{where}, line {place + 1}: a header without {_END}; the file is cut off")
+
+
+def _segment(
+    lines: Sequence[str], place: int, about: dict[str, list[str]], mark: str, comma: bool, one_x: bool, several: bool,
+    where: str,
+) -> list[Channel]:  # fmt: skip
+    """The channels of the rows from the line of names to the last."""
+    if place >= len(lines):
+        raise FileFormatError(f"{where}: a header but no samples")
+    names = [name.strip() for name in lines[place].split(mark)]
+    rows = [line.split(mark) for line in lines[place + 1 :] if several or line.strip()]
+    ys = [i for i, name in enumerate(names) if name and name not in (_X, "Comment")]
+    found: list[Channel] = []
+    if one_x and names[0] == _X:
+        times = _column(rows, 0, len(rows), place + 2, _X, comma, where)
+        if np.isfinite(times).all() and len(times):
+            found.append(Channel("t", len(times), lambda: times, unit="s"))
+    for k, column in enumerate(ys):
+        size = int(_number(about.get("Samples"), k, len(rows), where))
+        if size > len(rows):
+            raise FileFormatError(f"{where}: {len(rows)} rows where the header states {size}; the file is cut off")
+        if not several:
+            size = max((i + 1 for i, row in enumerate(rows) if row[column : column + 1] not in ([], [""])), default=0)
+        values = _column(rows, column, size, place + 2, names[column], comma, where)
+        step = _number(about.get("Delta_X"), k, np.nan, where)
+        found.append(
+            Channel(
+                names[column],
+                size,
+                lambda values=values: values,  # type: ignore[misc]
+                unit=_unit((about.get("Y_Unit_Label", [])[k : k + 1] or [""])[0]),
+                step=step if np.isfinite(step) and step > 0 else None,
+                start=_number(about.get("X0"), k, 0.0, where),
+            )
+        )
+    return found
+
+
+def _unit(label: str) -> str | None:
+    return (unit_cell(label) or label) or None
+
+
+def _number(values: Sequence[str] | None, k: int, otherwise: float, where: str) -> float:
+    """The k-th of the numbers of a key of the header."""
+    text = (values or [])[k : k + 1]
+    if not text or not text[0]:
+        return otherwise
+    try:
+        number = float(text[0].replace(",", "."))
+    except ValueError:
+        raise FileFormatError(f"{where}: {text[0][:40]!r} in the header is not a number") from None
+    return number if np.isfinite(number) and number >= 0 else otherwise
+
+
+def _column(
+    rows: Sequence[Sequence[str]], column: int, size: int, line: int, name: str, comma: bool, where: str
+) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    values = np.full(size, np.nan)
+    for i in range(size):
+        cell = rows[i][column].strip() if column < len(rows[i]) else ""
+        if cell:
+            try:
+                values[i] = float(cell.replace(",", ".") if comma else cell)
+            except ValueError:
+                raise FileFormatError(
+                    f"{where}, line {line + i}, column {name!r}: {cell[:40]!r} is not a number"
+                ) from None
+    return values

@@ -1,0 +1,278 @@
+"""Files that hold many arrays: each is a channel named by its path, and a record takes those of one length.
+
+A path is written ``rec.acc.data`` (fields, groups), ``Y_id[0]`` (cells, datasets in order, counted from 0) and
+``Y_id[0].0`` (the first row of a matrix; its first column where it has more rows than columns).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayeq.errors import FileFormatError, UnknownNameError
+from bayeq.records.assemble import RATE_NAMES, STEP_NAMES
+from bayeq.records.columns import Columns, Headers
+from bayeq.records.formats.limits import plain
+from bayeq.records.names import is_time_name
+from bayeq.records.request import Request
+from bayeq.records.validate import SECONDS
+
+__all__ = ["Channel", "channels_of", "read_pieces", "step_of"]
+
+#: Rows of a matrix that are listed as channels, and arrays of a file; beyond these it is no record.
+MOST_ROWS = 1000
+MOST_ARRAYS = 100_000
+DEEPEST = 64
+#: Without names, arrays shorter than this share of the longest are settings, not channels.
+SETTINGS = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """An array of a file.
+
+    Parameters
+    ----------
+    path : str
+        Where it is.
+    size : int
+        Number of samples.
+    values : callable
+        Returns the samples, shape (size,).
+    label : str, optional
+        What it is called if not by its path; cleaned to a channel's name.
+    unit : str, optional
+        Its unit.
+    step : float, optional
+        Time step [s] that the file states.
+    start : float
+        Time of the first sample [s].
+    main : bool
+        Whether it is read where no channel is named.
+    """
+
+    path: str
+    size: int
+    values: Callable[[], Any]
+    label: str | None = None
+    unit: str | None = None
+    step: float | None = None
+    start: float = 0.0
+    main: bool = True
+
+    @property
+    def is_time(self) -> bool:
+        """Whether the last word of the path says so."""
+        return is_time_name(_word(self.path))
+
+
+def _word(path: str) -> str:
+    """The last word of a path, which says what an array is."""
+    return path.rpartition(".")[2].split("[")[0]
+
+
+def channels_of(tree: Any, where: str) -> list[Channel]:
+    """Every array of a tree of mappings (fields), lists (cells) and arrays, in order.
+
+    Text next to an array named unit or units is its unit; a single number named dt, Ts, fs ... the step of time.
+
+    Parameters
+    ----------
+    tree : mapping
+        What the file holds. Arrays have `shape`, `dtype` and are read by ``array[...]``.
+    where : str
+        The file, for messages.
+
+    Raises
+    ------
+    FileFormatError
+        The tree is deeper than 64 levels or has more than 100,000 arrays.
+    """
+    found: list[Channel] = []
+    for channel in _walk(tree, "", {}, where, 0):
+        found.append(channel)
+        if len(found) > MOST_ARRAYS:
+            raise FileFormatError(f"{where}: more than {MOST_ARRAYS} arrays; that is no record")
+    return found
+
+
+def _walk(node: Any, path: str, about: Mapping[str, Any], where: str, depth: int) -> Iterator[Channel]:
+    if depth > DEEPEST:
+        raise FileFormatError(f"{where}: {path[:40]!r} is nested deeper than {DEEPEST} levels")
+    if isinstance(node, Mapping):
+        here = {**{key: value for key, value in about.items() if key != "unit"}, **_about(node)}
+        for name, child in node.items():
+            inner = f"{path}{name}" if str(name).startswith("[") else f"{path}.{name}" if path else str(name)
+            yield from _walk(child, inner, here, where, depth + 1)
+    elif isinstance(node, list):
+        for k, child in enumerate(node):
+            yield from _walk(child, f"{path}[{k}]", about, where, depth + 1)
+    elif hasattr(node, "shape"):
+        if is_time_name(_word(path)):  # the unit beside it is that of the channels
+            about = {key: value for key, value in about.items() if key != "unit"}
+        yield from _rows(node, path, {**about, **dict(getattr(node, "about", {}))})
+
+
+def _about(node: Mapping[str, Any]) -> dict[str, Any]:
+    """Unit and step of time that the entries of a struct or a group state."""
+    out: dict[str, Any] = {}
+    for name, value in node.items():
+        if name.casefold() in ("unit", "units") and isinstance(value, str):
+            out["unit"] = value
+        elif name in (*STEP_NAMES, *RATE_NAMES) and math.prod(getattr(value, "shape", (0,))) == 1:
+            step = step_of(name, value[...])
+            if step is not None:
+                out["step"] = step
+    return out
+
+
+def step_of(name: str, value: Any) -> float | None:
+    """The time step [s] that a number named so is; None if it is no positive number.
+
+    Examples
+    --------
+    >>> step_of("dt", 0.5), step_of("fs", [4]), step_of("fs", "fast")
+    (0.5, 0.25, None)
+    """
+    array = np.ravel(value)
+    if array.size != 1 or array.dtype.kind not in "iuf" or not 0 < array[0] < np.inf:
+        return None
+    return float(array[0]) if name in STEP_NAMES else 1.0 / float(array[0])
+
+
+def _rows(array: Any, path: str, about: Mapping[str, Any]) -> Iterator[Channel]:
+    """The channels of an array: itself, or the rows of a matrix; none of numbers by themselves and of boxes."""
+    shape = tuple(int(length) for length in array.shape)
+    if array.dtype.kind not in "biufcmM":
+        return
+    unit, step = about.get("unit"), about.get("step")
+    long = max(shape, default=0)
+    enough = long > 1 or (long == 1 and about.get("single"))
+    if enough and long == np.prod(shape, dtype=float):  # of one dimension, as a row or as a column
+        yield Channel(path, long, lambda: np.ravel(array[...]), unit=unit, step=step)
+    elif len(shape) == 2 and 1 < min(shape) <= MOST_ROWS:
+        across = shape[0] > shape[1]
+        for k in range(min(shape)):
+            yield Channel(f"{path}.{k}", long, _part(array, k, across), unit=unit, step=step)
+
+
+def _part(array: Any, k: int, across: bool) -> Callable[[], Any]:
+    return lambda: array[:, k] if across else array[k, :]
+
+
+def read_pieces(
+    channels: Sequence[Channel], where: str, request: Request, names: Sequence[str] | str | None = None
+) -> list[tuple[Request, Columns]]:
+    """The columns of each record that is asked for, with the request for that one alone.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        What the file holds.
+    where : str
+        The file, for messages.
+    request : Request
+        The channels that are asked for; without names, all those of one length.
+    names : list of str, or str, optional
+        Names of those channels, in order.
+
+    Raises
+    ------
+    FileFormatError
+        No arrays; lengths or rates that differ between the channels.
+    UnknownNameError
+        No such channel.
+    """
+    if not channels:
+        raise FileFormatError(f"{where}: holds no array of numbers that could be a channel")
+    requests = request.each([channel.path for channel in channels], where)
+    return [(one, _columns(list(channels), where, one, names)) for one in requests]
+
+
+def _columns(channels: list[Channel], where: str, request: Request, names: Sequence[str] | str | None) -> Columns:
+    labels = [channel.label or channel.path.replace("[", "_").replace("]", "") for channel in channels]
+    headers = Headers.parse(labels, where)
+    units = [channel.unit or unit for channel, unit in zip(channels, headers.units, strict=True)]
+    headers = Headers([channel.path for channel in channels], headers.names, units, where)
+    if names is not None:
+        rows = _main(channels, headers, Request(fs=request.fs))
+        channels = [channels[i] for i in rows]
+        headers = _part_of(headers, rows).renamed(names)
+    rows = _main(channels, headers, request) if request.names is None else _asked(channels, headers, request)
+    chosen = [channels[i] for i in rows]
+    _require_one_length(chosen, where)
+    time = None
+    if request.time is None and request.fs is None and names is None:
+        time = next((k for k, channel in enumerate(chosen) if channel.is_time), None)
+    steps = {channel.step for channel in chosen if channel.step is not None}
+    if time is None and request.time is None and len(steps) > 1:
+        rates = ", ".join(f"{c.path} {1 / c.step:g} Hz" for c in chosen[:8] if c.step)
+        raise FileFormatError(
+            f"{where}: channels of several rates: {rates}; name channels of one rate, and join the rest"
+        )
+    values = {i: plain(channels[i].values(), where, channels[i].path) for i in rows}
+    data = Columns.build(headers, values.__getitem__, lambda _: rows)
+    step = steps.pop() if len(steps) == 1 and time is None and request.time is None else None
+    return Columns(data.headers, data.values, (), time, step, chosen[0].start)
+
+
+def _find(headers: Headers, key: str) -> int:
+    try:
+        return headers.find(key)
+    except UnknownNameError:
+        raise UnknownNameError("column", key, headers.texts, headers.where) from None
+
+
+def _part_of(headers: Headers, rows: Sequence[int]) -> Headers:
+    parts = [[column[i] for i in rows] for column in (headers.texts, headers.names)]
+    return Headers(parts[0], parts[1], [headers.units[i] for i in rows], headers.where)
+
+
+def _asked(channels: Sequence[Channel], headers: Headers, request: Request) -> list[int]:
+    """The channels that are asked for by name, and the nearest array of their length that is called time."""
+    rows = {_find(headers, name) for name in request.names or ()}
+    first = min(rows, default=0)
+    rows.update(_find(headers, name) for name in (request.time, request.group) if name is not None)
+    if request.time is None and request.fs is None:
+        path = channels[first].path
+        times = [
+            i
+            for i, channel in enumerate(channels)
+            if channel.size == channels[first].size and (channel.is_time or headers.units[i] in SECONDS)
+        ]
+        if times:
+            rows.add(max(times, key=lambda i: (channels[i].is_time, _shared(channels[i].path, path))))
+    return sorted(rows)
+
+
+def _shared(path: str, other: str) -> int:
+    """How many letters two paths begin with in common."""
+    return next((k for k, (a, b) in enumerate(zip(path, other, strict=False)) if a != b), min(len(path), len(other)))
+
+
+def _main(channels: Sequence[Channel], headers: Headers, request: Request) -> list[int]:
+    """The channels that are read without names: as long as time, or else as the longest of them."""
+    pool = [i for i, channel in enumerate(channels) if channel.main]
+    if not pool:
+        paths = ", ".join(channel.path for channel in channels[:12])
+        raise FileFormatError(f"{headers.where}: name the channels to read; there are: {paths}")
+    length = max(channels[i].size for i in pool)
+    if request.time is not None:
+        length = channels[_find(headers, request.time)].size
+    rows = [i for i in pool if channels[i].size == length]
+    others = [i for i in pool if channels[i].size != length and channels[i].size > SETTINGS * length]
+    if others and request.time is None:
+        several = [channels[i] for i in (*rows, *others)]
+        shown = ", ".join(f"{c.path} ({c.size})" for c in several[:12]) + (", ..." if len(several) > 12 else "")
+        raise FileFormatError(f"{headers.where}: arrays of several lengths: {shown}; name the channels to read")
+    return rows
+
+
+def _require_one_length(chosen: Sequence[Channel], where: str) -> None:
+    if len({channel.size for channel in chosen}) > 1:
+        shown = ", ".join(f"{c.path} ({c.size})" for c in chosen[:12])
+        raise FileFormatError(f"{where}: channels of several lengths: {shown}; name channels of one length")

@@ -1,0 +1,73 @@
+"""National Instruments' TDMS files, by npTDMS (the extra ``files``)."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayeq.errors import FileFormatError, MissingExtraError
+from bayeq.records.formats.limits import check_array, reading
+from bayeq.records.formats.nested import Channel
+
+__all__ = ["channels"]
+
+
+def channels(path: Path) -> list[Channel]:
+    """List the channels of a file: path ``group.channel``, called by the channel's name where no other has it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    list of Channel
+
+    Raises
+    ------
+    FileFormatError
+        A damaged file.
+    MissingExtraError
+        npTDMS is not installed.
+    """
+    try:
+        from nptdms import TdmsFile
+        from nptdms.log import log_manager
+    except ImportError:
+        raise MissingExtraError("npTDMS", "files", "reading TDMS files") from None
+    where, size = str(path), path.stat().st_size
+    found: list[Channel] = []
+    log_manager.set_level(logging.CRITICAL)  # what it finds is one line of ours
+    with reading(where, "TDMS file"), path.open("rb") as raw, TdmsFile.open(raw) as file:
+        if file.file_status.incomplete_final_segment:
+            raise FileFormatError(f"{where}: the last segment is incomplete; the file is cut off")
+        every = [(group.name, channel) for group in file.groups() for channel in group.channels()]
+        count = Counter(channel.name for _, channel in every)
+        for group, channel in every:
+            if channel.dtype is None or np.dtype(channel.dtype).kind not in "biufM" or not len(channel):
+                continue  # text and empty channels
+            place = f"{group}.{channel.name}"
+            check_array(where, place, (len(channel),), np.dtype(channel.dtype).itemsize, size)
+            label = channel.name if count[channel.name] == 1 else f"{group} {channel.name}"
+            found.append(_channel(place, label, channel[:], channel.properties))
+    return found
+
+
+def _channel(place: str, label: str, values: Any, properties: Any) -> Channel:
+    step = properties.get("wf_increment")
+    known = isinstance(step, (int, float)) and np.isfinite(step) and step > 0
+    start = properties.get("wf_start_offset", 0.0)
+    return Channel(
+        place,
+        len(values),
+        lambda: values,
+        label,
+        str(properties.get("unit_string") or "").strip() or None,
+        float(step) if known else None,
+        float(start) if known and isinstance(start, (int, float)) and np.isfinite(start) else 0.0,
+    )
