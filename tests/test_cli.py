@@ -16,7 +16,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.cli.discover import COMPILING
+from bayeq.cli.progress import COMPILING, PROGRESS
 from tests.uncovered import uncovered
 
 
@@ -47,7 +47,9 @@ def test_simulate_then_discover_as_json(duffing):
     (equation,) = out["equations"]
     assert equation["target"] == "a"
     assert {t["name"] for t in equation["terms"] if t["included"]} == {"x", "v", "x**3", "u"}
-    assert all(line == COMPILING or line.startswith("bayeq: warning: ") for line in done.stderr.splitlines())
+    assert all(
+        line == COMPILING or line.startswith(("bayeq: warning: ", PROGRESS)) for line in done.stderr.splitlines()
+    )
 
 
 def test_the_installed_command_is_the_module(duffing):

@@ -21,7 +21,7 @@ from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError, UnknownNameError
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
-from bayeq.records import Record
+from bayeq.records import Record, with_row_numbers
 from bayeq.records.atomic import replacing
 from bayeq.refine.results import Refinement
 from bayeq.regression.constraints import Constraints, parse_constraints
@@ -221,7 +221,7 @@ class Equations:
         """
         if not isinstance(record, Record):
             raise InputError(f"predict needs a Record (bayeq.read reads a file), not {type(record).__name__}")
-        (record,) = prepared([record], self.roles, self.smooth, self.warnings)
+        (record,) = prepared(self._timed([record]), self.roles, self.smooth, self.warnings)
         columns = rows_of_record(record, self.roles, self.smooth, self.data.sensors)
         parts = [equation.predict(columns, return_std) for equation in self.equations]
         if len(parts) == 1:
@@ -278,6 +278,8 @@ class Equations:
         """
         from bayeq.forecast.run import forecast
 
+        if isinstance(record, Record):
+            (record,) = self._timed([record])
         if isinstance(record, Record) and all(name in record.channels for name in self.roles.channels):
             (record,) = prepared([record], self.roles, self.smooth, self.warnings)
         return forecast(
@@ -331,7 +333,7 @@ class Equations:
         """
         from bayeq.forecast.score import score_records
 
-        pieces = _as_list(records, "score")
+        pieces = self._timed(_as_list(records, "score"))
         # rows that are named are counted in whole records
         pieces = prepared(pieces, self.roles, self.smooth, self.warnings, divide=start is None)
         return score_records(
@@ -402,7 +404,7 @@ class Equations:
         from bayeq.refine.output_error import Unrefined
         from bayeq.refine.refine import refine
 
-        pieces = _as_list(records, "refine")
+        pieces = self._timed(_as_list(records, "refine"))
         check_interpolation(interpolation)
         if not 0 <= holdout < 1:
             raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
@@ -436,6 +438,10 @@ class Equations:
             scores=found.scores,
             refined=found.summary,
         )
+
+    def _timed(self, records: Sequence[Record]) -> list[Record]:
+        """Records with row numbers as time, if that of the equations is such and theirs is not known either."""
+        return with_row_numbers(records) if self.data.rows_as_time else list(records)
 
     def plan(
         self,

@@ -67,7 +67,10 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     used = f"{eq.data.n_train} used"
     if eq.data.refitted:
         used = f"all used; fits and free runs on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
-    console.print(f"{eq.data.n} rows{source}, {used}; method: {ENGINES[eq.method].title}")
+    console.print(f"{eq.data.n} rows{_rate(eq)}{source}, {used}; method: {ENGINES[eq.method].title}")
+    if eq.data.band is not None:
+        low, high = eq.data.band
+        console.print(f"band: spectra between {low:g} and {high:g} Hz were fitted, by the band regression")
     if eq.data.estimated:
         how = "smoothing" if eq.data.smoothed else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
@@ -90,6 +93,15 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     lines = [line.rstrip() for line in buffer.getvalue().rstrip().splitlines()]
     # tables bring empty lines of their own
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
+
+
+def _rate(eq: Answer) -> str:
+    """Rate and length of the records, as far as known."""
+    if eq.data.rows_as_time:
+        return ", time not known,"
+    if eq.data.fs is None or eq.data.seconds is None:
+        return ""
+    return f" at {eq.data.fs:.6g} Hz, {eq.data.seconds:.4g} s,"
 
 
 def _render_equation(
