@@ -32,8 +32,8 @@ def run(capsys, *arguments):
     capsys.readouterr()
     code = main(["plan", *map(str, arguments)])
     out, err = capsys.readouterr()
-    lines = [line for line in err.splitlines() if line != COMPILING and not line.startswith(PROGRESS)]
-    return code, out, "\n".join(lines)
+    lines = err.replace(f"{COMPILING}\n", "").splitlines(keepends=True)
+    return code, out, "".join(line for line in lines if not line.startswith(PROGRESS))
 
 
 def test_from_a_file_to_an_excitation(saved, tmp_path, capsys):
