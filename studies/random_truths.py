@@ -5,7 +5,8 @@ each a share of the acceleration's variance, log-uniform from 1e-4 to 0.3, in th
 alone; drawn again until the motion is stable and not held by friction. 4,000 rows at 1 kHz, 5 % noise on displacement,
 velocity, acceleration and force, all rows used. Lines of the table: candidates by their posterior inclusion
 probability, with the share of them that is true and its standard error (records are the units of chance); the terms
-above 0.99; and the intervals of included terms, those of false terms among them, which ought to cover zero.
+above 0.99; and the intervals of included terms, and those that are printed of the terms shown (but for effective
+coefficients, which have other values to cover), those of false terms among them, which ought to cover zero.
 
     python -m studies.random_truths > docs/tables/random_truths.csv
 """
@@ -106,13 +107,18 @@ def draw_record(seed: int) -> Record:
 
 def _judged(eqs: Equations, truth: Mapping[str, float]) -> dict[str, object]:
     (eq,) = eqs
-    ci, pip, support = eq.ci95, eq.posterior.pip, eq.posterior.support
+    pip, support, shown = eq.posterior.pip, eq.posterior.support, eq.shown_posterior.support
     true = [truth.get(term.text, 0.0) for term in eq.terms]
+
+    def covers(ci: Floats, kept: Sequence[bool]) -> list[bool]:
+        return [low <= value <= high for (low, high), value, k in zip(ci.tolist(), true, kept, strict=True) if k]
+
+    printed = [kept and term.text not in eq.effective for term, kept in zip(eq.terms, shown.tolist(), strict=True)]
     return {
         "pips": [[round(float(p), 6), value != 0.0] for p, value in zip(pip, true, strict=True)],
-        "covers": [
-            bool(low <= value <= high) for (low, high), value, kept in zip(ci, true, support, strict=True) if kept
-        ],
+        "covers": covers(eq.ci95, support.tolist()),
+        "printed": covers(eq.printed_ci95, printed),
+        "effective": len(eq.effective),
         "exact": set(eq.included) == set(truth),
         "verdict": eq.verdict.kind,
     }
@@ -162,13 +168,15 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
         "stated": f"{sum(float((1.0 - p[c]).sum()) for p, c in zip(pips, certain, strict=True)):.2f}",
         "found": sum(int((c & ~t).sum()) for c, t in zip(certain, true, strict=True)),
     }
-    covers = [bool(c) for outcome in known for c in outcome["covers"]]
-    yield {
-        "line": "intervals of included terms, per cent",
-        "count": len(covers),
-        "stated": "95",
-        "found": percent(sum(covers), len(covers)),
+    lines = {
+        "intervals of included terms given these, per cent": ("covers", known),
+        "printed intervals of terms shown, per cent": ("printed", known),
+        "those of verdict found, per cent": ("printed", [one for one in known if one["verdict"] == "found"]),
     }
+    for line, (name, some) in lines.items():
+        covers = [bool(c) for outcome in some for c in outcome[name]]
+        yield {"line": line, "count": len(covers), "stated": "95", "found": percent(sum(covers), len(covers))}
+    yield {"line": "effective coefficients", "count": sum(int(outcome["effective"]) for outcome in known)}
     yield {
         "line": "exactly the true terms, per cent",
         "count": len(known),

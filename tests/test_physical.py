@@ -98,7 +98,7 @@ def test_where_nothing_rests_that_is_said():
 
 
 def test_a_stand_off_of_the_displacement_leaves_the_stiffness():
-    record = bq.simulate("duffing", n=2000, seed=3)
+    record = bq.simulate("duffing", n=1000, seed=3)
     truth = 1000.0
     displaced = record.with_channels({"x": record["x"] + 0.2}, {"x": "m"})
     with pytest.warns() as caught:
@@ -107,23 +107,21 @@ def test_a_stand_off_of_the_displacement_leaves_the_stiffness():
         "nowhere zero" in str(one.message) and "remove_offset(record, 'x')" in str(one.message) for one in caught
     )
     found = eq.physical()
-    assert found["k"].low - 5.0 < truth < found["k"].high + 5.0
-    assert found["x0"].mean == pytest.approx(0.2, abs=1e-3)
+    assert found["k"].low - 10.0 < truth < found["k"].high + 10.0
+    assert found["x0"].mean == pytest.approx(0.2, abs=2e-3)
     there = bq.remove_offset(displaced, "x")
     assert there["x"].mean() == pytest.approx(0.0, abs=1e-12)
     assert there.units["x"] == "m"
 
 
 def test_far_from_zero_nothing_is_made_up():
-    record = bq.simulate("duffing", n=2000, seed=3)
+    record = bq.simulate("duffing", n=800, seed=5)
     displaced = record.with_channels({"x": record["x"] + 10.0})
     with pytest.warns():
         eq = bq.discover(displaced, displacement="x", velocity="v", acceleration="a", force="u")
-    if eq.verdict.kind in ("none", "not determined"):
-        with pytest.raises(InputError, match=r"cannot be told.*remove_offset"):
-            eq.physical()
-    else:
-        assert eq.physical()["k"].mean == pytest.approx(1000.0, rel=0.02)
+    assert eq.verdict.kind == "not determined"
+    with pytest.raises(InputError, match=r"cannot be told.*remove_offset"):
+        eq.physical()
 
 
 def test_spreads_are_those_of_the_delta_method():
@@ -261,3 +259,20 @@ def test_equations_without_or_with_several_of_second_order():
     with pytest.raises(InputError, match="name one of the equations as target: a, b"):
         both.physical()
     assert both.physical(target="a")["omega_n"].mean == pytest.approx(3.0, rel=0.01)
+
+
+def test_an_angle_from_the_upright_position_is_no_stand_off():
+    n = 1500
+    rng, angle, rate, angles = np.random.default_rng(4), math.pi - 1.0, 0.0, []
+    for _ in range(n):
+        angles.append((angle, rate))
+        for _ in range(10):
+            rate += 5e-4 * (9.81 * math.sin(angle) - 0.05 * rate)
+            angle += 5e-4 * rate
+    th, om = np.array(angles).T
+    record = bq.Record.from_arrays(th=th + 0.01 * rng.normal(size=n), om=om + 0.01 * rng.normal(size=n), fs=200.0)
+    eq = bq.discover(record, chains="th:om:", dictionary="sin(th), om, om*abs(om)")
+    assert not any("nowhere zero" in message for message in eq.warnings)
+    found = eq.physical()
+    assert found["k/m"].low < 9.81 < found["k/m"].high
+    assert found["x0"].mean == pytest.approx(math.pi, abs=0.01)

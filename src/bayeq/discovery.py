@@ -367,7 +367,7 @@ def _screened(
     targets = ", ".join(motion.roles.targets)
     log.warn(
         f"{len(terms):,} candidates: {len(kept):,} were kept, the simplest and those that explain most of {targets}"
-        " beside them; probabilities are among these",
+        " beside them; probabilities are among these. Leave out what cannot be in the equation, and all are compared",
         TermWarning,
     )
     return tuple(terms[int(j)] for j in kept), allowed[:, kept]
@@ -434,12 +434,12 @@ def _warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) ->
             continue
         samples = np.concatenate([record[name] for record in records])
         low, high = float(np.nanmin(samples)), float(np.nanmax(samples))
-        powers = [term for term in design.terms if term.names == {name} and term.text != name]
+        powers = [term for term in design.terms if term.text.startswith(f"{name}**")]
         if powers and not low <= 0.0 <= high:
             log.warn(
                 f"{name} is nowhere zero, it lies between {low:.4g} and {high:.4g}: terms such as {powers[0]} can"
-                " hardly be told from others there, and coefficients are not those about the position of rest."
-                f" Measure it from there (bayeq.remove_offset(record, {name!r}), --remove-offset {name}); physical()"
+                " hardly be told from others there, and coefficients are not those about the position of rest;"
+                f" measure it from there (bayeq.remove_offset(record, {name!r}), --remove-offset {name}); physical()"
                 " gives the stiffness about the position of rest",
                 DataWarning,
             )

@@ -4,12 +4,12 @@ Taylor 1989). Degrees of freedom are estimated per channel; of Gaussian noise no
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State
@@ -77,7 +77,7 @@ def _log_likelihood(tails: Tails, squares: Floats) -> float:
     level = -0.5 * len(squares) * np.log(s)
     if np.isinf(v):
         return float(level - 0.5 * len(squares) * np.log(2.0 * np.pi) - 0.5 * squares.sum() / s)
-    unit = gammaln(0.5 * (v + 1.0)) - gammaln(0.5 * v) - 0.5 * np.log(v * np.pi)
+    unit = math.lgamma(0.5 * (v + 1.0)) - math.lgamma(0.5 * v) - 0.5 * np.log(v * np.pi)
     return float(level + len(squares) * unit - 0.5 * (v + 1.0) * np.log1p(squares / (v * s)).sum())
 
 
