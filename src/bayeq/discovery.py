@@ -229,6 +229,7 @@ def discover(
     _warn_of_zero(design, pieces, log)
     constrained = _constrained(known, design, method)
 
+    step("likelihood", 0, 1)
     record = record_of(design, smooth, dictionary, prior)
     if record is None and smooth == "auto" and suits(motion, len(design.terms)):
         log.warn(NO_LIKELIHOOD, DataWarning)

@@ -570,10 +570,14 @@ class Equations:
         Raises
         ------
         InputError
-            An equation that is not of second order, or without a restoring term.
+            An equation that is not of second order, or without a restoring term; a record whose time is not known.
         """
         from bayeq.equation.physical import physical_parameters
 
+        if self.data.rows_as_time:
+            raise InputError(
+                "physical parameters are per second, and time is not known: give the sampling rate (fs=, --fs)"
+            )
         equation = _oscillator(self, target)
         span = self.data.measured.ranges.get(equation.chain.names[0])
         if span and not span[0] <= 0.0 <= span[1] and equation.verdict.kind in ("none", "not determined"):
