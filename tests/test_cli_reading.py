@@ -291,6 +291,7 @@ def test_conversions_there_and_back(one, other):
     if there is not None and back is not None:
         assert there * back == pytest.approx(1.0)
     assert conversion(one, one) == 1.0
+    assert conversion("kN/mm", "N/m") == pytest.approx(1e6)
 
 
 def test_units_of_files_that_are_joined(duffing, tmp_path, capsys):
