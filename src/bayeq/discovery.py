@@ -12,6 +12,7 @@ from bayeq.dictionary import Specification, Variables, build_dictionaries, writt
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations
+from bayeq.equation.several import EquationTuple
 from bayeq.equation.units import channel_units
 from bayeq.errors import (
     AmbiguityWarning,
@@ -261,7 +262,7 @@ def discover(
 
     log.emit(stacklevel=3)
     return Equations(
-        equations=with_doubts(equations, selections, tolerance or TOLERANCE),
+        equations=EquationTuple(with_doubts(equations, selections, tolerance or TOLERANCE)),
         inputs=roles.inputs,
         method=method,
         dictionary=written(dictionary),
