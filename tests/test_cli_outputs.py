@@ -15,7 +15,7 @@ import pytest
 import bayeq as bq
 from bayeq import discovery
 from bayeq.cli.app import main
-from bayeq.cli.discover import COMPILING
+from bayeq.cli.progress import COMPILING, PROGRESS
 from tests.uncovered import uncovered
 
 OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x, v, x**3, u"]
@@ -34,7 +34,13 @@ def record(tmp_path_factory):
 def run(capsys, *arguments):
     code = main(["discover", *map(str, arguments)])
     out, err = capsys.readouterr()
-    return code, out, err.replace(f"{COMPILING}\n", "")
+    return code, out, without_progress(err)
+
+
+def without_progress(err):
+    """What is said on standard error about the result."""
+    lines = err.splitlines(keepends=True)
+    return "".join(line for line in lines if line != f"{COMPILING}\n" and not line.startswith(PROGRESS))
 
 
 def test_scores_of_the_held_out_rows_are_shown(record, capsys):
@@ -158,7 +164,7 @@ def test_what_cannot_be_written_is_refused_before_the_work(record, tmp_path, cap
         assert (code, out) == (2, "")
         assert message in err
     timeless = tmp_path / "timeless.csv"
-    pd.read_csv(record).iloc[:, 1:].to_csv(timeless, index=False)
+    pd.read_csv(record).iloc[:, 1:].sample(frac=1.0, random_state=0).to_csv(timeless, index=False)  # in no order
     for option in (["--refine"], ["--forecast", tmp_path / "a.csv"]):
         code, out, err = run(capsys, timeless, *OSCILLATOR, *option)
         assert (code, out) == (2, "")
@@ -201,7 +207,7 @@ def test_a_full_disk_costs_one_file_and_leaves_the_one_before(record, tmp_path):
     done = subprocess.run(limited, capture_output=True, text=True, check=False, env=uncovered())
     assert done.returncode == 2
     assert json.loads(done.stdout)["equations"][0]["target"] == "a"
-    assert done.stderr.replace(f"{COMPILING}\n", "") == (
+    assert without_progress(done.stderr) == (
         f"bayeq: error: {kept}: cannot be written: File too large; {small}: cannot be written: File too large\n"
     )
     assert kept.read_text() == "what was there before"

@@ -11,7 +11,7 @@ from matplotlib.image import imread
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.cli.discover import COMPILING
+from bayeq.cli.progress import COMPILING, PROGRESS
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 
@@ -32,7 +32,8 @@ def run(capsys, *arguments):
     capsys.readouterr()
     code = main(["plan", *map(str, arguments)])
     out, err = capsys.readouterr()
-    return code, out, err.replace(f"{COMPILING}\n", "")
+    lines = err.replace(f"{COMPILING}\n", "").splitlines(keepends=True)
+    return code, out, "".join(line for line in lines if not line.startswith(PROGRESS))
 
 
 def test_from_a_file_to_an_excitation(saved, tmp_path, capsys):

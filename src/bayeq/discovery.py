@@ -28,7 +28,7 @@ from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.record_fit import refit_record, suits
-from bayeq.records import Record, as_records, check_messages
+from bayeq.records import UNKNOWN_TIME, Record, as_records, check_messages, counts_rows, with_row_numbers
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.joint import fit_equations, record_of
@@ -95,6 +95,7 @@ def discover(
     noise: Mapping[str, float | str] | None = None,
     gain_sd: Mapping[str, float | str] | None = None,
     tails: Tails = "gauss",
+    band: tuple[float, float] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
     t: Any = None,
@@ -161,12 +162,17 @@ def discover(
     tails : "gauss" or "student"
         Distribution of the channels' noise: normal, or Student's t with degrees of freedom that are estimated per
         channel, for noise of many outliers. Needs the likelihood of the record. Single spikes are left out in any case.
+    band : (float, float), optional
+        Frequencies [Hz] between which the spectra of target and terms are fitted, as where hum or drift lie outside.
+        This is the band regression, which ``smooth="auto"`` then means too; its own band, in which states follow the
+        motion, is narrowed to this. Fits, free runs and the verdict are judged by the rows, all frequencies in them.
     seed : int
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional
         Called with (stage, done, total).
     t : str or array_like, optional
-        The column that is time, of files and data frames, or sampling times [s] of arrays.
+        The column that is time, of files and data frames, or sampling times [s] of arrays. Where no record has a time
+        the number of the row is time, with a warning, and coefficients are per sample.
 
     Returns
     -------
@@ -199,18 +205,21 @@ def discover(
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
     check_sensors(noise or {}, gain_sd or {}, roles)
     _check_tails(tails, smooth)
+    smooth = _smooth_in(band, smooth)
     variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
     terms, allowed = build_dictionaries(dictionary, roles.targets, variables)
     known = [constraints] if isinstance(constraints, str) else list(constraints)
     constrained = parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
-    measured = as_records(records, t)
+    measured = with_row_numbers(as_records(records, t))
+    if any(map(counts_rows, measured)):
+        log.warn(UNKNOWN_TIME, DataWarning)
     roles = roles.for_terms(terms)
     _require_unambiguous(terms, measured, roles)
 
     step("states", 0, 1)
     pieces, roles, share = _prepared(measured, roles, smooth, holdout, log)
     sensors = known_sensors(noise or {}, gain_sd or {}, roles, pieces, tails)
-    motion = estimate_motion(pieces, roles, smooth, share, sensors)
+    motion = estimate_motion(pieces, roles, smooth, share, sensors, band)
     _warn_of_sensors(motion, {*(noise or {}), *(gain_sd or {})}, log)
     _inspect(motion, pieces, holdout, log)
     if len(terms) > MOST_TERMS:
@@ -221,6 +230,7 @@ def discover(
     _warn_of_zero(design, pieces, log)
     constrained = _constrained(known, design, method)
 
+    step("likelihood", 0, 1)
     record = record_of(design, smooth, dictionary, prior)
     if record is None and smooth == "auto" and suits(motion, len(design.terms)):
         log.warn(NO_LIKELIHOOD, DataWarning)
@@ -288,6 +298,21 @@ def _check_tails(tails: str, smooth: str) -> None:
         raise InputError(f"tails='student' needs the likelihood of the record, smooth='auto', not {smooth!r}")
 
 
+def _smooth_in(band: tuple[float, float] | None, smooth: Smooth) -> Smooth:
+    """How motion is smoothed: where a band is given by the regression in it."""
+    if band is None:
+        return smooth
+    if smooth == "none":
+        raise InputError("band= is fitted by the band regression, smooth='band' or 'auto', not smooth='none'")
+    try:
+        low, high = (float(end) for end in band)
+    except (TypeError, ValueError):
+        raise InputError(f"band is a pair of frequencies [Hz], such as (0.5, 40), not {band!r}") from None
+    if not 0.0 <= low < high < np.inf:
+        raise InputError(f"band {low:g} to {high:g} Hz: give two frequencies, the lower one first, 0 or more")
+    return "band"
+
+
 def _prepared(
     records: list[Record], roles: Roles, smooth: Smooth, holdout: float, log: WarningLog
 ) -> tuple[list[Record], Roles, float]:
@@ -353,6 +378,8 @@ def _screened(
 def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:
     units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs)
     log.extend(conflicts, DataWarning)
+    if any(map(counts_rows, records)):  # derivatives that are not measured are per sample
+        return {name: unit for name, unit in units.items() if name in roles.channels}
     if roles.timed:
         units[TIME] = "s"
     return units

@@ -15,10 +15,13 @@ from typing import Any
 
 import click
 
+from bayeq.cli.completion import complete, completion
 from bayeq.cli.discover import discover
 from bayeq.cli.info import info
 from bayeq.cli.options import FILE, option
 from bayeq.cli.plan import plan
+from bayeq.cli.predict import predict
+from bayeq.cli.show import show
 from bayeq.cli.streams import prepare_streams, say
 from bayeq.cli.study import study
 from bayeq.errors import BayeqError, BayeqWarning, InputError, InterruptedRun, MissingExtraError
@@ -29,7 +32,7 @@ __all__ = ["app", "main"]
 INTERRUPTED = 130
 
 
-@click.group(invoke_without_command=True)
+@click.group(invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--version", is_flag=True, help="Print the version and stop.")
 @click.option("--cite", is_flag=True, help="Print what to cite, also as BibTeX, and stop.")
 @click.pass_context
@@ -99,7 +102,7 @@ def systems(as_json: bool) -> None:
         click.echo(f"    {', '.join(f'{k} = {v:g}' for k, v in s.parameters.items())}")
 
 
-for command in (discover, info, plan, simulate, systems, study):
+for command in (info, discover, show, predict, plan, simulate, systems, study, completion):
     app.add_command(command)
 
 
@@ -119,6 +122,8 @@ def main(arguments: list[str] | None = None) -> int:
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", BayeqWarning)
     try:
+        if arguments is None and (code := complete(app)) is not None:
+            return code
         with app.make_context("bayeq", sys.argv[1:] if arguments is None else list(arguments)) as context:
             app.invoke(context)
     except (InputError, MissingExtraError) as error:

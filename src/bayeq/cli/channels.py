@@ -8,7 +8,7 @@ from typing import Any
 
 from bayeq.errors import InputError
 
-__all__ = ["ROLES", "named_channels", "path_of"]
+__all__ = ["ROLES", "channel_name", "named_channels", "path_of"]
 
 ROLES = ("displacement", "velocity", "acceleration", "force")
 # An index of a path, which no name has.
@@ -44,6 +44,21 @@ def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str
     if out.get("chains"):
         out["chains"] = [named.parts(text) for text in out["chains"]]
     return out, named.paths if named.any_path else {}
+
+
+def channel_name(name: str) -> str:
+    """A channel by its name or by its header in the file, such as ``Displ. (m)``.
+
+    Examples
+    --------
+    >>> channel_name("x"), channel_name("Displ. (m)"), channel_name("x:v")
+    ('x', 'Displ', 'x:v')
+    """
+    if not name or name.isidentifier() or ":" in name:
+        return name
+    from bayeq.records import clean_name
+
+    return clean_name(name)[0]
 
 
 def path_of(text: str | None) -> str | None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayeq.cli.discover import COMPILING
 from bayeq.cli.options import FILE, option
+from bayeq.cli.progress import COMPILING
 from bayeq.cli.streams import say
 from bayeq.kernels import announce_compiling
 

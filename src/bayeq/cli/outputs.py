@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bayeq.cli.progress import Progress
 from bayeq.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from bayeq.equation.physical import PhysicalParameters
     from bayeq.records import Record
 
-__all__ = ["OUTPUTS", "Outputs", "require_place"]
+__all__ = ["OUTPUTS", "Outputs", "require_place", "show_equations"]
 
 # What a file is for, by option.
 PURPOSES = {
@@ -39,8 +40,9 @@ class Outputs:
     refine: bool
     physical: bool
     conditional: bool = False
+    explain: bool = False
 
-    def check(self, files: Sequence[Path], options: Mapping[str, Any]) -> None:
+    def check(self, files: Sequence[Path], options: Mapping[str, Any], as_json: bool = False) -> None:
         """Refuse, before the work, what could not be done after it.
 
         Parameters
@@ -49,6 +51,8 @@ class Outputs:
             Records that are read.
         options : mapping
             Of `bayeq.discover`, as they were given.
+        as_json : bool
+            Whether JSON is printed.
 
         Raises
         ------
@@ -56,6 +60,8 @@ class Outputs:
             A file that cannot be written, is one of the records or is named twice; a method or an order that does not
             go with what is asked for.
         """
+        if self.explain and as_json:
+            raise InputError("--explain explains the text, and --json prints none; leave one of them out")
         seen: dict[Path, str] = {}
         for name, purpose in PURPOSES.items():
             output: Path | None = getattr(self, name)
@@ -85,6 +91,10 @@ class Outputs:
 
     def check_records(self, records: Sequence[Record]) -> None:
         """Refuse records without time where it is needed."""
+        from bayeq.records import counts_rows
+
+        if self.physical and any(map(counts_rows, records)):
+            raise InputError("--physical: parameters are per second, and time is not known: give --fs or --time")
         if not self.refine and self.forecast is None:
             return
         from bayeq.forecast.rows import require_time
@@ -93,7 +103,9 @@ class Outputs:
             for record in records if wanted else ():
                 require_time(record, option)
 
-    def write(self, found: Equations, records: Sequence[Record], holdout: float, as_json: bool) -> None:
+    def write(
+        self, found: Equations, records: Sequence[Record], holdout: float, as_json: bool, progress: Progress
+    ) -> None:
         """Print the equations, then write the files.
 
         Each is done whatever becomes of the others: what was found is printed although a file cannot be written.
@@ -103,26 +115,18 @@ class Outputs:
         InputError
             Files that could not be written, and why.
         """
+        if self.refine:
+            progress("refining", 0, 1)
         answer = found.refine(records, holdout=holdout) if self.refine else found
+        progress.close()
         try:
-            self._print(answer, as_json)
+            show_equations(answer, as_json, self.conditional, self.physical, self.explain)
         finally:
-            self._write_files(found, answer, records, holdout)
+            self._write_files(found, answer, records, holdout, progress)
 
-    def _print(self, answer: Equations, as_json: bool) -> None:
-        if as_json:
-            out = answer.to_dict()
-            if self.physical:
-                out["physical"] = {target: _plain(parameters) for target, parameters in _physical(answer).items()}
-            click.echo(json.dumps(out, allow_nan=False))
-            return
-        from bayeq.equation.text import render
-
-        click.echo(render(answer, with_warnings=False, conditional=self.conditional))
-        for target, parameters in _physical(answer).items() if self.physical else ():
-            click.echo(f"\nphysical parameters, from the equation of {target}\n\n{parameters}")
-
-    def _write_files(self, found: Equations, answer: Equations, records: Sequence[Record], holdout: float) -> None:
+    def _write_files(
+        self, found: Equations, answer: Equations, records: Sequence[Record], holdout: float, progress: Progress
+    ) -> None:
         """Write the files that were named; sensitivity and path are about the regression, before any refinement."""
         failures = []
         for path, write in (
@@ -133,12 +137,32 @@ class Outputs:
         ):
             if path is None:
                 continue
+            progress(f"writing {path.name}", 0, 1)
             try:
                 write(path)
             except OSError as error:
                 failures.append(f"{path}: cannot be written: {error.strerror or error}")
         if failures:
             raise InputError("; ".join(failures))
+
+
+def show_equations(answer: Equations, as_json: bool, conditional: bool, physical: bool, explain: bool = False) -> None:
+    """Print equations as text, or as one JSON object."""
+    if as_json:
+        out = answer.to_dict()
+        if physical:
+            out["physical"] = {target: _plain(parameters) for target, parameters in _physical(answer).items()}
+        click.echo(json.dumps(out, allow_nan=False))
+        return
+    from bayeq.equation.text import render
+
+    click.echo(render(answer, with_warnings=False, conditional=conditional))
+    for target, parameters in _physical(answer).items() if physical else ():
+        click.echo(f"\nphysical parameters, from the equation of {target}\n\n{parameters}")
+    if explain:
+        from bayeq.equation.explain import explanation
+
+        click.echo(f"\n{explanation(answer, conditional)}")
 
 
 def _write_sensitivity(path: Path, found: Equations) -> None:

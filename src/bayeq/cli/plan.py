@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
-from bayeq.cli.discover import COMPILING, Progress
-from bayeq.cli.options import FILE, option
+from bayeq.cli.options import FILE, option, pair_of_numbers
 from bayeq.cli.outputs import require_place
+from bayeq.cli.progress import COMPILING, Progress
 from bayeq.cli.streams import say
 from bayeq.errors import InputError
 from bayeq.kernels import announce_compiling
@@ -61,7 +61,7 @@ def plan(
     _check_outputs(file, figure, output)
     given = {
         "amplitude": _amplitude(amplitudes),
-        "band": None if band is None else _pair("--band", band),
+        "band": None if band is None else pair_of_numbers("--band", band),
         "noise": _by_name("--noise", noises),
         "limits": _by_name("--limit", limits),
     }
@@ -107,14 +107,6 @@ def _number(where: str, text: str) -> float:
         raise InputError(f"{where}: {text!r} is no number") from None
 
 
-def _pair(where: str, text: str) -> tuple[float, float]:
-    """``LO:HI``."""
-    low, colon, high = text.partition(":")
-    if not colon:
-        raise InputError(f"{where} {text!r}: give two numbers with a colon between, as in 1:50")
-    return _number(where, low), _number(where, high)
-
-
 def _split(where: str, text: str) -> tuple[str, str]:
     """``name=value``."""
     name, equals, value = (part.strip() for part in text.partition("="))
@@ -136,7 +128,7 @@ def _amplitude(texts: Sequence[str]) -> Any:
     """A number, a range, or a mapping of them by input."""
 
     def value(text: str) -> float | tuple[float, float]:
-        return _pair("--amplitude", text) if ":" in text else _number("--amplitude", text)
+        return pair_of_numbers("--amplitude", text) if ":" in text else _number("--amplitude", text)
 
     if not texts:
         return None

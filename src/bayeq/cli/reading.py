@@ -1,85 +1,317 @@
-"""Files to records, as the options of a command say."""
+"""Files to records, as the options about reading say, which `discover` and `predict` have in common.
+
+In this order: the file is read (lines passed over, units, time), joined with others, rows are taken, offsets removed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
+from bayeq.cli.channels import channel_name, path_of
+from bayeq.cli.options import ALTERED, MEASURED, option
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from bayeq.records import Record
 
-__all__ = ["join_records", "read_records"]
+__all__ = ["STANDARD_INPUT", "Reading", "reading_options"]
+
+#: The argument that means standard input, and what messages call it.
+STANDARD_INPUT = Path("-")
+_CALLED = "standard input"
+
+_ROWS = re.compile(r"\s*(-?\d{1,18})?\s*:\s*(-?\d{1,18})?\s*")
+
+_OPTIONS = (
+    option("--time", group=MEASURED, help="Time column [s], or the path of an array."),
+    option("--fs", group=MEASURED, type=float, help="Sampling frequency [Hz], where there is no time column."),
+    option(
+        "--units",
+        group=MEASURED,
+        multiple=True,
+        help="Units of channels, x=mm,a=g, instead of those in the file; also that of the time column (t=ms).",
+    ),
+    option("--names", group=MEASURED, help="Column names, separated by commas, for a file without header."),
+    option("--skip", group=MEASURED, type=int, default=0, help="Lines at the top of a text file that are passed over."),
+    option("--group", group=MEASURED, help="Column that numbers the trials within a file."),
+    option(
+        "--join",
+        group=MEASURED,
+        is_flag=True,
+        help="FILE... are channels of one motion: join them on the time of the first.",
+    ),
+    option("--rows", group=ALTERED, help="Rows that are used, A:B as in Python, of each record: 0:2000, 500:, :-100."),
+    option(
+        "--remove-offset",
+        "offsets",
+        group=ALTERED,
+        multiple=True,
+        help="Subtract a value from a channel, x=0.2, or its mean over the rows that are used, x. Once per channel.",
+    ),
+)
 
 
-def read_records(
-    file: Path, used: Sequence[str], paths: Mapping[str, str], options: Mapping[str, Any], some: bool = False
-) -> list[Record]:
-    """The records of a file.
+def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorate a command with the options about reading, which `Reading.of` takes."""
+    for add in reversed(_OPTIONS):
+        command = add(command)
+    return command
 
-    Parameters
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the options say about reading.
+
+    Attributes
     ----------
-    file : Path
-        The file.
-    used : list of str
-        Channels that are used; others need not be numbers.
-    paths : mapping of str to str
-        Paths of channels, if any are named so.
-    options : mapping
-        `time`, `fs`, `names` and `group` of `bayeq.read`.
-    some : bool
-        Whether the file may lack some of the channels, which are in other files.
-
-    Raises
-    ------
-    InputError
-        A file that cannot be read, a channel that is not there, a rate that contradicts the file.
+    time, group : str or None
+        The columns that are time, and the number of the trial.
+    fs : float or None
+        Sampling rate [Hz].
+    names : list of str or None
+        Names of the columns.
+    join : bool
+        Whether the files are channels of one motion.
+    units : mapping of str to str
+        Units of channels.
+    skip : int
+        Lines at the top of text files.
+    rows : slice or None
+        Of each record.
+    offsets : mapping of str to (float or None)
+        By channel what is subtracted, None for the mean.
     """
-    from bayeq.records import read
-    from bayeq.records.names import is_time_name
 
-    names = options["names"]
-    options = {**options, "names": None if names is None else [name.strip() for name in names.split(",")]}
-    found: Record | list[Record]
-    if some:
-        found = _read_those_there(file, dict(paths) or {name: name for name in used}, options)
-    elif paths:
-        found = read(file, channels=paths, **options)
-        if options["fs"] is not None:
-            _require_rate_of_file(file, paths, options)
-    else:
+    time: str | None = None
+    fs: float | None = None
+    names: list[str] | None = None
+    group: str | None = None
+    join: bool = False
+    units: Mapping[str, str] = field(default_factory=dict)
+    skip: int = 0
+    rows: slice | None = None
+    offsets: Mapping[str, float | None] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, options: dict[str, Any]) -> Self:
+        """Take the options about reading out of all options of a command.
+
+        Raises
+        ------
+        InputError
+            One that is badly written.
+        """
+        names = options.pop("names")
+        skip = options.pop("skip")
+        if skip < 0:
+            raise InputError(f"--skip {skip}: give a number of lines, 0 or more")
+        return cls(
+            time=path_of(options.pop("time")),
+            fs=options.pop("fs"),
+            names=None if names is None else [name.strip() for name in names.split(",")],
+            group=path_of(options.pop("group")),
+            join=options.pop("join"),
+            units=_units(options.pop("units")),
+            skip=skip,
+            rows=_rows(options.pop("rows")),
+            offsets=_offsets(options.pop("offsets")),
+        )
+
+    def records(
+        self,
+        files: Sequence[Path],
+        used: Sequence[str],
+        paths: Mapping[str, str],
+        progress: Callable[[str, int, int], None],
+    ) -> list[Record]:
+        """The records of the files.
+
+        Parameters
+        ----------
+        files : sequence of Path
+            ``-`` is standard input.
+        used : list of str
+            Channels that are used; others need not be numbers.
+        paths : mapping of str to str
+            Paths of channels, if any are named so.
+        progress : callable
+            Called with (stage, done, total).
+
+        Raises
+        ------
+        InputError
+            A file that is named twice or cannot be read, a channel that is not there, a rate that contradicts the file,
+            rows that are not there.
+        """
+        from bayeq.records import with_row_numbers
+
+        _require_different(files)
+        wanted = list(dict.fromkeys([*used, *self.offsets]))
+        parts: list[list[Record]] = []
+        for k, file in enumerate(files):
+            progress("reading", k, len(files))
+            with _opened(file) as path:
+                parts.append(self._read(path, wanted, paths))
+        self._require_units_used(parts)
+        records = _join(parts) if self.join else [record for part in parts for record in part]
+        return with_row_numbers([self._altered(record) for record in records])
+
+    def _altered(self, record: Record) -> Record:
+        """The rows that are used, without offsets."""
+        from bayeq.records import remove_offset
+
+        if self.rows is not None:
+            chosen = range(record.n)[self.rows]
+            if not len(chosen):
+                first, last = (("" if end is None else end) for end in (self.rows.start, self.rows.stop))
+                raise InputError(f"{record.name}: --rows {first}:{last} leaves none of {record.n} rows")
+            record = record.take(self.rows)
+        for name, value in self.offsets.items():
+            record = remove_offset(record, name, value)
+        return record
+
+    def _read(self, file: Path, used: Sequence[str], paths: Mapping[str, str]) -> list[Record]:
+        """The records of one file."""
+        from bayeq.records import read
+        from bayeq.records.names import is_time_name
+
+        options: dict[str, Any] = {
+            "time": self.time, "fs": self.fs, "names": self.names, "group": self.group, "units": self.units,
+            "skip": self.skip,
+        }  # fmt: skip
+        found: Record | list[Record]
+        if self.join:
+            found = _read_those_there(file, dict(paths) or {name: name for name in used}, options)
+        elif paths:
+            found = read(file, channels=paths, **options)
+            if self.fs is not None:
+                _require_rate_of_file(file, paths, options)
+        else:
+            try:
+                found = read(file, **options)
+            except FileFormatError:
+                # Perhaps it is in a column that is not used, where words are welcome.
+                found = read(file, columns=[*used, *self.units] if used else None, **options)
+        records = found if isinstance(found, list) else [found]
+        if self.fs is not None:
+            for record in records:
+                for name in filter(is_time_name, record.names):
+                    _require_rate(record, name)
+        return records
+
+    def _require_units_used(self, parts: Sequence[Sequence[Record]]) -> None:
+        """Refuse a unit of a channel that none of the files that are joined has."""
+        if not self.join:
+            return
+        known = sorted({name for part in parts for record in part for name in record.names})
+        for name in self.units:
+            if channel_name(name) not in known and name not in ("t", self.time):
+                raise UnknownNameError("channel", name, known, "--units")
+
+
+def _units(texts: Sequence[str]) -> dict[str, str]:
+    """Units by channel, from ``x=mm,a=g``."""
+    from bayeq.records.units import require_unit
+
+    out: dict[str, str] = {}
+    for text in texts:
+        for part in text.split(","):
+            name, equals, unit = (one.strip() for one in part.partition("="))
+            if not (name and equals and unit):
+                raise InputError(f"--units {part.strip()[:60]!r}: write a channel and its unit, such as x=mm")
+            if name in out:
+                raise InputError(f"--units: the unit of {name!r} is given twice, {out[name]} and {unit}")
+            require_unit(unit, f"--units {name}={unit}")
+            out[name] = unit
+    return out
+
+
+def _rows(text: str | None) -> slice | None:
+    if text is None:
+        return None
+    match = _ROWS.fullmatch(text)
+    if match is None:
+        raise InputError(
+            f"--rows {text[:60]!r}: write A:B as in Python, counted from 0: 0:2000 are the first 2000 rows, 500: all"
+            " but the first 500, :-100 all but the last 100"
+        )
+    first, last = (None if end is None else int(end) for end in match.groups())
+    return slice(first, last)
+
+
+def _offsets(texts: Sequence[str]) -> dict[str, float | None]:
+    out: dict[str, float | None] = {}
+    for text in texts:
+        name, equals, number = (part.strip() for part in text.partition("="))
+        if not name or (equals and not number):
+            raise InputError(f"--remove-offset {text[:60]!r}: write a channel, x, or a channel and a value, x=0.2")
+        channel = channel_name(name)
+        if channel in out:
+            raise InputError(f"--remove-offset: {channel!r} is named twice")
         try:
-            found = read(file, **options)
-        except FileFormatError:
-            # Perhaps it is in a column that is not used, where words are welcome.
-            found = read(file, columns=used or None, **options)
-    records = found if isinstance(found, list) else [found]
-    if options["fs"] is not None:
-        for record in records:
-            for name in filter(is_time_name, record.names):
-                _require_rate(record, name)
-    return records
+            out[channel] = float(number) if equals else None
+        except ValueError:
+            raise InputError(f"--remove-offset {name}: {number[:60]!r} is no number") from None
+    return out
+
+
+def _require_different(files: Sequence[Path]) -> None:
+    for k, file in enumerate(files):
+        if file == STANDARD_INPUT:
+            again = STANDARD_INPUT in files[:k]
+        else:
+            again = file.exists() and any(other.exists() and file.samefile(other) for other in files[:k])
+        if again:
+            raise InputError(f"{file}: named twice; the same rows twice are not twice the evidence")
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[Path]:
+    """The file; of standard input a copy, which is read as often as it takes, named so in messages."""
+    if file != STANDARD_INPUT:
+        yield file
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / _CALLED
+        source = getattr(sys.stdin, "buffer", None)
+        if source is None:
+            copy.write_text(sys.stdin.read(), encoding="utf-8")
+        else:
+            with copy.open("wb") as out:
+                shutil.copyfileobj(source, out)
+        try:
+            yield copy
+        except InputError as error:
+            raise InputError(str(error).replace(f"{folder}/", "")) from None
 
 
 def _read_those_there(file: Path, paths: dict[str, str], options: Mapping[str, Any]) -> Record | list[Record]:
-    """The channels that a file has, of those of several files."""
+    """The channels that a file has, of those of several files, and their units."""
     from bayeq.records import read
 
+    units = dict(options["units"])
     while paths:
         try:
-            return read(file, channels=paths, **options)
+            return read(file, channels=paths, **{**options, "units": units})
         except UnknownNameError as error:
             lacking = [name for name, path in paths.items() if path == error.name]
-            if not lacking:
+            if not lacking and error.name not in units:
                 raise
+            units.pop(error.name, None)
             for name in lacking:
                 del paths[name]
     raise InputError(f"{file}: none of the channels named is in it")
 
 
-def join_records(parts: Sequence[Sequence[Record]]) -> list[Record]:
+def _join(parts: Sequence[Sequence[Record]]) -> list[Record]:
     """Join the records of several files, the first of each with the first of the others and so on."""
     from bayeq.records import join
 

@@ -10,7 +10,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict
 from bayeq.forecast.results import Scores
 from bayeq.plan.measured import Measured
-from bayeq.records import Record
+from bayeq.records import Record, counts_rows
 from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.states import Chain, Motion, Sensors, Smooth
@@ -40,6 +40,12 @@ class DataSummary:
         Rates and ranges, for the plan of a next measurement.
     sensors : Sensors
         What was known of the channels.
+    seconds : float or None
+        Length of all records together [s]; None where time is not known.
+    rows_as_time : bool
+        Whether the number of the row was taken for time, which was not known: coefficients are per sample.
+    band : (float, float) or None
+        Frequencies [Hz] between which the equations were to be fitted.
     """
 
     files: tuple[str, ...]
@@ -52,11 +58,21 @@ class DataSummary:
     refitted: bool = False
     measured: Measured = field(default_factory=Measured)
     sensors: Sensors = field(default_factory=Sensors)
+    seconds: float | None = None
+    rows_as_time: bool = False
+    band: tuple[float, float] | None = None
+
+    @property
+    def fs(self) -> float | None:
+        """Sampling rate [Hz] of the longest record; None where time is not known."""
+        return None if self.rows_as_time else self.measured.fs
 
     @classmethod
     def of(cls, records: Sequence[Record], motion: Motion, refitted: bool = False) -> Self:
         """The summary of some records and their motion."""
         used, held_out = motion.counts
+        rows_as_time = any(map(counts_rows, records))
+        lengths = [0.0 if record.fs is None else record.n / record.fs for record in records]
         return cls(
             files=tuple(dict.fromkeys(record.name for record in records)),
             n=used + held_out,
@@ -68,6 +84,9 @@ class DataSummary:
             refitted=refitted,
             measured=Measured.of(records, motion.roles.measured, motion.roles.inputs),
             sensors=motion.sensors,
+            seconds=None if rows_as_time or not motion.timed else sum(lengths),
+            rows_as_time=rows_as_time,
+            band=motion.band,
         )
 
 

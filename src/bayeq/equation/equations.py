@@ -22,7 +22,7 @@ from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError, UnknownNameError
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
-from bayeq.records import Record
+from bayeq.records import Record, with_row_numbers
 from bayeq.records.atomic import replacing
 from bayeq.refine.results import Refinement
 from bayeq.regression.constraints import Constraints, parse_constraints
@@ -260,7 +260,7 @@ class Equations:
         """
         if not isinstance(record, Record):
             raise InputError(f"predict needs a Record (bayeq.read reads a file), not {type(record).__name__}")
-        (record,) = prepared([record], self.roles, self.smooth, self.warnings)
+        (record,) = prepared(self._timed([record]), self.roles, self.smooth, self.warnings)
         columns = rows_of_record(record, self.roles, self.smooth, self.data.sensors)
         parts = [equation.predict(columns, return_std) for equation in self.equations]
         if len(parts) == 1:
@@ -317,6 +317,8 @@ class Equations:
         """
         from bayeq.forecast.run import forecast
 
+        if isinstance(record, Record):
+            (record,) = self._timed([record])
         if isinstance(record, Record) and all(name in record.channels for name in self.roles.channels):
             (record,) = prepared([record], self.roles, self.smooth, self.warnings)
         return forecast(
@@ -370,7 +372,7 @@ class Equations:
         """
         from bayeq.forecast.score import score_records
 
-        pieces = _as_list(records, "score")
+        pieces = self._timed(_as_list(records, "score"))
         # rows that are named are counted in whole records
         pieces = prepared(pieces, self.roles, self.smooth, self.warnings, divide=start is None)
         return score_records(
@@ -441,7 +443,7 @@ class Equations:
         from bayeq.refine.output_error import Unrefined
         from bayeq.refine.refine import refine
 
-        pieces = _as_list(records, "refine")
+        pieces = self._timed(_as_list(records, "refine"))
         check_interpolation(interpolation)
         if not 0 <= holdout < 1:
             raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
@@ -475,6 +477,10 @@ class Equations:
             scores=found.scores,
             refined=found.summary,
         )
+
+    def _timed(self, records: Sequence[Record]) -> list[Record]:
+        """Records with row numbers as time, if that of the equations is such and theirs is not known either."""
+        return with_row_numbers(records) if self.data.rows_as_time else list(records)
 
     def plan(
         self,
@@ -603,10 +609,14 @@ class Equations:
         Raises
         ------
         InputError
-            An equation that is not of second order, or without a restoring term.
+            An equation that is not of second order, or without a restoring term; a record whose time is not known.
         """
         from bayeq.equation.physical import physical_parameters
 
+        if self.data.rows_as_time:
+            raise InputError(
+                "physical parameters are per second, and time is not known: give the sampling rate (fs=, --fs)"
+            )
         equation = _oscillator(self, target)
         span = self.data.measured.ranges.get(equation.chain.names[0])
         if span and not span[0] <= 0.0 <= span[1] and equation.verdict.kind in ("none", "not determined"):

@@ -111,6 +111,9 @@ def _restore(content: Mapping[str, Any]) -> Equations:
             refitted=bool(data.get("refitted", False)),
             measured=_restored_measured(data.get("measured")),
             sensors=_restored_sensors(data, equations),
+            seconds=None if data.get("seconds") is None else float(data["seconds"]),
+            rows_as_time=bool(data.get("rows_as_time", False)),
+            band=_restored_band(data.get("band")),
         ),
         dropped=tuple(DroppedTerm(d["name"], d["reason"]) for d in diagnostics["dropped_terms"]),
         warnings=tuple(str(w) for w in diagnostics["warnings"]),
@@ -129,6 +132,15 @@ def _restored_sensors(data: Mapping[str, Any], equations: Sequence[Equation]) ->
     roles = Roles(tuple(equation.chain for equation in equations), tuple(str(name) for name in data["inputs"]))
     check_sensors(sensors.noise, sensors.gain_sd, roles)
     return sensors
+
+
+def _restored_band(saved: Sequence[float] | None) -> tuple[float, float] | None:
+    if saved is None:
+        return None
+    low, high = (float(end) for end in saved)
+    if not 0.0 <= low < high < math.inf:
+        raise ValueError(f"a band of {low!r} to {high!r} Hz")
+    return low, high
 
 
 def _numbers(saved: Mapping[str, Any] | None) -> dict[str, float]:

@@ -7,13 +7,10 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 from bayeq.errors import InputError
-from bayeq.records.units import SIZES, Unit, derivative_ratio, multiply_units, parse_unit
+from bayeq.records.units import FORCES, SIZES, Unit, derivative_ratio, multiply_units, parse_unit
 from bayeq.states import Chain
 
 __all__ = ["OscillatorUnits"]
-
-# Units of force in newtons.
-FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "lbf": 4.4482216152605}
 
 # Products of SI units that have a shorter name.
 SHORTER: Mapping[str, str] = {"N*s^2/m": "kg", "N*m*s^2": "kg*m^2"}

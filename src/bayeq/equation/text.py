@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from collections.abc import Mapping
 from math import isclose
 from typing import Any
 
@@ -15,6 +16,7 @@ from rich.table import Table
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation, round_to
+from bayeq.equation.short_names import short_names, with_names
 from bayeq.equation.size_path import percent
 from bayeq.forecast.results import Scores, percentages
 from bayeq.inference.engines import ENGINES
@@ -25,7 +27,10 @@ __all__ = ["render"]
 
 # Candidates that are not included are listed from this PIP on.
 NOTEWORTHY_PIP = 0.01
-PLAIN_WIDTH = 110
+# No table is as wide: in a pipe none is broken.
+WIDE = 10_000
+# Longer names are shortened in tables; to half of this on terminals with less columns than these.
+LONGEST_NAME, ROOMY = 24, 110
 
 # Discrepancies below this share of the target are below any effect.
 LEAST_SHOWN = 1e-3
@@ -56,7 +61,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     terminal = sys.stdout.isatty()
     buffer = io.StringIO()
     console = Console(
-        file=buffer, force_terminal=terminal, no_color=not terminal, width=None if terminal else PLAIN_WIDTH,
+        file=buffer, force_terminal=terminal, no_color=not terminal, width=None if terminal else WIDE,
         highlight=False, soft_wrap=True,
     )  # fmt: skip
     console.print(f"verdict: {escape(str(eq.verdict))}\n")
@@ -67,7 +72,10 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     used = f"{eq.data.n_train} used"
     if eq.data.refitted:
         used = f"all used; fits and free runs on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
-    console.print(f"{eq.data.n} rows{source}, {used}; method: {ENGINES[eq.method].title}")
+    console.print(f"{eq.data.n} rows{_rate(eq)}{source}, {used}; method: {ENGINES[eq.method].title}")
+    if eq.data.band is not None:
+        low, high = eq.data.band
+        console.print(f"band: spectra between {low:g} and {high:g} Hz were fitted, by the band regression")
     if eq.data.estimated:
         how = "smoothing" if eq.data.smoothed else "central differences"
         console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
@@ -92,20 +100,26 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
 
 
+def _rate(eq: Answer) -> str:
+    """Rate and length of the records, as far as known."""
+    if eq.data.rows_as_time:
+        return ", time not known,"
+    if eq.data.fs is None or eq.data.seconds is None:
+        return ""
+    return f" at {eq.data.fs:.6g} Hz, {eq.data.seconds:.4g} s,"
+
+
 def _render_equation(
     console: Console, equation: Equation, method: str, scores: Scores | None, terminal: bool, conditional: bool
 ) -> None:
     console.print(f"[bold]{escape(equation.text)}[/bold]\n")
-    table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
-    table.add_column("term")
-    for name in ("coefficient", "sd", "95 % interval", ENGINES[method].score):
-        table.add_column(name, justify="right")
-    extra = _extra_columns(equation)
-    for name in extra:
-        table.add_column(name, justify="left" if name == "unit" else "right")
-    for k, row in enumerate(_rows(equation, conditional)):
-        table.add_row(*row, *(values[k] for values in extra.values()))
-    console.print(table)
+    names = short_names(
+        [equation.terms[j].text for j in _listed(equation)],
+        LONGEST_NAME if console.width >= ROOMY else LONGEST_NAME // 2,
+    )
+    _print_table(console, equation, ENGINES[method].score, terminal, conditional, names)
+    if names:
+        console.print(escape(f"\nin the table: {', '.join(f'{short} is {name}' for name, short in names.items())}"))
     if not conditional and (equation.printed_over_models.any() or equation.intercept_over_models):
         console.print(f"\n{MARK} {OVER_MODELS}")
     rest = len(equation.terms) - len(_listed(equation))
@@ -151,6 +165,29 @@ def _differences(equation: Equation, score: str) -> list[str]:
     if equation.full_text is not None:
         out.append(f"full model: {equation.full_text}")
     return out
+
+
+def _print_table(
+    console: Console, equation: Equation, score: str, terminal: bool, conditional: bool, names: Mapping[str, str]
+) -> None:
+    """The table of terms, without units and shares of variance where a terminal is too narrow for them."""
+    extra, left_out = _extra_columns(equation), list[str]()
+    while True:
+        table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
+        table.add_column("term", overflow="fold")
+        for name in ("coefficient", "sd", "95 % interval", score):
+            table.add_column(name, justify="right", no_wrap=True)
+        for name in extra:
+            table.add_column(name, justify="left" if name == "unit" else "right", no_wrap=True)
+        for k, (term, *row) in enumerate(_rows(equation, conditional)):
+            table.add_row(with_names(term, names), *row, *(values[k] for values in extra.values()))
+        needed = console.measure(table, options=console.options.update(width=WIDE)).maximum
+        if not (terminal and extra and needed > console.width):
+            break
+        left_out.insert(0, extra.popitem()[0])
+    console.print(table)
+    if left_out:
+        console.print(f"\n{' and '.join(left_out)}: not shown, for want of width")
 
 
 def _undetermined(equation: Equation) -> str:

@@ -12,6 +12,7 @@ from bayeq.records.join import join
 from bayeq.records.names import RESERVED, clean_name, clean_names
 from bayeq.records.record import Record
 from bayeq.records.repair import correct_delay, remove_offset
+from bayeq.records.row_numbers import SAMPLES, UNKNOWN_TIME, counts_rows, with_row_numbers
 from bayeq.records.sources import as_record, as_records
 from bayeq.records.truth import FloatArray, Truth
 
@@ -22,7 +23,9 @@ __all__ = [
     "Format",
     "Record",
     "RESERVED",
+    "SAMPLES",
     "Truth",
+    "UNKNOWN_TIME",
     "as_record",
     "as_records",
     "clean_name",
@@ -30,9 +33,11 @@ __all__ = [
     "check_record",
     "clean_names",
     "correct_delay",
+    "counts_rows",
     "join",
     "read",
     "remove_offset",
     "split_at_gaps",
+    "with_row_numbers",
     "write",
 ]

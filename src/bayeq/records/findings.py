@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bayeq.records.consistency import Frames, Relation, relate, shift_of, uniform_frames
 from bayeq.records.record import Record
+from bayeq.records.row_numbers import counts_rows
 from bayeq.records.units import derivative_ratio
 
 __all__ = ["Clipping", "Finding", "check_messages", "check_record", "clipped_levels", "equal_runs"]
@@ -232,6 +233,11 @@ def _signs(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> li
 def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
     # what the units say: x in mm makes v in m/s a thousandth of dx/dt
     stated = [_stated_gain(record, p, q, high - low) for (low, p), (high, q) in pairwise(measured)]
+    if counts_rows(record):
+        (low, p), (high, q) = measured[:2]
+        rate = (links[0].gain / stated[0]) ** (1.0 / (high - low))
+        message = f"{p} and {q} go together at {rate:.4g} samples per second, if their units do: give the rate"
+        return [Finding("gain", (q, p), message, links[0].gain)]
     steps = [math.log(link.gain / expected) for link, expected in zip(links, stated, strict=True)]
     found = []
     for k, other, difference in _odd_ones(steps, [_undecided(link) for link in links], math.log(LEAST_GAIN)):

@@ -12,7 +12,7 @@ from bayeq.errors import FileFormatError, InputError
 from bayeq.records.assemble import assemble
 from bayeq.records.atomic import replacing
 from bayeq.records.columns import Columns
-from bayeq.records.formats import format_of, writers
+from bayeq.records.formats import format_of, gz, text, writers
 from bayeq.records.formats.nested import read_pieces
 from bayeq.records.record import Record
 from bayeq.records.request import STAR, Request
@@ -26,18 +26,19 @@ Names = Sequence[str] | str | None
 def read(
     path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
     units: Mapping[str, str] | None = None, group: None = None, columns: Names = None, channels: None = None,
+    skip: int = 0,
 ) -> Record: ...  # fmt: skip
 @overload
 def read(
     path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
     units: Mapping[str, str] | None = None, group: str, columns: Names = None,
-    channels: Mapping[str, str] | None = None,
+    channels: Mapping[str, str] | None = None, skip: int = 0,
 ) -> list[Record]: ...  # fmt: skip
 @overload
 def read(
     path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
     units: Mapping[str, str] | None = None, group: str | None = None, columns: Names = None,
-    channels: Mapping[str, str] | None = None,
+    channels: Mapping[str, str] | None = None, skip: int = 0,
 ) -> Record | list[Record]: ...  # fmt: skip
 def read(
     path: str | os.PathLike[str],
@@ -49,6 +50,7 @@ def read(
     group: str | None = None,
     columns: Names = None,
     channels: Mapping[str, str] | None = None,
+    skip: int = 0,
 ) -> Record | list[Record]:
     """Read measured channels from a file.
 
@@ -80,6 +82,8 @@ def read(
     channels : mapping of str to str, optional
         The same with new names: ``{"th": "Y_id[0].0"}`` calls a row of an array th. ``Y_id[*].0`` is one record for
         each cell.
+    skip : int, optional
+        Lines at the top of a text file that are passed over, for a preamble that is not recognised.
 
     Returns
     -------
@@ -113,7 +117,7 @@ def read(
     path = Path(path)
     request = Request(columns, dict(channels or {}), time, group, fs)
     try:
-        pieces = _pieces(path, request, names if names is None or isinstance(names, str) else list(names))
+        pieces = _pieces(path, request, names if names is None or isinstance(names, str) else list(names), skip)
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or type(error).__name__
         raise FileFormatError(f"{path}: cannot be read ({reason})") from None
@@ -128,10 +132,12 @@ def read(
     return records if starred or group is not None else records[0]
 
 
-def _pieces(path: Path, request: Request, names: list[str] | str | None) -> list[tuple[Request, Columns]]:
+def _pieces(path: Path, request: Request, names: list[str] | str | None, skip: int) -> list[tuple[Request, Columns]]:
     """The columns that are asked for; of each array where a path has ``[*]``."""
     _require_file(path)
     row = format_of(path)
+    if skip and row.flat not in (text, gz):
+        raise InputError(f"{path}: is {row.title}: only lines of delimited text can be passed over; leave out skip")
     if row.nested is not None:
         return read_pieces(row.nested.channels(path), str(path), request, names)
     starred = [name for name in (*(request.names or ()), request.time or "") if STAR in name]
@@ -139,6 +145,9 @@ def _pieces(path: Path, request: Request, names: list[str] | str | None) -> list
         raise InputError(f"{path}: {starred[0]!r}: the file is one table, without arrays to count; leave out {STAR}")
     if row.flat is None:
         raise InputError(f"{path}: {row.title} cannot be read")
+    if skip:
+        lines = gz if row.flat is gz else text
+        return [(request, lines.read_columns(path, names=names, chosen=request.rows, skip=skip))]
     return [(request, row.flat.read_columns(path, names=names, chosen=request.rows))]
 
 

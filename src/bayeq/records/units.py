@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Mapping
 from fractions import Fraction
 
-__all__ = ["Unit", "derivative_ratio", "multiply_units", "parse_unit"]
+from bayeq.errors import InputError
+
+__all__ = ["Unit", "conversion", "derivative_ratio", "multiply_units", "parse_unit", "require_unit"]
 
 # Exponents of symbols, in the order in which they occur.
 Unit = dict[str, Fraction]
@@ -24,6 +27,76 @@ SIZES: Mapping[str, tuple[float, int, int]] = {
     "rev": (2 * math.pi, 0, 0), "rpm": (2 * math.pi / 60, 0, -1), "s": (1.0, 0, 1), "sec": (1.0, 0, 1),
     "ms": (1e-3, 0, 1), "min": (60.0, 0, 1), "h": (3600.0, 0, 1), "g": (9.80665, 1, -2),
 }  # fmt: skip
+
+#: Units of force in newtons.
+FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "lbf": 4.4482216152605}
+
+# Symbols that measurements are labelled with: these, and those of `SIZES`. Of the first with the usual prefixes.
+_WITH_PREFIXES = "m s N Nm Pa V A W J C T F Hz ohm Ohm Ω rad strain bar"
+_PREFIXES = " n u µ μ m c d k M G"
+_OTHERS = """
+    kg mg t lb lbf lbs oz kip slug psi ksi mi yd mil mph kph kn gn g0 K degC degF °C °F L l ml gal S mol cd lx lm dB
+    dBA % ppm ppb eps ue με µε count counts cts LSB bit bits FS px pixel pixels turn gon grad arcsec arcmin msec usec
+    d day days year years
+"""
+_KNOWN = frozenset(
+    {
+        *(prefix + base for base in _WITH_PREFIXES.split() for prefix in _PREFIXES.split(" ")),
+        *_OTHERS.split(),
+        *SIZES,
+        *FORCES,
+    }
+)
+
+
+def require_unit(text: str, where: str) -> None:
+    """Check that a unit is made of symbols that measurements are labelled with.
+
+    Parameters
+    ----------
+    text : str
+        The unit.
+    where : str
+        What gave it, for the message.
+
+    Raises
+    ------
+    InputError
+        An unknown symbol; the message offers the nearest that are known.
+
+    Examples
+    --------
+    >>> require_unit("m/s^2", "--units a=m/s^2")
+    """
+    for symbol in parse_unit(text):
+        if symbol in _KNOWN:
+            continue
+        near = difflib.get_close_matches(symbol, sorted(_KNOWN), n=3, cutoff=0.5)
+        offered = f"; did you mean {' or '.join(near)}?" if near else "; write it as mm, m/s^2, g, kN or deg/s, say"
+        raise InputError(f"{where}: {symbol[:40]!r} is no unit that is known{offered}")
+
+
+def conversion(stated: str, wanted: str) -> float | None:
+    """By what numbers in one unit are multiplied to be in another; None where that is not known.
+
+    Examples
+    --------
+    >>> conversion("mm", "m"), conversion("g", "m/s^2"), conversion("kN", "N"), conversion("m", "N")
+    (0.001, 9.80665, 1000.0, None)
+    """
+    first, second = parse_unit(stated), parse_unit(wanted)
+    if first == second:
+        return 1.0
+    factor = 1.0
+    for unit, sign in ((first, 1), (second, -1)):
+        for symbol in [one for one in unit if one in FORCES and one != "N"]:
+            factor *= FORCES[symbol] ** float(sign * unit[symbol])
+            multiply_units(unit, {symbol: -unit[symbol], "N": unit[symbol]})
+    if first == second:
+        return factor
+    ratio = multiply_units(first, second, -1)
+    size = _size(ratio)
+    return None if size is None else factor * size
 
 
 def parse_unit(text: str) -> Unit:
@@ -81,7 +154,11 @@ def derivative_ratio(below: str, above: str, order: int) -> float | None:
     >>> derivative_ratio("mm", "m/s", 1), derivative_ratio("m", "m/s^2", 2), derivative_ratio("m", "N", 2)
     (0.001, 1.0, None)
     """
-    ratio = multiply_units(multiply_units(parse_unit(below), {"s": Fraction(-order)}), parse_unit(above), -1)
+    return _size(multiply_units(multiply_units(parse_unit(below), {"s": Fraction(-order)}), parse_unit(above), -1))
+
+
+def _size(ratio: Unit) -> float | None:
+    """The number that a ratio of units is; None of one that is no number, or of symbols that are not known."""
     size, length, time = 1.0, Fraction(0), Fraction(0)
     for symbol, power in ratio.items():
         if symbol not in SIZES:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.errors import InputError
 from bayeq.gram import Gram
 from bayeq.gram.band import (
     MOST_NOISE,
@@ -205,6 +206,11 @@ def regress_in_band(design: Design, k: int) -> InBand | None:
     -------
     InBand or None
         None where nothing was smoothed, records are not sampled uniformly, or the band holds too few numbers.
+
+    Raises
+    ------
+    InputError
+        The band that was asked for holds too few numbers.
     """
     motion = design.motion
     if not motion.smoothing or any(s.fs is None for s in motion.smoothing):
@@ -229,7 +235,19 @@ def regress_in_band(design: Design, k: int) -> InBand | None:
     filtered = unsmoothed(design.terms, motion.roles.chains)
     spans = [smoothing.band for smoothing in motion.smoothing]
     span = max(low for low, _ in spans), min(high for _, high in spans)
-    return weighted_gram(pieces, design.names, motion.smoothing[k], span, filtered, noise)
+    if motion.band is None:
+        return weighted_gram(pieces, design.names, motion.smoothing[k], span, filtered, noise)
+    low, high = max(span[0], motion.band[0]), min(span[1], motion.band[1])
+    found = None
+    if low < high:
+        found = weighted_gram(pieces, design.names, motion.smoothing[k], (low, high), filtered, noise)
+    if found is None:
+        raise InputError(
+            f"the band {motion.band[0]:g} to {motion.band[1]:g} Hz holds too few lines of the spectra for a regression:"
+            f" {chain.target} follows the motion between {span[0]:.3g} and {span[1]:.3g} Hz; widen the band, or leave"
+            " it out"
+        )
+    return found
 
 
 def without_noise(gram: Gram, noise: Mapping[int, float]) -> Gram:

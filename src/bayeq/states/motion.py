@@ -105,6 +105,8 @@ class Motion:
         Share of the rows of each record, the last, that is held out.
     sensors : Sensors
         What is known of the channels.
+    band : (float, float) or None
+        Frequencies [Hz] between which equations are to be fitted.
     """
 
     roles: Roles
@@ -114,6 +116,7 @@ class Motion:
     unit_gains: tuple[Floats, ...]
     holdout: float
     sensors: Sensors = field(default_factory=Sensors)
+    band: tuple[float, float] | None = None
 
     @cached_property
     def train(self) -> tuple[MotionRows, ...]:
@@ -176,6 +179,7 @@ def estimate_motion(
     smooth: Smooth = "auto",
     share: float = 0.0,
     sensors: Sensors | None = None,
+    band: tuple[float, float] | None = None,
 ) -> Motion:
     """States, targets and inputs of records of one system, which share their noise levels.
 
@@ -199,6 +203,8 @@ def estimate_motion(
         Of the rows, the last of each record, to hold out.
     sensors : Sensors, optional
         Noise levels that are known are not learned.
+    band : (float, float), optional
+        Frequencies [Hz] between which equations are to be fitted, for which motion is smoothed in any case.
 
     Raises
     ------
@@ -209,7 +215,12 @@ def estimate_motion(
     if all(record.time is not None for record in records) and max(record.n for record in records) < FEW_ROWS:
         smooth = "none"
         records = records if whole else [complete_rows(record, roles) for record in records]
-    smoothed = _smoothed(records, roles, smooth, share, sensors)
+    smoothed = _smoothed(records, roles, smooth, share, sensors, always=band is not None)
+    if band is not None and (smoothed is None or any(one.fs is None for one in smoothed[2])):
+        raise RecordError(
+            f"{records[0].name or 'record'}: a band of frequencies needs records of {FEW_ROWS} rows or more, sampled"
+            " evenly and all at one rate; leave the band out, or resample"
+        )
     no_smoothing: tuple[ChainSmoothing, ...] = ()
     if smoothed is None:
         records = records if whole else [complete_rows(record, roles) for record in records]
@@ -220,7 +231,7 @@ def estimate_motion(
     else:
         pieces, cuts, smoothing = smoothed
         gains = tuple(one.unit_gains for one in smoothing)
-    return Motion(roles, pieces, cuts, smoothing, gains, share, sensors)
+    return Motion(roles, pieces, cuts, smoothing, gains, share, sensors, band)
 
 
 def _as_measured(record: Record, roles: Roles, smooth: Smooth) -> MotionRows:
@@ -233,9 +244,9 @@ def _as_measured(record: Record, roles: Roles, smooth: Smooth) -> MotionRows:
 
 
 def _smoothed(
-    records: Sequence[Record], roles: Roles, smooth: Smooth, share: float, sensors: Sensors
+    records: Sequence[Record], roles: Roles, smooth: Smooth, share: float, sensors: Sensors, always: bool = False
 ) -> tuple[tuple[MotionRows, ...], tuple[int, ...], tuple[ChainSmoothing, ...]] | None:
-    """Rows by the kinematic smoother; None where records are better taken as measured."""
+    """Rows by the kinematic smoother; None where records are better taken as measured, unless `always`."""
     timed = all(record.time is not None for record in records)
     wanted = timed and smooth != "none"
     # what is checked is checked before the work
@@ -258,7 +269,8 @@ def _smoothed(
         return None
     measured_all = all(name is not None for chain in roles.chains for name in chain.measured)
     forced = any(map(sensors.noisy, roles.inputs))
-    if measured_all and not forced and all(smoothing.noise_ratio < LEAST_NOISE for _, smoothing in found):
+    clean = all(smoothing.noise_ratio < LEAST_NOISE for _, smoothing in found)
+    if measured_all and clean and not forced and not always:
         return None
     rows = tuple(_rows(record, roles, [means[i] for means, _ in found]) for i, record in enumerate(filled))
     return rows, cuts, tuple(smoothing for _, smoothing in found)

@@ -18,7 +18,9 @@ __all__ = ["read_columns", "write"]
 _BYTES_AT_ONCE = 2**20
 
 
-def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
+def read_columns(
+    path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None, skip: int = 0
+) -> Columns:
     """Unpack into a temporary file, as far as the limits allow, and read that as text.
 
     Parameters
@@ -29,6 +31,8 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
         Names instead of the header.
     chosen : callable, optional
         Which columns to read.
+    skip : int
+        Lines at the top that are passed over.
 
     Returns
     -------
@@ -40,7 +44,7 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
         with reading(where, ".gz file"):
             _unpack(path, plain)
         try:
-            return text.read_columns(plain, names=names, chosen=chosen, where=where)
+            return text.read_columns(plain, names=names, chosen=chosen, where=where, skip=skip)
         except FileFormatError as error:
             if not text.looks_like_text(plain):
                 raise FileFormatError(f"{where}: what it holds is not text; unpack it first") from error

@@ -91,10 +91,12 @@ def looks_like_text(path: Path) -> bool:
 class _Sample(list[tuple[int, str]]):
     """The first lines that are neither blank nor comments, numbered, and the comments before the data."""
 
-    def __init__(self, file: TextIO, where: str) -> None:
+    def __init__(self, file: TextIO, where: str, skip: int = 0) -> None:
         super().__init__()
         self.comments: list[str] = []
         for number, line in enumerate(_lines(file, where), 1):
+            if number <= skip:
+                continue
             if is_comment(line):
                 if not self:
                     self.comments.append(line.strip().lstrip("#% "))
@@ -113,8 +115,8 @@ def _lines(file: TextIO, where: str) -> Iterator[str]:
         number += 1
 
 
-def sniff(path: Path, encoding: str, where: str = "") -> Layout:
-    """Find the layout from the first lines.
+def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
+    """Find the layout from the first lines, or from the first after `skip` lines.
 
     Raises
     ------
@@ -123,8 +125,10 @@ def sniff(path: Path, encoding: str, where: str = "") -> Layout:
     """
     where = where or str(path)
     with path.open(encoding=encoding) as file:
-        sample = _Sample(file, where)
+        sample = _Sample(file, where, skip)
     lines = list(sample)
+    if not lines and skip:
+        raise FileFormatError(f"{where}: nothing is left below the {skip} lines that are passed over")
     if not lines:
         raise FileFormatError(f"{where}: the file is empty{' but for comments' if sample.comments else ''}")
     asked = re.fullmatch(r"\s*\"?sep=(.)\"?\s*", lines[0][1])  # a line that Excel reads and writes

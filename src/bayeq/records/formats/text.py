@@ -30,7 +30,12 @@ _ROWS_AT_ONCE = 20_000
 
 
 def read_columns(
-    path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None, where: str = ""
+    path: Path,
+    *,
+    names: list[str] | str | None = None,
+    chosen: Select | None = None,
+    where: str = "",
+    skip: int = 0,
 ) -> Columns:
     """Read the columns of a text file.
 
@@ -47,6 +52,8 @@ def read_columns(
         Which columns to read; the others need not be numbers.
     where : str, optional
         What messages call the file.
+    skip : int
+        Lines at the top that are passed over.
 
     Returns
     -------
@@ -59,14 +66,16 @@ def read_columns(
     """
     for encoding in encodings(path):
         try:
-            return _read(path, where or str(path), encoding, names, chosen)
+            return _read(path, where or str(path), encoding, names, chosen, skip)
         except UnicodeError:  # also a UTF-16 file that ends within a character
             continue
     raise FileFormatError(f"{where or path}: not a text file")
 
 
-def _read(path: Path, where: str, encoding: str, names: list[str] | str | None, chosen: Select | None) -> Columns:
-    layout = sniff(path, encoding, where)
+def _read(
+    path: Path, where: str, encoding: str, names: list[str] | str | None, chosen: Select | None, skip: int
+) -> Columns:
+    layout = sniff(path, encoding, where, skip)
     readings = comment_header(layout)
     texts = layout.header or (readings[0] if readings and len(readings[0]) == layout.width else None)
     headers = Headers.parse(texts or [""] * layout.width, where)

@@ -1,0 +1,361 @@
+"""Equations applied to records that they were not found from: scores, bands, and whether they hold there."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.equation.equations import Equations
+from bayeq.equation.prepare import prepared
+from bayeq.equation.verdict import AS_THE_MEAN, window_errors
+from bayeq.errors import DataWarning, InputError
+from bayeq.forecast.results import percentages
+from bayeq.forecast.run import Forecast
+from bayeq.records import Record, counts_rows
+from bayeq.records.units import conversion
+from bayeq.states import Motion, estimate_motion
+
+__all__ = ["Error", "Prediction", "apply_to", "as_equations_have_them"]
+
+Floats = NDArray[np.float64]
+
+# Runs that err by more than this share of the spread follow a record only roughly.
+ROUGHLY = 0.3
+
+# A record that goes beyond the range that the equations are from by this share is outside of it.
+BEYOND = 0.1
+
+# Half-width of a 95 % interval, in standard deviations.
+HALF_WIDTH = 1.96
+
+# Two rows are the least that a run can go over.
+LEAST_ROWS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """How far a prediction is from what was measured.
+
+    Attributes
+    ----------
+    nrmse : float
+        Root mean squared error over the standard deviation of the channel; infinite for a run that blew up.
+    rms : float
+        The same in the unit of the channel.
+    unit : str or None
+        That unit, where it is known.
+    inside : float or None
+        Share of the measured samples within the 95 % band.
+    """
+
+    nrmse: float
+    rms: float
+    unit: str | None
+    inside: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What equations predict of records.
+
+    Attributes
+    ----------
+    kind : "follows", "follows roughly", "follows for a period" or "does not hold"
+    reason : str
+        The same in a sentence.
+    text : str
+        The equations.
+    files : tuple of str
+        Names of the records.
+    rows : int
+        That predictions were compared on.
+    fs, seconds : float or None
+        Rate [Hz] of the first record, and length of all; None where rows count as time.
+    one_step : mapping of str to Error
+        By target: the right-hand side at the measured states and inputs of each row. The band holds the noise.
+    free_run : mapping of str to Error
+        By measured state: runs from the first row of each record, driven by its inputs. The band is that of the
+        coefficients and of the noise of the samples, as far as a smoother can tell it.
+    windows : mapping of str to float
+        By target the normalised error of free runs over one period; empty where records are too short.
+    blew_up_at : float or None
+        Time [s] at which a free run left any reasonable range.
+    notes : tuple of str
+        What to know about the comparison.
+    runs : tuple of (str, Forecast)
+        The free run of each record, by its name.
+    """
+
+    kind: str
+    reason: str
+    text: str
+    files: tuple[str, ...]
+    rows: int
+    fs: float | None
+    seconds: float | None
+    one_step: Mapping[str, Error]
+    free_run: Mapping[str, Error]
+    windows: Mapping[str, float]
+    blew_up_at: float | None
+    notes: tuple[str, ...]
+    runs: tuple[tuple[str, Forecast], ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``bayeq predict --json`` prints; None for the infinite error of a run that blew up."""
+
+        def plain(errors: Mapping[str, Error]) -> dict[str, Any]:
+            return {name: {key: _finite(value) for key, value in asdict(one).items()} for name, one in errors.items()}
+
+        return {
+            "version": version("bayeq"),
+            "verdict": {"kind": self.kind, "reason": self.reason},
+            "data": {
+                "file": self.files[0] if len(self.files) == 1 else list(self.files),
+                "n": self.rows,
+                "fs": self.fs,
+                "seconds": self.seconds,
+            },
+            "equations": self.text.splitlines(),
+            "one_step": plain(self.one_step),
+            "free_run": plain(self.free_run),
+            "windows": {name: _finite(error) for name, error in self.windows.items()},
+            "blew_up_at": self.blew_up_at,
+            "warnings": list(self.notes),
+        }
+
+    def __str__(self) -> str:
+        """The sentence, the equations and a table of errors."""
+        lines = [f"verdict: {self.reason}", "", self.text, "", *self._table(), ""]
+        if self.blew_up_at is not None:
+            lines.append(f"the free run blew up at {self.blew_up_at:.6g} s")
+        if self.windows:
+            lines.append(f"free runs over one period: normalised RMS error {percentages(self.windows)}")
+        lines.append(
+            "inside: share of the measured samples in the 95 % band, of the coefficients and the noise of the channel"
+        )
+        rate = "" if self.fs is None or self.seconds is None else f" at {self.fs:.6g} Hz, {self.seconds:.4g} s,"
+        source = f" of {self.files[0]}" if len(self.files) == 1 else f" of {len(self.files)} records"
+        lines.append(f"{self.rows} rows{rate}{source}")
+        return "\n".join(lines)
+
+    def _table(self) -> list[str]:
+        rows = [("prediction", "normalised RMS", "RMS", "unit", "inside")]
+        for what, errors in (("single step", self.one_step), ("free run", self.free_run)):
+            for name, error in errors.items():
+                inside = "" if error.inside is None else f"{100 * error.inside:.3g} %"
+                rms = f"{error.rms:.3g}" if math.isfinite(error.rms) else "blew up"
+                share = percentages({"": error.nrmse}).strip() if math.isfinite(error.nrmse) else ""
+                rows.append((f"{name}, {what}", share, rms, error.unit or "", inside))
+        widths = [max(len(row[k]) for row in rows) for k in range(5)]
+        ruler = "|".join("-" * (width + 2) for width in widths)
+        written = [" | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+        return [f"| {written[0]} |", f"|{ruler}|", *(f"| {line} |" for line in written[1:])]
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record, list[str]]:
+    """A record in the units of the equations, and what was converted.
+
+    Raises
+    ------
+    InputError
+        A unit that cannot be converted; a time that is known where that of the equations is not, or the reverse.
+    """
+    where = record.name or "record"
+    if counts_rows(record) and not equations.data.rows_as_time:
+        raise InputError(
+            f"{where}: time is not known, and the equations are per second; give --fs or --time (fs=, time=)"
+        )
+    if record.time is not None and not counts_rows(record) and equations.data.rows_as_time:
+        raise InputError(
+            f"{where}: the equations are per sample, for their record had no time; find them again with the sampling"
+            " rate (--fs, fs=)"
+        )
+    wanted = {name: unit for equation in equations for name, unit in equation.units.items()}
+    notes = []
+    for name in equations.roles.channels:
+        if name not in record.channels or name not in record.units or name not in wanted:
+            continue
+        stated = record.units[name]
+        factor = conversion(stated, wanted[name])
+        if factor is None:
+            raise InputError(
+                f"{where}: {name} is in {stated}, in the equations in {wanted[name]}: give its unit (--units), or name"
+                " the channel that is meant (--channel)"
+            )
+        if factor != 1.0:
+            record = record.with_channels({name: factor * record[name]}, {name: wanted[name]})
+            notes.append(f"{name} was converted from {stated} to {wanted[name]}")
+    return record, notes
+
+
+def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, seed: int = 0) -> Prediction:
+    """What equations predict of records, and whether they hold there.
+
+    Parameters
+    ----------
+    equations : Equations
+        Saved or found.
+    records : sequence of Record
+        With all channels of the equations' chains and inputs, and time. Their units are converted where they differ.
+    draws, seed : int
+        Runs with coefficients from the posterior, for the bands.
+
+    Returns
+    -------
+    Prediction
+
+    Raises
+    ------
+    InputError
+        Channels that are missing, units that cannot be converted, no time.
+
+    Warns
+    -----
+    DataWarning
+        Samples that are missing or left out.
+    """
+    notes: list[str] = []
+    for name in equations.roles.channels:
+        for record in records:
+            _ = record[name]
+    fitting = []
+    for record in records:
+        one, converted = as_equations_have_them(equations, record)
+        fitting.append(one)
+        notes += converted
+    pieces = prepared(fitting, equations.roles, equations.smooth, equations.warnings, divide=True)
+    pieces = [piece for piece in pieces if piece.n >= LEAST_ROWS]
+    if not pieces:
+        raise InputError(f"{records[0].name or 'record'}: too few rows to predict; give two or more")
+    notes += _out_of_range(equations, pieces)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataWarning)  # what was left out has been said
+        scores = equations.score(pieces, start=0)
+        runs = tuple((piece.name, equations.simulate(piece, draws=draws, seed=seed)) for piece in pieces)
+        one_step = {
+            target: _single_step(equations, k, pieces, error)
+            for k, (target, error) in enumerate(scores.one_step.items())
+        }
+        motion = estimate_motion(pieces, equations.roles, equations.smooth, sensors=equations.data.sensors)
+        windows = window_errors(equations.dynamics(), motion)
+    noise = _noise_of_states(motion)
+    forecasts = [run for _, run in runs]
+    free_run = {name: _free_run(name, forecasts, noise.get(name, 0.0), e) for name, e in scores.free_run.items()}
+    by_target = {} if windows is None else dict(zip((one.target for one in equations), windows, strict=True))
+    kind, reason = _verdict(one_step, free_run, by_target)
+    timed = not equations.data.rows_as_time
+    return Prediction(
+        kind=kind,
+        reason=reason,
+        text="\n".join(equation.text for equation in equations),
+        files=tuple(dict.fromkeys(record.name for record in records)),
+        rows=scores.rows,
+        fs=pieces[0].fs if timed else None,
+        seconds=sum(piece.n / piece.fs for piece in pieces if piece.fs is not None) if timed else None,
+        one_step=one_step,
+        free_run=free_run,
+        windows=by_target,
+        blew_up_at=scores.blew_up_at,
+        notes=tuple(dict.fromkeys(notes)),
+        runs=runs,
+    )
+
+
+def _out_of_range(equations: Equations, records: Sequence[Record]) -> list[str]:
+    """Channels that go beyond what the equations were found from."""
+    out = []
+    for name, (low, high) in equations.data.measured.ranges.items():
+        if not all(name in record.channels for record in records):
+            continue
+        samples = np.concatenate([record[name] for record in records])
+        least, most = float(np.nanmin(samples)), float(np.nanmax(samples))
+        room = BEYOND * (high - low)
+        if least < low - room or most > high + room:
+            out.append(
+                f"{name} lies between {least:.3g} and {most:.3g}, beyond the {low:.3g} to {high:.3g} that the equations"
+                " were found from: they are extrapolated there"
+            )
+    return out
+
+
+def _single_step(equations: Equations, k: int, pieces: Sequence[Record], nrmse: float) -> Error:
+    """The error of a target row by row, and the share of its samples within the predictive band."""
+    equation = equations[k]
+    target, unit = equation.target, equation.units.get(equation.target)
+    if not all(target in piece.channels for piece in pieces):
+        return Error(nrmse, math.nan, unit, None)
+    samples = np.concatenate([piece[target] for piece in pieces])
+    inside, known = 0, 0
+    for piece in pieces:
+        mean, sd = equations.predict(piece, return_std=True)
+        mean, sd = (values if values.ndim == 1 else values[:, k] for values in (mean, sd))
+        there = np.isfinite(piece[target])
+        inside += int(np.count_nonzero(np.abs(piece[target] - mean)[there] <= HALF_WIDTH * sd[there]))
+        known += int(there.sum())
+    return Error(nrmse, nrmse * float(np.nanstd(samples)), unit, inside / known if known else None)
+
+
+def _noise_of_states(motion: Motion) -> dict[str, float]:
+    """Standard deviation of the noise of each measured state, where a smoother has learned it from the records."""
+    out = {}
+    for chain, smoothing in zip(motion.roles.chains, motion.smoothing, strict=False):
+        for name, sd, gain in zip(chain.names, smoothing.model.noise_sd, smoothing.unit_gains, strict=True):
+            if sd is not None:
+                out[name] = abs(sd * float(gain))
+    return out
+
+
+def _free_run(name: str, runs: Sequence[Forecast], noise: float, nrmse: float) -> Error:
+    """The error of a state along the free runs, and the share of its samples within their bands.
+
+    The band of a run is that of the coefficients; the noise of the samples widens it as independent errors do.
+    """
+    samples = np.concatenate([run.measured[name] for run in runs])
+    unit = next((run.units[name] for run in runs if name in run.units), None)
+    inside: float | None = None
+    there = np.isfinite(samples)
+    if all(name in run.low for run in runs) and there.any():
+        low, mean, high = (
+            np.concatenate([part[name] for part in parts])
+            for parts in zip(*((run.low, run.mean, run.high) for run in runs), strict=True)
+        )
+        bottom, top = (np.hypot(side, HALF_WIDTH * noise) for side in (mean - low, high - mean))
+        inside = float(np.mean((samples >= mean - bottom)[there] & (samples <= mean + top)[there]))
+    return Error(nrmse, nrmse * float(np.nanstd(samples)), unit, inside)
+
+
+def _verdict(
+    one_step: Mapping[str, Error], free_run: Mapping[str, Error], windows: Mapping[str, float]
+) -> tuple[str, str]:
+    """Whether the equations hold: by the worst state of the free runs, of single steps where no state is measured."""
+    judged = free_run or one_step
+    what = "free runs follow" if free_run else "single steps follow"
+    worst = max((error.nrmse for error in judged.values()), default=math.inf)
+    if worst < AS_THE_MEAN:
+        within = f"within {_percent(worst)} %"
+        if worst <= ROUGHLY:
+            return "follows", f"{what} the record {within}"
+        return "follows roughly", f"{what} the record only roughly, {within}"
+    period = max(windows.values(), default=math.inf)
+    if free_run and period <= ROUGHLY:
+        return (
+            "follows for a period",
+            f"free runs over one period follow the record within {_percent(period)} %, over all of it they are worse"
+            " than the mean: small errors add up, as in chaotic or lightly damped motion",
+        )
+    return "does not hold", "worse than the mean: the equation does not hold for this record"
+
+
+def _percent(error: float) -> str:
+    return f"{100 * error:.0f}" if error >= 0.1 else f"{100 * error:.2g}"
