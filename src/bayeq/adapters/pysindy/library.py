@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -49,14 +50,12 @@ def terms_of(library: Any, names: Sequence[str]) -> list[str]:
     >>> terms_of(Squares(), ["x", "v"])
     ['x**2', 'v**2']
     """
-    from sklearn.base import clone
-
     # names of which none is part of another, whatever the channels are called
     stand = [_PLACEHOLDER.format(k) for k in range(len(names))]
     samples = np.random.default_rng(0).uniform(0.5, 1.5, (8, len(names)))
     kind = type(library).__name__
     try:
-        own = clone(library, safe=False).fit(samples)
+        own = copy.deepcopy(library).fit(samples)
         columns = np.asarray(own.transform(samples), dtype=np.float64)
         features = [str(name) for name in own.get_feature_names(stand)]
     except Exception as error:  # noqa: BLE001  a library may raise whatever its functions do

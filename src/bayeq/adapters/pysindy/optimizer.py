@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pysindy.optimizers import BaseOptimizer
 
-from bayeq.adapters.pysindy.series import LEAST_FLOOR, pieces_of, row_gram, series_grams
+from bayeq.adapters.pysindy.series import LEAST_FLOOR, pieces_of, row_gram, series_grams, systematic_floor
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.gram import Gram
 from bayeq.gram.gram import checked_weights
@@ -48,8 +48,9 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
     method : "auto", "vb", "bma" or "gibbs"
         Engine, as of `discover`.
     noise_floor : float or (K,) array, optional
-        Standard deviation, in units of the derivative, of an error that each target is known to have: no term that
-        only explains less is wanted. It comes on top of what is read from the rows.
+        Standard deviation, in units of the derivative, of white noise that each target has in any case. By default that
+        of a time series is read from its differences, and rows in no order, as those of a weak form, are taken to have
+        an error of 1 % of the target that averages out over no more than 10 rows; 0 leaves the latter out.
     random_state : int
         Seed of ``"gibbs"``.
     unbias : bool
@@ -86,7 +87,6 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
     [[False, True, False, False]]
     """
 
-    # not a plain scikit-learn constructor, which BaseOptimizer's checks would make of it: parameters are stored
     def __init__(
         self,
         slab_variance: float | None = None,
@@ -155,7 +155,8 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         floors = np.maximum(self._floors(y.shape[1]) / target_size, LEAST_FLOOR)
         varying = [k for k in range(y.shape[1]) if np.any(y[:, k])]
         pieces = pieces_of(Z, gaps) if weights is None else None
-        grams = {k: row_gram(Z, T[:, k], weights, floors[k]) for k in range(y.shape[1])}
+        unseen = LEAST_FLOOR if self.noise_floor is not None else systematic_floor(len(x) if weights is None else weights.sum())
+        grams = {k: row_gram(Z, T[:, k], weights, max(floors[k], unseen)) for k in range(y.shape[1])}
         if pieces is not None and varying:
             grams.update(zip(varying, series_grams(Z, T[:, varying], pieces, floors[varying]), strict=True))
         self.posteriors_ = tuple(
@@ -238,7 +239,8 @@ def _sizes(values: Floats) -> Floats:
     """Root mean square of each column, 1 of a column of zeros."""
     most = np.abs(values).max(axis=0)
     most[most == 0] = 1.0
-    return np.asarray(most * np.sqrt(np.maximum(np.mean((values / most) ** 2, axis=0), 1e-300)) + 0.0) if len(values) else most
+    found = np.sqrt(np.mean((values / most) ** 2, axis=0))
+    return np.asarray(most * np.where(found > 0.0, found, 1.0))
 
 
 def _in_original_units(gram: Gram, size: Floats, target_size: float) -> Gram:

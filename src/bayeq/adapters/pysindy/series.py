@@ -30,7 +30,7 @@ from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 
-__all__ = ["LEAST_FLOOR", "pieces_of", "row_gram", "series_grams"]
+__all__ = ["LEAST_FLOOR", "pieces_of", "row_gram", "series_grams", "systematic_floor"]
 
 Floats = NDArray[np.float64]
 
@@ -55,6 +55,11 @@ LEAST_BINS = 40
 
 # Share of the target that counts as noise in any case: rounding.
 LEAST_FLOOR = 1e-6
+
+# Error, as a share of the target, that rows in no order may have without showing it: derivatives inside a weak form by
+# differences of second order. However many rows there are, it averages out no more than over this many.
+UNSEEN = 1e-2
+UNSEEN_ROWS = 10.0
 
 # Fits that find the spectrum of the residual.
 PILOTS = 3
@@ -107,6 +112,11 @@ def row_gram(Z: Floats, t: Floats, weights: Floats | None, floor: float) -> Gram
     names = tuple(f"x{j}" for j in range(Z.shape[1]))
     Dty, yty = weighted.T @ t, float(w @ t**2) + n * floor**2
     return Gram(names, n, np.zeros(len(names)), 0.0, np.ascontiguousarray(weighted.T @ Z), Dty, yty, n)
+
+
+def systematic_floor(rows: float) -> float:
+    """White noise, as a share of the target, that weighs as much as an error of the library which rows do not show."""
+    return UNSEEN * float(np.sqrt(max(rows / UNSEEN_ROWS, 1.0)))
 
 
 def series_grams(Z: Floats, T: Floats, pieces: Sequence[slice], floors: Floats) -> list[Gram]:
