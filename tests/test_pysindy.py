@@ -7,6 +7,8 @@ Brian de Silva and others) that hold for any optimizer, with the plug-in in the 
 from __future__ import annotations
 
 import pickle
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -89,7 +91,9 @@ def test_noisy_record(method):
 
 def test_the_constant_is_a_candidate():
     t = np.arange(0, 40, 0.01)
-    x = solve_ivp(lambda t, x: [x[1], 0.5 - x[0] - 0.3 * x[1]], (0, 40), [2.0, 0.0], t_eval=t, rtol=1e-10, atol=1e-10).y.T
+    x = solve_ivp(
+        lambda t, x: [x[1], 0.5 - x[0] - 0.3 * x[1]], (0, 40), [2.0, 0.0], t_eval=t, rtol=1e-10, atol=1e-10
+    ).y.T
     with_constant = ps.SINDy(SpikeSlabOptimizer(), ps.PolynomialLibrary(2)).fit(x, t)
     assert terms(with_constant) == [{"x1"}, {"1", "x0", "x1"}]
     kept_out = [0.0] + 5 * [0.1]
@@ -376,3 +380,18 @@ def test_without_pysindy(monkeypatch):
         plug_in.SpikeSlabOptimizer  # noqa: B018
     with pytest.raises(AttributeError, match="nothing"):
         plug_in.nothing  # noqa: B018
+
+
+# the page
+
+
+def test_every_block_of_the_page_runs(capsys):
+    page = (Path(__file__).parents[1] / "docs/pysindy.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    assert len(blocks) == 4
+    names: dict[str, object] = {}
+    for block in blocks:
+        exec(block, names)  # noqa: S102  the page is ours
+    said = capsys.readouterr().out
+    assert said.count("(x0)' = -") == 2
+    assert terms(names["model"]) == LORENZ

@@ -58,7 +58,8 @@ def terms_of(library: Any, names: Sequence[str]) -> list[str]:
         own = copy.deepcopy(library).fit(samples)
         columns = np.asarray(own.transform(samples), dtype=np.float64)
         features = [str(name) for name in own.get_feature_names(stand)]
-    except Exception as error:  # noqa: BLE001  a library may raise whatever its functions do
+    except Exception as error:
+        # a library may raise whatever its functions do
         raise InputError(
             f"dictionary: {kind} cannot be evaluated on channels {', '.join(names)} ({error}); libraries of partial"
             " differential equations and weak forms are for PySINDy itself"
@@ -87,8 +88,8 @@ def _term(
         found = Evaluator(values)(parse(text, stand))
     except InputError as error:
         raise InputError(
-            f"dictionary: feature {shown!r} of {kind} is no term ({error}); give the terms as text, or names that can be"
-            " read by function_names"
+            f"dictionary: feature {shown!r} of {kind} is no term ({error}); give the terms as text, or names that"
+            " can be read by function_names"
         ) from error
     if not np.allclose(found, column, rtol=1e-9, atol=1e-12):
         raise InputError(

@@ -68,7 +68,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
     pip_ : (K, P) array
         Posterior inclusion probabilities.
     posteriors_ : tuple of Posterior
-        One of each target, in the units of library and target: `pip`, `sd`, `covariance`, `noise_variance`, `average` ...
+        One of each target, in the units of library and target: `pip`, `sd`, `covariance`, `noise_variance` ...
     complexity : int
         Number of included terms of all targets.
 
@@ -139,7 +139,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         weights = None if weights is None else weights[known]
         rows = len(D) if weights is None else float(weights.sum())
         if rows < 2:
-            raise InputError(f"{rows:g} usable rows: a fit needs at least 2 without NaN, and weights that sum to 2 or more")
+            raise InputError(f"{rows:g} usable rows: a fit needs at least 2 without NaN, or weights that sum to 2")
         self.n_features_in_ = D.shape[1]
         self.Theta_ = D
         self._reduce(D, Y, weights, gaps)
@@ -155,7 +155,9 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         floors = np.maximum(self._floors(y.shape[1]) / target_size, LEAST_FLOOR)
         varying = [k for k in range(y.shape[1]) if np.any(y[:, k])]
         pieces = pieces_of(Z, gaps) if weights is None else None
-        unseen = LEAST_FLOOR if self.noise_floor is not None else systematic_floor(len(x) if weights is None else weights.sum())
+        unseen = LEAST_FLOOR
+        if self.noise_floor is None:
+            unseen = systematic_floor(len(x) if weights is None else float(weights.sum()))
         grams = {k: row_gram(Z, T[:, k], weights, max(floors[k], unseen)) for k in range(y.shape[1])}
         if pieces is not None and varying:
             grams.update(zip(varying, series_grams(Z, T[:, varying], pieces, floors[varying]), strict=True))
@@ -219,7 +221,7 @@ def _arrays(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
     D, Y = np.array(x, dtype=np.float64), np.array(y, dtype=np.float64)
     Y = Y[:, None] if Y.ndim == 1 else Y
     if D.ndim != 2 or Y.ndim != 2 or len(D) != len(Y) or not D.shape[1] or not Y.shape[1]:
-        raise InputError(f"need a library of shape (n, P) and derivatives (n,) or (n, K), got {D.shape} and {np.shape(y)}")
+        raise InputError(f"need a library (n, P) and derivatives (n,) or (n, K), got {D.shape} and {np.shape(y)}")
     for name, values in (("the library", D), ("the derivatives", Y)):
         if np.isinf(values).any():
             raise InputError(f"{name}: infinite value in row {int(np.argmax(np.isinf(values).any(axis=1))) + 1}")

@@ -10,14 +10,15 @@ these as prior standard deviations, and integrated out. They are of the fitted t
 they would share: two-stage least squares.
 
 Noise of a derivative grows with frequency, and a smoothed motion holds nothing of the signal where noise was above it.
-So the regression is one of the bins below the frequency at which the target comes near to the residual, each weighted by
-the inverse of the residual's density, which is taken never to fall with frequency.
+So the regression is one of the bins below the frequency at which the target comes near to the residual, each weighted
+by the inverse of the residual's density, which is taken never to fall with frequency.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +86,7 @@ def pieces_of(Z: Floats, gaps: NDArray[np.bool_]) -> list[slice] | None:
     padded = np.concatenate([[0.0], step, [0.0]])
     joint = (step > JOINT * np.maximum(padded[:-2], padded[2:])) | gaps[1:]
     edges = [0, *(np.flatnonzero(joint) + 1).tolist(), len(Z)]
-    pieces = [slice(a, b) for a, b in zip(edges, edges[1:], strict=False) if b - a >= LEAST_PIECE]
+    pieces = [slice(a, b) for a, b in pairwise(edges) if b - a >= LEAST_PIECE]
     if 2 * sum(p.stop - p.start for p in pieces) < len(Z):
         return None
     deviation = np.sqrt(sum(((Z[p] - Z[p].mean(axis=0)) ** 2).sum(axis=0) for p in pieces))
@@ -176,9 +177,9 @@ def _least_squares(bands: Sequence[Band]) -> Floats:
     for _ in range(2):
         rows = stacked * weight[:, None]
         rows = np.concatenate([rows.real, rows.imag])
-        coef = np.linalg.lstsq(rows[:, :-1], rows[:, -1])[0]
+        coef = np.asarray(np.linalg.lstsq(rows[:, :-1], rows[:, -1])[0], dtype=np.float64)
         weight = 1.0 / np.sqrt(np.concatenate(_spectrum(bands, coef, LEAST_FLOOR)))
-    return np.asarray(coef)
+    return coef
 
 
 def _last_order(bands: Sequence[Band]) -> float:
@@ -258,7 +259,7 @@ def _spectrum(bands: Sequence[Band], coef: Floats, floor: float) -> list[Floats]
 def _weighted(
     bands: Sequence[Band], names: tuple[str, ...], terms: int, spectrum: Sequence[Floats], floor: float
 ) -> tuple[Gram, Gram, float]:
-    """Statistics of all columns, those of the terms with the others integrated out, and the noise variance they imply."""
+    """Statistics of all columns, of the terms with the others integrated out, and the noise variance they imply."""
     whole = band_gram(bands, names, spectrum)
     count = sum(float(b.count.sum()) for b in bands)
     unit = count / sum(float((b.count / s).sum()) for b, s in zip(bands, spectrum, strict=True))
