@@ -193,7 +193,7 @@ def test_bad_parameters_are_refused_with_the_reason(library, parameters, words):
 
 def test_bad_data_are_refused_with_the_reason():
     optimizer = SpikeSlabOptimizer()
-    with pytest.raises(InputError, match="shape"):
+    with pytest.raises(InputError, match="need a library"):
         optimizer.fit(np.ones((5, 2)), np.ones(4))
     with pytest.raises(InputError, match="infinite value in row 2"):
         optimizer.fit(np.array([[1.0], [np.inf], [2.0]]), np.ones(3))
