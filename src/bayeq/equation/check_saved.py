@@ -179,7 +179,7 @@ def _check_length(found: Sequence[Any], expected: int, place: str) -> None:
 
 
 def _check_places(places: Sequence[float], size: int, place: str) -> None:
-    if any(second <= first for first, second in zip(places, places[1:], strict=False)):
+    if list(places) != sorted(set(places)):
         raise ValueError(f"{place}: places of terms in ascending order are expected")
     if places and places[-1] >= size:
         raise ValueError(f"{place}: there is no term at {places[-1]}, only {size} terms")

@@ -71,12 +71,12 @@ def load(path: str | Path) -> Equations:
         raise FileFormatError(f"{path}: not a JSON file") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise FileFormatError(f"{path}: not a file of equations saved by bayeq (no format {FORMAT!r})")
-    fault = first_fault(content)
-    if fault is not None:
-        raise FileFormatError(f"{path}: damaged: {fault}")
     try:
+        fault = first_fault(content)
+        if fault is not None:
+            raise ValueError(fault)
         return _restore(content)
-    except (ValueError, OverflowError, BayeqError) as error:
+    except (ValueError, OverflowError, RecursionError, BayeqError) as error:
         raise FileFormatError(f"{path}: damaged: {error}") from error
 
 

@@ -6,6 +6,7 @@ The keywords are those that `schema.json` uses; `tests/test_saved_files.py` comp
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.resources import files
@@ -14,6 +15,8 @@ from typing import Any
 __all__ = ["first_fault", "json_schema"]
 
 Schema = Mapping[str, Any]
+
+MOST = sys.float_info.max
 
 TYPES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "object": ("an object", lambda value: isinstance(value, dict)),
@@ -60,7 +63,7 @@ def first_fault(content: object) -> str | None:
     Examples
     --------
     >>> first_fault({"method": 1})
-    "data is missing"
+    'data is missing'
     """
     return next(_faults(content, _schema(), ""), None)
 
@@ -69,15 +72,18 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and value - value == 0  # neither NaN nor inf
 
 
+def _resolved(schema: Schema) -> Schema:
+    """What a schema refers to, if it does."""
+    return _schema()["$defs"][schema["$ref"].removeprefix("#/$defs/")] if "$ref" in schema else schema
+
+
 def _shown(value: object) -> str:
     text = ascii(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _faults(value: Any, schema: Schema, place: str) -> Iterator[str]:
-    if "$ref" in schema:
-        yield from _faults(value, _schema()["$defs"][schema["$ref"].removeprefix("#/$defs/")], place)
-        return
+    schema = _resolved(schema)
     where = place or "the file"
     if "enum" in schema and not any(type(value) is type(one) and value == one for one in schema["enum"]):
         yield f"{where}: one of {', '.join(map(repr, schema['enum']))} is expected, not {_shown(value)}"
@@ -101,9 +107,21 @@ def _faults_of_list(value: list[Any], schema: Schema, where: str, place: str) ->
     if not least <= len(value) <= most:
         expected = f"{least}" if least == most else f"at least {least}"
         yield f"{where}: {expected} entries are expected, not {len(value)}"
-    if "items" in schema:
+    items = _resolved(schema.get("items", {}))
+    if items and not _are_numbers(value, items):
         for k, item in enumerate(value):
-            yield from _faults(item, schema["items"], f"{place}[{k}]")
+            yield from _faults(item, items, f"{place}[{k}]")
+
+
+def _are_numbers(values: list[Any], schema: Schema) -> bool:
+    """Whether all are numbers within bounds: a quick look at long lists, before each entry is looked at."""
+    if not set(schema) <= {"type", "minimum", "maximum"} or schema["type"] not in ("integer", "number"):
+        return False
+    if not set(map(type, values)) <= ({int} if schema["type"] == "integer" else {int, float}):
+        return False
+    least, most = min(values, default=0), max(values, default=0)
+    within = schema.get("minimum", -MOST) <= least and most <= schema.get("maximum", MOST)
+    return bool(within and sum(values) == sum(values))  # NaN is not equal to itself
 
 
 def _faults_of_object(value: dict[str, Any], schema: Schema, place: str) -> Iterator[str]:

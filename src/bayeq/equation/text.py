@@ -8,9 +8,8 @@ from math import isclose
 from typing import Any
 
 import numpy as np
-from rich import box
+from rich import box, markup
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from bayeq.equation.answer import Answer
@@ -48,6 +47,11 @@ MOST_UNDETERMINED = 6
 DOUBTFUL = 1e-3
 
 
+def escape(text: str) -> str:
+    """Text from a file as it may be printed: without markup, and without what a terminal would obey."""
+    return markup.escape("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text))
+
+
 def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) -> str:
     """Text of the equations: styled if standard output is a terminal, plain Markdown otherwise.
 
@@ -70,7 +74,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     console.print(f"{eq.data.n} rows{source}, {used}; method: {ENGINES[eq.method].title}")
     if eq.data.estimated:
         how = "smoothing" if eq.data.smoothed else "central differences"
-        console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
+        console.print(f"not measured, estimated by {how}: {escape(', '.join(eq.data.estimated))}")
     known = eq.data.sensors
     if known.noise:
         listed = ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items())
