@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
-from math import isclose
+from math import isclose, isfinite
 from typing import Any
 
 import numpy as np
@@ -240,7 +240,7 @@ def _extra_columns(equation: Equation) -> dict[str, list[str]]:
     shown = _listed(equation)
     out = {}
     if share is not None and kept.any():
-        out["share"] = [percent(share[j]) if kept[j] else "" for j in shown] + [""]
+        out["share"] = [percent(share[j]) if kept[j] and isfinite(share[j]) else "" for j in shown] + [""]
     if any(equation.coef_units[j] for j in np.flatnonzero(kept)):
         units = [equation.coef_units[j] or "" if kept[j] else "" for j in shown]
         out["unit"] = [escape(unit) for unit in (*units, equation.units.get(equation.target, ""))]
