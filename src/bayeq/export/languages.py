@@ -36,6 +36,8 @@ class Language(NamedTuple):
         Number of the first entry of an array.
     reserved : set of str
         Words and functions that no variable may be called.
+    options : mapping
+        Of the printer.
     """
 
     printer: str
@@ -45,6 +47,7 @@ class Language(NamedTuple):
     tail: str
     first: int
     reserved: frozenset[str]
+    options: Mapping[str, Any] = {}
 
 
 C_WORDS = """auto break case char const continue default do double else enum extern float for goto if inline int long
@@ -68,6 +71,7 @@ LANGUAGES: dict[str, Language] = {
         "}}\n",
         0,
         frozenset(C_WORDS.split()),
+        {"math_macros": {}},  # constants as numbers: standard C has no M_PI
     ),
     "julia": Language(
         "julia_code",
@@ -124,9 +128,7 @@ def to_code(laws: Sequence[Law], inputs: Sequence[str], timed: bool, language: s
         for name, (of, k) in places.items()
         if called[name] in used
     ]
-    lines += [
-        row.give.format(k=row.first + k, value=_printed(slope, row, language)) for k, slope in enumerate(slopes)
-    ]
+    lines += [row.give.format(k=row.first + k, value=_printed(slope, row, language)) for k, slope in enumerate(slopes)]
     return row.head.format(**about) + "\n".join(lines) + "\n" + row.tail.format(**about)
 
 
@@ -187,9 +189,7 @@ def _printed(slope: Any, row: Language, language: str) -> str:
     import sympy
 
     try:
-        text = str(getattr(sympy, row.printer)(slope))
+        text = str(getattr(sympy, row.printer)(slope, **row.options))
     except (NotImplementedError, TypeError, ValueError) as error:
         raise InputError(f"the equation cannot be written in {language}: {str(error).splitlines()[0]}") from error
     return " ".join(text.replace("...\n", " ").split())
-
-
