@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -18,9 +19,10 @@ from bayeq.errors import InputError, MissingExtraError, UnknownNameError
 TERMS = [
     "x", "sign(v)", "abs(x)", "v*abs(v)", "where(x > v, x, v**2)", "floor(3*x)", "ceil(x)", "heaviside(v)", "relu(x)",
     "sigmoid(2*x)", "max(x,v,0.1)", "min(x,v)", "mod(x,0.7)", "atan2(v,x)", "sin(x)", "cos(v)", "tan(x/4)", "asin(x/4)",
-    "acos(x/4)", "atan(x)", "exp(x)", "log(4+x)", "sqrt(4+v)", "sinh(x)", "cosh(v)", "tanh(x)", "asinh(x)", "acosh(5+v)",
-    "atanh(x/4)", "log10(4+x)", "log1p(abs(v))", "cbrt(x)", "erf(x)", "pi*x", "e**x", "x**3", "v**-2", "1/(2+x**2)",
-    "u", "t", "abs(x)**0.5", "x-v/3",
+    "acos(x/4)", "atan(x)", "exp(x)", "log(4+x)", "sqrt(4+v)", "sinh(x)", "cosh(v)", "tanh(x)", "asinh(x)",
+    "acosh(5+v)", "atanh(x/4)", "log10(4+x)", "log1p(abs(v))", "cbrt(x)", "erf(x)", "pi*x", "e**x", "x**3", "v**-2", "1/(2+x**2)",
+    "u", "t", "abs(x)**0.5",
+    "x-v/3",
 ]  # fmt: skip
 SYSTEMS = ("linear", "duffing", "quadratic", "coulomb", "vanderpol", "lorenz")
 
@@ -32,8 +34,9 @@ def of(terms, chains, inputs=("u",)):
     names = [name.lstrip("~") for chain in chains for name in chain.split(":") if name]
     columns = {name: rng.normal(size=n) for name in (*names, *inputs)}
     record = bq.Record.from_arrays(columns, fs=100.0)
-    eq = bq.discover(record, chains=chains, inputs=inputs, dictionary=terms, smooth="none", method="stlsq", holdout=0.0)
-    return eq
+    return bq.discover(
+        record, chains=chains, inputs=inputs, dictionary=terms, smooth="none", method="stlsq", holdout=0.0
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +45,7 @@ def rich(tmp_path_factory):
     return shown(TERMS, ["x:v:a"], ("u",), tmp_path_factory.mktemp("rich"))
 
 
-@pytest.mark.filterwarnings("ignore")
 def shown(terms, chains, inputs, folder):
-    import warnings
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         eq = of(["x" if "x" in terms else terms[0]], chains, inputs)
@@ -80,7 +80,7 @@ def points(eq, count=20):
 
 def python_function(eq):
     scope = {}
-    exec(compile(eq.to_python(), "rhs.py", "exec"), scope)
+    exec(compile(eq.to_python(), "rhs.py", "exec"), scope)  # noqa: S102
     return scope["rhs"]
 
 
@@ -202,7 +202,8 @@ def test_text_of_julia_and_matlab(tmp_path):
     assert julia.splitlines()[1:5] == ["function rhs(t, y, u)", "    x = y[1]", "    v = y[2]", "    dy1 = v"]
     assert julia.splitlines()[-2:] == ["    return [dy1, dy2]", "end"]
     assert "(v > 0) ? (1) : (v < 0) ? (-1) : (0)" in julia
-    assert "    dy(1) = v;" in matlab and "..." not in matlab
+    assert "    dy(1) = v;" in matlab
+    assert "..." not in matlab
     with pytest.raises(UnknownNameError, match="no language named 'cobol'; there are: c, julia, matlab, python"):
         eq.to_code("cobol")
 
@@ -213,6 +214,7 @@ def test_latex_with_standard_deviations(tmp_path):
     brackets, both = eq.to_latex("brackets"), eq.to_latex("plus-minus", aligned=True)
     assert brackets.startswith(rf"\ddot{{x}} = {coef['x']:.2f}(10)\,x")
     assert rf"\left({coef['v']:.2f} \pm 0.10\right)\,\dot{{x}}" in both
-    assert both.startswith("\\begin{aligned}\n\\ddot{x} &= ") and both.endswith("\n\\end{aligned}")
+    assert both.startswith("\\begin{aligned}\n\\ddot{x} &= ")
+    assert both.endswith("\n\\end{aligned}")
     with pytest.raises(InputError, match="uncertainty must be one of none, brackets, plus-minus, got 'sd'"):
         eq.to_latex("sd")

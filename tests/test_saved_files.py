@@ -104,11 +104,9 @@ def test_files_that_load_can_be_used(saved, tmp_path, number):
         (tmp_path / "changed.json").write_text(json.dumps(mutated(content, rng)))
         try:
             eq = bq.load(tmp_path / "changed.json")
-        except FileFormatError as error:
-            assert str(error).isprintable(), ascii(error)
-            continue
         except Exception as error:  # noqa: BLE001
-            found.append((k, "load", repr(error)))
+            if not isinstance(error, FileFormatError) or not str(error).isprintable():
+                found.append((k, "load", repr(error)))
             continue
         loaded += 1
         for name, use in uses(eq, record, tmp_path):
@@ -120,7 +118,7 @@ def test_files_that_load_can_be_used(saved, tmp_path, number):
                     found.append((k, name, repr(error)))
             except Exception as error:  # noqa: BLE001
                 found.append((k, name, repr(error)))
-    assert not found, found
+    assert not found, "\n".join(map(str, found))
     assert 0.1 * number < loaded < 0.6 * number
 
 
