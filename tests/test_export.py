@@ -19,7 +19,8 @@ from bayeq.errors import InputError, MissingExtraError, UnknownNameError
 TERMS = [
     "x", "sign(v)", "abs(x)", "v*abs(v)", "where(x > v, x, v**2)", "floor(3*x)", "ceil(x)", "heaviside(v)", "relu(x)",
     "sigmoid(2*x)", "max(x,v,0.1)", "min(x,v)", "mod(x,0.7)", "atan2(v,x)", "sin(x)", "cos(v)", "tan(x/4)", "asin(x/4)",
-    "acos(x/4)", "atan(x)", "exp(x)", "log(4+x)", "sqrt(4+v)", "sinh(x)", "cosh(v)", "tanh(x)", "asinh(x)", "acosh(5+v)",
+    "acos(x/4)", "atan(x)", "exp(x)", "log(4+x)", "sqrt(4+v)", "sinh(x)", "cosh(v)", "tanh(x)", "asinh(x)",
+    "acosh(5+v)",
     "atanh(x/4)", "log10(4+x)", "log1p(abs(v))", "cbrt(x)", "erf(x)",
     "pi*x", "e**x", "x**3", "v**-2", "1/(2+x**2)",
     "u", "t", "abs(x)**0.5",
