@@ -211,3 +211,24 @@ def test_text_of_a_file_is_printed_as_text(saved, tmp_path, monkeypatch, termina
     text = str(bq.load(tmp_path / "hostile.json"))
     assert text.count("[bold red]x[/bold red]") == 5
     assert not any(sign in text for sign in ("\x1b]", "\x1b[31m", "\x07", "\r", "\u202e", "\ud800", "\x9b"))
+
+
+def test_physical_of_an_equation_without_a_spring(saved, tmp_path):
+    content, _ = saved[0]
+    for term in content["equations"][0]["terms"]:
+        if term["name"] in ("x", "x**3") and term["shown"] and not term["included"]:
+            pytest.skip("the terms shown are others than those included")
+    dropped = {j for j, term in enumerate(content["equations"][0]["terms"]) if term["name"] in ("x", "x**3")}
+    content = copy.deepcopy(content)
+    state = content["posteriors"][0]
+    kept = [j for j, term in enumerate(content["equations"][0]["terms"]) if term["included"]]
+    rows = [k for k, j in enumerate(kept) if j not in dropped]
+    for j in dropped:
+        content["equations"][0]["terms"][j].update(included=False, shown=False, coef=0.0, shown_coef=0.0, why=None)
+    state["covariance"] = [[state["covariance"][a][b] for b in rows] for a in rows]
+    state.update(shown=None, full=None, target_mean=50.0)
+    for term in content["equations"][0]["terms"]:
+        term["shown"], term["why"] = term["included"], None
+    (tmp_path / "free.json").write_text(json.dumps(content))
+    with pytest.raises(BayeqError, match=r"no (restoring term|certain position of rest)"):
+        bq.load(tmp_path / "free.json").physical()
