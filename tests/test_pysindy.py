@@ -348,7 +348,9 @@ def test_kinematic_derivative_refuses_what_it_cannot_do():
 def test_libraries_as_terms():
     assert terms_of(ps.PolynomialLibrary(2), ["x", "v"]) == ["x", "v", "x**2", "x*v", "v**2"]
     assert terms_of(ps.FourierLibrary(2), ["x"]) == ["sin(1*x)", "cos(1*x)", "sin(2*x)", "cos(2*x)"]
-    custom = ps.CustomLibrary([lambda a: np.tanh(a), lambda a, b: a * b], [lambda a: f"tanh({a})", lambda a, b: f"{a} {b}"])
+    custom = ps.CustomLibrary(
+        [lambda a: np.tanh(a), lambda a, b: a * b], [lambda a: f"tanh({a})", lambda a, b: f"{a} {b}"]
+    )
     assert terms_of(custom, ["x", "v"]) == ["tanh(x)", "tanh(v)", "x*v"]
     both = ps.PolynomialLibrary(1) + ps.FourierLibrary(1)
     assert terms_of(both, ["q"]) == ["q", "sin(1*q)", "cos(1*q)"]
