@@ -22,6 +22,7 @@ from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
 from bayeq.selection.alternatives import alternatives_to
 from bayeq.selection.bounds import bounds, undetermined
+from bayeq.selection.excitation import Repeating, repeating
 from bayeq.selection.select import Selection
 from bayeq.selection.tolerance import effective_terms
 
@@ -142,11 +143,15 @@ def with_doubts(
         Other equations whose predictions are no further from the full model's than this share of the target's standard
         deviation are the same for practical purposes.
     """
-    pairs = zip(equations, selections, strict=True)
-    return tuple(replace(equation, verdict=_doubted(equation, selection, tolerance)) for equation, selection in pairs)
+    design = selections[0].fit.regression.design
+    again = repeating(design.motion, design.terms)
+    return tuple(
+        replace(equation, verdict=_doubted(equation, selection, tolerance, again))
+        for equation, selection in zip(equations, selections, strict=True)
+    )
 
 
-def _doubted(equation: Equation, selection: Selection, tolerance: float) -> Verdict:
+def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:
     fit, regression = selection.shown_fit, selection.shown_fit.regression
     lacking, coloured = None, None
     if regression.record is not None:
@@ -156,7 +161,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float) -> Verd
     others = alternatives_to(fit, equation.full_posterior or equation.shown_posterior, tolerance)
     spread = regression.rows.target_deviation
     excess = equation.residuals.excess if (equation.residuals.excess or 0.0) > INADEQUATE else None
-    return doubted(equation.verdict, equation.target, others, lacking, coloured, spread, excess)
+    return doubted(equation.verdict, equation.target, others, lacking, coloured, spread, excess, again)
 
 
 def _rule(selection: Selection, name: str) -> str:

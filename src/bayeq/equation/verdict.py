@@ -17,6 +17,7 @@ from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
 from bayeq.selection.alternatives import Alternatives
+from bayeq.selection.excitation import Repeating
 from bayeq.states import Motion
 
 __all__ = ["KINDS", "Verdict", "doubted", "judge", "noise_share", "window_errors", "worst"]
@@ -50,7 +51,8 @@ class Verdict:
     kind : "none", "not determined", "nearly true" or "found"
         ``none``: on the rows held out (on the training rows, if none are) the equation explains less than half of what
         stands above the noise of the target, or free runs over windows of one period are no better than the mean.
-        ``not determined``: equations that predict otherwise have more than 5 % of the probability.
+        ``not determined``: equations that predict otherwise have more than 5 % of the probability, or the motion
+        repeats itself and does not tell the candidates apart (`bayeq.selection.excitation`).
         ``nearly true``: the motion needs a force that the dictionary does not hold, or what is left of a channel is not
         white noise (`bayeq.likelihood.adequacy`).
     reason : str
@@ -121,6 +123,7 @@ def doubted(
     coloured: Octave | None,
     spread: float,
     excess: float | None = None,
+    again: Repeating | None = None,
 ) -> Verdict:
     """The verdict of an equation that is not wrong: is it determined, and is it all there is?
 
@@ -140,9 +143,18 @@ def doubted(
         Standard deviation of the target, in its unit.
     excess : float, optional
         Power of the residual over that of the noise, in a band, where it is too large.
+    again : Repeating, optional
+        Motion that repeats itself and does not tell the candidates apart.
     """
     if verdict.kind == "none":
         return verdict
+    if again is not None:
+        return Verdict(
+            "not determined",
+            f"the motion repeats itself at {again.frequency:.4g} Hz, and on it the {again.terms} candidates take"
+            f" {again.courses} independent courses: other equations are the same there",
+            "excite more frequencies and amplitudes (noise, a sweep or a multisine: bayeq plan), or give fewer terms",
+        )
     if others.probability > DOUBT:
         change = [f"with {', '.join(others.enter)}"] if others.enter else []
         change += [f"without {', '.join(others.leave)}"] if others.leave else []

@@ -50,7 +50,7 @@ def to_callable(laws: Sequence[Law], inputs: Sequence[str], timed: bool, module:
 def _derivatives(law: Law, columns: Mapping[str, Any], evaluate: Callable[[Expression], Any]) -> list[Any]:
     """Of the states of a chain."""
     total: Any = law.posterior.intercept
-    for j in np.flatnonzero(law.posterior.support):
+    for j in np.flatnonzero(law.posterior.support).tolist():
         total = total + float(law.posterior.coef[j]) * evaluate(law.terms[j])
     above = [*(columns[name] for name in law.chain.states[1:]), total]
     return [factor * row for factor, row in zip(rates(law.chain, law.unit_gains), above, strict=True)]

@@ -51,7 +51,7 @@ SAME = 0.01
 SURE = 2.0
 
 # Rows that stand for an intercept without error.
-MOST_ROWS = 1e300
+MOST_ROWS = 1e140
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,176 @@
+"""Whether motion that repeats itself tells the candidates apart (persistency of excitation, Ljung 1999).
+
+On periodic motion, as of a structure under a steady sine, the states run along one closed curve again and again. What
+is known of an equation is then known on that curve only, where many terms are combinations of others: a = -omega^2 x
+holds for every harmonic motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary import evaluate_terms
+from bayeq.expressions import Expression
+from bayeq.expressions.functions import TIME
+from bayeq.numerics.beta import incomplete_beta
+from bayeq.states import Motion, MotionRows
+
+__all__ = ["Repeating", "repeating"]
+
+Floats = NDArray[np.float64]
+
+# Fewer periods may be part of anything.
+LEAST_PERIODS = 5.0
+
+# Harmonics of which a closed curve is made, at most; those count that chance makes with less than this probability.
+HARMONICS, CHANCE = 12, 1e-3
+
+# The period is looked for among this many within a line of the spectrum, then among as many beside the best.
+FREQUENCIES = 41
+
+# What is left beside a closed curve is noise unless its share of the power below the last harmonic is greater by
+# chance with less than this probability.
+NOT_NOISE = 1e-6
+
+# Points of the curve; variance of a coefficient's prior in units of the target's, as in the likelihood of the record.
+POINTS, PRIOR = 720, 5.0
+
+
+class Repeating(NamedTuple):
+    """Motion that repeats itself and does not tell the candidates apart.
+
+    Attributes
+    ----------
+    frequency : float
+        Of its period [Hz].
+    courses : int
+        Independent courses that the candidates take on it.
+    terms : int
+        Number of candidates.
+    """
+
+    frequency: float
+    courses: int
+    terms: int
+
+
+def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
+    """Whether all records of some motion run along closed curves that do not tell the candidates apart.
+
+    Parameters
+    ----------
+    motion : Motion
+        With time.
+    terms : sequence of Expression
+        The candidates.
+
+    Returns
+    -------
+    Repeating or None
+        None where motion does not repeat itself, or tells the candidates apart.
+    """
+    drivers = motion.roles.inputs
+    if not motion.timed or any(TIME in term.names for term in terms):
+        return None
+    curves, frequency, noise = [], 0.0, math.inf
+    for rows in motion.train:
+        found = _closed_curve(rows, motion.roles.states, drivers, motion.roles.targets)
+        if found is None:
+            return None
+        curve, frequency, share = found
+        curves.append(evaluate_terms(list(terms), curve))
+        noise = min(noise, share / rows.n)
+    columns = np.concatenate(curves)
+    columns = columns - columns.mean(axis=0)
+    spread = columns.std(axis=0)
+    known = np.isfinite(spread) & (spread > 0.0)
+    unit = columns[:, known] / spread[known]
+    # a combination of candidates counts if the target would show it above its noise
+    values = np.linalg.eigvalsh(unit.T @ unit / len(unit))
+    courses = int((values > noise / PRIOR).sum())
+    return None if courses >= len(terms) else Repeating(frequency, courses, len(terms))
+
+
+def _closed_curve(
+    rows: MotionRows, states: Sequence[str], inputs: Sequence[str], targets: Sequence[str]
+) -> tuple[dict[str, Floats], float, float] | None:
+    """States and inputs along the curve, its frequency, and the least noise of a target as a share of its variance."""
+    assert rows.time is not None
+    time = rows.time - rows.time[0]
+    step = float(np.median(np.diff(time)))
+    if np.abs(np.diff(time) - step).max() > 0.01 * step:
+        return None
+    names = [*states, *inputs, *targets]
+    samples = {name: np.asarray(rows.samples.get(name, rows.columns[name]), dtype=np.float64) for name in names}
+    samples = {name: np.where(np.isfinite(one), one, rows.columns[name]) for name, one in samples.items()}
+    frequency = _frequency(time, np.column_stack([_standard(samples[name]) for name in (*states, *inputs)]))
+    if frequency is None:
+        return None
+    curve: dict[str, Floats] = {}
+    noise = math.inf
+    phases = np.linspace(0.0, 1.0 / frequency, POINTS, endpoint=False)
+    for name, values in samples.items():
+        harmonics = max(1, min(HARMONICS, int(0.25 / (step * frequency))))
+        design = _harmonics(time, frequency, harmonics)
+        coef = np.linalg.lstsq(design, values, rcond=None)[0]
+        left = values - design @ coef
+        if name in rows.samples and not _is_noise(left, step, frequency * (harmonics + 0.5)):
+            return None
+        level = float(left.var()) * len(values) / max(len(values) - len(coef), 1)
+        power = 0.5 * len(values) * (coef[1::2] ** 2 + coef[2::2] ** 2)
+        weak = np.repeat(power < -2.0 * math.log(CHANCE) * level, 2)
+        coef[1:][weak] = 0.0
+        curve[name] = _harmonics(phases, frequency, harmonics) @ coef
+        if name in targets:
+            noise = min(noise, level / max(float(values.var()), 1e-300))
+    return curve, frequency, noise
+
+
+def _frequency(time: Floats, columns: Floats) -> float | None:
+    """The frequency [Hz] whose harmonics explain most of some columns; None of fewer than a few periods."""
+    n, length = len(time), float(time[-1]) * len(time) / (len(time) - 1)
+    power = (np.abs(np.fft.rfft(columns, axis=0)) ** 2).sum(axis=1)
+    power[0] = 0.0
+    peak = int(np.argmax(power))
+    if peak < LEAST_PERIODS or peak > n // 8:
+        return None
+
+    def left(frequency: float) -> float:
+        design = _harmonics(time, frequency, 3)
+        coef = np.linalg.lstsq(design, columns, rcond=None)[0]
+        return float(((columns - design @ coef) ** 2).sum())
+
+    best, width = peak / length, 1.0 / length
+    for _ in range(3):
+        tried = best + width * np.linspace(-1.0, 1.0, FREQUENCIES)
+        best = float(tried[np.argmin([left(f) for f in tried.tolist()])])
+        width /= 0.25 * FREQUENCIES
+    return best
+
+
+def _harmonics(time: Floats, frequency: float, count: int) -> Floats:
+    """A constant, then cosine and sine of every harmonic."""
+    angle = 2.0 * np.pi * frequency * time[:, None] * np.arange(1, count + 1)
+    return np.column_stack(
+        [np.ones(len(time)), np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(time), -1)]
+    )
+
+
+def _is_noise(left: Floats, step: float, below: float) -> bool:
+    """Whether what is left of a channel has no more power below a frequency than white noise has."""
+    power = np.abs(np.fft.rfft(left)[1 : (len(left) + 1) // 2]) ** 2
+    frequencies = np.arange(1, len(power) + 1) / (len(left) * step)
+    inside = int((frequencies < below).sum())
+    if inside < 8 or inside > len(power) - 8 or not power.sum() > 0.0:
+        return True
+    share = float(power[:inside].sum() / power.sum())
+    return 1.0 - incomplete_beta(inside, len(power) - inside, share) > NOT_NOISE
+
+
+def _standard(values: Floats) -> Floats:
+    return np.asarray((values - values.mean()) / (values.std() or 1.0))

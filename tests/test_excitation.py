@@ -1,0 +1,64 @@
+"""Motion that repeats itself: candidates that a closed curve does not tell apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from studies.adverse_records import CASES, draw_record
+
+import bayeq as bq
+from bayeq.dictionary import Variables, build_dictionary
+from bayeq.selection.excitation import repeating
+from bayeq.states import Roles, estimate_motion
+
+
+def judged(record, chains, inputs, dictionary):
+    roles = Roles.parse(chains, None, None, None, None, inputs)
+    terms = build_dictionary(dictionary, Variables(roles.states, roles.inputs))
+    return repeating(estimate_motion([record], roles, "auto", 0.2), terms), terms
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_steady_sine_does_not_tell_an_oscillators_terms_apart(seed):
+    record = draw_record(CASES["steady sine"], 2000, seed)
+    found, terms = judged(record, ("x:v:a",), ["u"], "oscillator")
+    assert found is not None
+    assert found.courses < found.terms == len(terms)
+    # the frequency of the force, whose samples hold its line
+    power = np.abs(np.fft.rfft(record["u"], 16 * record.n)) ** 2
+    assert found.frequency == pytest.approx(np.argmax(power) * record.fs / (16 * record.n), abs=0.03)
+    # of a linear mass on a spring with a known mass a line tells two coefficients
+    assert judged(record, ("x:v:a",), [], "x, v")[0] is None
+
+
+@pytest.mark.parametrize("case", ["clean", "white force"])
+def test_other_motion_does_not_repeat_itself(case):
+    assert judged(draw_record(CASES[case], 2000, 1), ("x:v:a",), ["u"], "oscillator")[0] is None
+
+
+def test_a_limit_cycle_of_many_harmonics_tells_its_terms_apart():
+    time = np.arange(4000) * 0.02
+    clean = bq.simulate("vanderpol", n=8000, fs=50.0, noise=0.0, seed=1)
+    rng = np.random.default_rng(1)
+    channels = {name: clean[name][4000:] for name in clean.names if name in clean.truth.clean}
+    channels = {name: v + 0.01 * v.std() * rng.normal(size=len(v)) for name, v in channels.items()}
+    record = bq.Record.from_arrays(channels, time=time)
+    found, terms = judged(record, tuple(record.names), [], "polynomial:3")
+    assert found is None
+    assert len(terms) == 9
+
+
+def test_of_free_decay_nothing_repeats_itself():
+    time = np.arange(3000) * 0.01
+    x = np.exp(-0.02 * time) * np.sin(6.0 * time)
+    record = bq.Record.from_arrays(x=x + 1e-3 * np.random.default_rng(2).normal(size=3000), time=time)
+    assert judged(record, ("x::",), [], "oscillator")[0] is None
+
+
+@pytest.mark.filterwarnings("ignore")  # of columns that the data hardly tell apart
+def test_the_verdict_says_what_to_do():
+    # the posterior is sure of one law, since it has few terms
+    verdict = bq.discover(draw_record(CASES["steady sine"], 4000, 30011), chains="x:v:a", inputs=["u"]).verdict
+    assert verdict.kind == "not determined"
+    assert "repeats itself" in verdict.reason
+    assert "multisine" in verdict.advice
