@@ -26,7 +26,8 @@ from bayeq.records.atomic import replacing
 from bayeq.refine.results import Refinement
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import DroppedTerm
-from bayeq.states import Chain, Roles, Smooth, rates
+from bayeq.states import Chain, Roles, Smooth, estimate_motion, rates
+from bayeq.states.motion import MotionRows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -229,6 +230,35 @@ class Equations:
         if return_std:
             return tuple(np.column_stack(pieces) for pieces in zip(*parts, strict=True))
         return np.column_stack(parts)
+
+    def motion(self, record: Record) -> MotionRows:
+        """States, targets and inputs of a record as `discover` makes them of its channels: smoothed, bridged, estimated.
+
+        Parameters
+        ----------
+        record : Record
+            With the channels that the equations were found from.
+
+        Returns
+        -------
+        MotionRows
+            ``time`` (n,) [s]; ``columns``, mapping of every state, target and input to (n,) array; ``observed``, the
+            targets as they were measured, where they were.
+
+        Raises
+        ------
+        InputError
+            Not a Record, or one without the channels.
+
+        Warns
+        -----
+        DataWarning
+            As `predict`.
+        """
+        if not isinstance(record, Record):
+            raise InputError(f"motion needs a Record (bayeq.read reads a file), not {type(record).__name__}")
+        (record,) = prepared(self._timed([record]), self.roles, self.smooth, self.warnings)
+        return estimate_motion([record], self.roles, self.smooth, sensors=self.data.sensors).records[0]
 
     def simulate(
         self,
