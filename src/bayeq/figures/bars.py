@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayeq.figures.answer import NOTEWORTHY_PIP, Answer, equation_of, likely_terms
+from bayeq.figures.answer import Answer, equation_of, likely_terms
 from bayeq.figures.picture import one_axes, picture
 from bayeq.figures.style import BLACK, BLUE, PALE, RED, term_label
 from bayeq.records import Record
@@ -65,11 +65,8 @@ def pip_bars(eq: Answer, record: Record | None = None, ax: Any = None, *, target
     ax.set_ylim(max(len(listed), 3) - 0.4, -0.6)
     ax.set_xlim(0.0, 1.0)
     rest = len(names) - len(listed)
-    least = min(NOTEWORTHY_PIP, float(pip.min())) if len(pip) else NOTEWORTHY_PIP
-    below = np.delete(equation.posterior.pip, listed)
-    least = max(least, float(below.max(initial=0.0)))
-    ax.set_xlabel(f"posterior inclusion probability ({rest} more terms: at most {least:.2g})" if rest else
-                  "posterior inclusion probability")
+    most = float(np.delete(equation.posterior.pip, listed).max(initial=0.0))
+    ax.set_xlabel(f"PIP ({rest} more terms: at most {most:.1g})" if rest else "posterior inclusion probability")
     ax.set_title(term_label(equation.target))
     if listed:
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=2, fontsize=7)

@@ -43,7 +43,7 @@ def candidate_correlation(eq: Answer, record: Record, ax: Any = None, *, target:
     Returns
     -------
     matplotlib.axes.Axes
-        Dark red at 1, white at 0, dark blue at -1, with the numbers; names of terms that are shown are bold.
+        Dark red at 1, white at 0, dark blue at -1, with the numbers; lines between terms shown and others.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def candidate_correlation(eq: Answer, record: Record, ax: Any = None, *, target:
     correlation = _correlation([np.asarray(evaluate(equation.terms[j])) for j in listed])
     names = [term.text for term in equation.terms]
     size = min(max(6.0 * len(listed), 36.0), 62.0)
-    ax = one_axes(ax, left=24.0, height=size, right=90.0 - 24.0 - size)
+    ax = one_axes(ax, left=24.0, height=size, right=90.0 - 24.0 - size, above=16.0)
     ax.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto")
     at = np.arange(len(listed))
     labels = [term_label(names[j], names) for j in listed]
@@ -79,8 +79,6 @@ def candidate_correlation(eq: Answer, record: Record, ax: Any = None, *, target:
             colour = "white" if abs(value) > 0.6 else BLACK
             text = "1" if i == k else f"{value:.2f}".replace("0.", ".").replace("-", "\N{MINUS SIGN}")
             ax.text(k, i, text, ha="center", va="center", fontsize=font, color=colour)
-    for side, n in (("x", len(listed)), ("y", len(listed))):
-        ax.set(**{f"{side}lim": (-0.5, n - 0.5) if side == "x" else (n - 0.5, -0.5)})
     shown = equation.shown_posterior.support[listed]
     inside = int(shown.sum())
     for edge in (ax.axvline, ax.axhline):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.figures.answer import Answer, equation_of
-from bayeq.figures.picture import one_axes, picture, plain
+from bayeq.figures.picture import one_axes, picture, plain, unit_text
 from bayeq.figures.style import BLACK, BLUE, PALE, RED, term_label
 from bayeq.records import Record
 
@@ -71,20 +71,27 @@ def coefficient_forest(eq: Answer, record: Record | None = None, ax: Any = None,
     ax.set_xlim(-reach, reach)
     for place, j, value, spread in zip(at, kept, coef, sd, strict=True):
         unit = equation.coef_units[j]
-        text = f"{_number(value, spread)} ± {1.96 * spread:.2g}{f' {unit}' if unit and unit != '1' else ''}"
+        text = f"{_number(value, spread)}{f' {unit_text(unit)}' if unit and unit != '1' else ''}"
         where: dict[str, Any] = {"transform": ax.get_yaxis_transform(), "va": "center", "fontsize": 7}
         ax.text(1.02, place, plain(text.replace("-", "\N{MINUS SIGN}", 1) if value < 0 else text), **where)
     ax.set_xlabel("deviation from the estimate [% of it]")
     ax.set_title(term_label(equation.target))
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=3, fontsize=7, handlelength=1.2)
+    ax.legend(loc="lower left", bbox_to_anchor=(0.12, 1.0), borderaxespad=0.2, ncols=3, fontsize=7, handlelength=1.2)
     return ax
 
 
 def _number(value: float, sd: float) -> str:
-    """A coefficient to a tenth of its standard deviation."""
-    if not (isfinite(sd) and sd > 0):
+    """A coefficient to a tenth of its standard deviation, and half its interval given the terms shown.
+
+    >>> _number(-1003.62, 2.1), _number(-99640.0, 320.0), _number(2.5e7, 3e4)
+    ('-1003.6 ± 4.1', '-99640 ± 630', '(2.500 ± 0.006)e7')
+    """
+    if not (isfinite(sd) and sd > 0 and value):
         return f"{value:.4g}"
-    digits = 1 - floor(log10(sd))
-    if abs(value) < 1e6 and digits <= 8:
-        return f"{round(value, digits):.{max(digits, 0)}f}"
-    return f"{value:.4g}"
+    power = floor(log10(abs(value)))
+    if -4 <= power < 6:
+        digits = 1 - floor(log10(sd))
+        return f"{round(value, digits):.{max(digits, 0)}f} ± {round(1.96 * sd, digits):.{max(digits, 0)}f}"
+    digits = max(power - floor(log10(sd)), 0)
+    scale = 10.0**-power
+    return f"({value * scale:.{digits}f} ± {1.96 * sd * scale:.{digits}f})e{power}"

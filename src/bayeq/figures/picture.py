@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from functools import wraps
 from inspect import signature
@@ -16,7 +17,7 @@ from bayeq.figures.style import FULL_WIDTH, SINGLE_COLUMN, add_axes, new_figure,
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["GREY", "above", "label_of", "one_axes", "picture", "plain", "thinned", "two_axes"]
+__all__ = ["GREY", "above", "bracketed", "label_of", "one_axes", "picture", "plain", "thinned", "two_axes", "unit_text"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -24,6 +25,8 @@ Floats = NDArray[np.float64]
 
 # Measured samples, where many lie upon each other.
 GREY = "#8A8A8A"
+
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 # More points than this are drawn as every second, third ... of them.
 MOST_POINTS = 4000
@@ -90,10 +93,28 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+def unit_text(unit: str) -> str:
+    """A unit with its powers raised.
+
+    >>> unit_text("m/s^2"), unit_text("1/m^2/s^2")
+    ('m/s²', '1/m²/s²')
+    """
+    return re.sub(r"\^(-?\d+)", lambda power: power[1].translate(RAISED), unit)
+
+
+def bracketed(unit: str) -> str:
+    """A unit to be divided or raised: in brackets unless it is a single one.
+
+    >>> bracketed("mm"), bracketed("m/s")
+    ('mm', '(m/s)')
+    """
+    return unit if unit.isalpha() else f"({unit_text(unit)})"
+
+
 def label_of(name: str, units: Mapping[str, str], what: str = "") -> str:
     """Label of an axis: what is shown of a channel, and its unit where that is known."""
     unit = units.get(name, "")
-    return plain(f"{what} {name}".strip() + (f" [{unit}]" if unit else ""))
+    return plain(f"{what} {name}".strip() + (f" [{unit_text(unit)}]" if unit else ""))
 
 
 def thinned(n: int, most: int = MOST_POINTS) -> slice:

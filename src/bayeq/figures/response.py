@@ -8,7 +8,7 @@ import numpy as np
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.figures.answer import Answer, channel_of
-from bayeq.figures.picture import above, picture, plain, two_axes
+from bayeq.figures.picture import GREY, above, bracketed, picture, plain, two_axes
 from bayeq.figures.spectrum import cross_spectrum, even_rate, filled
 from bayeq.figures.style import BLACK, BLUE, term_label
 from bayeq.records import Record
@@ -20,6 +20,9 @@ __all__ = ["frequency_response"]
 
 # Frequencies at which the input has less than this share of its largest power are not drawn: nothing is excited there.
 DRIVEN = 1e-3
+
+# Where less than this share of the motion follows the input (coherence), what is measured is drawn faint.
+COHERENT = 0.5
 
 
 @picture
@@ -45,7 +48,7 @@ def frequency_response(
     Returns
     -------
     pair of matplotlib.axes.Axes
-        Of the frequencies that the input excites.
+        Of the frequencies that the input excites; faint where the motion does not follow it (coherence below 0.5).
 
     Raises
     ------
@@ -76,14 +79,22 @@ def frequency_response(
         {"color": BLUE, "linewidth": 0.9, "linestyle": (0, (4, 1.2)), "label": "free run"},
     )
     for values, look in zip((filled(run.measured[name]), run.mean[name]), looks, strict=True):
-        response = np.where(driven, cross_spectrum(u, values, fs)[1] / power, np.nan)
+        cross = cross_spectrum(u, values, fs)[1]
+        coherence = np.abs(cross) ** 2 / (power.real * cross_spectrum(values, values, fs)[1].real)
+        response = np.where(driven, cross / power, np.nan)
+        # from -270 to 90 degrees: that of an oscillator does not jump between 180 and -180
+        phase = (np.degrees(np.angle(response)) + 270.0) % 360.0 - 270.0
+        if look["label"] == "measured":  # what does not follow the input is there, but faint
+            axes[0].semilogy(f, np.abs(response), color=GREY, linewidth=0.6, label=f"coherence below {COHERENT:g}")
+            axes[1].plot(f, np.where(coherence < COHERENT, phase, np.nan), ".", color=GREY, markersize=2.5)
+            response, phase = (np.where(coherence >= COHERENT, part, np.nan) for part in (response, phase))
         axes[0].semilogy(f, np.abs(response), **look)
-        axes[1].plot(f, np.degrees(np.angle(response)), **look)
+        axes[1].plot(f, phase, **look)
     units = {key: unit for equation in eq.equations for key, unit in equation.units.items()}
     axes[0].set_ylabel(plain(f"|{name}/{source}|{_unit(units.get(name), units.get(source))}"))
     axes[1].set_ylabel("phase [°]")
-    axes[1].set_yticks([-180, -90, 0, 90, 180])
-    axes[1].set_ylim(-190.0, 190.0)
+    axes[1].set_yticks([-270, -180, -90, 0, 90])
+    axes[1].set_ylim(-280.0, 100.0)
     axes[1].set_xlabel("frequency [Hz]")
     axes[1].set_xlim(0.0, float(f[driven].max()))
     axes[0].set_title(f"response of {term_label(name)} to {term_label(source)}")
@@ -92,4 +103,4 @@ def frequency_response(
 
 
 def _unit(above_line: str | None, below: str | None) -> str:
-    return f" [({above_line})/({below})]" if above_line and below else ""
+    return f" [{bracketed(above_line)}/{bracketed(below)}]" if above_line and below else ""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError
 from bayeq.figures.answer import Answer, equation_of
-from bayeq.figures.picture import label_of, picture, plain, thinned
+from bayeq.figures.picture import label_of, picture, plain, thinned, unit_text
 from bayeq.figures.restoring import discovered_force, measured_force, require_second_order
 from bayeq.figures.style import BLACK, BLUE, SINGLE_COLUMN, new_figure, term_label
 from bayeq.records import Record
@@ -73,20 +73,22 @@ def restoring_force_surface(eq: Answer, record: Record, ax: Any = None, *, targe
     grid_x, grid_v = _ellipse(x, v)
     surface, _ = discovered_force(equation, {names[0]: grid_x, names[1]: grid_v})
     if ax is None:
-        ax = new_figure(SINGLE_COLUMN + 20.0, 88.0).add_axes((0.0, 0.04, 0.9, 0.9), projection="3d")
+        ax = new_figure(SINGLE_COLUMN + 20.0, 88.0).add_axes((0.0, 0.03, 0.9, 0.93), projection="3d")
+        ax.set_box_aspect((1.0, 1.0, 0.8), zoom=1.08)
     every = thinned(rows.n, POINTS)
-    look: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "linewidth": 0.25, "edgecolor": BLACK, "antialiased": True}
+    look: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "linewidth": 0.15, "edgecolor": BLACK, "antialiased": True}
     ax.plot_surface(grid_x, grid_v, surface, rcount=RINGS, ccount=RAYS, label="discovered", **look)
     ax.scatter(x[every], v[every], force[every], s=1.6, color=BLACK, alpha=0.5, linewidths=0, label="measured",
                depthshade=False, rasterized=True)
     ax.set_xlabel(label_of(names[0], equation.units), labelpad=-2)
     ax.set_ylabel(label_of(names[1], equation.units), labelpad=-2)
     unit = equation.units.get(equation.target)
-    ax.set_zlabel(plain(f"restoring force per mass{f' [{unit}]' if unit else ''}"), labelpad=-1)
+    ax.set_zlabel(plain(f"restoring force per mass{f' [{unit_text(unit)}]' if unit else ''}"), labelpad=-1)
     ax.tick_params(pad=-2)
     ax.locator_params(nbins=5)
-    ax.view_init(elev=22.0, azim=-62.0)
+    ax.view_init(elev=26.0, azim=-52.0)
     ax.set_title(term_label(equation.target))
+    ax.legend(loc="upper right", fontsize=7, markerscale=3.0)
     return ax
 
 
