@@ -26,6 +26,7 @@ PURPOSES = {
     "sensitivity": "for their sensitivity",
     "path": "for the path of best equations",
     "forecast": "for the free run",
+    "report": "for the report",
 }
 
 
@@ -37,6 +38,7 @@ class Outputs:
     sensitivity: Path | None
     path: Path | None
     forecast: Path | None
+    report: Path | None
     refine: bool
     physical: bool
     conditional: bool = False
@@ -76,6 +78,8 @@ class Outputs:
                 from bayeq.figures.write import require_suffix
 
                 require_suffix(file)
+        if self.report is not None:
+            _require_report(self.report)
         if self.sensitivity is not None:
             from bayeq.equation.pip_curve import require_spike_slab
 
@@ -140,6 +144,15 @@ class Outputs:
                 failures.append(f"{path}: cannot be written: {error.strerror or error}")
         if failures:
             raise InputError("; ".join(failures))
+
+
+def _require_report(path: Path) -> None:
+    """Refuse a report that could not be made."""
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{path}: a report is an HTML page: end it in .html")
+    from bayeq.equation.report.page import require_report
+
+    require_report()
 
 
 def show_equations(answer: Equations, as_json: bool, conditional: bool, physical: bool, explain: bool = False) -> None:

@@ -637,6 +637,57 @@ class Equations:
         with replacing(Path(path)) as part:
             part.write_text(text, encoding="utf-8")
 
+    def report(
+        self,
+        path: str | Path,
+        records: Record | Sequence[Record] | None = None,
+        *,
+        files: Sequence[str | Path] = (),
+        command: str | None = None,
+    ) -> None:
+        """Write the answer as one HTML page, which loads nothing from anywhere and prints well.
+
+        It holds the verdict, the equations and their terms, the warnings, pictures with hover values, the data and
+        settings with SHA-256 hashes, and the command that gives the answer again.
+
+        Parameters
+        ----------
+        path : str or Path
+            The page to write.
+        records : Record or sequence of Record, optional
+            That the equations were found from; pictures are of the first. Without, only those of the equations.
+        files : sequence of str or Path, optional
+            Files that the records were read from, to be named with their hashes.
+        command : str, optional
+            To be shown as what gives the answer again; by default one is made from the settings.
+
+        Raises
+        ------
+        InputError
+            The page, or one of `files`, cannot be written or read; records without the channels.
+        MissingExtraError
+            matplotlib or Bokeh is not installed.
+        """
+        from bayeq.equation.report.page import (
+            file_hash,
+            repeat_command,
+            require_report,
+            samples_hash,
+            write_report,
+        )
+
+        require_report()
+        pieces = [] if records is None else _as_list(records, "report")
+        for record in pieces:
+            for name in self.roles.channels:
+                _ = record[name]
+        try:
+            digests = {Path(file).name: file_hash(Path(file)) for file in files}
+            digests |= {f"samples of {r.name or 'the record'}": samples_hash(r) for r in pieces if not files}
+            write_report(Path(path), self, pieces, digests, command or repeat_command(self), command is not None)
+        except OSError as error:
+            raise InputError(f"{error.filename or path}: {error.strerror or error}") from error
+
     def __str__(self) -> str:
         """The answer as text: in colour on a terminal, plain (Markdown) elsewhere."""
         from bayeq.equation.text import render
