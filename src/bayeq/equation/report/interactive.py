@@ -99,18 +99,20 @@ def _plot(ax: Any, x_range: Any) -> Any:
 
 def _ticks(axis: Any, model: Any) -> None:
     """Names at their places, where the axis has such."""
-    from matplotlib.ticker import FixedFormatter, FixedLocator
+    from matplotlib.ticker import FixedLocator, FuncFormatter
 
-    locator, formatter = axis.get_major_locator(), axis.get_major_formatter()
-    if isinstance(locator, FixedLocator):
-        places = [float(place) for place in np.asarray(locator.locs)]
-        model.ticker = places
-        if isinstance(formatter, FixedFormatter):
-            labels = map(without_maths, formatter.seq)
-            # whole numbers have no point in the browser
-            model.major_label_overrides = {int(at) if at == int(at) else at: text for at, text in zip(places, labels, strict=False)}
-            if axis.axis_name == "x":
-                model.major_label_orientation = "vertical"
+    locator = axis.get_major_locator()
+    if not isinstance(locator, FixedLocator):
+        return
+    places = [float(place) for place in np.asarray(locator.locs)]
+    model.ticker = places
+    if isinstance(axis.get_major_formatter(), FuncFormatter):  # which set_ticks makes of names
+        labels = [without_maths(label.get_text()) for label in axis.get_ticklabels()]
+        # keys without a point, as numbers are written in the browser
+        keys = [int(at) if at == int(at) else at for at in places]
+        model.major_label_overrides = dict(zip(keys, labels, strict=True))
+        if axis.axis_name == "x":
+            model.major_label_orientation = "vertical"
 
 
 def _hover(plot: Any, renderer: Any, tooltips: list[tuple[str, str]], mode: str = "mouse") -> None:

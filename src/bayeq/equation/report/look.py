@@ -17,7 +17,7 @@ h3 { font-size: 1rem; margin: 1.2rem 0 .3rem; }
 .verdict.doubt { border-color: #E69F00; }
 .verdict p { margin: .2rem 0; }
 .equation { font-size: 1.3rem; line-height: 2; margin: .4rem 0; }
-.equation math { margin-right: .25em; white-space: nowrap; }
+.equation math { white-space: nowrap; }
 math { font-family: "STIX Two Math", "Cambria Math", "Latin Modern Math", math, serif; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; }
@@ -36,13 +36,16 @@ figure img { max-width: 100%; height: auto; display: block; }
 .live { display: none; width: 100%; }
 html.scripted figure.both .live { display: block; }
 html.scripted figure.both .still { display: none; }
-.narrow .live, .narrow .still { max-width: 36rem; }
+.pictures { display: grid; grid-template-columns: 1fr 1fr; gap: 1rem 1.5rem; grid-auto-flow: dense; }
+.pictures figure { margin: 0; min-width: 0; grid-column: 1 / -1; }
+.pictures figure.narrow { grid-column: auto; }
 li { margin: .4rem 0; }
 @media (max-width: 40rem) {
   body { padding: .6rem .8rem 2rem; font-size: 15px; }
   .equation { font-size: 1.1rem; }
   dl { grid-template-columns: 1fr; gap: 0; } dd { margin-bottom: .5rem; }
-  th, td { padding: .25rem .45rem; }
+  table { font-size: .8rem; } th, td { padding: .25rem .3rem; }
+  .pictures { display: block; } .pictures figure { margin: 1.2rem 0; }
 }
 @media print {
   @page { margin: 16mm; }

@@ -79,7 +79,7 @@ def write_report(
     body = _body(eq, digests, command, complete)
     figures = "".join(picture.html(k) for k, picture in enumerate(made))
     of = f" of {escape(records[0].name)}" if len(records) > 1 and records[0].name else ""
-    body[PICTURES] = f"<h2>Pictures{of}</h2>{figures}{sections.items(reasons) if reasons else ''}"
+    body[PICTURES] = f'<h2>Pictures{of}</h2><div class="pictures">{figures}</div>{sections.items(reasons)}'
     scripts = [_library(), START] if any(picture.live for picture in made) else []
     text = _document(f"Equation of motion: {', '.join(one.target for one in eq.equations)}", "".join(body.values()), scripts)
     with replacing(path) as part:
@@ -132,7 +132,7 @@ def _library() -> str:
     """Bokeh's script, without what would end the element that it stands in."""
     from bokeh.resources import Resources
 
-    return "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw).replace("</script", "<\\/script")
+    return "\n".join(Resources(mode="inline", components=["bokeh"], log_level="error").js_raw).replace("</script", "<\\/script")
 
 
 def _digest(script: str) -> str:

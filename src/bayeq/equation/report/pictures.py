@@ -7,6 +7,7 @@ import io
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from html import escape
 from typing import Any
 
@@ -24,6 +25,18 @@ __all__ = ["Picture", "pictures"]
 
 # Resolution of still pictures [dots per inch].
 DPI = 200
+
+
+class Remembering:
+    """An answer that prepares a record once, and runs once over the same rows, however many pictures ask for it."""
+
+    def __init__(self, eq: Answer) -> None:
+        self._answer: Any = eq
+        self.motion = cache(self._answer.motion)
+        self.simulate = cache(self._answer.simulate)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._answer, name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +74,12 @@ class Picture:
 
 def pictures(eq: Answer, record: Record | None) -> tuple[list[Picture], list[str]]:
     """All pictures that the answer and the record allow, and why others could not be drawn."""
-    made, reasons = [], []
+    made: list[Picture] = []
+    reasons: list[str] = []
+    source = Remembering(eq)
     for name, options, caption in _wanted(eq, record):
         try:
-            drawn = getattr(figures, name)(eq, record, **options)
+            drawn = getattr(figures, name)(source, record, **options)
         except BayeqError as error:
             reasons.append(f"{caption}: {error}")
             continue

@@ -13,6 +13,7 @@ from bayeq.equation.explain import VERDICTS, explanation
 from bayeq.equation.size_path import percent
 from bayeq.equation.text import NOTEWORTHY_PIP
 from bayeq.expressions.mathml import mathml, number_mathml, symbol_mathml
+from bayeq.figures.picture import unit_text
 from bayeq.forecast.results import percentages
 from bayeq.inference.engines import ENGINES
 
@@ -26,7 +27,7 @@ def verdict(eq: Answer) -> str:
     kind = eq.verdict.kind
     return (
         f'<div class="verdict {LOOKS.get(kind, "doubt")}"><p><strong>Verdict: {escape(kind)}</strong></p>'
-        f"<p>{escape(eq.verdict.reason)}</p><p>{escape(VERDICTS[kind])}.</p></div>"
+        f"<p>{escape(eq.verdict.reason)}</p><p>{escape(VERDICTS[kind].capitalize())}.</p></div>"
     )
 
 
@@ -70,14 +71,14 @@ def terms(one: Equation, score: str) -> str:
             value = round_to(shown.coef[j], shown.sd[j])
             part = percent(share[j]) if np.isfinite(share[j]) else ""
             spread = f"{shown.sd[j]:.2g}"
-            rows.append((term.text, value, spread, f"{low} … {high}", pip, part, one.coef_units[j] or ""))
+            rows.append((term.text, value, spread, f"{low} … {high}", pip, part, unit_text(one.coef_units[j] or "")))
         elif p.support[j] or p.pip[j] >= NOTEWORTHY_PIP:
             absent.append(len(rows))
             rows.append((term.text, "not shown" if p.support[j] else "not included", "", "", pip, "", ""))
     value, sd = one.intercept_estimate
     low, high = (round_to(end, sd) for end in one.printed_intercept_ci95)
     spread, unit = f"{sd:.2g}", one.units.get(one.target, "")
-    rows.append(("intercept", round_to(value, sd), spread, f"{low} … {high}", "", "", unit))
+    rows.append(("intercept", round_to(value, sd), spread, f"{low} … {high}", "", "", unit_text(unit)))
     header = ("term", "coefficient", "sd", "95 % interval", score, "share", "unit")
     rest = len(one.terms) - len(rows) + 1
     more = f'<p class="note">{rest} more candidates are not included, each with less than {NOTEWORTHY_PIP:g}.</p>'
@@ -101,8 +102,8 @@ def words(eq: Answer) -> str:
 
 
 def items(texts: Sequence[str]) -> str:
-    """A list."""
-    return f"<ul>{''.join(f'<li>{escape(text)}</li>' for text in texts)}</ul>"
+    """A list; nothing of none."""
+    return f"<ul>{''.join(f'<li>{escape(text)}</li>' for text in texts)}</ul>" if texts else ""
 
 
 def hashes(digests: Mapping[str, str]) -> str:
