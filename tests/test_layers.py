@@ -12,10 +12,10 @@ from tests.layers import SOURCE, circles, files, floors, imported, modules, room
 
 # From the ground up: a room imports from lines above its own, which here means from floors below.
 ORDER = [
-    "citation errors kernels",
+    "citation errors kernels markup",
     "expressions gram numerics records",
     "dictionary figures inference ode states",
-    "adapters forecast likelihood systems",
+    "adapters forecast inspection likelihood systems",
     "regression",
     "plan refine selection",
     "equation study",

@@ -64,7 +64,22 @@ def test_signatures():
     ]
     assert parameters(bq.simulate)[:2] == ["system", "n"]
     assert parameters(bq.read)[0] == "path"
-    for name in ("table", "to_sympy", "to_latex", "rhs", "predict", "simulate", "score", "refine", "physical", "save"):
+    assert parameters(bq.info) == ["source", "time", "fs", "names", "units", "group"]
+    assert parameters(bq.Equations.plot) == ["self", "record", "ax"]
+    for name in (
+        "coefficients",
+        "plot",
+        "table",
+        "to_sympy",
+        "to_latex",
+        "rhs",
+        "predict",
+        "simulate",
+        "score",
+        "refine",
+        "physical",
+        "save",
+    ):
         assert callable(getattr(bq.Equations, name))
 
 

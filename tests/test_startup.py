@@ -33,6 +33,7 @@ def run(*arguments, cwd=None):
         ["--version"],
         ["--cite"],
         ["discover", "--help"],
+        ["info", "--help"],
         ["plan", "--help"],
         ["simulate", "--help"],
         ["discover"],

@@ -24,6 +24,7 @@ _NAMES = {
     "forecast.run": "Forecast",
     "gram": "Gram",
     "inference.posterior": "Posterior",
+    "inspection.info": "RecordInfo info",
     "inference.prior": "Prior",
     "plan.result": "Plan",
     "records": "Finding Record Truth check_record correct_delay join read remove_offset write",
@@ -50,6 +51,7 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.gram import Gram as Gram
     from bayeq.inference.posterior import Posterior as Posterior
     from bayeq.inference.prior import Prior as Prior
+    from bayeq.inspection.info import RecordInfo as RecordInfo, info as info
     from bayeq.plan.result import Plan as Plan
     from bayeq.records import Finding as Finding, Record as Record, Truth as Truth, check_record as check_record
     from bayeq.records import correct_delay as correct_delay, join as join, read as read

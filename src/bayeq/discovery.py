@@ -12,6 +12,7 @@ from bayeq.dictionary import Specification, Variables, build_dictionaries, writt
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations
+from bayeq.equation.several import EquationTuple
 from bayeq.equation.units import channel_units
 from bayeq.errors import (
     AmbiguityWarning,
@@ -229,6 +230,7 @@ def discover(
     _warn_of_zero(design, pieces, log)
     constrained = _constrained(known, design, method)
 
+    step("likelihood", 0, 1)
     record = record_of(design, smooth, dictionary, prior)
     if record is None and smooth == "auto" and suits(motion, len(design.terms)):
         log.warn(NO_LIKELIHOOD, DataWarning)
@@ -260,7 +262,7 @@ def discover(
 
     log.emit(stacklevel=3)
     return Equations(
-        equations=with_doubts(equations, selections, tolerance or TOLERANCE),
+        equations=EquationTuple(with_doubts(equations, selections, tolerance or TOLERANCE)),
         inputs=roles.inputs,
         method=method,
         dictionary=written(dictionary),

@@ -95,6 +95,10 @@ class Outputs:
 
     def check_records(self, records: Sequence[Record]) -> None:
         """Refuse records without time where it is needed."""
+        from bayeq.records import counts_rows
+
+        if self.physical and any(map(counts_rows, records)):
+            raise InputError("--physical: parameters are per second, and time is not known: give --fs or --time")
         if not self.refine and self.forecast is None:
             return
         from bayeq.forecast.rows import require_time

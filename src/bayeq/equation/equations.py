@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayeq.equation.answer import DataSummary
 from bayeq.equation.equation import Equation
 from bayeq.equation.prepare import prepared, rows_of_record
+from bayeq.equation.several import EquationTuple, coefficients
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError, UnknownNameError
 from bayeq.expressions.functions import TIME
@@ -31,6 +32,7 @@ from bayeq.states.motion import MotionRows
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
 
     from bayeq.equation.physical import PhysicalParameters
     from bayeq.forecast.dynamics import Dynamics
@@ -56,7 +58,8 @@ class Equations:
 
     Attributes
     ----------
-    equations : tuple of Equation
+    equations : EquationTuple
+        A tuple of `Equation`; called, ``eq.equations()``, a list of the equations as strings, as they are printed.
     inputs : tuple of str
         Channels of the inputs.
     method : str
@@ -79,7 +82,7 @@ class Equations:
         How the coefficients were refined, if they were.
     """
 
-    equations: tuple[Equation, ...]
+    equations: EquationTuple
     inputs: tuple[str, ...]
     method: str
     dictionary: str
@@ -90,6 +93,9 @@ class Equations:
     constraints: tuple[str, ...] = ()
     scores: Scores | None = None
     refined: Refinement | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "equations", EquationTuple(self.equations))
 
     def __len__(self) -> int:
         return len(self.equations)
@@ -145,6 +151,39 @@ class Equations:
             one.insert(0, "target", equation.target)
             tables.append(one)
         return pd.concat(tables, ignore_index=True)
+
+    def coefficients(self) -> dict[str, dict[str, float]]:
+        """Coefficients of the equations shown: ``{"a": {"x": -1000.3, "v": -2.0, "u": 1.0}}``.
+
+        The constant is the term ``"1"``, where it is written out. ``pandas.DataFrame(eq.coefficients())`` is the matrix
+        that PySINDy's method of this name gives, with names; all candidates are in `table`.
+        """
+        return coefficients(self.equations)
+
+    def plot(self, record: Record | None = None, ax: Any = None) -> list[Axes]:
+        """A quick look: probabilities and coefficients, or, with a record, the free run against what was measured.
+
+        Parameters
+        ----------
+        record : Record, optional
+            Times, inputs and measured states, as in `simulate`.
+        ax : matplotlib Axes or array of them, optional
+            One for each equation, or, with a record, for each state; by default those of a new pyplot figure.
+
+        Returns
+        -------
+        list of matplotlib.axes.Axes
+
+        Raises
+        ------
+        InputError
+            As `simulate`, or another number of axes.
+        MissingExtraError
+            matplotlib is not installed.
+        """
+        from bayeq.equation.overview import plot_run, plot_terms
+
+        return plot_terms(self, ax) if record is None else plot_run(self.simulate(record), ax)
 
     def to_sympy(self) -> Any:
         """`sympy.Eq`, or a list of them where there are several equations."""
@@ -460,7 +499,7 @@ class Equations:
         found.log.emit(stacklevel=3)
         return replace(
             self,
-            equations=tuple(
+            equations=EquationTuple(
                 old.with_posterior(new.posterior, train=new.train, held_out=new.held_out, residuals=new.residuals)
                 for old, new in zip(self.equations, found.equations, strict=True)
             ),
@@ -600,10 +639,14 @@ class Equations:
         Raises
         ------
         InputError
-            An equation that is not of second order, or without a restoring term.
+            An equation that is not of second order, or without a restoring term; a record whose time is not known.
         """
         from bayeq.equation.physical import physical_parameters
 
+        if self.data.rows_as_time:
+            raise InputError(
+                "physical parameters are per second, and time is not known: give the sampling rate (fs=, --fs)"
+            )
         equation = _oscillator(self, target)
         span = self.data.measured.ranges.get(equation.chain.names[0])
         if span and not span[0] <= 0.0 <= span[1] and equation.verdict.kind in ("none", "not determined"):
@@ -693,6 +736,11 @@ class Equations:
         from bayeq.equation.text import render
 
         return render(self)
+
+    def _repr_html_(self) -> str:
+        from bayeq.equation.overview import as_html
+
+        return as_html(self)
 
     def __repr__(self) -> str:
         return f"<Equations: {'; '.join(equation.text for equation in self.equations)}>"

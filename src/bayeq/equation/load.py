@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from bayeq.equation.equation import Equation, Fit, RunnerUp
 from bayeq.equation.equations import DataSummary, Equations
 from bayeq.equation.intervals import OverModels
+from bayeq.equation.several import EquationTuple
 from bayeq.equation.to_json import FORMAT
 from bayeq.equation.verdict import KINDS, Verdict
 from bayeq.errors import BayeqError, FileFormatError
@@ -94,7 +95,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
             )
         )
     found = Equations(
-        equations=tuple(equations),
+        equations=EquationTuple(equations),
         inputs=tuple(str(name) for name in data["inputs"]),
         method=str(content["method"]),
         dictionary=str(data["dictionary"]),

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, RED, add_axes, new_figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Panel", "Strip", "draw_forecasts"]
+__all__ = ["Panel", "Strip", "draw_forecasts", "draw_panel", "forecast_legend"]
 
 Floats = NDArray[np.float64]
 
@@ -79,37 +80,42 @@ def draw_forecasts(strips: Sequence[Strip]) -> Figure:
     for strip, height, title in zip(strips, heights, above, strict=True):
         _draw(figure, strip, top + title)
         top += title + height
-    figure.legend(handles=_legend(strips), loc="upper center", ncols=4, handlelength=2.2)
+    figure.legend(handles=forecast_legend(strips), loc="upper center", ncols=4, handlelength=2.2)
     return figure
 
 
 def _draw(figure: Figure, strip: Strip, top: float) -> None:
-    every = slice(None, None, -(-len(strip.time) // MOST_POINTS))
-    t = strip.time[every]
     for k, panel in enumerate(strip.panels):
         ax = add_axes(figure, LEFT, top + k * (HEIGHT + GAP), WIDTH, HEIGHT)
-        shown = [panel.mean[every]]
-        if panel.measured is not None:
-            shown.append(panel.measured[every])
-            ax.plot(t, shown[-1], color=BLACK, linewidth=0.5)
-        low, high = _limits(shown)
-        if panel.low is not None and panel.high is not None:
-            # what lies outside the panel, or nowhere, is drawn to its edge
-            room = 10.0 * (high - low)
-            bottom, upper = (np.clip(edge[every], low - room, high + room) for edge in (panel.low, panel.high))
-            ax.fill_between(t, bottom, upper, color=BLUE, alpha=0.25, linewidth=0.0)
-        ax.plot(t, shown[0], color=BLUE, linewidth=0.8)
-        if strip.blew_up_at is not None:
-            ax.axvline(strip.blew_up_at, color=RED, linestyle=(0, (4, 2)), linewidth=0.8)
-        ax.set_xlim(float(strip.time[0]), float(strip.time[-1]))
-        ax.set_ylim(low, high)
-        ax.set_ylabel(panel.label)
+        draw_panel(ax, strip, panel)
         if k == 0 and strip.title:
             ax.set_title(strip.title.replace("$", r"\$"))
         if k < len(strip.panels) - 1:
             ax.tick_params(axis="x", labelbottom=False)
         else:
             ax.set_xlabel("time [s]")
+
+
+def draw_panel(ax: Axes, strip: Strip, panel: Panel) -> None:
+    """One state of a free run: what was measured, the run, its band, and where it blew up."""
+    every = slice(None, None, -(-len(strip.time) // MOST_POINTS))
+    t = strip.time[every]
+    shown = [panel.mean[every]]
+    if panel.measured is not None:
+        shown.append(panel.measured[every])
+        ax.plot(t, shown[-1], color=BLACK, linewidth=0.5)
+    low, high = _limits(shown)
+    if panel.low is not None and panel.high is not None:
+        # what lies outside the panel, or nowhere, is drawn to its edge
+        room = 10.0 * (high - low)
+        bottom, upper = (np.clip(edge[every], low - room, high + room) for edge in (panel.low, panel.high))
+        ax.fill_between(t, bottom, upper, color=BLUE, alpha=0.25, linewidth=0.0)
+    ax.plot(t, shown[0], color=BLUE, linewidth=0.8)
+    if strip.blew_up_at is not None:
+        ax.axvline(strip.blew_up_at, color=RED, linestyle=(0, (4, 2)), linewidth=0.8)
+    ax.set_xlim(float(strip.time[0]), float(strip.time[-1]))
+    ax.set_ylim(low, high)
+    ax.set_ylabel(panel.label.replace("$", r"\$"))
 
 
 def _limits(curves: Sequence[Floats]) -> tuple[float, float]:
@@ -120,7 +126,8 @@ def _limits(curves: Sequence[Floats]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _legend(strips: Sequence[Strip]) -> list[Any]:
+def forecast_legend(strips: Sequence[Strip]) -> list[Any]:
+    """What the looks of lines and bands mean."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

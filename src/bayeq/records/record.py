@@ -307,6 +307,11 @@ class Record:
         columns = self.to_columns()
         return pd.DataFrame(dict(zip(columns.names, columns.values, strict=True)))
 
+    def _repr_html_(self) -> str:
+        from bayeq.records.html import as_html
+
+        return as_html(repr(self), self.channels, self.units)
+
     def __repr__(self) -> str:
         shown = [f"{c} [{self.units[c]}]" if c in self.units else c for c in self.names[:8]]
         more = f", ... ({len(self.names)} channels)" if len(self.names) > 8 else ""

@@ -89,7 +89,7 @@ def conversion(stated: str, wanted: str) -> float | None:
         return 1.0
     factor = 1.0
     for unit, sign in ((first, 1), (second, -1)):
-        for symbol in [one for one in unit if one in FORCES]:
+        for symbol in [one for one in unit if one in FORCES and one != "N"]:
             factor *= FORCES[symbol] ** float(sign * unit[symbol])
             multiply_units(unit, {symbol: -unit[symbol], "N": unit[symbol]})
     if first == second:

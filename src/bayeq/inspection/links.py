@@ -1,0 +1,189 @@
+"""Which channel is the derivative of another: gain and delay, from spectra of both (`bayeq.records.consistency`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.inspection.channels import ChannelInfo
+from bayeq.records import Record
+from bayeq.records.consistency import Frames, Relation, relate, uniform_frames
+from bayeq.records.units import derivative_ratio
+
+__all__ = ["Link", "find_links", "short_record"]
+
+Floats = NDArray[np.float64]
+
+# Channels are compared on at most this many rows, the middle ones. A faster record is first averaged over blocks of
+# rows, as many as leave this many to a period of the fastest channel: a block mean is a filter, alike for all channels,
+# that leaves a derivative a derivative.
+ROWS = 16_384
+PER_PERIOD = 16.0
+
+# Missing samples are interpolated in a channel that has more than this share of them.
+MOSTLY = 0.8
+
+# More channels than these are not compared, each with each: that would take seconds.
+MOST_CHANNELS = 16
+
+# A channel is the derivative of another if a sign and a delay explain this share of what they have in common, this
+# share of its power is common (the square of the coherence), and it is not later or earlier than this many rows.
+LEAST_FIT = 0.9
+LEAST_COHERENCE = 0.6
+MOST_DELAY = 3.0
+
+# ... and the gain is that of the units, or, where they are not known, of units that are often mixed, within a factor.
+NEAR = 1.25
+MIXED = (1.0, 1e-3, 1e3, 1e-2, 1e2, 9.80665, 2.0 * math.pi, 180.0 / math.pi)
+
+# Any gain is accepted of channels that move over a band this wide: the factor of the derivative's mean frequency to
+# that of the motion. A motion of one frequency is the derivative of anything that has it.
+BROAD = 1.1
+# Noise may bring the frequency of a derivative this near to that of the motion, or below.
+NOT_SLOWER = 0.97
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One channel is the derivative of another.
+
+    Attributes
+    ----------
+    below, above : str
+        The motion and its derivative.
+    order : int
+        1 or 2.
+    gain : float
+        above = gain times the derivative by seconds of below; negative where the sign is reversed.
+    delay : float
+        Of `above` [s].
+    fit : float
+        Share of what the channels have in common that this explains.
+    expected : float or None
+        The gain that their units say.
+    """
+
+    below: str
+    above: str
+    order: int
+    gain: float
+    delay: float
+    fit: float
+    expected: float | None
+
+    @property
+    def stands_for(self) -> str:
+        """The derivative as text."""
+        return f"d{self.below}/dt" if self.order == 1 else f"d{self.order}{self.below}/dt{self.order}"
+
+
+def short_record(records: Sequence[Record], channels: Mapping[str, ChannelInfo]) -> Record:
+    """The longest record at even steps of time, averaged over blocks and cut so that comparisons are quick."""
+    record = _even(max(records, key=lambda one: one.n))
+    peaks = [info.spectrum.peak for info in channels.values() if info.spectrum is not None]
+    if record.fs is None or not peaks or not record.is_uniform() or record.n <= ROWS:
+        return record
+    block = int(min(record.fs / (PER_PERIOD * max(peaks)), record.n / ROWS))
+    if block > 1:
+        assert record.time is not None
+        rows = record.n // block * block
+        means = {name: values[:rows].reshape(-1, block).mean(axis=1) for name, values in record.channels.items()}
+        record = Record(means, record.time[:rows].reshape(-1, block).mean(axis=1), record.units, record.name)
+    first = max(0, (record.n - ROWS) // 2)
+    return record.slice(first, first + ROWS)
+
+
+def _even(record: Record) -> Record:
+    """Channels interpolated at even steps of time: what is between samples is a guess, but alike for all channels.
+
+    So are samples that are missing, in channels of which most are there.
+    """
+    step = record.dt
+    if record.time is None or step is None:
+        return record
+    known = {name: np.isfinite(values) for name, values in record.channels.items()}
+    gappy = {name: rows for name, rows in known.items() if MOSTLY < rows.mean() < 1.0}
+    if gappy:
+        filled = {name: np.interp(record.time, record.time[r], record[name][r]) for name, r in gappy.items()}
+        units = {name: unit for name, unit in record.units.items() if name in filled}
+        record = record.with_channels(filled, units)
+    if record.is_uniform() or record.time is None:
+        return record
+    time = record.time[0] + step * np.arange(min(int((record.time[-1] - record.time[0]) / step) + 1, 2 * record.n))
+    channels = {name: np.interp(time, record.time, values) for name, values in record.channels.items()}
+    return Record(channels, time, record.units, record.name)
+
+
+def find_links(record: Record, names: Sequence[str]) -> list[Link]:
+    """Pairs of channels of which one is the first or second derivative of the other, the surest first.
+
+    Parameters
+    ----------
+    record : Record
+        A short one; without even steps of time nothing is found.
+    names : sequence of str
+        Channels to compare, the first 16.
+    """
+    frames = None if record.time is None else uniform_frames(record.time)
+    if frames is None or record.time is None:
+        return []
+    used = [name for name in names[:MOST_CHANNELS] if np.isfinite(record[name]).all() and np.ptp(record[name]) > 0.0]
+    rates = {name: _mean_frequency(record[name]) for name in used}
+    found: list[tuple[float, Link]] = []
+    for p, q in permutations(used, 2):
+        if rates[q] < NOT_SLOWER * rates[p]:
+            continue
+        for order in (1, 2):
+            expected = _expected(record, p, q, order)
+            if expected is not None and math.isnan(expected):
+                continue
+            relation = relate(record.time, record[p], record[q], order, frames)
+            if relation is not None and _is_derivative(relation, expected, rates[q] / rates[p], frames):
+                gain = relation.sign * relation.gain
+                link = Link(p, q, order, gain, relation.delay, relation.fit, expected)
+                found.append((_doubt(relation, expected, frames), link))
+    return [link for _, link in sorted(found, key=lambda one: one[0])]
+
+
+def _mean_frequency(values: Floats) -> float:
+    """Geometric mean of the frequencies of a channel, weighted by power above noise, in bins."""
+    power = np.abs(np.fft.rfft(np.hanning(len(values)) * (values - values.mean())))[1:] ** 2
+    power = np.maximum(power - min(float(np.median(band)) for band in np.array_split(power, 4)), 0.0)
+    if not power.sum() > 0.0:
+        return 1.0
+    return math.exp(float(power @ np.log(np.arange(1, len(power) + 1))) / float(power.sum()))
+
+
+def _expected(record: Record, p: str, q: str, order: int) -> float | None:
+    """The gain that units say; None where one is not known, NaN where they contradict a derivative."""
+    below, above = record.units.get(p), record.units.get(q)
+    if below is None or above is None:
+        return None
+    ratio = derivative_ratio(below, above, order)
+    return float("nan") if ratio is None else ratio
+
+
+def _nearest(gain: float, expected: float | None) -> float:
+    """How far a gain is from what units may make it, as a logarithm."""
+    if expected is not None:
+        return abs(math.log(gain / expected))
+    return min(abs(math.log(gain * factor)) for size in MIXED for factor in (size, 1.0 / size))
+
+
+def _is_derivative(relation: Relation, expected: float | None, faster: float, frames: Frames) -> bool:
+    if relation.fit < LEAST_FIT or relation.least_gain < LEAST_COHERENCE * relation.most_gain:
+        return False
+    if abs(relation.delay) > MOST_DELAY * frames.dt:
+        return False
+    return faster > BROAD or _nearest(relation.gain, expected) < math.log(NEAR)
+
+
+def _doubt(relation: Relation, expected: float | None, frames: Frames) -> float:
+    """Small for a derivative of the right sign and gain, without delay."""
+    wrong = min(_nearest(relation.gain, expected), 3.0) + (1.0 if relation.sign < 0 else 0.0)
+    return wrong + abs(relation.delay) / frames.dt + 5.0 * (1.0 - relation.fit)

@@ -1,0 +1,185 @@
+"""The command to run next, ready to paste, and the same in Python."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from bayeq.inspection.roles import Clue, Guess
+
+__all__ = ["Proposal", "Reading", "propose"]
+
+# Products of up to three states and inputs for first-order states; up to two where there are fewer rows for each term.
+CUBIC, QUADRATIC = "polynomial:3", "polynomial:2"
+ROWS_PER_TERM = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """How the file is to be read.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Empty where the record is no file.
+    time, group, names : str or None
+        As the options of the same name.
+    fs : float or None
+        Sampling rate [Hz].
+    clocked : bool
+        Whether there is time at all.
+    unnumbered : bool
+        Whether time starts over and no column numbers the experiments.
+    """
+
+    files: tuple[str, ...] = ()
+    time: str | None = None
+    fs: float | None = None
+    names: str | None = None
+    group: str | None = None
+    clocked: bool = True
+    unnumbered: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """What to run next.
+
+    Attributes
+    ----------
+    command : str or None
+        For a shell, quoted; None where the record is no file.
+    python : str
+        The same as a line of Python.
+    complete : bool
+        Whether it can be run as it is, without a placeholder.
+    notes : tuple of str
+        A sentence for each placeholder and each choice that may be another.
+    """
+
+    command: str | None
+    python: str
+    complete: bool
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain data."""
+        return {**asdict(self), "notes": list(self.notes)}
+
+
+def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int) -> Proposal:
+    """Command and notes for what was found out about a file, or files, of this many rows."""
+    options: list[tuple[str, str]] = []
+    notes: list[str] = []
+    if not reading.clocked and reading.files:
+        notes.append(
+            "RATE: there is no time in the file; write the sampling rate in Hz, or name the column of time (--time)"
+        )
+    elif not reading.clocked:
+        notes.append("the record has no time: make it with time= or fs=, as in Record.from_arrays(x=x, fs=1000)")
+    if reading.unnumbered:
+        notes.append(
+            "this works once the file has a column that numbers its experiments (then add --group), or is divided:"
+            " its time starts over"
+        )
+    arguments = _roles(guess, options, notes)
+    dictionary = _dictionary(guess, clues, rows)
+    if dictionary is not None:
+        options.append(("--dictionary", dictionary))
+        arguments.append(f"dictionary={dictionary!r}")
+    _say_undecided(guess, notes)
+    command = None
+    if reading.files:
+        files = [name if not name.startswith("-") else f"./{name}" for name in reading.files]
+        words = ["bayeq", "discover", *files]
+        for option, value in (*_reading_options(reading), *options):
+            words += [option, value]
+        command = " ".join(shlex.quote(word) for word in words)
+    complete = reading.clocked and bool(guess.chains) and not reading.unnumbered
+    return Proposal(command, _python(reading, arguments), complete, tuple(notes))
+
+
+def _reading_options(reading: Reading) -> list[tuple[str, str]]:
+    out = [(f"--{key}", value) for key in ("time", "names", "group") if (value := getattr(reading, key)) is not None]
+    if reading.fs is not None:
+        out.append(("--fs", f"{reading.fs:.12g}"))
+    elif not reading.clocked:
+        out.append(("--fs", "RATE"))
+    return out
+
+
+def _roles(guess: Guess, options: list[tuple[str, str]], notes: list[str]) -> list[str]:
+    """Options of chains and inputs; returns the same as Python arguments."""
+    if not guess.chains:
+        options.append(("--disp", "DISPLACEMENT"))
+        notes.append(
+            "DISPLACEMENT: no channel says what it is; write the displacement, and add --vel, --acc and --force where"
+            " these were measured (of first-order states: --chain NAME for each instead)"
+        )
+        arguments = ["displacement='DISPLACEMENT'"]
+    elif len(guess.chains) == 1 and len(guess.chains[0]) == 3:
+        arguments = []
+        for option, word, name in zip(
+            ("--disp", "--vel", "--acc"), ("displacement", "velocity", "acceleration"), guess.chains[0], strict=True
+        ):
+            if name is not None:
+                options.append((option, name))
+                arguments.append(f"{word}={name!r}")
+    else:
+        texts = [":".join(name or "" for name in chain) for chain in guess.chains]
+        options += [("--chain", text) for text in texts]
+        arguments = [f"chains={texts!r}"]
+    single = len(guess.inputs) == 1 and not (guess.chains and len(guess.chains[0]) == 1)
+    if single and len(guess.chains) < 2:
+        options.append(("--force", guess.inputs[0]))
+        arguments.append(f"force={guess.inputs[0]!r}")
+    elif guess.inputs:
+        options += [("--input", name) for name in guess.inputs]
+        arguments.append(f"inputs={list(guess.inputs)!r}")
+    return arguments
+
+
+def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int) -> str | None:
+    """Terms that suit the chains; None for the default, eq. (31)."""
+    if not guess.chains:
+        return None
+    if any(len(chain) == 1 for chain in guess.chains):
+        variables = len(guess.chains) + len(guess.inputs)
+        return CUBIC if rows >= ROWS_PER_TERM * (math.comb(variables + 3, 3) - 1) else QUADRATIC
+    if len(guess.chains) > 1:
+        return QUADRATIC
+    motion = guess.chains[0][0]
+    if motion is not None and clues[motion].angle:
+        return f"oscillator + sin({motion}) + cos({motion})"
+    return None
+
+
+def _say_undecided(guess: Guess, notes: list[str]) -> None:
+    if guess.undecided and guess.chains:
+        listed = ", ".join(guess.undecided)
+        one = guess.undecided[0]
+        notes.append(
+            f"not used: {listed}; if one of them is a force or another input, add --input {shlex.quote(one)}; if it is"
+            f" a coordinate of its own, --chain {shlex.quote(one + '::')}"
+        )
+    if guess.chains and not guess.inputs and not guess.undecided:
+        return
+    if guess.chains and not guess.inputs:
+        notes.append("no channel is known to be a force: without one the motion is taken as free")
+
+
+def _python(reading: Reading, arguments: Sequence[str]) -> str:
+    if not reading.files:
+        return f"bq.discover(record, {', '.join(arguments)})"
+    options = [f"{key}={getattr(reading, key)!r}" for key in ("time", "fs", "names", "group") if getattr(reading, key)]
+    if not reading.clocked and reading.fs is None:
+        options.append("fs=RATE")
+    read = [f"bq.read({', '.join([repr(file), *options])})" for file in reading.files]
+    if reading.group is not None and len(read) > 1:
+        records = " + ".join(read)  # each is a list of trials
+    else:
+        records = read[0] if len(read) == 1 else f"[{', '.join(read)}]"
+    return f"bq.discover({records}, {', '.join(arguments)})"

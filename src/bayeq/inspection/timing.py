@@ -1,0 +1,201 @@
+"""Which column is time, which one counts experiments, and where one experiment ends and the next begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.records import Record
+from bayeq.records.findings import equal_runs
+from bayeq.records.gaps import GAP, LONG_GAP
+from bayeq.records.names import is_time_name
+from bayeq.records.validate import SECONDS
+
+__all__ = ["Experiments", "Gap", "gaps_of", "sort_rows"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+# Words for time, and for the number of an experiment, as parts of column names in the usual languages.
+TIME_WORDS = ("time", "zeit", "temps", "tiempo", "tempo", "tijd", "year", "jahr", "date", "stamp", "second", "sekunde")
+STEP_NAMES = ("ts", "dt", "delta_t", "sampling_time", "sample_time", "time_step")
+TRIAL_WORDS = ("trial", "run", "experiment", "exp", "test", "group", "segment", "versuch", "messung", "essai", "set")
+
+# An experiment has at least this many rows: what changes more often is a signal.
+LEAST_ROWS = 20
+
+# Fewer rows do not show that a column rises steadily.
+LEAST_RISING = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A step of time that is longer than the usual one.
+
+    Attributes
+    ----------
+    row : int
+        Last row before it, counted from 1.
+    seconds : float
+        Its length.
+    long : bool
+        Whether it is more than 20 usual steps.
+    """
+
+    row: int
+    seconds: float
+    long: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Experiments:
+    """The rows of a file sorted by experiment.
+
+    Attributes
+    ----------
+    records : tuple of Record
+        One for each experiment, with time where there is one, without the columns of time and of numbers.
+    time : str or None
+        The column that is taken for time although nobody said so; None where the record has its time, or there is none.
+    column : str or None
+        The column that numbers the experiments.
+    counter : str or None
+        A column that counts the rows.
+    step : str or None
+        A constant column that is the time step, of a file without time.
+    restarts : bool
+        Whether time starts over within the file.
+    """
+
+    records: tuple[Record, ...]
+    time: str | None = None
+    column: str | None = None
+    counter: str | None = None
+    step: str | None = None
+    restarts: bool = False
+
+
+def sort_rows(record: Record, time: str | None = None) -> Experiments:
+    """Find the columns of time and of experiments, and divide the rows.
+
+    Parameters
+    ----------
+    record : Record
+        As it was read, with time or without.
+    time : str, optional
+        The channel that is time, which may start over.
+    """
+    counter = step = None
+    clock: Floats | None = record.time
+    if clock is None:
+        counter = next(
+            (name for name in record.names if _counts_rows(record[name]) and _doubt(record, name) == 2), None
+        )
+        time = time or _time_column(record, counter)
+        if time is not None:
+            clock = record[time] * SECONDS.get(record.units.get(time, "s"), 1.0)
+        elif (step := next((name for name in record.names if _is_step(record, name)), None)) is not None:
+            clock = np.asarray(np.arange(record.n) * float(np.nanmax(record[step])), dtype=np.float64)
+    restarts = np.zeros(0, dtype=np.intp) if clock is None else np.flatnonzero(np.diff(clock) <= 0.0) + 1
+    column = _trial_column(record, restarts, clock, {time, counter, step})
+    starts = restarts if column is None else np.union1d(restarts, equal_runs(record[column])[0][1:])
+    left_out = {name for name in (time, counter, step, column) if name is not None}
+    channels = {name: values for name, values in record.channels.items() if name not in left_out}
+    if not channels:
+        return Experiments((record,))
+    units = {name: unit for name, unit in record.units.items() if name in channels or name == "t"}
+    if clock is None or time is not None:
+        units.pop("t", None)
+    bounds = [0, *starts.tolist(), record.n]
+    records = []
+    for k, (a, b) in enumerate(pairwise(bounds)):
+        name = record.name if len(bounds) == 2 else f"{record.name} [experiment {k + 1}]".strip()
+        piece = {key: values[a:b] for key, values in channels.items()}
+        records.append(Record(piece, None if clock is None else clock[a:b], units, name, None))
+    return Experiments(tuple(records), time, column, counter, step, bool(len(restarts)))
+
+
+def _is_step(record: Record, name: str) -> bool:
+    """Whether a column is named as the time step and holds one number, in every row or in the first alone."""
+    known = record[name][np.isfinite(record[name])]
+    named = name.casefold() in STEP_NAMES and record.units.get(name, "s") == "s"
+    return named and len(known) > 0 and bool(known[0] > 0.0 and (known == known[0]).all())
+
+
+def _counts_rows(values: Floats) -> bool:
+    """Whether a column is 0, 1, 2 ... or 1, 2, 3 ..."""
+    return len(values) >= LEAST_RISING and bool(values[0] in (0.0, 1.0) and (np.diff(values) == 1.0).all())
+
+
+def _time_column(record: Record, counter: str | None) -> str | None:
+    """The column that rises steadily, or starts over: by its unit, its name, or the first there is."""
+    rising = [name for name in record.names if name != counter and _rises(record[name])]
+    return min(rising, key=lambda name: _doubt(record, name), default=None)
+
+
+def _doubt(record: Record, name: str) -> int:
+    """How surely a column is time: 0 for its unit, 1 for its name, 2 for neither."""
+    if record.units.get(name) in SECONDS:
+        return 0
+    return 1 if is_time_name(name) or any(word in name.casefold() for word in TIME_WORDS) else 2
+
+
+def _rises(values: Floats) -> bool:
+    """Whether a column rises from row to row, except where it starts over."""
+    if len(values) < LEAST_RISING or not np.isfinite(values).all():
+        return False
+    falls = np.flatnonzero(np.diff(values) <= 0.0)
+    if not len(falls):
+        return True
+    back = values[falls + 1] < values[falls]
+    lengths = np.diff([0, *(falls + 1), len(values)])
+    return bool(back.all() and lengths.min() >= LEAST_ROWS)
+
+
+def _trial_column(record: Record, restarts: Ints, clock: Floats | None, others: set[str | None]) -> str | None:
+    """The column that numbers the experiments: whole numbers that change where time starts over or has a long gap.
+
+    One whose name says so may change elsewhere, or not at all.
+    """
+    for name, values in record.channels.items():
+        if name in others or not np.isfinite(values).all() or not (values == np.round(values)).all():
+            continue
+        named = any(name.casefold().strip("_0123456789") == word for word in TRIAL_WORDS)
+        starts, lengths = equal_runs(values)
+        if len(starts) == 1:
+            if named:
+                return name
+            continue
+        once = len(np.unique(values)) == len(starts)  # a number that comes back is a switch, not a count
+        if not once or lengths.min() < LEAST_ROWS:
+            continue
+        if named or (len(restarts) and set(restarts) <= set(starts)) or _at_gaps(clock, starts[1:]):
+            return name
+    return None
+
+
+def _at_gaps(clock: Floats | None, rows: Ints) -> bool:
+    if clock is None:
+        return False
+    steps = np.diff(clock)
+    return bool((steps[rows - 1] > LONG_GAP * np.median(steps)).all())
+
+
+def gaps_of(records: Sequence[Record]) -> list[Gap]:
+    """Steps of time of more than 2.5 usual ones, in all records; rows are counted over all of them."""
+    out: list[Gap] = []
+    first = 0
+    for record in records:
+        if record.time is not None and record.n > 2:
+            steps = np.diff(record.time)
+            usual = float(np.median(steps))
+            out += [
+                Gap(first + int(row) + 1, float(steps[row]), bool(steps[row] > LONG_GAP * usual))
+                for row in np.flatnonzero(steps > GAP * usual)
+            ]
+        first += record.n
+    return out

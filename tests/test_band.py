@@ -1,0 +1,91 @@
+"""``--band`` and ``band=``: equations fitted between two frequencies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayeq as bq
+from bayeq.cli.app import main
+from bayeq.cli.progress import COMPILING, PROGRESS
+
+pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+
+OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x, v, x**3, u"]
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "duffing.csv"
+    bq.write(bq.simulate("duffing", n=800, seed=1), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def hum(tmp_path_factory):
+    """A Duffing oscillator with hum of half its channels' standard deviation in all of them."""
+    rec = bq.simulate("duffing", n=4000, seed=1, noise=0.02)
+    rng = np.random.default_rng(1)
+    mains = {n: np.sin(2 * np.pi * 50 * rec.time + rng.uniform(0, 2 * np.pi)) for n in "xvau"}
+    record = rec.with_channels({n: rec[n] + 0.7 * rec[n].std() * mains[n] for n in "xvau"}, rec.units)
+    path = tmp_path_factory.mktemp("run") / "hum.csv"
+    bq.write(record, path)
+    return path
+
+
+def test_a_band_leaves_hum_out(hum, tmp_path, capsys):
+    channels = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
+    law = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}
+    whole = bq.discover(bq.read(hum), chains="x:v:a", inputs=["u"])
+    assert set(whole[0].shown) != set(law)
+    eq = tmp_path / "eq.json"
+    assert main(["discover", str(hum), *channels, "--band", "0.5:40", "--save", str(eq)]) == 0
+    out = capsys.readouterr().out
+    assert "band: spectra between 0.5 and 40 Hz were fitted, by the band regression" in out
+    found = bq.load(eq)
+    assert found.data.band == (0.5, 40.0)
+    assert found.smooth == "band"
+    assert set(found[0].shown) == set(law)
+    for k, name in enumerate(t.text for t in found[0].terms):
+        if name in law:
+            assert found[0].shown_coef[name] == pytest.approx(law[name], rel=0.02)
+            low, high = found[0].shown_ci95[k]
+            assert low - (high - low) < law[name] < high + (high - low)
+    direct = bq.discover(bq.read(hum), chains="x:v:a", inputs=["u"], band=(0.5, 40))
+    assert direct[0].shown_coef == pytest.approx(found[0].shown_coef)
+
+
+def test_a_band_is_fitted_where_nothing_is_noisy():
+    record = bq.simulate("duffing", n=2000, seed=1, noise=0.0)
+    eq = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary="x, v, x**3, u", band=(1, 60))
+    assert eq.data.smoothed
+    assert eq[0].shown_coef["x"] == pytest.approx(-1000.0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        (["--band", "5"], "--band '5': give two numbers with a colon between"),
+        (["--band", "a:5"], "--band: 'a' is no number"),
+        (["--band", "50:5"], "band 50 to 5 Hz: give two frequencies, the lower one first"),
+        (["--band", "-1:5"], "band -1 to 5 Hz"),
+        (["--band", "nan:5"], "band nan to 5 Hz"),
+        (["--band", "1:inf"], "band 1 to inf Hz"),
+        (["--band", "900:1000"], "the band 900 to 1000 Hz holds too few lines of the spectra"),
+        (["--band", "5:40", "--smooth", "none"], "fitted by the band regression"),
+        (["--band", "5:40", "--rows", "0:30"], "a band of frequencies needs records of 40 rows or more"),
+    ],
+)
+def test_bands_that_cannot_be_fitted(record, capsys, options, part):
+    assert main(["discover", str(record), *OSCILLATOR, *options]) == 2
+    out, err = capsys.readouterr()
+    said = [line for line in err.splitlines() if line != COMPILING and not line.startswith(PROGRESS)]
+    assert (out, len(said)) == ("", 1)
+    assert part in said[0]
+
+
+def test_uneven_steps_have_no_band():
+    record = bq.simulate("duffing", n=600, seed=1)
+    uneven = bq.Record(dict(record.channels), record.time + 3e-4 * np.sin(np.arange(600.0)))
+    with pytest.raises(bq.errors.InputError, match="sampled evenly"):
+        bq.discover(uneven, chains="x:v:a", inputs=["u"], dictionary="x, v, u", band=(1, 40))

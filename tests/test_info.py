@@ -1,0 +1,427 @@
+"""What is in a file: numbers of channels, time, experiments, roles, and the command to run next."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import bayeq as bq
+from bayeq.cli.app import main
+from bayeq.errors import InputError, RecordError
+from bayeq.inspection.roles import INPUT, clue_of
+from bayeq.inspection.spectrum import bars, spectrum
+from tests.data import measured, pendulum_record
+
+FS = 200.0
+
+
+def motion(n=4000, fs=FS, seed=0, noise=0.01):
+    """Displacement, velocity and acceleration of several frequencies, which are exact derivatives but for noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) / fs
+    w, phase = 2 * np.pi * np.array([1.1, 2.3, 4.7, 9.1]), rng.uniform(0, 6, 4)
+    x, v, a = (
+        sum(np.sin(w_k * t + p + m * np.pi / 2) * w_k**m for w_k, p in zip(w, phase, strict=True)) for m in range(3)
+    )
+    return t, *(values + noise * values.std() * rng.normal(size=n) for values in (x, v, a))
+
+
+def duffing(units=True, **renamed):
+    record = bq.simulate("duffing", seed=1)
+    channels = {renamed.get(name, name): values for name, values in record.channels.items()}
+    return bq.Record(channels, record.time, {k: record.units[k] for k in channels if units and k in record.units}, "d")
+
+
+# --- the command that is proposed ------------------------------------------------------------------------------------
+
+
+def found_terms(command, capsys):
+    """Terms of the equations that a proposed command finds."""
+    words = shlex.split(command)
+    assert words[:2] == ["bayeq", "discover"]
+    capsys.readouterr()
+    assert main([*words[1:], "--json"]) == 0
+    equations = json.loads(capsys.readouterr().out)["equations"]
+    return {e["target"]: {t["name"] for t in e["terms"] if t["shown"]} for e in equations}
+
+
+@pytest.mark.parametrize("units", [True, False])
+@pytest.mark.parametrize("system", ["linear", "duffing", "quadratic", "coulomb", "lorenz"])
+def test_the_proposed_command_finds_the_equation(system, units, tmp_path, capsys):
+    path = tmp_path / f"a file of {system}.csv"
+    record = bq.simulate(system, seed=1)
+    if not units and not record.units:
+        pytest.skip("has no units")
+    bq.write(record if units else bq.Record(record.channels, record.time), path)
+    assert main(["info", str(path), "--json"]) == 0
+    proposal = json.loads(capsys.readouterr().out)["next"]
+    assert proposal["complete"]
+    truth = {target: set(terms) for target, terms in bq.SYSTEMS[system].terms.items()}
+    assert found_terms(proposal["command"], capsys) == truth
+
+
+def test_two_first_order_states_that_are_a_motion_and_its_velocity(tmp_path, capsys):
+    path = tmp_path / "vdp.csv"
+    bq.write(bq.simulate("vanderpol", seed=1), path)
+    proposal = bq.info(path).proposal
+    assert found_terms(proposal.command, capsys) == {"ddx": {"x", "y", "x**2*y"}}
+
+
+def test_names_that_say_nothing(tmp_path, capsys):
+    path = tmp_path / "duffing.csv"
+    bq.write(duffing(units=False, u="ch1", a="ch2", x="ch3", v="ch4"), path)
+    found = bq.info(path)
+    assert found.guess.chains == (("ch3", "ch4", "ch2"),)
+    assert found.guess.inputs == ("ch1",)
+    assert found_terms(found.proposal.command, capsys) == {"ch2": {"ch3", "ch4", "ch3**3", "ch1"}}
+
+
+def test_the_line_of_python_is_the_same_command():
+    record = duffing()
+    line = bq.info(record).proposal.python
+    assert line == "bq.discover(record, displacement='x', velocity='v', acceleration='a', force='u')"
+    assert bq.info(record).proposal.command is None
+
+
+def test_names_of_files_are_quoted(tmp_path):
+    path = tmp_path / "-it's; rm $HOME.csv"
+    bq.write(duffing(), path)
+    assert shlex.split(bq.info(path).proposal.command)[2] == str(path)
+
+
+def test_several_files_of_one_system_have_one_command(tmp_path, capsys):
+    paths = [tmp_path / f"{seed}.csv" for seed in (0, 1)]
+    for seed, path in enumerate(paths):
+        bq.write(bq.simulate("linear", seed=seed), path)
+    assert main(["info", *map(str, paths)]) == 0
+    assert f"bayeq discover {paths[0]} {paths[1]} --disp x" in capsys.readouterr().out
+    assert main(["info", *map(str, paths), "--json"]) == 0
+    out = json.loads(capsys.readouterr().out)
+    assert [one["file"] for one in out["files"]] == ["0.csv", "1.csv"]
+    assert out["next"]["complete"]
+
+
+def test_files_of_different_systems_have_none(tmp_path, capsys):
+    paths = [tmp_path / f"{system}.csv" for system in ("linear", "lorenz")]
+    for path in paths:
+        bq.write(bq.simulate(path.stem, seed=0), path)
+    assert main(["info", *map(str, paths)]) == 0
+    assert "they are not proposed to be used together" in capsys.readouterr().out
+
+
+# --- time and experiments --------------------------------------------------------------------------------------------
+
+
+def test_rate_and_duration_are_in_the_first_line():
+    assert str(bq.info(duffing())).splitlines()[0] == "d: 4000 rows at 1000 Hz, 3.999 s; 4 channels"
+
+
+def test_without_time(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("x,v\n" + "\n".join(f"{math.sin(k)},{math.cos(k)}" for k in range(50)))
+    found = bq.info(path)
+    assert "no time in it" in str(found).splitlines()[0]
+    assert found.fs is None
+    assert found.duration is None
+    assert shlex.split(found.proposal.command)[-6:] == ["--fs", "RATE", "--disp", "x", "--vel", "v"]
+    assert not found.proposal.complete
+    assert any(note.startswith("RATE: ") for note in found.proposal.notes)
+    assert bq.info(path, fs=10).duration == pytest.approx(4.9)
+
+
+def test_a_column_that_rises_is_taken_for_time_and_a_counter_is_not(tmp_path):
+    t, x, v, _ = motion()
+    path = tmp_path / "a.csv"
+    rows = (f"{k},{t[k]:.6f},{x[k]},{v[k]}" for k in range(len(t)))
+    path.write_text("row,K1,Weg,speed\n" + "\n".join(rows))
+    found = bq.info(path)
+    assert found.experiments.time == "K1"
+    assert found.experiments.counter == "row"
+    assert found.fs == pytest.approx(FS)
+    assert "--time K1 --disp Weg --vel speed" in found.proposal.command
+
+
+def test_milliseconds_that_count_from_zero_are_time():
+    k = np.arange(50.0)
+    found = bq.info(bq.Record({"Zeit": k, "Weg": np.sin(k)}, units={"Zeit": "ms"}))
+    assert found.experiments.time == "Zeit"
+    assert found.fs == pytest.approx(1000)
+
+
+def test_a_step_of_time_in_a_column(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("x,Ts\n0,0.25\n" + "\n".join(f"{math.sin(k)}," for k in range(50)))
+    found = bq.info(path)
+    assert found.fs == 4.0
+    assert "--fs 4" in found.proposal.command or bq.read(path).fs == 4.0
+    assert "Ts" not in found.channels
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_time_that_starts_over(numbered, tmp_path):
+    t, x, v, _ = motion(1000)
+    text = "t,run,x,v\n" if numbered else "t,x,v\n"
+    for run in (1, 2, 3):
+        number = f",{run}" if numbered else ""
+        text += "".join(f"{t[k]}{number},{x[k]},{v[k]}\n" for k in range(len(t)))
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(RecordError):
+        bq.read(path)
+    found = bq.info(path)
+    assert [record.n for record in found.experiments.records] == [1000, 1000, 1000]
+    assert found.experiments.column == ("run" if numbered else None)
+    assert found.proposal.complete is numbered
+    assert found.duration == pytest.approx(3 * t[-1])
+    if numbered:
+        assert "--group run" in found.proposal.command
+        assert len(bq.info(path, group="run").experiments.records) == 3
+    else:
+        assert any("first in row 1001" in sentence for sentence in found.findings)
+
+
+def test_a_file_whose_time_is_nonsense_names_its_row(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,x\n0,1\n1,2\n,3\n3,4\n")
+    with pytest.raises(RecordError, match="row 3"):
+        bq.info(path)
+
+
+def test_gaps_in_time():
+    t, x, _, _ = motion()
+    keep = np.r_[0:1000, 1003:2000, 2500:4000]
+    found = bq.info(bq.Record({"x": x[keep]}, t[keep]))
+    assert [(gap.row, gap.long) for gap in found.gaps] == [(1000, False), (1997, True)]
+    assert found.gaps[1].seconds == pytest.approx(501 / FS)
+
+
+# --- channels --------------------------------------------------------------------------------------------------------
+
+
+def test_numbers_of_a_channel():
+    t, x, _, _ = motion(noise=0.0)
+    gappy = x + 5.0
+    gappy[[3, 7, 8]] = np.nan
+    found = bq.info(bq.Record({"x": gappy, "z": np.full(len(t), 2.0)}, t, {"x": "mm"}))
+    one = found.channels["x"]
+    assert (one.unit, one.missing) == ("mm", 3)
+    assert one.mean == pytest.approx(np.nanmean(gappy))
+    assert one.sd == pytest.approx(np.nanstd(gappy))
+    assert (one.least, one.greatest) == (np.nanmin(gappy), np.nanmax(gappy))
+    assert found.channels["z"].constant
+    assert any("z is constant, 2" in sentence for sentence in found.findings)
+    assert any("x: 3 samples are missing (0.075 %)" in sentence for sentence in found.findings)
+
+
+def test_a_channel_without_samples_or_of_huge_numbers():
+    found = bq.info(bq.Record({"x": np.full(60, np.nan), "y": np.linspace(-1e300, 1e300, 60)}, np.arange(60.0)))
+    assert found.channels["x"].missing == 60
+    assert math.isfinite(found.channels["y"].sd)
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_bad_samples_are_found_where_they_were_put():
+    t, x, v, a = motion()
+    x[1200] += 3.0
+    a[300:340] = a[300]
+    v = np.clip(v, -0.6 * v.max(), 0.6 * v.max())
+    found = bq.info(bq.Record({"x": x, "v": v, "a": a}, t))
+    assert found.bad["x"]["spikes"] == [1201]
+    assert set(found.bad["a"]["stuck"]) >= set(range(302, 340))
+    assert len(found.bad["v"]["clipped"]) == np.sum(np.abs(v) == v.max())
+    assert not bq.info(bq.Record(dict(zip("xva", motion()[1:], strict=True)), t)).bad
+
+
+def test_in_a_long_record_only_suspect_stretches_are_looked_at():
+    t, x, v, a = motion(60_000)
+    v[43_210] += 5 * v.std()
+    found = bq.info(bq.Record({"x": x, "v": v, "a": a}, t))
+    assert found.bad == {"v": {"spikes": [43_211]}}
+    assert 0 < found.looked_at < 5_000
+
+
+def test_coarse_held_and_equal_channels():
+    t, x, v, _ = motion()
+    found = bq.info(bq.Record({"x": np.round(x), "v": np.repeat(v[::4], 4), "w": np.repeat(v[::4], 4)}, t))
+    assert found.channels["x"].resolution == 1.0
+    assert found.channels["v"].held == pytest.approx(4.0)
+    assert found.copies == {"w": "v"}
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.5, 40.0), st.integers(200, 3000))
+def test_the_strongest_frequency_and_the_bandwidth(frequency, n):
+    found = spectrum([np.sin(2 * np.pi * frequency * np.arange(n) / 100.0)], 0.01)
+    resolution = 100.0 / n
+    assert abs(found.peak - frequency) <= 1.5 * resolution
+    assert abs(found.bandwidth - frequency) <= 4 * resolution
+    assert sum(found.shares) == pytest.approx(1.0)
+    assert found.octaves[-1] == 50.0
+    assert len(bars(found)) == len(found.octaves)
+
+
+# --- roles -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "order"),
+    [
+        ("ch1", "mm", 0),
+        ("ch1", "in/s", 1),
+        ("ch1", "g", 2),
+        ("ch1", "rad/s^2", 2),
+        ("ch1", "kN", INPUT),
+        ("ch1", "V", None),
+        ("acc", "", 2),
+        ("Weg_links", "", 0),
+        ("uEst", "", INPUT),
+        ("a", "m", 0),
+        ("voltage_2", "", INPUT),
+        ("Lynx", "", None),
+    ],
+)
+def test_units_go_before_names(name, unit, order):
+    assert clue_of(name, unit).order == order
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.text(max_size=20), st.text(max_size=10))
+def test_any_name_and_unit_is_read(name, unit):
+    assert clue_of(name, unit).order in (None, INPUT, 0, 1, 2)
+
+
+def test_derivatives_and_their_units():
+    t, x, v, a = motion()
+    record = bq.Record({"c": a / 9.80665, "b": 1000 * x, "d": v}, t, {"b": "mm", "c": "g", "d": "m/s"})
+    found = bq.info(record)
+    assert found.guess.chains == (("b", "d", "c"),)
+    gains = {link.above: (link.gain, link.expected) for link in found.links}
+    assert gains["d"] == pytest.approx((1e-3, 1e-3), rel=0.02)
+    assert gains["c"] == pytest.approx((1 / 9.80665, 1 / 9.80665), rel=0.02)
+
+
+def test_a_reversed_channel_is_said_to_be_so():
+    t, x, v, a = motion()
+    found = bq.info(bq.Record({"x": x, "v": -v, "a": a}, t))
+    assert found.guess.chains == (("x", "v", "a"),)
+    assert any("v has the opposite sign" in sentence for sentence in found.findings)
+
+
+def test_noise_is_nobody_s_derivative():
+    rng = np.random.default_rng(0)
+    channels = {f"ch{k}": rng.normal(size=4000) for k in range(5)}
+    found = bq.info(bq.Record(channels, np.arange(4000) / FS))
+    assert found.links == ()
+    assert found.guess.chains == ()
+    assert found.guess.undecided == tuple(channels)
+    assert "displacement='DISPLACEMENT'" in found.proposal.python
+    assert not found.proposal.complete
+
+
+def test_a_displacement_in_radians_gets_sines():
+    t, x, v, _ = motion()
+    found = bq.info(bq.Record({"th": x, "w": v}, t, {"th": "rad", "w": "rad/s"}))
+    assert "dictionary='oscillator + sin(th) + cos(th)'" in found.proposal.python
+
+
+# --- text, JSON, notebooks, the command ------------------------------------------------------------------------------
+
+
+def test_text_and_json_of_the_command(tmp_path, capsys):
+    path = tmp_path / "run.csv"
+    bq.write(duffing(), path)
+    assert main(["info", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert out.rstrip("\n") == str(bq.info(path))
+    assert main(["info", str(path), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown.pop("version") == bq.__version__
+    assert shown == json.loads(json.dumps(bq.info(path).to_dict()))
+    assert shown["time"]["fs"] == 1000.0
+    assert {channel["role"] for channel in shown["channels"]} == {
+        "displacement",
+        "velocity",
+        "acceleration",
+        "force or input",
+    }
+    assert shown["channels"][0]["spectrum"]["bandwidth"] < 20.0
+
+
+def test_long_names_do_not_break_the_table():
+    t, x, v, _ = motion()
+    found = bq.info(bq.Record({"x" * 300: x, "v": v}, t))
+    assert max(map(len, str(found).split("\nwhy")[0].splitlines())) < 140
+
+
+def test_html_is_escaped():
+    t, x, v, _ = motion()
+    record = bq.Record({"x": x, "v": v}, t, {"x": "<script>alert(1)</script>"}, "<img src=x onerror=alert(1)>")
+    for html in (bq.info(record)._repr_html_(), record._repr_html_()):
+        assert "<script" not in html
+        assert "<img" not in html
+        assert "&lt;img" in html
+
+
+def test_a_terminal_is_not_obeyed():
+    t, x, _, _ = motion()
+    assert "\x1b" not in str(bq.info(bq.Record({"x": x}, t, name="\x1b[2Jrun.csv")))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.csv"], "no such file"),
+        (["bad.csv"], "line 3, column 'x'"),
+        (["good.csv", "--time", "x9"], "no column"),
+        (["good.csv", "--fs", "-1"], "sampling rate"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(arguments, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.csv").write_text("t,x\n0,1\n1,one\n")
+    (tmp_path / "good.csv").write_text("t,x\n0,1\n1,2\n")
+    assert main(["info", *arguments]) == 2
+    caught = capsys.readouterr()
+    assert caught.out == ""
+    assert len(caught.err.splitlines()) == 1
+    assert message in caught.err
+
+
+def test_what_is_no_record_is_refused():
+    with pytest.raises(InputError, match="needs a Record or the path of a file, not int"):
+        bq.info(3)
+    with pytest.raises(InputError, match="time says how a file is read"):
+        bq.info(duffing(), time="x")
+
+
+# --- measured records ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("schmidt_lipson/real_linear_a_1.txt", "--disp x --vel v --acc a"),
+        ("schmidt_lipson/real_pend_a_1.txt", "--disp o --vel w --acc a"),
+        ("schmidt_lipson/real_double_linear_h_1.txt", "--chain x1:v1: --chain x2:v2: --dictionary polynomial:2"),
+        (
+            "schmidt_lipson/real_double_pend_h_1.txt",
+            "--time c2 --group c1 --chain c3:c5:c9 --chain c4:c6:c10 --dictionary polynomial:2",
+        ),
+        ("lynx_hare/hudson-bay-lynx-hare.csv", "--time Year --chain Lynx --chain Hare --dictionary polynomial:2"),
+    ],
+)
+def test_measured_records(name, options):
+    path = measured(name)
+    assert bq.info(path).proposal.command == f"bayeq discover {path} {options}"
+
+
+def test_the_measured_pendulum():
+    path = measured("multiarm_single_pendulum/SinglePendulumDataForParameterEstimation.mat")
+    for record in pendulum_record(path):
+        assert bq.info(record).guess.chains == (("th", "w", None),)
