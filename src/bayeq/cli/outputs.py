@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -108,7 +109,13 @@ class Outputs:
                 require_time(record, option)
 
     def write(
-        self, found: Equations, records: Sequence[Record], holdout: float, as_json: bool, progress: Progress
+        self,
+        found: Equations,
+        records: Sequence[Record],
+        files: Sequence[Path],
+        holdout: float,
+        as_json: bool,
+        progress: Progress,
     ) -> None:
         """Print the equations, then write the files.
 
@@ -126,10 +133,16 @@ class Outputs:
         try:
             show_equations(answer, as_json, self.conditional, self.physical, self.explain)
         finally:
-            self._write_files(found, answer, records, holdout, progress)
+            self._write_files(found, answer, records, files, holdout, progress)
 
     def _write_files(
-        self, found: Equations, answer: Equations, records: Sequence[Record], holdout: float, progress: Progress
+        self,
+        found: Equations,
+        answer: Equations,
+        records: Sequence[Record],
+        files: Sequence[Path],
+        holdout: float,
+        progress: Progress,
     ) -> None:
         """Write the files that were named; sensitivity and path are about the regression, before any refinement."""
         failures = []
@@ -138,6 +151,7 @@ class Outputs:
             (self.sensitivity, lambda file: _write_sensitivity(file, found)),
             (self.path, lambda file: _write_path(file, found)),
             (self.forecast, lambda file: _write_forecast(file, answer, records, holdout)),
+            (self.report, lambda file: _write_report(file, answer, records, files)),
         ):
             if path is None:
                 continue
@@ -148,6 +162,13 @@ class Outputs:
                 failures.append(f"{path}: cannot be written: {error.strerror or error}")
         if failures:
             raise InputError("; ".join(failures))
+
+
+def _write_report(path: Path, answer: Equations, records: Sequence[Record], files: Sequence[Path]) -> None:
+    """The report, with the command as it was typed where that is known; standard input has no file to be hashed."""
+    given = click.get_current_context().obj
+    command = None if given is None else shlex.join(["bayeq", *given])
+    answer.report(path, records, files=[file for file in files if file.is_file()], command=command)
 
 
 def _require_report(path: Path) -> None:

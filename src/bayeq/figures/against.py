@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.figures.answer import Answer, equation_of
-from bayeq.figures.picture import label_of, one_axes, picture, thinned
-from bayeq.figures.style import BLACK, BLUE, ORANGE, term_label
+from bayeq.figures.picture import label_of, one_axes, picture, thinned, titled
+from bayeq.figures.style import BLACK, BLUE, ORANGE
 from bayeq.records import Record
 
 if TYPE_CHECKING:
@@ -65,6 +65,6 @@ def measured_against_predicted(eq: Answer, record: Record, ax: Any = None, *, ta
     ax.text(0.04, 0.96, f"$R^2$ = {r2:.4f}", transform=ax.transAxes, ha="left", va="top")
     ax.set_xlabel(label_of(equation.target, equation.units, "predicted"))
     ax.set_ylabel(label_of(equation.target, equation.units, "measured"))
-    ax.set_title(term_label(equation.target))
+    titled(ax, eq, equation.target)
     ax.legend(loc="lower right", fontsize=7, markerscale=2.0, handlelength=1.4)
     return ax

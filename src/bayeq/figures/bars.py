@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.figures.answer import Answer, equation_of, likely_terms
-from bayeq.figures.picture import one_axes, picture
+from bayeq.figures.picture import one_axes, picture, titled
 from bayeq.figures.style import BLACK, BLUE, PALE, RED, term_label
 from bayeq.records import Record
 
@@ -67,7 +67,7 @@ def pip_bars(eq: Answer, record: Record | None = None, ax: Any = None, *, target
     rest = len(names) - len(listed)
     most = float(np.delete(equation.posterior.pip, listed).max(initial=0.0))
     ax.set_xlabel(f"PIP ({rest} more terms: at most {most:.1g})" if rest else "posterior inclusion probability")
-    ax.set_title(term_label(equation.target))
+    titled(ax, eq, equation.target)
     if listed:
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=2, fontsize=7)
     return ax

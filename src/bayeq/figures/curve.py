@@ -9,10 +9,10 @@ import numpy as np
 from bayeq.errors import UnknownNameError
 from bayeq.figures.answer import Answer, equation_of
 from bayeq.figures.comparison import BAND
-from bayeq.figures.picture import GREY, label_of, one_axes, picture, plain, thinned, unit_text
+from bayeq.figures.picture import GREY, label_of, one_axes, picture, plain, thinned, unit_text, titled
 from bayeq.figures.restoring import discovered_force, measured_force, require_second_order
 from bayeq.figures.step import Z95
-from bayeq.figures.style import BLUE, term_label
+from bayeq.figures.style import BLUE
 from bayeq.records import Record
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def restoring_force_curve(
     ax.set_xlabel(label_of(name, equation.units))
     unit = equation.units.get(equation.target)
     ax.set_ylabel(plain(f"restoring force per mass{f' [{unit_text(unit)}]' if unit else ''}"))
-    ax.set_title(term_label(equation.target))
+    titled(ax, eq, equation.target)
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=3, fontsize=6.5, markerscale=2.0,
               handlelength=1.4, columnspacing=1.0)
     return ax

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.figures.answer import Answer, equation_of
-from bayeq.figures.picture import one_axes, picture, plain, unit_text
+from bayeq.figures.picture import one_axes, picture, plain, unit_text, titled
 from bayeq.figures.style import BLACK, BLUE, PALE, RED, term_label
 from bayeq.records import Record
 
@@ -75,7 +75,7 @@ def coefficient_forest(eq: Answer, record: Record | None = None, ax: Any = None,
         where: dict[str, Any] = {"transform": ax.get_yaxis_transform(), "va": "center", "fontsize": 7}
         ax.text(1.02, place, plain(text.replace("-", "\N{MINUS SIGN}", 1) if value < 0 else text), **where)
     ax.set_xlabel("deviation from the estimate [% of it]")
-    ax.set_title(term_label(equation.target))
+    titled(ax, eq, equation.target)
     ax.legend(loc="lower left", bbox_to_anchor=(0.12, 1.0), borderaxespad=0.2, ncols=3, fontsize=7, handlelength=1.2)
     return ax
 

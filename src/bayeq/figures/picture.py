@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import InputError
-from bayeq.figures.style import FULL_WIDTH, SINGLE_COLUMN, add_axes, new_figure, require_matplotlib, style
+from bayeq.figures.answer import Answer
+from bayeq.figures.style import FULL_WIDTH, SINGLE_COLUMN, add_axes, new_figure, require_matplotlib, style, term_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["GREY", "above", "bracketed", "label_of", "one_axes", "picture", "plain", "thinned", "two_axes", "unit_text"]
+__all__ = ["GREY", "above", "bracketed", "label_of", "one_axes", "picture", "plain", "thinned", "titled", "two_axes", "unit_text"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -115,6 +116,12 @@ def label_of(name: str, units: Mapping[str, str], what: str = "") -> str:
     """Label of an axis: what is shown of a channel, and its unit where that is known."""
     unit = units.get(name, "")
     return plain(f"{what} {name}".strip() + (f" [{unit_text(unit)}]" if unit else ""))
+
+
+def titled(ax: Axes, eq: Answer, target: str) -> None:
+    """The target as title, where there are several equations."""
+    if len(eq.equations) > 1:
+        ax.set_title(term_label(target))
 
 
 def thinned(n: int, most: int = MOST_POINTS) -> slice:

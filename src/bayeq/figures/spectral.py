@@ -9,7 +9,7 @@ from bayeq.errors import InputError
 from bayeq.figures.answer import Answer, channel_of
 from bayeq.figures.picture import bracketed, one_axes, picture, plain
 from bayeq.figures.spectrum import cross_spectrum, even_rate, filled
-from bayeq.figures.style import BLACK, BLUE, ORANGE, term_label
+from bayeq.figures.style import BLACK, BLUE, ORANGE
 from bayeq.records import Record
 
 if TYPE_CHECKING:
@@ -70,7 +70,6 @@ def spectra(eq: Answer, record: Record, ax: Any = None, *, channel: str | None =
     ax.set_xlabel("frequency [Hz]")
     unit = next((e.units[name] for e in eq.equations if name in e.units), "")
     ax.set_ylabel(plain(f"PSD of {name}" + (f" [{bracketed(unit)}²/Hz]" if unit else " [1/Hz]")))
-    ax.set_title(term_label(name))
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=3, fontsize=7, handlelength=1.8)
     return ax
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError
 from bayeq.figures.answer import Answer, equation_of
-from bayeq.figures.picture import label_of, picture, plain, thinned, unit_text
+from bayeq.figures.picture import label_of, picture, plain, thinned, unit_text, titled
 from bayeq.figures.restoring import discovered_force, measured_force, require_second_order
-from bayeq.figures.style import BLACK, BLUE, SINGLE_COLUMN, new_figure, term_label
+from bayeq.figures.style import BLACK, BLUE, SINGLE_COLUMN, new_figure
 from bayeq.records import Record
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def restoring_force_surface(eq: Answer, record: Record, ax: Any = None, *, targe
     ax.tick_params(pad=-2)
     ax.locator_params(nbins=5)
     ax.view_init(elev=26.0, azim=-52.0)
-    ax.set_title(term_label(equation.target))
+    titled(ax, eq, equation.target)
     ax.legend(loc="upper right", fontsize=7, markerscale=3.0)
     return ax
 

@@ -45,6 +45,7 @@ li { margin: .4rem 0; }
   .equation { font-size: 1.1rem; }
   dl { grid-template-columns: 1fr; gap: 0; } dd { margin-bottom: .5rem; }
   table { font-size: .8rem; } th, td { padding: .25rem .3rem; }
+  th:nth-child(3), td:nth-child(3) { display: none; }  /* the interval says the same */
   .pictures { display: block; } .pictures figure { margin: 1.2rem 0; }
 }
 @media print {
@@ -56,6 +57,8 @@ li { margin: .4rem 0; }
   html.scripted figure.both .still { display: block; }
   .wide { overflow: visible; }
   table { font-size: 8.5pt; } th, td { padding: .1rem .4rem; }
-  .screen { display: none; }
+  .pictures { display: block; }
+  .pictures figure { margin: 0 0 6mm; }
+  .pictures figure.narrow { display: inline-block; width: 49%; vertical-align: top; }
 }
 """

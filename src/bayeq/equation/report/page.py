@@ -27,13 +27,16 @@ __all__ = ["file_hash", "repeat_command", "require_report", "samples_hash", "wri
 # Draws the live pictures one after the other, and shows them instead of the still ones once all are there.
 START = """
 window.addEventListener("DOMContentLoaded", async () => {
-  document.documentElement.classList.add("scripted");
+  const page = document.documentElement;
+  page.classList.add("scripted");
   try {
+    let drawn = 0;
     for (const script of document.querySelectorAll("script.plot")) {
       await Bokeh.embed.embed_item(JSON.parse(script.textContent), script.dataset.at);
+      page.dataset.drawn = ++drawn;
     }
   } catch (error) {
-    document.documentElement.classList.remove("scripted");
+    page.classList.remove("scripted");
     throw error;
   }
 });
