@@ -19,7 +19,7 @@ PICTURES = {
     "restoring_force_surface": "The picture of this field (Masri and Caughey 1979): the acceleration of each row, less"
     " the equation's terms of the force and with the other sign, over displacement and velocity. The discovered surface"
     " should pass through the dots, and end where they do.",
-    "restoring_force_curve": "The same for the spring alone, over the displacement; `over=\"v\"` is the damper. The line"
+    "restoring_force_curve": 'The same for the spring alone, over the displacement; `over="v"` is the damper. The line'
     " is the discovered curve, the band its 95 % interval. Dots that follow another curve than the line show what the"
     " equation lacks.",
     "pip_bars": "How probable it is that each term is in the law. Filled bars are in the equation. Bars near the dashed"

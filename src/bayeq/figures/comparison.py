@@ -21,7 +21,11 @@ BAND: dict[str, Any] = {"color": BLUE, "alpha": 0.28, "linewidth": 0.0}
 
 
 def compare(
-    axes: tuple[Axes, Axes], time: Floats, measured: Floats, curve: tuple[Floats, Floats | None, Floats | None], label: str
+    axes: tuple[Axes, Axes],
+    time: Floats,
+    measured: Floats,
+    curve: tuple[Floats, Floats | None, Floats | None],
+    label: str,
 ) -> None:
     """Draw them: `curve` is mean, low and high, the ends None where there is no band.
 

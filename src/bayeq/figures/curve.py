@@ -79,6 +79,14 @@ def restoring_force_curve(
     unit = equation.units.get(equation.target)
     ax.set_ylabel(plain(f"restoring force per mass{f' [{unit_text(unit)}]' if unit else ''}"))
     titled(ax, eq, equation.target)
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=3, fontsize=6.5, markerscale=2.0,
-              handlelength=1.4, columnspacing=1.0)
+    ax.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        borderaxespad=0.2,
+        ncols=3,
+        fontsize=6.5,
+        markerscale=2.0,
+        handlelength=1.4,
+        columnspacing=1.0,
+    )
     return ax

@@ -18,7 +18,19 @@ from bayeq.figures.style import FULL_WIDTH, SINGLE_COLUMN, add_axes, new_figure,
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["GREY", "above", "bracketed", "label_of", "one_axes", "picture", "plain", "thinned", "titled", "two_axes", "unit_text"]
+__all__ = [
+    "GREY",
+    "above",
+    "bracketed",
+    "label_of",
+    "one_axes",
+    "picture",
+    "plain",
+    "thinned",
+    "titled",
+    "two_axes",
+    "unit_text",
+]
 
 P = ParamSpec("P")
 T = TypeVar("T")

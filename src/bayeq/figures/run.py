@@ -74,7 +74,9 @@ def free_run(
     error = run.measured[name] - run.mean[name]
     spread = float(np.nanstd(run.measured[name]))
     share = float(np.sqrt(np.nanmean(error**2))) / spread if spread > 0 and np.isfinite(error).any() else np.nan
-    axes[0].set_title(f"free run of {term_label(name)}" + (f": RMS error {100 * share:.2g} %" if share == share else ""))
+    axes[0].set_title(
+        f"free run of {term_label(name)}" + (f": RMS error {100 * share:.2g} %" if share == share else "")
+    )
     above(axes[0])
     return axes
 

@@ -72,5 +72,3 @@ def spectra(eq: Answer, record: Record, ax: Any = None, *, channel: str | None =
     ax.set_ylabel(plain(f"PSD of {name}" + (f" [{bracketed(unit)}²/Hz]" if unit else " [1/Hz]")))
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=3, fontsize=7, handlelength=1.8)
     return ax
-
-

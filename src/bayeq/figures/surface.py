@@ -78,8 +78,18 @@ def restoring_force_surface(eq: Answer, record: Record, ax: Any = None, *, targe
     every = thinned(rows.n, POINTS)
     look: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "linewidth": 0.15, "edgecolor": BLACK, "antialiased": True}
     ax.plot_surface(grid_x, grid_v, surface, rcount=RINGS, ccount=RAYS, label="discovered", **look)
-    ax.scatter(x[every], v[every], force[every], s=1.6, color=BLACK, alpha=0.5, linewidths=0, label="measured",
-               depthshade=False, rasterized=True)
+    ax.scatter(
+        x[every],
+        v[every],
+        force[every],
+        s=1.6,
+        color=BLACK,
+        alpha=0.5,
+        linewidths=0,
+        label="measured",
+        depthshade=False,
+        rasterized=True,
+    )
     ax.set_xlabel(label_of(names[0], equation.units), labelpad=-2)
     ax.set_ylabel(label_of(names[1], equation.units), labelpad=-2)
     unit = equation.units.get(equation.target)

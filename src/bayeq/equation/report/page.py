@@ -84,7 +84,9 @@ def write_report(
     of = f" of {escape(records[0].name)}" if len(records) > 1 and records[0].name else ""
     body[PICTURES] = f'<h2>Pictures{of}</h2><div class="pictures">{figures}</div>{sections.items(reasons)}'
     scripts = [_library(), START] if any(picture.live for picture in made) else []
-    text = _document(f"Equation of motion: {', '.join(one.target for one in eq.equations)}", "".join(body.values()), scripts)
+    text = _document(
+        f"Equation of motion: {', '.join(one.target for one in eq.equations)}", "".join(body.values()), scripts
+    )
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
 
@@ -101,7 +103,9 @@ def _body(eq: Answer, digests: Mapping[str, str], command: str, complete: bool) 
         own = f"<p>Verdict: {escape(str(one.verdict))}</p>" if heading else ""
         equations.append(heading + own + sections.equation(one) + sections.terms(one, score))
     said = sections.items(eq.warnings) if eq.warnings else "<p>There are none.</p>"
-    caution = "" if complete else '<p class="note">Options about reading the file, and limits and seeds, are not in it.</p>'
+    caution = (
+        "" if complete else '<p class="note">Options about reading the file, and limits and seeds, are not in it.</p>'
+    )
     return {
         "verdict": sections.verdict(eq),
         "equations": f"<h2>Equation{'s' * (len(equations) > 1)}</h2>{''.join(equations)}",
@@ -135,7 +139,9 @@ def _library() -> str:
     """Bokeh's script, without what would end the element that it stands in."""
     from bokeh.resources import Resources
 
-    return "\n".join(Resources(mode="inline", components=["bokeh"], log_level="error").js_raw).replace("</script", "<\\/script")
+    return "\n".join(Resources(mode="inline", components=["bokeh"], log_level="error").js_raw).replace(
+        "</script", "<\\/script"
+    )
 
 
 def _digest(script: str) -> str:

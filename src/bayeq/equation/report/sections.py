@@ -45,7 +45,9 @@ def equation(one: Equation) -> str:
         sign = "\N{MINUS SIGN}" if text.startswith("-") else "+" if k else ""
         form = 'form="prefix"' if not k else 'form="infix"'
         front = f"<mo {form}>{sign}</mo>" if sign else ""
-        pieces.append(f"<mrow>{front}{number_mathml(text.removeprefix('-'))}<mspace width='0.17em'></mspace>{term}</mrow>")
+        pieces.append(
+            f"<mrow>{front}{number_mathml(text.removeprefix('-'))}<mspace width='0.17em'></mspace>{term}</mrow>"
+        )
     if not numbers:
         pieces.append("<mn>0</mn>")
     set_in_maths = "".join(f"<math>{piece}</math> " for piece in pieces)
@@ -89,8 +91,10 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[str]], absent: Sequenc
     head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in header)
     lines = []
     for k, row in enumerate(rows):
-        cells = "".join(f"<td>{escape(cell.replace('-', chr(0x2212)) if i in (1, 3) else cell)}</td>" for i, cell in enumerate(row))
-        lines.append(f'<tr{" class=absent" if k in absent else ""}>{cells}</tr>')
+        cells = "".join(
+            f"<td>{escape(cell.replace('-', chr(0x2212)) if i in (1, 3) else cell)}</td>" for i, cell in enumerate(row)
+        )
+        lines.append(f"<tr{' class=absent' if k in absent else ''}>{cells}</tr>")
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
 
 
