@@ -171,8 +171,8 @@ Examples:
     "--report",
     group=WRITTEN,
     type=FILE,
-    help="Write a page (.html) with the verdict, the equations, pictures, warnings, hashes of the files and this command;"
-    " it loads nothing and prints well.",
+    help="Write a page (.html) that loads nothing and prints well: verdict, equations, pictures, warnings, hashes of the"
+    " files, this command.",
 )
 @option(
     "--refine",

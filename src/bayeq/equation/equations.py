@@ -271,7 +271,7 @@ class Equations:
         return np.column_stack(parts)
 
     def motion(self, record: Record) -> MotionRows:
-        """States, targets and inputs of a record as `discover` makes them of its channels: smoothed, bridged, estimated.
+        """States, targets and inputs of a record as `discover` makes them: smoothed, bridged, estimated.
 
         Parameters
         ----------

@@ -19,7 +19,7 @@ _FUNCTIONS = {"sign": "sgn", "log": "ln"}
 _INVISIBLE_TIMES = '<mo rspace="0.17em">&#x2062;</mo>'
 
 
-def mathml(expression: Expression, names: Mapping[str, str] | None = None) -> str:
+def mathml(expression: Expression, names: Mapping[str, str] | None = None, factor: bool = False) -> str:
     """The expression in presentation MathML, one ``mrow``.
 
     Parameters
@@ -29,13 +29,19 @@ def mathml(expression: Expression, names: Mapping[str, str] | None = None) -> st
     names : mapping of str to str, optional
         MathML of symbols that are not to be written by their names, such as ``symbol_mathml("x", dots=1)`` of v.
 
+    factor : bool
+        Whether it stands behind a coefficient, and gets brackets where it must.
+
     Examples
     --------
     >>> from bayeq.expressions import parse
     >>> mathml(parse("x**3"))
     '<mrow><msup><mi>x</mi><mn>3</mn></msup></mrow>'
     """
-    return f"<mrow>{_set(expression.tree, names or {}, _COMPARISON)}</mrow>"
+    text = _set(expression.tree, names or {}, _PRODUCT if factor else _COMPARISON)
+    if factor and text.startswith("<mn>"):
+        text = f"<mo>(</mo>{text}<mo>)</mo>"
+    return f"<mrow>{text}</mrow>"
 
 
 def symbol_mathml(name: str, dots: int = 0) -> str:

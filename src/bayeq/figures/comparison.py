@@ -48,8 +48,8 @@ def compare(
     residual = measured - mean
     lower.axhline(0.0, color=BLACK, linewidth=0.5)
     if low is not None and high is not None:
-        wide = (np.clip(edge[every] - mean[every], -room, room) for edge in (low, high))
-        lower.fill_between(time[every], *wide, **BAND)
+        bottom, top = (np.clip(edge[every] - mean[every], -room, room) for edge in (low, high))
+        lower.fill_between(time[every], bottom, top, **BAND)
     lower.plot(time[every], residual[every], color=ORANGE, linewidth=0.7, label="residual: measured less " + label)
     known = np.abs(residual[np.isfinite(residual)])
     reach = 1.15 * float(known.max(initial=0.0)) or 1.0

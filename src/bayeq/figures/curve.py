@@ -9,7 +9,7 @@ import numpy as np
 from bayeq.errors import UnknownNameError
 from bayeq.figures.answer import Answer, equation_of
 from bayeq.figures.comparison import BAND
-from bayeq.figures.picture import GREY, label_of, one_axes, picture, plain, thinned, unit_text, titled
+from bayeq.figures.picture import GREY, label_of, one_axes, picture, plain, thinned, titled, unit_text
 from bayeq.figures.restoring import discovered_force, measured_force, require_second_order
 from bayeq.figures.step import Z95
 from bayeq.figures.style import BLUE

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.figures.answer import Answer, equation_of
-from bayeq.figures.picture import one_axes, picture, plain, unit_text, titled
+from bayeq.figures.picture import one_axes, picture, plain, titled, unit_text
 from bayeq.figures.style import BLACK, BLUE, PALE, RED, term_label
 from bayeq.records import Record
 

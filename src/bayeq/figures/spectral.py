@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-
 from bayeq.errors import InputError
 from bayeq.figures.answer import Answer, channel_of
 from bayeq.figures.picture import bracketed, one_axes, picture, plain

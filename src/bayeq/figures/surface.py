@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError
 from bayeq.figures.answer import Answer, equation_of
-from bayeq.figures.picture import label_of, picture, plain, thinned, unit_text, titled
+from bayeq.figures.picture import label_of, picture, plain, thinned, titled, unit_text
 from bayeq.figures.restoring import discovered_force, measured_force, require_second_order
 from bayeq.figures.style import BLACK, BLUE, SINGLE_COLUMN, new_figure
 from bayeq.records import Record

@@ -101,7 +101,7 @@ def _ticks(axis: Any, model: Any) -> None:
     """Names at their places, where the axis has such."""
     from matplotlib.ticker import FixedLocator, FuncFormatter
 
-    locator = axis.get_major_locator()
+    locator: Any = axis.get_major_locator()
     if not isinstance(locator, FixedLocator):
         return
     places = [float(place) for place in np.asarray(locator.locs)]
@@ -168,6 +168,7 @@ def _bands(plot: Any, ax: Any) -> Any:
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import to_hex
 
+    made: Any
     for made in ax.collections:
         if isinstance(made, LineCollection):
             ends = np.array([segment for segment in made.get_segments() if len(segment) == 2])

@@ -155,7 +155,7 @@ def file_hash(path: Path) -> str:
 
 
 def samples_hash(record: Record) -> str:
-    """SHA-256 of a record's samples, hexadecimal: time, then each channel's name and numbers (little-endian, 8 bytes)."""
+    """SHA-256 of a record, hexadecimal: time, then each channel, its name and its numbers (8 bytes, little-endian)."""
     digest = hashlib.sha256()
     columns = {} if record.time is None else {"t": record.time}
     for name, values in (*columns.items(), *record.channels.items()):

@@ -1,4 +1,4 @@
-"""Which pictures stand in the report: still ones for print, and live ones with hover values where Bokeh can draw them."""
+"""Which pictures stand in the report: still ones for print, and live ones with hover values by Bokeh."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ DPI = 200
 class Remembering:
     """An answer that prepares a record once, and runs once over the same rows, however many pictures ask for it."""
 
-    def __init__(self, eq: Answer) -> None:
-        self._answer: Any = eq
+    def __init__(self, eq: Any) -> None:
+        self._answer = eq
         self.motion = cache(self._answer.motion)
         self.simulate = cache(self._answer.simulate)
 

@@ -37,7 +37,9 @@ def equation(one: Equation) -> str:
     names = {name: symbol_mathml(chain.names[0], dots) for dots, name in enumerate(chain.names)}
     p = one.shown_posterior
     pieces = [f"<mrow>{names[one.target]}<mo>=</mo></mrow>"]
-    numbers = [(float(p.coef[j]), float(p.sd[j]), mathml(one.terms[j], names)) for j in np.flatnonzero(p.support)]
+    numbers = [
+        (float(p.coef[j]), float(p.sd[j]), mathml(one.terms[j], names, factor=True)) for j in np.flatnonzero(p.support)
+    ]
     if one.intercept_matters:
         numbers.append((p.intercept, p.intercept_sd, ""))
     for k, (value, sd, term) in enumerate(numbers):
@@ -77,10 +79,10 @@ def terms(one: Equation, score: str) -> str:
         elif p.support[j] or p.pip[j] >= NOTEWORTHY_PIP:
             absent.append(len(rows))
             rows.append((term.text, "not shown" if p.support[j] else "not included", "", "", pip, "", ""))
-    value, sd = one.intercept_estimate
+    estimate, sd = one.intercept_estimate
     low, high = (round_to(end, sd) for end in one.printed_intercept_ci95)
     spread, unit = f"{sd:.2g}", one.units.get(one.target, "")
-    rows.append(("intercept", round_to(value, sd), spread, f"{low} … {high}", "", "", unit_text(unit)))
+    rows.append(("intercept", round_to(estimate, sd), spread, f"{low} … {high}", "", "", unit_text(unit)))
     header = ("term", "coefficient", "sd", "95 % interval", score, "share", "unit")
     rest = len(one.terms) - len(rows) + 1
     more = f'<p class="note">{rest} more candidates are not included, each with less than {NOTEWORTHY_PIP:g}.</p>'
