@@ -16,29 +16,31 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 # What each picture shows, in the order of the page.
 PICTURES = {
-    "restoring_force_surface": "The picture of this field (Masri and Caughey 1979): the acceleration of each row, less the "
-    "equation's terms of the force and with the other sign, over displacement and velocity. The "
-    "discovered surface should pass through the dots, and end where they do.",
-    "restoring_force_curve": 'The same for the spring alone, over the displacement; `over="v"` is the damper. The line is the '
-    "discovered curve, the band its 95 % interval. Dots that follow another curve than the line show what"
-    " the equation lacks.",
-    "pip_bars": "How probable it is that each term is in the law. Filled bars are in the equation. Bars near the "
-    "dashed line, at 0.5, are undecided.",
-    "coefficient_forest": "Every coefficient and its 95 % interval, in per cent of the estimate, so that different units stand "
-    "on one scale. A simulated record knows its law: diamonds are the true values.",
-    "measured_against_predicted": "The target of each row against what the equation gives there. Dots along the line are right; a bend "
-    "is a missing term.",
-    "one_step": "The target at the measured states of each row. The band should hold 95 % of the samples, and the "
-    "residual look like noise.",
-    "free_run": "The equation started once and left to itself, driven by the measured force. Errors add up here: it "
-    "is the hardest test.",
-    "spectra": "Where in frequency the free run agrees with what was measured. The floor of the measured spectrum is"
-    " its noise.",
-    "frequency_response": "Magnitude and phase from the force to the displacement, the receptance. Grey is what does not follow"
-    " the force: noise, or a nonlinear part of the motion.",
+    "restoring_force_surface": "The picture of this field (Masri and Caughey 1979): the acceleration of each "
+    "row, less the equation's terms of the force and with the other sign, over "
+    "displacement and velocity. The discovered surface should pass through the "
+    "dots, and end where they do.",
+    "restoring_force_curve": 'The same for the spring alone, over the displacement; `over="v"` is the '
+    "damper. The line is the discovered curve, the band its 95 % interval. Dots "
+    "that follow another curve than the line show what the equation lacks.",
+    "pip_bars": "How probable it is that each term is in the law. Filled bars are in the "
+    "equation. Bars near the dashed line, at 0.5, are undecided.",
+    "coefficient_forest": "Every coefficient and its 95 % interval, in per cent of the estimate, so that "
+    "different units stand on one scale. A simulated record knows its law: diamonds"
+    " are the true values.",
+    "measured_against_predicted": "The target of each row against what the equation gives there. Dots along the "
+    "line are right; a bend is a missing term.",
+    "one_step": "The target at the measured states of each row. The band should hold 95 % of "
+    "the samples, and the residual look like noise.",
+    "free_run": "The equation started once and left to itself, driven by the measured force. "
+    "Errors add up here: it is the hardest test.",
+    "spectra": "Where in frequency the free run agrees with what was measured. The floor of "
+    "the measured spectrum is its noise.",
+    "frequency_response": "Magnitude and phase from the force to the displacement, the receptance. Grey "
+    "is what does not follow the force: noise, or a nonlinear part of the motion.",
     "phase_portrait": "Velocity against displacement: the record, and the free run over the rows held out.",
-    "candidate_correlation": "How alike the columns of the likeliest terms are. Terms near 1 or -1 can hardly be told apart by "
-    "this record; one with other amplitudes would tell.",
+    "candidate_correlation": "How alike the columns of the likeliest terms are. Terms near 1 or -1 can "
+    "hardly be told apart by this record; one with other amplitudes would tell.",
 }
 
 CODE = """import bayeq as bq

@@ -171,7 +171,7 @@ Examples:
     "--report",
     group=WRITTEN,
     type=FILE,
-    help="Write a page (.html) that loads nothing and prints well: verdict, equations, pictures, warnings, hashes of the"
+    help="Write a page (.html) that loads nothing and prints well: verdict, equations, pictures, warnings, hashes of"
     " files, this command.",
 )
 @option(

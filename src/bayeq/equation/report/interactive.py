@@ -101,10 +101,9 @@ def _ticks(axis: Any, model: Any) -> None:
     """Names at their places, where the axis has such."""
     from matplotlib.ticker import FixedLocator, FuncFormatter
 
-    locator: Any = axis.get_major_locator()
-    if not isinstance(locator, FixedLocator):
+    if not isinstance(axis.get_major_locator(), FixedLocator):
         return
-    places = [float(place) for place in np.asarray(locator.locs)]
+    places = [float(place) for place in axis.get_majorticklocs()]
     model.ticker = places
     if isinstance(axis.get_major_formatter(), FuncFormatter):  # which set_ticks makes of names
         labels = [without_maths(label.get_text()) for label in axis.get_ticklabels()]
@@ -168,9 +167,9 @@ def _bands(plot: Any, ax: Any) -> Any:
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import to_hex
 
-    made: Any
     for made in ax.collections:
-        if isinstance(made, LineCollection):
+        segments, outlined = isinstance(made, LineCollection), isinstance(made, PolyCollection)
+        if segments:
             ends = np.array([segment for segment in made.get_segments() if len(segment) == 2])
             if not len(ends):
                 continue
@@ -180,7 +179,7 @@ def _bands(plot: Any, ax: Any) -> Any:
             glyph = plot.segment("x0", "y0", "x1", "y1", source=source, color=colour, line_width=width)
             _hover(plot, glyph, [("from", "@x0{0,0.[000]}"), ("to", "@x1{0,0.[000]}")])
             yield made.get_label(), glyph
-        elif isinstance(made, PolyCollection):
+        elif outlined:
             outlines = [path.vertices for path in made.get_paths()]
             colour, alpha = to_hex(made.get_facecolor()[0]), float(made.get_facecolor()[0][3])
             xs, ys = ([np.asarray(o[:, k], dtype=np.float32) for o in outlines] for k in (0, 1))
