@@ -139,9 +139,9 @@ def _library() -> str:
     """Bokeh's script, without what would end the element that it stands in."""
     from bokeh.resources import Resources
 
-    return "\n".join(Resources(mode="inline", components=["bokeh"], log_level="error").js_raw).replace(
-        "</script", "<\\/script"
-    )
+    scripts = Resources(mode="inline", components=["bokeh"]).js_raw
+    library = [text for text in scripts if not text.startswith("Bokeh.set_log_level")]  # which writes to the console
+    return "\n".join(library).replace("</script", "<\\/script")
 
 
 def _digest(script: str) -> str:
