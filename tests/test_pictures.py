@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.gallery import PICTURES, page
 
 import bayeq as bq
 from bayeq import figures
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.figures.style import style
-from examples.gallery import PICTURES, page
 
 matplotlib_figure = pytest.importorskip("matplotlib.figure")
 
@@ -157,7 +157,7 @@ def test_the_damping_force_is_over_the_velocity(eq, record):
 
 def test_the_surface_is_that_of_both(eq, record):
     ax = figures.restoring_force_surface(eq, record)
-    dots = [one for one in ax.collections if one.get_label() == "measured"][0]
+    (dots,) = [one for one in ax.collections if one.get_label() == "measured"]
     x, v, force = (np.asarray(values) for values in dots._offsets3d)
     law = eq[0].shown_coef
     expected = -eq[0].shown_posterior.intercept - law["x"] * x - law["x**3"] * x**3 - law["v"] * v

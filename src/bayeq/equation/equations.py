@@ -711,25 +711,13 @@ class Equations:
         MissingExtraError
             matplotlib or Bokeh is not installed.
         """
-        from bayeq.equation.report.page import (
-            file_hash,
-            repeat_command,
-            require_report,
-            samples_hash,
-            write_report,
-        )
+        from bayeq.equation.report.page import write_report
 
-        require_report()
         pieces = [] if records is None else _as_list(records, "report")
         for record in pieces:
             for name in self.roles.channels:
                 _ = record[name]
-        try:
-            digests = {Path(file).name: file_hash(Path(file)) for file in files}
-            digests |= {f"samples of {r.name or 'the record'}": samples_hash(r) for r in pieces if not files}
-            write_report(Path(path), self, pieces, digests, command or repeat_command(self), command is not None)
-        except OSError as error:
-            raise InputError(f"{error.filename or path}: {error.strerror or error}") from error
+        write_report(Path(path), self, pieces, [Path(file) for file in files], command)
 
     def __str__(self) -> str:
         """The answer as text: in colour on a terminal, plain (Markdown) elsewhere."""

@@ -16,13 +16,16 @@ from bayeq.equation.report import sections
 from bayeq.equation.report.interactive import require_bokeh
 from bayeq.equation.report.look import STYLE
 from bayeq.equation.report.pictures import pictures
-from bayeq.errors import BayeqWarning
+from bayeq.errors import BayeqWarning, InputError
 from bayeq.figures.style import require_matplotlib
 from bayeq.inference.engines import ENGINES
 from bayeq.records import Record
 from bayeq.records.atomic import replacing
 
 __all__ = ["file_hash", "repeat_command", "require_report", "samples_hash", "write_report"]
+
+# The section that the pictures go into.
+PICTURES = "pictures"
 
 # Draws the live pictures one after the other, and shows them instead of the still ones once all are there.
 START = """
@@ -56,7 +59,7 @@ def require_report() -> None:
 
 
 def write_report(
-    path: Path, eq: Answer, records: Sequence[Record], digests: Mapping[str, str], command: str, complete: bool
+    path: Path, eq: Answer, records: Sequence[Record], files: Sequence[Path], command: str | None = None
 ) -> None:
     """Write the page.
 
@@ -68,30 +71,41 @@ def write_report(
         The answer.
     records : sequence of Record
         Pictures are of the first; none for pictures of the equations alone.
-    digests : mapping of str to str
-        SHA-256 of what was read, by name.
-    command : str
-        That gives the answer again.
-    complete : bool
-        Whether the command holds all options.
+    files : sequence of Path
+        That the records were read from; hashes are those of the records where none are given.
+    command : str, optional
+        That gives the answer again; by default one is made of what the equations know.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or the page not be written.
+    MissingExtraError
+        matplotlib or Bokeh is not installed.
     """
     require_report()
+    try:
+        digests = {file.name: file_hash(file) for file in files}
+        digests |= {f"samples of {one.name or 'the record'}": samples_hash(one) for one in records if not files}
+        text = _page(eq, records, digests, command)
+        with replacing(path) as part:
+            part.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{error.filename or path}: {error.strerror or error}") from error
+
+
+def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], command: str | None) -> str:
+    """The text of the page."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)  # they are in the page already
         made, reasons = pictures(eq, records[0] if records else None)
-    body = _body(eq, digests, command, complete)
+    body = _body(eq, digests, command or repeat_command(eq), complete=command is not None)
     figures = "".join(picture.html(k) for k, picture in enumerate(made))
     of = f" of {escape(records[0].name)}" if len(records) > 1 and records[0].name else ""
     body[PICTURES] = f'<h2>Pictures{of}</h2><div class="pictures">{figures}</div>{sections.items(reasons)}'
+    title = f"Equation of motion: {', '.join(one.target for one in eq.equations)}"
     scripts = [_library(), START] if any(picture.live for picture in made) else []
-    text = _document(
-        f"Equation of motion: {', '.join(one.target for one in eq.equations)}", "".join(body.values()), scripts
-    )
-    with replacing(path) as part:
-        part.write_text(text, encoding="utf-8")
-
-
-PICTURES = "pictures"
+    return _document(title, "".join(body.values()), scripts)
 
 
 def _body(eq: Answer, digests: Mapping[str, str], command: str, complete: bool) -> dict[str, str]:
