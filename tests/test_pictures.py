@@ -12,6 +12,7 @@ import pytest
 from examples.gallery import PICTURES, page
 
 import bayeq as bq
+import bayeq.errors
 from bayeq import figures
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.figures.style import style
@@ -213,6 +214,16 @@ def test_uneven_times_have_no_spectrum(eq, record):
     keep = np.arange(record.n) % 7 != 3
     with pytest.raises(InputError, match="even"):
         figures.spectra(eq, record.take(keep))
+
+
+@pytest.mark.parametrize("name", figures.__all__)
+def test_rows_without_time_are_counted(name, record):
+    untimed = bq.Record(dict(record.channels))
+    with pytest.warns(bq.errors.DataWarning):
+        eq = bq.discover(untimed, displacement="x", velocity="v", acceleration="a", force="u", dictionary="x, v, u")
+    made = getattr(figures, name)(eq, untimed)
+    labels = [ax.get_xlabel() for ax in np.ravel(np.array(made, dtype=object))]
+    assert not any("[s]" in label or "[Hz]" in label for label in labels)
 
 
 def test_every_picture_is_in_the_gallery():

@@ -112,6 +112,8 @@ class Data(Protocol):
 
     @property
     def holdout(self) -> float: ...
+    @property
+    def rows_as_time(self) -> bool: ...
 
 
 class Answer(Protocol):

@@ -22,11 +22,13 @@ __all__ = [
     "GREY",
     "above",
     "bracketed",
+    "frequency_label",
     "label_of",
     "one_axes",
     "picture",
     "plain",
     "thinned",
+    "time_label",
     "titled",
     "two_axes",
     "unit_text",
@@ -128,6 +130,16 @@ def label_of(name: str, units: Mapping[str, str], what: str = "") -> str:
     """Label of an axis: what is shown of a channel, and its unit where that is known."""
     unit = units.get(name, "")
     return plain(f"{what} {name}".strip() + (f" [{unit_text(unit)}]" if unit else ""))
+
+
+def time_label(eq: Answer) -> str:
+    """Label of an axis of time, which is counted in rows where it is not known."""
+    return "row" if eq.data.rows_as_time else "time [s]"
+
+
+def frequency_label(eq: Answer) -> str:
+    """Label of an axis of frequency."""
+    return "frequency [1/row]" if eq.data.rows_as_time else "frequency [Hz]"
 
 
 def titled(ax: Axes, eq: Answer, target: str) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.figures.answer import Answer, channel_of
-from bayeq.figures.picture import GREY, above, bracketed, picture, plain, two_axes
+from bayeq.figures.picture import GREY, above, bracketed, frequency_label, picture, plain, two_axes
 from bayeq.figures.spectrum import cross_spectrum, even_rate, filled
 from bayeq.figures.style import BLACK, BLUE, term_label
 from bayeq.records import Record
@@ -69,8 +69,9 @@ def frequency_response(
     if run.blew_up_at is not None:
         raise InputError(f"the free run blew up at {run.blew_up_at:.6g} s: it has no frequency response")
     fs = even_rate(run.time, record.name or "record")
-    assert record.time is not None  # or there were no free run
-    u = np.interp(run.time, record.time, filled(record[source]))
+    rows = eq.motion(record)
+    times = run.time if rows.time is None else rows.time
+    u = np.interp(run.time, times, filled(rows.samples[source]))
     f, power = cross_spectrum(u, u, fs)
     driven = power.real >= DRIVEN * power.real.max()
     axes = two_axes(ax, upper=36.0, lower=22.0)
@@ -95,7 +96,7 @@ def frequency_response(
     axes[1].set_ylabel("phase [°]")
     axes[1].set_yticks([-270, -180, -90, 0, 90])
     axes[1].set_ylim(-280.0, 100.0)
-    axes[1].set_xlabel("frequency [Hz]")
+    axes[1].set_xlabel(frequency_label(eq))
     axes[1].set_xlim(0.0, float(f[driven].max()))
     axes[0].set_title(f"response of {term_label(name)} to {term_label(source)}")
     above(axes[0])

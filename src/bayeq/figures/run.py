@@ -8,7 +8,7 @@ import numpy as np
 
 from bayeq.figures.answer import Answer, channel_of
 from bayeq.figures.comparison import compare, mark_blow_up
-from bayeq.figures.picture import above, label_of, picture, two_axes
+from bayeq.figures.picture import above, label_of, picture, time_label, two_axes
 from bayeq.figures.style import term_label
 from bayeq.records import Record
 
@@ -70,7 +70,7 @@ def free_run(
     units = {key: unit for equation in eq.equations for key, unit in equation.units.items()}
     axes[0].set_ylabel(label_of(name, units))
     axes[1].set_ylabel(label_of(name, units, "residual"))
-    axes[1].set_xlabel("time [s]")
+    axes[1].set_xlabel(time_label(eq))
     error = run.measured[name] - run.mean[name]
     spread = float(np.nanstd(run.measured[name]))
     share = float(np.sqrt(np.nanmean(error**2))) / spread if spread > 0 and np.isfinite(error).any() else np.nan

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayeq.errors import InputError
 from bayeq.figures.answer import Answer, channel_of
-from bayeq.figures.picture import bracketed, one_axes, picture, plain
+from bayeq.figures.picture import bracketed, frequency_label, one_axes, picture, plain
 from bayeq.figures.spectrum import cross_spectrum, even_rate, filled
 from bayeq.figures.style import BLACK, BLUE, ORANGE
 from bayeq.records import Record
@@ -66,7 +66,7 @@ def spectra(eq: Answer, record: Record, ax: Any = None, *, channel: str | None =
     low = float(ax.get_ylim()[0])
     ax.set_ylim(max(low, 1e-12 * highest), 3.0 * highest)
     ax.set_xlim(0.0, fs / 2.0)
-    ax.set_xlabel("frequency [Hz]")
+    ax.set_xlabel(frequency_label(eq))
     unit = next((e.units[name] for e in eq.equations if name in e.units), "")
     ax.set_ylabel(plain(f"PSD of {name}" + (f" [{bracketed(unit)}²/Hz]" if unit else " [1/Hz]")))
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=3, fontsize=7, handlelength=1.8)

@@ -9,7 +9,7 @@ import numpy as np
 from bayeq.errors import InputError
 from bayeq.figures.answer import Answer, equation_of
 from bayeq.figures.comparison import compare
-from bayeq.figures.picture import above, label_of, picture, two_axes
+from bayeq.figures.picture import above, label_of, picture, time_label, two_axes
 from bayeq.figures.run import LAST
 from bayeq.figures.style import term_label
 from bayeq.records import Record
@@ -77,7 +77,7 @@ def one_step(
     compare(axes, time, measured, (mean, mean - Z95 * sd, mean + Z95 * sd), "one step")
     axes[0].set_ylabel(label_of(equation.target, equation.units))
     axes[1].set_ylabel(label_of(equation.target, equation.units, "residual"))
-    axes[1].set_xlabel("row" if motion.time is None else "time [s]")
+    axes[1].set_xlabel("row" if motion.time is None else time_label(eq))
     axes[0].set_title(f"one step of {term_label(equation.target)}")
     above(axes[0])
     return axes
