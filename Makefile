@@ -33,7 +33,7 @@ tests: $(VENV)/.dev
 
 # Rates, coverage and calibration over the full number of records; `make tests` draws fewer.
 statistics: $(VENV)/.dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto tests/statistical --full-statistics
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto tests/statistical tests/test_saved_files.py --full-statistics
 
 # Lines and branches that the tests run; kernels are compiled, and not counted.
 coverage: $(VENV)/.dev

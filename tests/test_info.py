@@ -394,7 +394,7 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments, message, tmp_path, cap
 
 
 def test_what_is_no_record_is_refused():
-    with pytest.raises(InputError, match="needs a Record or the path of a file, not int"):
+    with pytest.raises(InputError, match="no record can be made of int"):
         bq.info(3)
     with pytest.raises(InputError, match="time says how a file is read"):
         bq.info(duffing(), time="x")

@@ -16,7 +16,7 @@ ORDER = [
     "expressions gram numerics records",
     "dictionary figures inference ode states",
     "adapters forecast inspection likelihood systems",
-    "regression",
+    "export regression",
     "plan refine selection",
     "equation study",
     "discovery estimators",

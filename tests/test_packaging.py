@@ -44,7 +44,10 @@ def test_the_wheel_holds_the_package_alone(built):
         names = set(archive.namelist())
     assert {name.split("/")[0] for name in names} == {"bayeq", f"bayeq-{bq.__version__}.dist-info"}
     sources = {path.relative_to(ROOT / "src").as_posix() for path in (ROOT / "src" / "bayeq").rglob("*.py")}
-    assert {name for name in names if name.startswith("bayeq/")} == sources | {"bayeq/py.typed"}
+    assert {name for name in names if name.startswith("bayeq/")} == sources | {
+        "bayeq/py.typed",
+        "bayeq/equation/schema.json",
+    }
 
 
 def test_the_source_distribution_holds_what_git_does(built):

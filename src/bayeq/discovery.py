@@ -8,6 +8,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.adapters.pysindy.library import is_library, terms_of
 from bayeq.dictionary import Specification, Variables, build_dictionaries, written
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
@@ -83,7 +84,7 @@ def discover(
     acceleration: str | None = None,
     force: str | None = None,
     inputs: Sequence[str] = (),
-    dictionary: Specification = "oscillator",
+    dictionary: Specification | Any = "oscillator",
     method: str = "auto",
     smooth: Smooth = "auto",
     holdout: float = 0.2,
@@ -116,11 +117,12 @@ def discover(
         Channel of its force.
     inputs : sequence of str
         Channels of further inputs.
-    dictionary : str, sequence of str, or mapping of str to these
+    dictionary : str, sequence of str, mapping of str to these, or feature library of PySINDy
         ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, ``"fourier:2"``, ``"neighbours"``, a file of terms, or terms;
         ``"oscillator + sin(x) - x**5"`` joins families and terms, and leaves some out. With a mapping,
         ``{"a1": "oscillator", ...}``, or ``"a1: oscillator; a2: ..."``, each equation has its own; the terms of the
-        others then have probability 0 in it. See docs/terms.md for the language of terms.
+        others then have probability 0 in it. See docs/terms.md for the language of terms. A feature library, as
+        ``pysindy.PolynomialLibrary(3)``, is taken by the names of its features in states and inputs.
     method : str
         ``"auto"`` (the optimum of variational Bayes, probabilities by model averaging), ``"vb"``, ``"bma"``,
         ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
@@ -207,6 +209,8 @@ def discover(
     _check_tails(tails, smooth)
     smooth = _smooth_in(band, smooth)
     variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
+    if is_library(dictionary):
+        dictionary = terms_of(dictionary, variables.names)
     terms, allowed = build_dictionaries(dictionary, roles.targets, variables)
     known = [constraints] if isinstance(constraints, str) else list(constraints)
     constrained = parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work

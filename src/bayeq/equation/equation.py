@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import exp, floor, isfinite, log10
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,7 @@ from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.units import quotient_unit
 from bayeq.equation.verdict import Verdict
 from bayeq.errors import InputError
+from bayeq.export.latex import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.posterior import Posterior
@@ -369,15 +370,45 @@ class Equation:
 
         return sympy.Eq(sympy.Symbol(self.target), self._right_hand_side(digits=None), evaluate=False)
 
-    def to_latex(self) -> str:
-        r"""The equation in LaTeX, derivatives of the coordinate as dots: ``\ddot{x} = - 2.0 \dot{x} ...``."""
+    def to_latex(self, uncertainty: Uncertainty = "none") -> str:
+        r"""The equation in LaTeX, derivatives of the coordinate as dots: ``\ddot{x} = - 2.0 \dot{x} ...``.
+
+        Parameters
+        ----------
+        uncertainty : "none", "brackets" or "plus-minus"
+            Standard deviations of the coefficients: ``992.6(2.6)\,x`` or ``\left(992.6 \pm 2.6\right)\,x``.
+
+        Raises
+        ------
+        InputError
+            Another `uncertainty`.
+        """
         import sympy
+
+        if uncertainty not in get_args(Uncertainty):
+            raise InputError(f"uncertainty must be one of {', '.join(get_args(Uncertainty))}, got {uncertainty!r}")
 
         base = sympy.latex(sympy.Symbol(self.chain.names[0]))
         dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
         names = {sympy.Symbol(name): dots[k] for k, name in enumerate(self.chain.names)}
-        right = sympy.latex(self._right_hand_side(digits=2), symbol_names=names)
+        if uncertainty == "none":
+            right = sympy.latex(self._right_hand_side(digits=2), symbol_names=names)
+        else:
+            right = sum_in_latex(self._parts_in_latex(names), uncertainty)
         return f"{dots[self.chain.order]} = {right}"
+
+    def _parts_in_latex(self, names: Mapping[Any, str]) -> list[tuple[float, float, str]]:
+        """Coefficients, their standard deviations and terms, then the intercept where it is written out."""
+        import sympy
+
+        p, parts = self.shown_posterior, []
+        for j in np.flatnonzero(p.support):
+            term = to_sympy(self.terms[j])
+            text = sympy.latex(term, symbol_names=names)
+            parts.append((float(p.coef[j]), float(p.sd[j]), rf"\left({text}\right)" if term.is_Add else text))
+        if self.intercept_matters:
+            parts.append((float(p.intercept), p.intercept_sd, ""))
+        return parts
 
     def _right_hand_side(self, digits: int | None) -> Any:
         import sympy

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,7 @@ from bayeq.equation.prepare import prepared, rows_of_record
 from bayeq.equation.several import EquationTuple, coefficients
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError, UnknownNameError
+from bayeq.export.latex import Uncertainty
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
 from bayeq.records import Record, with_row_numbers
@@ -190,9 +191,69 @@ class Equations:
         out = [equation.to_sympy() for equation in self.equations]
         return out[0] if len(out) == 1 else out
 
-    def to_latex(self) -> str:
-        """LaTeX, one equation per line."""
-        return " \\\\\n".join(equation.to_latex() for equation in self.equations)
+    def to_latex(self, uncertainty: Uncertainty = "none", *, aligned: bool = False) -> str:
+        r"""LaTeX, one equation per line.
+
+        Parameters
+        ----------
+        uncertainty : "none", "brackets" or "plus-minus"
+            See `Equation.to_latex`.
+        aligned : bool
+            Whether the lines stand in an ``aligned`` environment, equal signs below each other.
+        """
+        lines = [equation.to_latex(uncertainty) for equation in self.equations]
+        if not aligned:
+            return " \\\\\n".join(lines)
+        body = " \\\\\n".join(line.replace(" = ", " &= ", 1) for line in lines)
+        return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
+
+    def to_callable(self, module: Literal["numpy", "jax"] = "numpy") -> Callable[..., Any]:
+        """The right-hand side as a function ``f(t, y, u=None)`` for many points at once.
+
+        Parameters
+        ----------
+        module : "numpy" or "jax"
+            Of the arrays. JAX computes in single precision unless ``jax_enable_x64`` is set.
+
+        Returns
+        -------
+        callable
+            Takes states (d,) or (d, n) in the order of `states`, inputs (m,) or (m, n), and times; returns derivatives
+            by time of the shape of the states. SciPy's ``solve_ivp`` takes it with ``vectorized=True``.
+
+        Raises
+        ------
+        UnknownNameError
+            Another module.
+        MissingExtraError
+            JAX is not installed.
+        """
+        from bayeq.export.callables import to_callable
+
+        return to_callable([equation.law for equation in self.equations], self.inputs, self.roles.timed, module)
+
+    def to_code(self, language: str) -> str:
+        """The right-hand side as source text: a function `rhs` of time, states and inputs, without dependencies.
+
+        Parameters
+        ----------
+        language : "c", "julia", "matlab" or "python"
+            Printed by SymPy, coefficients with 17 digits. Channels whose names the language does not allow get others.
+
+        Raises
+        ------
+        UnknownNameError
+            Another language.
+        InputError
+            Terms that the language cannot express.
+        """
+        from bayeq.export.languages import to_code
+
+        return to_code([equation.law for equation in self.equations], self.inputs, self.roles.timed, language)
+
+    def to_python(self) -> str:
+        """``to_code("python")``: a function of plain Python that needs the module `math` alone."""
+        return self.to_code("python")
 
     def rhs(self, t: float, state: ArrayLike, u: ArrayLike | None = None) -> Floats:
         """Time derivative of the state vector, as SciPy's `solve_ivp` takes it.

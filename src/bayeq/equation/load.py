@@ -5,19 +5,21 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.equation.check_saved import check_content, check_restored
 from bayeq.equation.equation import Equation, Fit, RunnerUp
 from bayeq.equation.equations import DataSummary, Equations
 from bayeq.equation.intervals import OverModels
+from bayeq.equation.schema import first_fault
 from bayeq.equation.several import EquationTuple
 from bayeq.equation.to_json import FORMAT
-from bayeq.equation.verdict import KINDS, Verdict
+from bayeq.equation.verdict import Verdict
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.expressions import parse
 from bayeq.expressions.functions import TIME
@@ -29,9 +31,11 @@ from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Residuals
 from bayeq.selection.select import LeftOut
-from bayeq.states import Roles, Sensors, Tails, check_sensors, parse_chain
+from bayeq.states import Chain, Roles, Sensors, Tails, check_sensors
 
 __all__ = ["load"]
+
+T = TypeVar("T", Fit, RunnerUp, LeftOut, Driver)
 
 
 def _indicator(members: list[int], terms: int) -> NDArray[np.bool_]:
@@ -57,7 +61,7 @@ def load(path: str | Path) -> Equations:
     Raises
     ------
     FileFormatError
-        A file that is missing or not such a file.
+        A file that is missing or not such a file, or whose content does not agree with `json_schema` or with itself.
     """
     path = Path(path)
     try:
@@ -69,19 +73,25 @@ def load(path: str | Path) -> Equations:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise FileFormatError(f"{path}: not a file of equations saved by bayeq (no format {FORMAT!r})")
     try:
+        fault = first_fault(content)
+        if fault is not None:
+            raise ValueError(fault)
         return _restore(content)
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, BayeqError) as error:
-        raise FileFormatError(f"{path}: damaged: {type(error).__name__}: {error}") from error
+    except (ValueError, OverflowError, RecursionError, BayeqError) as error:
+        raise FileFormatError(f"{path}: damaged: {error}") from error
 
 
 def _restore(content: Mapping[str, Any]) -> Equations:
+    """The equations of content that agrees with the schema."""
     data, diagnostics = content["data"], content["diagnostics"]
     files = data["file"]
     equations = []
-    names = [TIME, *map(str, data["inputs"])]
-    for chain in data["chains"]:
-        names += parse_chain(chain).names
-    for k, chain in enumerate(data["chains"]):
+    chains = Roles.parse(data["chains"], inputs=data["inputs"]).chains
+    check_content(content, chains)
+    names = [TIME, *data["inputs"]]
+    for chain in chains:
+        names += chain.names
+    for k, chain in enumerate(chains):
         saved = content["equations"][k]
         equations.append(
             _restore_equation(
@@ -122,6 +132,8 @@ def _restore(content: Mapping[str, Any]) -> Equations:
         refined=_restored_refinement(diagnostics.get("refined")),
     )
     found.known()  # constraints that cannot be read are damage
+    for equation in found:
+        check_restored(equation)
     return found
 
 
@@ -185,14 +197,16 @@ def _column(terms: list[Mapping[str, Any]], name: str) -> Any:
 def _intervals(terms: list[Mapping[str, Any]], name: str) -> NDArray[np.float64] | None:
     if not terms or name not in terms[0]:
         return None
-    out = np.array([[float(low), float(high)] for low, high in (term[name] for term in terms)])
-    if not np.isfinite(out).all():
-        raise ValueError("intervals that are not finite")
-    return out
+    return np.array([term[name] for term in terms], dtype=np.float64)
+
+
+def _record(kind: type[T], saved: Mapping[str, Any]) -> T:
+    """A dataclass from the entries of its fields; further entries are those of a later version."""
+    return kind(**{one.name: saved[one.name] for one in fields(kind)})
 
 
 def _restore_equation(
-    chain: str,
+    chain: Chain,
     saved: Mapping[str, Any],
     state: Mapping[str, Any],
     checks: Mapping[str, Any],
@@ -233,29 +247,26 @@ def _restore_equation(
         average=None if state["average"] is None else _restored_average(state["average"], len(terms)),
     )
     shown = _restored_shown(posterior, saved["terms"], state["shown"])
-    numbers = (*posterior.coef, *posterior.center, posterior.noise_variance, *shown.coef, shown.noise_variance)
-    if not all(math.isfinite(v) for v in numbers):
-        raise ValueError("numbers that are not finite")
     held_out = checks["fit"]["held_out"]
     residuals = checks["residuals"]
     return Equation(
-        chain=parse_chain(chain),
+        chain=chain,
         terms=terms,
         posterior=posterior,
         shown_posterior=shown,
         verdict=_restored_verdict(saved["verdict"]),
         why={str(term["name"]): str(term["why"]) for term in saved["terms"] if term["why"] is not None},
-        train=Fit(**checks["fit"]["train"]),
-        held_out=None if held_out is None else Fit(**held_out),
+        train=_record(Fit, checks["fit"]["train"]),
+        held_out=None if held_out is None else _record(Fit, held_out),
         residuals=_restored_residuals(residuals),
-        runners_up=tuple(RunnerUp(**r) for r in checks["runners_up"]),
+        runners_up=tuple(_record(RunnerUp, r) for r in checks["runners_up"]),
         share=_restored_column(saved["terms"], "share"),
         bound=_restored_column(saved["terms"], "bound"),
         undetermined=tuple(str(name) for name in saved.get("undetermined", ())),
-        left_out=tuple(LeftOut(**term) for term in checks.get("left_out", [])),
+        left_out=tuple(_record(LeftOut, term) for term in checks.get("left_out", [])),
         units=units,
         unit_gains=tuple(float(gain) for gain in saved.get("unit_gains", ())),
-        models=tuple(_restored_model(model, len(terms)) for model in state.get("models", ())),
+        models=tuple(_restored_model(model) for model in state.get("models", ())),
         stored=OverModels(
             averaged=_intervals(saved["terms"], "averaged_ci95"),
             given_in=_intervals(saved["terms"], "printed_ci95"),
@@ -268,12 +279,9 @@ def _restore_equation(
     )
 
 
-def _restored_model(saved: Mapping[str, Any], terms: int) -> CandidateModel:
+def _restored_model(saved: Mapping[str, Any]) -> CandidateModel:
     members, coef = tuple(int(j) for j in saved["members"]), tuple(float(c) for c in saved["coef"])
-    numbers = (float(saved["probability"]), float(saved["intercept"]), *coef)
-    if len(coef) != len(members) or not all(0 <= j < terms for j in members) or not all(map(math.isfinite, numbers)):
-        raise ValueError("a model whose coefficients are not those of its terms")
-    return CandidateModel(numbers[0], members, coef, numbers[1])
+    return CandidateModel(float(saved["probability"]), members, coef, float(saved["intercept"]))
 
 
 def _restored_measured(saved: Mapping[str, Any] | None) -> Measured:
@@ -320,10 +328,7 @@ def _restored_posterior(like: Posterior, saved: Mapping[str, Any]) -> Posterior:
 
 
 def _restored_verdict(saved: Mapping[str, Any]) -> Verdict:
-    kind = saved["kind"]
-    if kind not in KINDS:
-        raise ValueError(f"no such verdict: {kind!r}")
-    return Verdict(kind, str(saved["reason"]), str(saved.get("advice", "")))
+    return Verdict(saved["kind"], str(saved["reason"]), str(saved.get("advice", "")))
 
 
 def _restored_residuals(saved: Mapping[str, Any]) -> Residuals:
@@ -335,7 +340,7 @@ def _restored_residuals(saved: Mapping[str, Any]) -> Residuals:
         skewness=float(saved.get("skewness", 0.0)),
         kurtosis=float(saved.get("kurtosis", 0.0)),
         normality=float(saved.get("normality", 1.0)),
-        driver=None if driver is None else Driver(**driver),
+        driver=None if driver is None else _record(Driver, driver),
         excess=None if saved.get("excess") is None else float(saved["excess"]),
         discrepancy=None if saved.get("discrepancy") is None else float(saved["discrepancy"]),
     )

@@ -88,7 +88,7 @@ def about_rest(
 
     def force(position: Floats, thetas: Mapping[Expression, Floats], level: Floats) -> Floats:
         columns = evaluate_terms(list(thetas), {x: position})
-        return level + sum(theta * columns[:, j] for j, theta in enumerate(thetas.values()))
+        return np.zeros(position.shape) + level + sum(theta * columns[:, j] for j, theta in enumerate(thetas.values()))
 
     places = np.linspace(low, high, PLACES)
     mean = {term: np.asarray(values.mean()) for term, values in alone.items()}

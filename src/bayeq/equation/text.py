@@ -5,13 +5,12 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Mapping
-from math import isclose
+from math import isclose, isfinite
 from typing import Any
 
 import numpy as np
-from rich import box
+from rich import box, markup
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from bayeq.equation.answer import Answer
@@ -53,6 +52,11 @@ MOST_UNDETERMINED = 6
 DOUBTFUL = 1e-3
 
 
+def escape(text: str) -> str:
+    """Text from a file as it may be printed: without markup, and without what a terminal would obey."""
+    return markup.escape("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text))
+
+
 def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) -> str:
     """Text of the equations: styled if standard output is a terminal, plain Markdown otherwise.
 
@@ -78,7 +82,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
         console.print(f"band: spectra between {low:g} and {high:g} Hz were fitted, by the band regression")
     if eq.data.estimated:
         how = "smoothing" if eq.data.smoothed else "central differences"
-        console.print(f"not measured, estimated by {how}: {', '.join(eq.data.estimated)}")
+        console.print(f"not measured, estimated by {how}: {escape(', '.join(eq.data.estimated))}")
     known = eq.data.sensors
     if known.noise:
         listed = ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items())
@@ -273,7 +277,7 @@ def _extra_columns(equation: Equation) -> dict[str, list[str]]:
     shown = _listed(equation)
     out = {}
     if share is not None and kept.any():
-        out["share"] = [percent(share[j]) if kept[j] else "" for j in shown] + [""]
+        out["share"] = [percent(share[j]) if kept[j] and isfinite(share[j]) else "" for j in shown] + [""]
     if any(equation.coef_units[j] for j in np.flatnonzero(kept)):
         units = [equation.coef_units[j] or "" if kept[j] else "" for j in shown]
         out["unit"] = [escape(unit) for unit in (*units, equation.units.get(equation.target, ""))]

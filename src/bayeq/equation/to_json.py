@@ -9,6 +9,7 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
@@ -113,16 +114,16 @@ def _term(equation: Equation, j: int) -> dict[str, Any]:
         "printed_over_models": bool(equation.printed_over_models[j]),
         **_averaged(equation, j),
         # of a term that is shown
-        "share": float(equation.share[j]) if equation.share is not None and shown.support[j] else None,
+        "share": _known(equation.share, j) if shown.support[j] else None,
         "unit": equation.coef_units[j],
-        "bound": _bound(equation, j),
+        # of a coefficient that is not included
+        "bound": _known(equation.bound, j),
     }
 
 
-def _bound(equation: Equation, j: int) -> float | None:
-    """What the coefficient of a term that is not included is below."""
-    value = np.nan if equation.bound is None else float(equation.bound[j])
-    return value if math.isfinite(value) else None
+def _known(column: NDArray[np.float64] | None, j: int) -> float | None:
+    """An entry of a column; None where there is none, or NaN."""
+    return None if column is None or not math.isfinite(column[j]) else float(column[j])
 
 
 def _averaged(equation: Equation, j: int) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from bayeq.inspection.roles import INPUT, Guess, clue_of, guess_roles
 from bayeq.inspection.samples import find_bad
 from bayeq.inspection.text import as_html, as_text
 from bayeq.inspection.timing import Experiments, gaps_of, sort_rows
-from bayeq.records import Record, check_record, read
+from bayeq.records import Record, as_record, check_record, read
 from bayeq.records.names import is_time_name
 
 __all__ = ["RecordInfo", "info"]
@@ -116,7 +116,7 @@ class RecordInfo(Contents):
 
 
 def info(
-    source: Record | str | os.PathLike[str],
+    source: Any,
     *,
     time: str | None = None,
     fs: float | None = None,
@@ -128,7 +128,7 @@ def info(
 
     Parameters
     ----------
-    source : Record or path
+    source : Record, path, DataFrame or mapping of arrays
         What was measured. A file is opened as `bayeq.read` does; where its time starts over it is divided there.
     time, fs, names, units, group
         As in `bayeq.read`, for files.
@@ -158,7 +158,7 @@ def info(
             raise InputError(f"{used} says how a file is read; a Record has been read")
         return _described(sort_rows(source), source.name, Reading(clocked=source.time is not None))
     if not isinstance(source, (str, os.PathLike)):
-        raise InputError(f"info needs a Record or the path of a file, not {type(source).__name__}")
+        return info(as_record(source))
     path = Path(source)
     listed = names if names is None or isinstance(names, str) else ",".join(names)
     reading = Reading((str(path),), time, fs, listed, group)

@@ -75,16 +75,16 @@ def assemble(
     stops = [*starts[1:], n]
     seconds, kept_units = _time(data, time_column, known_units, np.asarray(starts, dtype=np.intp))
 
+    step, step_column = (None, None) if seconds is not None else _stated_step(data, fs)
     channels: dict[str, FloatArray] = {}
     for i, (column, values) in enumerate(zip(data.names, data.values, strict=True)):
-        if i not in (time_column, group_column) and (wanted is None or i in wanted):
+        if i not in (time_column, group_column) and (i != step_column if wanted is None else i in wanted):
             channels[column] = values
             if own := known_units[i]:
                 kept_units[column] = own
     if not channels:
         raise RecordError(f"{where}: no channels besides time; the columns are {', '.join(data.names)}")
 
-    step = None if seconds is not None else _stated_step(data, fs)
     label = where if name is None else name
     trials = []
     for trial, (start, stop) in enumerate(zip(starts, stops, strict=True)):
@@ -129,23 +129,23 @@ def _rises(values: FloatArray) -> bool:
         return len(values) > 1 and bool(np.all(np.isfinite(values))) and bool(np.all(np.diff(values) > 0))
 
 
-def _stated_step(data: Columns, fs: float | None) -> float | None:
-    """The time step [s] that the file states, in its header or a column such as Ts whose one value it is."""
+def _stated_step(data: Columns, fs: float | None) -> tuple[float | None, int | None]:
+    """The time step [s] that the file states, in its header or a column such as Ts whose one value it is; which."""
     step = data.step
     if step is None and fs is None:
-        for name, values in zip(data.names, data.values, strict=True):
+        for i, (name, values) in enumerate(zip(data.names, data.values, strict=True)):
             known = values[np.isfinite(values)]
             if known.size and values[0] == known[0] and np.all(known == known[0]) and known[0] > 0:
                 if name in STEP_NAMES:
-                    return float(known[0])
+                    return float(known[0]), i
                 if name in RATE_NAMES:
-                    return 1.0 / float(known[0])
+                    return 1.0 / float(known[0]), i
     if step is not None and fs is not None and fs > 0 and not 0.99 < fs * step < 1.01:
         raise RecordError(
             f"{data.headers.where}: fs {fs:g} contradicts the file, whose sampling rate is {1 / step:.6g} Hz; leave fs"
             " out, or name a column as time"
         )
-    return step
+    return step, None
 
 
 def _time(

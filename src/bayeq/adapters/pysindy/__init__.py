@@ -1,0 +1,29 @@
+"""PySINDy: an optimizer, a method of differentiation, and its feature libraries as dictionaries of `discover`.
+
+``from bayeq.adapters.pysindy import KinematicDerivative, SpikeSlabOptimizer``; both need the extra ``pysindy``.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from bayeq.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from bayeq.adapters.pysindy.derivative import KinematicDerivative
+    from bayeq.adapters.pysindy.optimizer import SpikeSlabOptimizer
+
+__all__ = ["KinematicDerivative", "SpikeSlabOptimizer"]
+
+_HOME = {"KinematicDerivative": "derivative", "SpikeSlabOptimizer": "optimizer"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        import_module("pysindy")
+    except ImportError as error:
+        raise MissingExtraError("PySINDy", "pysindy", name) from error
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

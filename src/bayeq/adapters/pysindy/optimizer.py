@@ -1,0 +1,255 @@
+"""`SpikeSlabOptimizer`: bayeq's inference as an optimizer of PySINDy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pysindy.optimizers import BaseOptimizer
+
+from bayeq.adapters.pysindy.series import LEAST_FLOOR, pieces_of, row_gram, series_grams, systematic_floor
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.gram import Gram
+from bayeq.gram.gram import checked_weights
+from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
+from bayeq.inference.engines import ENGINES
+from bayeq.inference.posterior import Posterior
+from bayeq.inference.prior import Prior
+
+__all__ = ["SpikeSlabOptimizer"]
+
+Floats = NDArray[np.float64]
+
+# Engines with the spike-and-slab prior.
+METHODS = [name for name, engine in ENGINES.items() if engine.spike_slab]
+
+
+class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
+    """Sparse regression with spike-and-slab priors, for ``pysindy.SINDy(optimizer=SpikeSlabOptimizer())``.
+
+    There is no threshold, and no scale of the library matters. A column of ones is a candidate like the others; nothing
+    is centred. Rows in order of time are treated as a time series, which allows for the error of a numerical derivative
+    and for noise that is not white (docs/pysindy.md); subdomains of a weak form, rows in no order and rows with weights
+    count as they are.
+
+    Parameters
+    ----------
+    slab_variance : float, optional
+        v_s: variance of a coefficient of a column of unit size, relative to the noise variance. By default the one that
+        maximises the evidence of each target, at least 10.
+    prior_inclusion : float or (P,) array
+        p_0; 1 forces a term in, 0 keeps it out.
+    noise_shape, noise_rate : float
+        a_sigma, b_sigma of the inverse-Gamma prior of the noise variance, in units of the least-squares residual.
+    inclusion_beta : (a, b), optional
+        Take p_0 as unknown, Beta(a, b).
+    method : "auto", "vb", "bma" or "gibbs"
+        Engine, as of `discover`.
+    noise_floor : float or (K,) array, optional
+        Standard deviation, in units of the derivative, of white noise that each target has in any case. By default that
+        of a time series is read from its differences, and rows in no order, as those of a weak form, are taken to have
+        an error of 1 % of the target that averages out over no more than 10 rows; 0 leaves the latter out.
+    random_state : int
+        Seed of ``"gibbs"``.
+    unbias : bool
+        Must be False: coefficients are posterior means given the included terms, and a least-squares fit in their place
+        would not belong to the covariance and the probabilities that are reported.
+    copy_X : bool
+        As of other optimizers; the library is never written to.
+
+    Attributes
+    ----------
+    coef_ : (K, P) array
+        Posterior means given the included terms; exactly 0 for the others.
+    ind_ : (K, P) bool array
+        Included terms, those whose probability exceeds 0.5.
+    pip_ : (K, P) array
+        Posterior inclusion probabilities.
+    posteriors_ : tuple of Posterior
+        One of each target, in the units of library and target: `pip`, `sd`, `covariance`, `noise_variance` ...
+    complexity : int
+        Number of included terms of all targets.
+
+    Raises
+    ------
+    InputError
+        When fitting: ``unbias=True``, parameters out of range, weights or shapes that do not match.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(1)
+    >>> library = rng.normal(size=(200, 4))
+    >>> target = library[:, [1]] * 2.0 + 0.1 * rng.normal(size=(200, 1))
+    >>> SpikeSlabOptimizer().fit(library, target).ind_.tolist()
+    [[False, True, False, False]]
+    """
+
+    def __init__(
+        self,
+        slab_variance: float | None = None,
+        prior_inclusion: ArrayLike = 0.1,
+        noise_shape: float = 1e-4,
+        noise_rate: float = 1e-4,
+        inclusion_beta: tuple[float, float] | None = None,
+        method: str = "auto",
+        noise_floor: ArrayLike | None = None,
+        random_state: int = 0,
+        unbias: bool = False,
+        copy_X: bool = True,
+    ) -> None:
+        super().__init__(unbias=unbias, copy_X=copy_X)
+        self.slab_variance = slab_variance
+        self.prior_inclusion = prior_inclusion
+        self.noise_shape = noise_shape
+        self.noise_rate = noise_rate
+        self.inclusion_beta = inclusion_beta
+        self.method = method
+        self.noise_floor = noise_floor
+        self.random_state = random_state
+
+    def set_params(self, **params: Any) -> Self:
+        """Set parameters, as scikit-learn's estimators do."""
+        super().set_params(**params)
+        return self
+
+    def fit(self, x_: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
+        """Fit to a library and the derivatives.
+
+        Parameters
+        ----------
+        x_ : (n, P) array
+            Library. Rows with NaN, in it or in `y`, are left out, and what follows them is another piece.
+        y : (n,) or (n, K) array
+            Derivatives.
+        sample_weight : float or (n,) array, optional
+            How often each row counts. Rows of different weights are not treated as a time series.
+        """
+        self._check_parameters()
+        D, Y = _arrays(x_, y)
+        weights = _weights(sample_weight, len(D))
+        known = np.isfinite(D).all(axis=1) & np.isfinite(Y).all(axis=1)
+        # what was fitted before is gone whatever happens
+        for name in [name for name in vars(self) if name.endswith("_") and not name.startswith("_")]:
+            delattr(self, name)
+        gaps = np.diff(np.cumsum(~known)[known], prepend=0) > 0
+        D, Y = D[known], Y[known]
+        weights = None if weights is None else weights[known]
+        rows = len(D) if weights is None else float(weights.sum())
+        if rows < 2:
+            raise InputError(f"{rows:g} usable rows: a fit needs at least 2 without NaN, or weights that sum to 2")
+        self.n_features_in_ = D.shape[1]
+        self.Theta_ = D
+        self._reduce(D, Y, weights, gaps)
+        self.history_ = [self.coef_]
+        # intercepts are columns of the library
+        self.intercept_ = 0.0
+        return self
+
+    def _reduce(self, x: Floats, y: Floats, weights: Floats | None, gaps: NDArray[np.bool_]) -> None:
+        """Set `posteriors_` and what follows from them."""
+        size, target_size = _sizes(x), _sizes(y)
+        Z, T = x / size, y / target_size
+        floors = np.maximum(self._floors(y.shape[1]) / target_size, LEAST_FLOOR)
+        varying = [k for k in range(y.shape[1]) if np.any(y[:, k])]
+        pieces = pieces_of(Z, gaps) if weights is None else None
+        unseen = LEAST_FLOOR
+        if self.noise_floor is None:
+            unseen = systematic_floor(len(x) if weights is None else float(weights.sum()))
+        grams = {k: row_gram(Z, T[:, k], weights, max(floors[k], unseen)) for k in range(y.shape[1])}
+        if pieces is not None and varying:
+            grams.update(zip(varying, series_grams(Z, T[:, varying], pieces, floors[varying]), strict=True))
+        self.posteriors_ = tuple(
+            self._posterior(_in_original_units(gram, size, target_size[k]), size, target_size[k], x, y[:, k], weights)
+            for k, gram in sorted(grams.items())
+        )
+        self.coef_ = np.array([p.coef for p in self.posteriors_])
+        self.ind_ = np.array([p.support for p in self.posteriors_])
+        self.pip_ = np.array([p.pip for p in self.posteriors_])
+
+    def _posterior(
+        self, gram: Gram, size: Floats, target_size: float, x: Floats, y: Floats, weights: Floats | None
+    ) -> Posterior:
+        """Of one target, as `discover` finds that of a regression."""
+        unit = gram.in_units(size, target_size)
+        scale = residual_scale(unit.gram)
+        spread = np.sqrt(np.maximum(unit.gram.diagonal, 0.0) / gram.n)
+        standard = gram.in_units(size * np.where(spread > 0, spread, 1.0), target_size * scale)
+        prior = Prior(
+            10.0 if self.slab_variance is None else self.slab_variance,
+            self.prior_inclusion,
+            self.noise_shape,
+            self.noise_rate,
+            self.inclusion_beta,
+        )
+        prior.validate(len(gram.names))
+        if self.slab_variance is None:
+            prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
+        engine = ENGINES[self.method]
+        options = {"seed": self.random_state} if engine.random else {}
+        found = engine.run(standard.gram, prior, **options).rescaled(standard)
+        # not that of the bins, but of the rows
+        w = np.ones(len(y)) if weights is None else weights
+        left = float(w @ (y - x @ found.coef) ** 2)
+        return replace(found, noise_variance=left / max(float(w.sum()) - found.support.sum(), 1.0))
+
+    def _floors(self, targets: int) -> Floats:
+        if self.noise_floor is None:
+            return np.zeros(targets)
+        floors = np.asarray(self.noise_floor, dtype=np.float64)
+        if floors.shape not in ((), (targets,)) or not (np.isfinite(floors) & (floors >= 0)).all():
+            raise InputError(
+                f"noise_floor must be a standard deviation, or one of each of the {targets} targets, 0 or more and"
+                f" finite, got {self.noise_floor!r}"
+            )
+        return np.broadcast_to(floors, (targets,))
+
+    def _check_parameters(self) -> None:
+        if self.unbias:
+            raise InputError(
+                "unbias must be False: coefficients are posterior means given the included terms, and least squares in"
+                " their place would not belong to the covariance and the probabilities that are reported"
+            )
+        if self.method not in METHODS:
+            raise UnknownNameError("method", self.method, METHODS)
+
+
+def _arrays(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+    """Library and targets as plain arrays of two dimensions."""
+    D, Y = np.array(x, dtype=np.float64), np.array(y, dtype=np.float64)
+    Y = Y[:, None] if Y.ndim == 1 else Y
+    if D.ndim != 2 or Y.ndim != 2 or len(D) != len(Y) or not D.shape[1] or not Y.shape[1]:
+        raise InputError(f"need a library (n, P) and derivatives (n,) or (n, K), got {D.shape} and {np.shape(y)}")
+    for name, values in (("the library", D), ("the derivatives", Y)):
+        if np.isinf(values).any():
+            raise InputError(f"{name}: infinite value in row {int(np.argmax(np.isinf(values).any(axis=1))) + 1}")
+    return D, Y
+
+
+def _weights(sample_weight: ArrayLike | None, n: int) -> Floats | None:
+    """Weights of the rows; None where each counts once."""
+    if sample_weight is None:
+        return None
+    given = np.asarray(sample_weight, dtype=np.float64)
+    w = checked_weights(np.full(n, float(given)) if given.ndim == 0 else given, n)
+    return None if (w == 1.0).all() else w
+
+
+def _sizes(values: Floats) -> Floats:
+    """Root mean square of each column, 1 of a column of zeros."""
+    most = np.abs(values).max(axis=0)
+    most[most == 0] = 1.0
+    found = np.sqrt(np.mean((values / most) ** 2, axis=0))
+    return np.asarray(most * np.where(found > 0.0, found, 1.0))
+
+
+def _in_original_units(gram: Gram, size: Floats, target_size: float) -> Gram:
+    """The statistics of columns and target as they were."""
+    return replace(
+        gram,
+        DtD=gram.DtD * np.outer(size, size),
+        Dty=gram.Dty * size * target_size,
+        yty=gram.yty * target_size**2,
+    )

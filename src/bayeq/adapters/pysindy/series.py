@@ -1,0 +1,285 @@
+"""Rows of a library and a target as a time series: the Gram that allows for errors of the numerical derivative.
+
+An optimizer of PySINDy is given the library matrix and the derivatives, in order of time, and not how these were made.
+Two things are known of any of them all the same.
+
+Central differences, and any other symmetric filter, give z = (1 + a_2 d2 + a_4 d4 + ...) x', where d2 is the second
+difference from row to row. So x' = z - b_2 d2 z - b_4 d4 z - ..., with coefficients of the size of those that complete
+central differences to the derivative, 1/6, 1/30, 1/140. Differences of the target are put beside the candidates with
+these as prior standard deviations, and integrated out. They are of the fitted target, not of the target, whose noise
+they would share: two-stage least squares.
+
+Noise of a derivative grows with frequency, and a smoothed motion holds nothing of the signal where noise was above it.
+So the regression is one of the bins below the frequency at which the target comes near to the residual, each weighted
+by the inverse of the residual's density, which is taken never to fall with frequency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.gram import Gram
+from bayeq.gram.band import Band, band_gram, residual_spectrum, taper, to_band
+from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.search import best_models
+from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
+from bayeq.inference.prior import Prior
+
+__all__ = ["LEAST_FLOOR", "pieces_of", "row_gram", "series_grams", "systematic_floor"]
+
+Floats = NDArray[np.float64]
+
+# Error that central differences of second order leave: the coefficients of d2, d4 and d6 that complete them.
+COMPLETION = np.array([1 / 6, 1 / 30, 1 / 140])
+ORDERS = len(COMPLETION)
+
+# Turns of the two-stage least squares.
+TURNS = 4
+
+# A shorter piece is not used, and no piece where more than half of the rows would be lost.
+LEAST_PIECE = 64
+
+# A step between rows is the joint of two trajectories if it is this many times as long as both its neighbours.
+JOINT = 10.0
+
+# The band ends where the target's density is no more than this many times that of the residual, ...
+ABOVE_RESIDUAL = 30.0
+# ... each averaged over this many bins on either side, and holds this many bins at least.
+SMOOTHING = 5
+LEAST_BINS = 40
+
+# Share of the target that counts as noise in any case: rounding.
+LEAST_FLOOR = 1e-6
+
+# Error, as a share of the target, that rows in no order may have without showing it: derivatives inside a weak form by
+# differences of second order. However many rows there are, it averages out no more than over this many.
+UNSEEN = 1e-2
+UNSEEN_ROWS = 10.0
+
+# Fits that find the spectrum of the residual.
+PILOTS = 3
+
+
+def pieces_of(Z: Floats, gaps: NDArray[np.bool_]) -> list[slice] | None:
+    """Uninterrupted pieces of rows, or None where they are no resolved time series.
+
+    Parameters
+    ----------
+    Z : (n, P) array
+        Library, columns in units of their own.
+    gaps : (n,) bool array
+        Rows that do not follow on the one before.
+
+    Returns
+    -------
+    list of slice or None
+        None where fewer than half of the rows are in pieces of 64 rows, or the columns change more from row to row than
+        at about six rows per period: samples in no order, or subdomains of a weak form.
+    """
+    step = np.linalg.norm(np.diff(Z, axis=0), axis=1)
+    padded = np.concatenate([[0.0], step, [0.0]])
+    joint = (step > JOINT * np.maximum(padded[:-2], padded[2:])) | gaps[1:]
+    edges = [0, *(np.flatnonzero(joint) + 1).tolist(), len(Z)]
+    pieces = [slice(a, b) for a, b in pairwise(edges) if b - a >= LEAST_PIECE]
+    if 2 * sum(p.stop - p.start for p in pieces) < len(Z):
+        return None
+    deviation = np.sqrt(sum(((Z[p] - Z[p].mean(axis=0)) ** 2).sum(axis=0) for p in pieces))
+    second = np.sqrt(sum((np.diff(Z[p], 2, axis=0) ** 2).sum(axis=0) for p in pieces))
+    varying = deviation > 1e-9
+    return pieces if varying.any() and np.median(second[varying] / deviation[varying]) < 1.0 else None
+
+
+def row_gram(Z: Floats, t: Floats, weights: Floats | None, floor: float) -> Gram:
+    """Uncentred statistics of rows that are no time series, the floor of noise added.
+
+    Parameters
+    ----------
+    Z, t : (n, P) and (n,) arrays
+        Library and target.
+    weights : (n,) array, optional
+        How often each row counts.
+    floor : float
+        Standard deviation of noise that is there in any case.
+    """
+    w = np.ones(len(t)) if weights is None else weights
+    n = float(w.sum())
+    weighted = Z * w[:, None]
+    names = tuple(f"x{j}" for j in range(Z.shape[1]))
+    Dty, yty = weighted.T @ t, float(w @ t**2) + n * floor**2
+    return Gram(names, n, np.zeros(len(names)), 0.0, np.ascontiguousarray(weighted.T @ Z), Dty, yty, n)
+
+
+def systematic_floor(rows: float) -> float:
+    """White noise, as a share of the target, that weighs as much as an error of the library which rows do not show."""
+    return UNSEEN * float(np.sqrt(max(rows / UNSEEN_ROWS, 1.0)))
+
+
+def series_grams(Z: Floats, T: Floats, pieces: Sequence[slice], floors: Floats) -> list[Gram]:
+    """Statistics of each target in its band, errors of the derivative allowed for.
+
+    Parameters
+    ----------
+    Z : (n, P) array
+        Library, columns of unit size.
+    T : (n, K) array
+        Targets of unit size, or zero.
+    pieces : sequence of slice
+        From `pieces_of`.
+    floors : (K,) array
+        Standard deviation of noise that is there in any case.
+    """
+    spare = 2 * ORDERS
+    inner = [slice(p.start + spare, p.stop - spare) for p in pieces]
+    library = [Z[p] for p in inner]
+    targets = [[T[p, k] for p in inner] for k in range(T.shape[1])]
+    highest = min(_band_end(t, _left(library, t)) for t in targets)
+    out = []
+    for t, floor in zip(targets, floors, strict=True):
+        bands = _with_differences(Z, pieces, library, t, highest)
+        out.append(_banded(bands, Z.shape[1], max(float(floor), _last_order(bands))))
+    return out
+
+
+def _with_differences(
+    Z: Floats, pieces: Sequence[slice], library: Sequence[Floats], t: Sequence[Floats], highest: float
+) -> list[Band]:
+    """Library, differences and target of each piece in the band.
+
+    The differences are not of the target itself, whose noise they would share, but of what all columns, differences
+    among them, give of it: two-stage least squares, in turn.
+    """
+    bands = [_in_band(D, y, highest) for D, y in zip(library, t, strict=True)]
+    fitted = [Z[p] @ _least_squares(bands) for p in pieces]
+    for _ in range(TURNS):
+        own = [_differences(y) for y in fitted]
+        columns = [np.column_stack([D, E[ORDERS:-ORDERS]]) for D, E in zip(library, own, strict=True)]
+        bands = [_in_band(D, y, highest) for D, y in zip(columns, t, strict=True)]
+        coef = _least_squares(bands)
+        terms = Z.shape[1]
+        # rows at either end that have no differences of their own take those of the nearest
+        fitted = [
+            Z[p] @ coef[:terms] + np.pad(E, ((ORDERS, ORDERS), (0, 0)), mode="edge") @ coef[terms:]
+            for p, E in zip(pieces, own, strict=True)
+        ]
+    return bands
+
+
+def _least_squares(bands: Sequence[Band]) -> Floats:
+    """Coefficients of all columns, bins weighted by the residual's density."""
+    stacked = np.concatenate([b.columns for b in bands])[:, 1:]
+    weight = np.ones(len(stacked))
+    for _ in range(2):
+        rows = stacked * weight[:, None]
+        rows = np.concatenate([rows.real, rows.imag])
+        coef = np.asarray(np.linalg.lstsq(rows[:, :-1], rows[:, -1])[0], dtype=np.float64)
+        weight = 1.0 / np.sqrt(np.concatenate(_spectrum(bands, coef, LEAST_FLOOR)))
+    return coef
+
+
+def _last_order(bands: Sequence[Band]) -> float:
+    """Size of the last difference that is allowed for: as much may be left of those that are not."""
+    power = count = 0.0
+    for b in bands:
+        symbol = COMPLETION[-1] * (2.0 * np.sin(np.pi * b.frequency)) ** (2 * ORDERS)
+        power += float(b.count @ np.abs(symbol * b.columns[:, -1]) ** 2)
+        count += float(b.count.sum())
+    return float(np.sqrt(power / count))
+
+
+def _differences(t: Floats) -> Floats:
+    """Differences of order 2, 4, 6 about each row that has them all, (n - 2 ORDERS, ORDERS)."""
+    out, d = [], t
+    for k in range(ORDERS):
+        d = np.diff(d, 2)
+        spare = ORDERS - k - 1
+        out.append(d[spare : len(d) - spare])
+    return np.column_stack(out)
+
+
+def _left(D: Sequence[Floats], t: Sequence[Floats]) -> list[Floats]:
+    """What all columns together leave of the target, piece by piece."""
+    coef = np.linalg.lstsq(np.concatenate(D), np.concatenate(t))[0]
+    return [y - d @ coef for d, y in zip(D, t, strict=True)]
+
+
+def _band_end(t: Sequence[Floats], left: Sequence[Floats]) -> float:
+    """Frequency [1/row] below which a target stands out of its residual."""
+    frequency = np.concatenate([np.fft.rfftfreq(len(y)) for y in t])
+    order = np.argsort(frequency, kind="stable")
+    reach = SMOOTHING * len(t)
+    average = np.full(2 * reach + 1, 1.0 / (2 * reach + 1))
+
+    def density(pieces: Sequence[Floats]) -> Floats:
+        power = np.concatenate([np.abs(np.fft.rfft(taper(len(y)) * y)) ** 2 / len(y) for y in pieces])
+        return np.asarray(np.convolve(np.pad(power[order], reach, mode="reflect"), average, "valid"))
+
+    mean = np.mean(np.concatenate(t))
+    signal, noise = density([y - mean for y in t]), np.maximum.accumulate(density(left))
+    below = np.flatnonzero(signal < ABOVE_RESIDUAL * noise)
+    end = float(frequency[order][below[0]]) if len(below) else 0.5
+    return max(end, LEAST_BINS / max(len(y) for y in t))
+
+
+def _in_band(D: Floats, y: Floats, highest: float) -> Band:
+    """Rows of a piece in the band, without the constant that is no candidate."""
+    band = to_band(D, y, 1.0, (0.0, highest))
+    columns = band.columns.copy()
+    columns[:, 0] = 0.0
+    return replace(band, columns=columns)
+
+
+def _banded(bands: Sequence[Band], terms: int, floor: float) -> Gram:
+    """Statistics of the terms, weighted by the residual's spectrum, the differences integrated out."""
+    names = tuple(f"x{j}" for j in range(terms + ORDERS))
+    coef = _least_squares(bands)
+    for _ in range(PILOTS):
+        whole, gram, unit = _weighted(bands, names, terms, _spectrum(bands, coef, floor), floor)
+        coef = np.zeros(terms + ORDERS)
+        coef[:terms] = _pilot(gram)
+        E = slice(terms, None)
+        ridged = whole.DtD[E, E] + np.diag(unit / COMPLETION**2)
+        coef[E] = np.linalg.solve(ridged, whole.Dty[E] - whole.DtD[E, :terms] @ coef[:terms])
+    return _weighted(bands, names, terms, _spectrum(bands, coef, floor), floor)[1]
+
+
+def _spectrum(bands: Sequence[Band], coef: Floats, floor: float) -> list[Floats]:
+    """Density of the residual, which does not fall with frequency, and of the floor."""
+    found = np.concatenate(residual_spectrum(bands, coef, 0.0))
+    order = np.argsort(np.concatenate([b.frequency for b in bands]), kind="stable")
+    found[order] = np.maximum.accumulate(found[order])
+    return np.split(found + floor**2, np.cumsum([len(b.frequency) for b in bands])[:-1])
+
+
+def _weighted(
+    bands: Sequence[Band], names: tuple[str, ...], terms: int, spectrum: Sequence[Floats], floor: float
+) -> tuple[Gram, Gram, float]:
+    """Statistics of all columns, of the terms with the others integrated out, and the noise variance they imply."""
+    whole = band_gram(bands, names, spectrum)
+    count = sum(float(b.count.sum()) for b in bands)
+    unit = count / sum(float((b.count / s).sum()) for b, s in zip(bands, spectrum, strict=True))
+    T, E = slice(0, terms), slice(terms, None)
+    share = np.linalg.inv(whole.DtD[E, E] + np.diag(unit / COMPLETION**2))
+    across = whole.DtD[T, E] @ share
+    gram = replace(
+        whole.select(range(terms)),
+        DtD=whole.DtD[T, T] - across @ whole.DtD[E, T],
+        Dty=whole.Dty[T] - across @ whole.Dty[E],
+        yty=max(whole.yty - float(whole.Dty[E] @ share @ whole.Dty[E]), 0.0) + whole.n * floor**2,
+    )
+    return whole, gram, unit
+
+
+def _pilot(gram: Gram) -> Floats:
+    """Coefficients of the likeliest model."""
+    standard = gram.standardise(residual_scale(gram))
+    prior = Prior()
+    prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
+    problem = Problem.of(standard.gram, prior)
+    coef, _ = exact_posterior(problem, best_models(problem)[0][1])
+    return np.asarray(coef * standard.target_scale / standard.scale)

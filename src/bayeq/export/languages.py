@@ -1,0 +1,195 @@
+"""The right-hand side as source text of a language, by SymPy's printers. A new language is a row of `LANGUAGES`."""
+
+from __future__ import annotations
+
+import keyword
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.expressions import to_sympy
+from bayeq.forecast.dynamics import Law
+from bayeq.states import rates
+
+__all__ = ["LANGUAGES", "Language", "to_code"]
+
+# Digits that a float has.
+DIGITS = 17
+
+# What every function calls its arguments and its result.
+OWN = {"rhs", "t", "y", "u", "dy"}
+
+
+class Language(NamedTuple):
+    """How a function is written.
+
+    Attributes
+    ----------
+    printer : str
+        SymPy's function.
+    head, tail : str
+        Of the text; `{states}` and `{inputs}` are names, `{size}` is the number of states.
+    take, give : str
+        A line for a variable, and one for a derivative: `{name}`, `{of}` ("y" or "u"), `{k}`, `{value}`.
+    first : int
+        Number of the first entry of an array.
+    reserved : set of str
+        Words and functions that no variable may be called.
+    options : mapping
+        Of the printer.
+    """
+
+    printer: str
+    head: str
+    take: str
+    give: str
+    tail: str
+    first: int
+    reserved: frozenset[str]
+    options: Mapping[str, Any] = {}
+
+
+C_WORDS = """auto break case char const continue default do double else enum extern float for goto if inline int long
+register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while main pow
+fabs fmax fmin sqrt cbrt exp log log1p log10 log2 exp2 expm1 sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh
+atanh erf floor ceil hypot"""
+JULIA_WORDS = """baremodule begin break catch const continue do else elseif end export false finally for function global
+if import let local macro module quote return struct true try using while abstract mutable primitive type where in isa
+abs sqrt cbrt exp log sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf floor ceil pi im"""
+MATLAB_WORDS = """break case catch classdef continue else elseif end for function global if otherwise parfor persistent
+return spmd switch try while abs sqrt exp log sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh erf
+floor ceil max min pi zeros"""
+
+LANGUAGES: dict[str, Language] = {
+    "c": Language(
+        "ccode",
+        "/* dy = f(t, y, u); y: {states}; u: {inputs} */\n#include <math.h>\n\n"
+        "void rhs(double t, const double *y, const double *u, double *dy)\n{{\n    (void)t; (void)y; (void)u;\n",
+        "    const double {name} = {of}[{k}];",
+        "    dy[{k}] = {value};",
+        "}}\n",
+        0,
+        frozenset(C_WORDS.split()),
+        {"math_macros": {}},  # constants as numbers: standard C has no M_PI
+    ),
+    "julia": Language(
+        "julia_code",
+        "# dy = f(t, y, u); y: {states}; u: {inputs}. erf is in SpecialFunctions.jl.\nfunction rhs(t, y, u)\n",
+        "    {name} = {of}[{k}]",
+        "    dy{k} = {value}",
+        "    return [{results}]\nend\n",
+        1,
+        frozenset(JULIA_WORDS.split()),
+    ),
+    "matlab": Language(
+        "octave_code",
+        "% dy = f(t, y, u); y: {states}; u: {inputs}\nfunction dy = rhs(t, y, u)\n    dy = zeros({size}, 1);\n",
+        "    {name} = {of}({k});",
+        "    dy({k}) = {value};",
+        "end\n",
+        1,
+        frozenset(MATLAB_WORDS.split()),
+    ),
+    "python": Language(
+        "pycode",
+        'import math\n\n\ndef rhs(t, y, u=()):\n    """dy = f(t, y, u); y: {states}; u: {inputs}."""\n',
+        "    {name} = {of}[{k}]",
+        "    dy{k} = {value}",
+        "    return [{results}]\n",
+        0,
+        frozenset({*keyword.kwlist, *keyword.softkwlist, "math", "abs", "max", "min", "float"}),
+    ),
+}
+
+
+def to_code(laws: Sequence[Law], inputs: Sequence[str], timed: bool, language: str) -> str:
+    """See `bayeq.Equations.to_code`."""
+    if language not in LANGUAGES:
+        raise UnknownNameError("language", language, list(LANGUAGES))
+    row = LANGUAGES[language]
+    import sympy
+
+    states = [name for law in laws for name in law.chain.states]
+    places = {name: ("y", k) for k, name in enumerate(states)} | {name: ("u", k) for k, name in enumerate(inputs)}
+    called = _names(list(places), row, len(states))
+    renamed = {sympy.Symbol(name): sympy.Symbol(new) for name, new in called.items()}
+    slopes = [slope.xreplace(renamed) for law in laws for slope in _slopes(law)]
+    used = {str(symbol) for slope in slopes for symbol in slope.free_symbols}
+    results = [f"dy{row.first + k}" for k in range(len(slopes))]
+    about = {
+        "states": ", ".join(map(_ascii, states)),
+        "inputs": ", ".join(map(_ascii, inputs)) or "none",
+        "size": len(states),
+        "results": ", ".join(results),
+    }
+    lines = [
+        row.take.format(name=called[name], of=of, k=row.first + k)
+        for name, (of, k) in places.items()
+        if called[name] in used
+    ]
+    lines += [row.give.format(k=row.first + k, value=_printed(slope, row, language)) for k, slope in enumerate(slopes)]
+    return row.head.format(**about) + "\n".join(lines) + "\n" + row.tail.format(**about)
+
+
+def _names(names: Sequence[str], row: Language, size: int) -> dict[str, str]:
+    """Names that the language allows, by the names of channels."""
+    taken = OWN | row.reserved | {f"dy{row.first + k}" for k in range(size)}
+    out: dict[str, str] = {}
+    for name in names:
+        new = _ascii(name)
+        new = new if new[0].isalpha() else f"v{new}"
+        while new in taken:
+            new += "_"
+        taken = taken | {new}
+        out[name] = new
+    return out
+
+
+def _ascii(name: str) -> str:
+    """A name in letters of ASCII, digits and underscores: theta is written u03b8."""
+    return "".join(c if re.fullmatch(r"[A-Za-z0-9_]", c) else f"u{ord(c):04x}" for c in name)
+
+
+def _slopes(law: Law) -> list[Any]:
+    """Derivatives of the states of a chain in SymPy, of functions that every printer knows."""
+    import sympy
+
+    p = law.posterior
+    total = sympy.Float(p.intercept, DIGITS)
+    for term, value, kept in zip(law.terms, p.coef.tolist(), p.support, strict=True):
+        if kept:
+            total += sympy.Float(value, DIGITS) * _plain(to_sympy(term))
+    above = [*map(sympy.Symbol, law.chain.states[1:]), total]
+    factors = rates(law.chain, law.unit_gains)
+    return [
+        node if factor == 1.0 else sympy.Float(factor, DIGITS) * node
+        for factor, node in zip(factors, above, strict=True)
+    ]
+
+
+def _plain(expression: Any) -> Any:
+    """An expression without what printers do otherwise, or not at all: steps at zero, remainders, Euler's number."""
+    import sympy
+
+    half = sympy.Rational(1, 2)
+    rules: Mapping[Any, Any] = {
+        sympy.sign: lambda a: sympy.Piecewise((1, a > 0), (-1, a < 0), (0, True)),
+        sympy.Heaviside: lambda a, *_: sympy.Piecewise((1, a > 0), (0, a < 0), (half, True)),
+        sympy.Mod: lambda a, b: a - b * sympy.floor(a / b),
+    }
+    for function, rule in rules.items():
+        expression = expression.replace(function, rule)
+    constants = {sympy.E: sympy.Float(sympy.E, DIGITS), sympy.pi: sympy.Float(sympy.pi, DIGITS)}
+    # exp(x) is a power of E in SymPy's eyes
+    return expression.replace(lambda part: part in constants, lambda part: constants[part])
+
+
+def _printed(slope: Any, row: Language, language: str) -> str:
+    import sympy
+
+    try:
+        text = str(getattr(sympy, row.printer)(slope, **row.options))
+    except (NotImplementedError, TypeError, ValueError) as error:
+        raise InputError(f"the equation cannot be written in {language}: {str(error).splitlines()[0]}") from error
+    return " ".join(text.replace("...\n", " ").split())
