@@ -62,6 +62,8 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.systems import SYSTEMS as SYSTEMS, System as System, simulate as simulate
     # isort: on
 
+    from bayeq import figures as figures
+
     __version__: str
 else:  # hidden from type checkers, which would take every misspelt name for a public one
 
@@ -73,6 +75,8 @@ else:  # hidden from type checkers, which would take every misspelt name for a p
             from importlib.metadata import version
 
             value = version("bayeq")
+        elif name == "figures":  # the module of pictures, which are called as bayeq.figures.free_run(eq, record)
+            return import_module("bayeq.figures")
         else:
             raise AttributeError(f"module 'bayeq' has no attribute {name!r}")
         globals()[name] = value
@@ -80,4 +84,4 @@ else:  # hidden from type checkers, which would take every misspelt name for a p
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "__version__"})
+    return sorted({*globals(), *__all__, "__version__", "figures"})

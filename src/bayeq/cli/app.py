@@ -124,7 +124,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if arguments is None and (code := complete(app)) is not None:
             return code
-        with app.make_context("bayeq", sys.argv[1:] if arguments is None else list(arguments)) as context:
+        given = sys.argv[1:] if arguments is None else list(arguments)
+        with app.make_context("bayeq", list(given), obj=given) as context:
             app.invoke(context)
     except (InputError, MissingExtraError) as error:
         return _fail(str(error), 2)

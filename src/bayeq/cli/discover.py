@@ -168,6 +168,13 @@ Examples:
     " .pdf).",
 )
 @option(
+    "--report",
+    group=WRITTEN,
+    type=FILE,
+    help="Write a page (.html) that loads nothing and prints well: verdict, equations, pictures, warnings, hashes of"
+    " files, this command.",
+)
+@option(
     "--refine",
     group=WRITTEN,
     is_flag=True,
@@ -198,7 +205,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, **options: A
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
         answer = run(records, **options, progress=progress)
-        outputs.write(answer, records, options["holdout"], as_json, progress)
+        outputs.write(answer, records, files, options["holdout"], as_json, progress)
 
 
 def _cleaned(options: Mapping[str, Any]) -> dict[str, Any]:

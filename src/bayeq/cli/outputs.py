@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -26,6 +27,7 @@ PURPOSES = {
     "sensitivity": "for their sensitivity",
     "path": "for the path of best equations",
     "forecast": "for the free run",
+    "report": "for the report",
 }
 
 
@@ -37,6 +39,7 @@ class Outputs:
     sensitivity: Path | None
     path: Path | None
     forecast: Path | None
+    report: Path | None
     refine: bool
     physical: bool
     conditional: bool = False
@@ -76,6 +79,8 @@ class Outputs:
                 from bayeq.figures.write import require_suffix
 
                 require_suffix(file)
+        if self.report is not None:
+            _require_report(self.report)
         if self.sensitivity is not None:
             from bayeq.equation.pip_curve import require_spike_slab
 
@@ -104,7 +109,13 @@ class Outputs:
                 require_time(record, option)
 
     def write(
-        self, found: Equations, records: Sequence[Record], holdout: float, as_json: bool, progress: Progress
+        self,
+        found: Equations,
+        records: Sequence[Record],
+        files: Sequence[Path],
+        holdout: float,
+        as_json: bool,
+        progress: Progress,
     ) -> None:
         """Print the equations, then write the files.
 
@@ -122,10 +133,16 @@ class Outputs:
         try:
             show_equations(answer, as_json, self.conditional, self.physical, self.explain)
         finally:
-            self._write_files(found, answer, records, holdout, progress)
+            self._write_files(found, answer, records, files, holdout, progress)
 
     def _write_files(
-        self, found: Equations, answer: Equations, records: Sequence[Record], holdout: float, progress: Progress
+        self,
+        found: Equations,
+        answer: Equations,
+        records: Sequence[Record],
+        files: Sequence[Path],
+        holdout: float,
+        progress: Progress,
     ) -> None:
         """Write the files that were named; sensitivity and path are about the regression, before any refinement."""
         failures = []
@@ -134,6 +151,7 @@ class Outputs:
             (self.sensitivity, lambda file: _write_sensitivity(file, found)),
             (self.path, lambda file: _write_path(file, found)),
             (self.forecast, lambda file: _write_forecast(file, answer, records, holdout)),
+            (self.report, lambda file: _write_report(file, answer, records, files)),
         ):
             if path is None:
                 continue
@@ -144,6 +162,22 @@ class Outputs:
                 failures.append(f"{path}: cannot be written: {error.strerror or error}")
         if failures:
             raise InputError("; ".join(failures))
+
+
+def _write_report(path: Path, answer: Equations, records: Sequence[Record], files: Sequence[Path]) -> None:
+    """The report, with the command as it was typed where that is known; standard input has no file to be hashed."""
+    given = click.get_current_context().obj
+    command = None if given is None else shlex.join(["bayeq", *given])
+    answer.report(path, records, files=[file for file in files if file.is_file()], command=command)
+
+
+def _require_report(path: Path) -> None:
+    """Refuse a report that could not be made."""
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{path}: a report is an HTML page: end it in .html")
+    from bayeq.equation.report.page import require_report
+
+    require_report()
 
 
 def show_equations(answer: Equations, as_json: bool, conditional: bool, physical: bool, explain: bool = False) -> None:

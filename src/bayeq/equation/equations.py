@@ -28,7 +28,8 @@ from bayeq.records.atomic import replacing
 from bayeq.refine.results import Refinement
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import DroppedTerm
-from bayeq.states import Chain, Roles, Smooth, rates
+from bayeq.states import Chain, Roles, Smooth, estimate_motion, rates
+from bayeq.states.motion import MotionRows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -329,6 +330,35 @@ class Equations:
         if return_std:
             return tuple(np.column_stack(pieces) for pieces in zip(*parts, strict=True))
         return np.column_stack(parts)
+
+    def motion(self, record: Record) -> MotionRows:
+        """States, targets and inputs of a record as `discover` makes them: smoothed, bridged, estimated.
+
+        Parameters
+        ----------
+        record : Record
+            With the channels that the equations were found from.
+
+        Returns
+        -------
+        MotionRows
+            ``time`` (n,) [s]; ``columns``, mapping of every state, target and input to (n,) array; ``observed``, the
+            targets as they were measured, where they were.
+
+        Raises
+        ------
+        InputError
+            Not a Record, or one without the channels.
+
+        Warns
+        -----
+        DataWarning
+            As `predict`.
+        """
+        if not isinstance(record, Record):
+            raise InputError(f"motion needs a Record (bayeq.read reads a file), not {type(record).__name__}")
+        (record,) = prepared(self._timed([record]), self.roles, self.smooth, self.warnings)
+        return estimate_motion([record], self.roles, self.smooth, sensors=self.data.sensors).records[0]
 
     def simulate(
         self,
@@ -710,6 +740,45 @@ class Equations:
         text = json.dumps(to_saved(self), indent=1, allow_nan=False) + "\n"
         with replacing(Path(path)) as part:
             part.write_text(text, encoding="utf-8")
+
+    def report(
+        self,
+        path: str | Path,
+        records: Record | Sequence[Record] | None = None,
+        *,
+        files: Sequence[str | Path] = (),
+        command: str | None = None,
+    ) -> None:
+        """Write the answer as one HTML page, which loads nothing from anywhere and prints well.
+
+        It holds the verdict, the equations and their terms, the warnings, pictures with hover values, the data and
+        settings with SHA-256 hashes, and the command that gives the answer again.
+
+        Parameters
+        ----------
+        path : str or Path
+            The page to write.
+        records : Record or sequence of Record, optional
+            That the equations were found from; pictures are of the first. Without, only those of the equations.
+        files : sequence of str or Path, optional
+            Files that the records were read from, to be named with their hashes.
+        command : str, optional
+            To be shown as what gives the answer again; by default one is made from the settings.
+
+        Raises
+        ------
+        InputError
+            The page, or one of `files`, cannot be written or read; records without the channels.
+        MissingExtraError
+            matplotlib or Bokeh is not installed.
+        """
+        from bayeq.equation.report.page import write_report
+
+        pieces = [] if records is None else _as_list(records, "report")
+        for record in pieces:
+            for name in self.roles.channels:
+                _ = record[name]
+        write_report(Path(path), self, pieces, [Path(file) for file in files], command)
 
     def __str__(self) -> str:
         """The answer as text: in colour on a terminal, plain (Markdown) elsewhere."""

@@ -1,0 +1,144 @@
+"""Which pictures stand in the report: still ones for print, and live ones with hover values by Bokeh."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from bayeq import figures
+from bayeq.equation.answer import Answer
+from bayeq.equation.equation import Equation
+from bayeq.equation.report.interactive import as_bokeh
+from bayeq.errors import BayeqError
+from bayeq.figures.style import UNSIGNED, style
+from bayeq.records import Record
+
+__all__ = ["Picture", "pictures"]
+
+# Resolution of still pictures [dots per inch].
+DPI = 200
+
+
+class Remembering:
+    """An answer that prepares a record once, and runs once over the same rows, however many pictures ask for it."""
+
+    def __init__(self, eq: Any) -> None:
+        self._answer = eq
+        self.motion = cache(self._answer.motion)
+        self.simulate = cache(self._answer.simulate)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._answer, name)
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture of the report.
+
+    Attributes
+    ----------
+    caption : str
+        What it shows.
+    still : str
+        PNG as text (base64).
+    live : str
+        Bokeh's model as JSON; empty where there is none.
+    narrow : bool
+        Whether it is of a column's width.
+    """
+
+    caption: str
+    still: str
+    live: str
+    narrow: bool
+
+    def html(self, k: int) -> str:
+        """The figure, number k of the page."""
+        caption = escape(self.caption)
+        image = f'<img class="still" alt="{caption}" src="data:image/png;base64,{self.still}">'
+        live = f'<div class="live" id="live{k}"></div>' if self.live else ""
+        # no end of a script can stand in JSON that is in one
+        model = self.live.replace("<", "\\u003c")
+        script = f'<script type="application/json" class="plot" data-at="live{k}">{model}</script>' if live else ""
+        kind = ("narrow " if self.narrow else "") + ("both" if live else "")
+        return f'<figure class="{kind}">{live}{image}<figcaption>{caption}</figcaption>{script}</figure>'
+
+
+def pictures(eq: Answer, record: Record | None) -> tuple[list[Picture], list[str]]:
+    """All pictures that the answer and the record allow, and why others could not be drawn."""
+    made: list[Picture] = []
+    reasons: list[str] = []
+    source = Remembering(eq)
+    for name, options, caption in _wanted(eq, record):
+        try:
+            drawn = getattr(figures, name)(source, record, **options)
+        except BayeqError as error:
+            reasons.append(f"{caption}: {error}")
+            continue
+        axes = list(np.ravel(np.array(drawn, dtype=object)))
+        made.append(Picture(caption, _still(axes[0].figure), _live(axes, len(made)), len(axes) == 1))
+    return made, reasons
+
+
+def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, Any], str]]:
+    """Names of pictures, their options and captions."""
+    for one in eq.equations:
+        of = f" ({one.target})" if len(eq.equations) > 1 else ""
+        which = {"target": one.target}
+        if record is not None and one.chain.order == 2:
+            yield from _restoring(one, of)
+        yield "pip_bars", which, f"Posterior inclusion probability of each term{of}"
+        if one.shown:
+            caption = f"Coefficients and their 95 % intervals, each over its own size{of}"
+            yield "coefficient_forest", which, caption
+        if record is None:
+            continue
+        yield "measured_against_predicted", which, f"Measured against predicted{of}"
+        yield "one_step", which, f"One step: target at the measured states, and residual{of}"
+        if len(one.terms) > 1:
+            yield "candidate_correlation", which, f"Correlation of the likeliest candidate terms{of}"
+    if record is None:
+        return
+    measured = [name for one in eq.equations for name in one.chain.states if name in record.channels]
+    for name in measured:
+        yield "free_run", {"channel": name}, f"Free run of {name}, its band, and residual"
+    if len([name for one in eq.equations for name in one.chain.states]) > 1:
+        yield "phase_portrait", {}, "Phase portrait: record and free run"
+    for name in measured[:1]:
+        yield "spectra", {"channel": name}, f"Spectra of {name}: measured, free run and their difference"
+        if eq.inputs:
+            caption = f"Frequency response of {name} to {eq.inputs[0]}: measured and free run"
+            yield "frequency_response", {"channel": name}, caption
+
+
+def _restoring(one: Equation, of: str) -> Iterator[tuple[str, dict[str, Any], str]]:
+    which = {"target": one.target}
+    displacement, velocity = one.chain.names[:2]
+    yield "restoring_force_surface", which, f"Restoring force over displacement and velocity{of}"
+    yield "restoring_force_curve", which, f"Restoring force over {displacement}, discovered and measured{of}"
+    caption = f"Damping force over {velocity}, discovered and measured{of}"
+    yield "restoring_force_curve", {**which, "over": velocity}, caption
+
+
+def _still(figure: Any) -> str:
+    buffer = io.BytesIO()
+    with style():
+        figure.savefig(buffer, format="png", dpi=DPI, metadata=UNSIGNED["png"])
+    return base64.b64encode(buffer.getvalue()).decode("ascii")
+
+
+def _live(axes: Sequence[Any], k: int) -> str:
+    """The picture in Bokeh's JSON; nothing for one of three dimensions."""
+    if any(ax.name == "3d" for ax in axes):
+        return ""
+    from bokeh.embed import json_item
+
+    return json.dumps(json_item(as_bokeh(axes), f"live{k}"))
