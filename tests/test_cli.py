@@ -150,7 +150,7 @@ def test_version_help_and_what_is_not_built_is_absent(capsys):
     assert "study" in text
     assert main(["discover", "--help"]) == 0
     text = capsys.readouterr().out
-    assert "--report" not in text
+    assert "--dask" not in text
 
 
 def test_colour_on_a_terminal_only(duffing):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bayeq.errors import ChainError, RecordError
 from bayeq.expressions.functions import TIME
-from bayeq.records import Record
+from bayeq.records import Record, counts_rows
 from bayeq.states.chain import Chain
 from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain
@@ -299,7 +299,7 @@ def _time(record: Record, roles: Roles) -> dict[str, Floats]:
     """The column of t, where terms use it."""
     if not roles.timed:
         return {}
-    if record.time is None:
+    if record.time is None or counts_rows(record):
         raise RecordError(
             f"{record.name or 'record'}: a term uses t, the time, but the record has none; name its time column (time=,"
             " --time) or give the sampling rate (fs=, --fs)"
