@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ def to_callable(laws: Sequence[Law], inputs: Sequence[str], timed: bool, module:
     array: Any = np
     if module == "jax":
         try:
-            import jax.numpy as array
+            array = import_module("jax.numpy")
         except ImportError:
             raise MissingExtraError("jax", "jax", "a function of JAX") from None
     states = [name for law in laws for name in law.chain.states]
@@ -86,9 +87,7 @@ def _operated(op: str, a: Any, b: Any, array: Any) -> Any:
 
 def _called(function: str, arguments: list[Any], array: Any) -> Any:
     if function == "erf":
-        from jax.scipy.special import erf
-
-        return erf(*arguments)
+        return import_module("jax.scipy.special").erf(*arguments)
     if function in ("max", "min"):
         combine = array.maximum if function == "max" else array.minimum
         total = arguments[0]
