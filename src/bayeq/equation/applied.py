@@ -18,6 +18,7 @@ from bayeq.equation.verdict import AS_THE_MEAN, window_errors
 from bayeq.errors import DataWarning, InputError
 from bayeq.forecast.results import percentages
 from bayeq.forecast.run import Forecast
+from bayeq.numerics.normal import Z95
 from bayeq.records import Record, counts_rows
 from bayeq.records.units import conversion
 from bayeq.states import Motion, estimate_motion
@@ -31,9 +32,6 @@ ROUGHLY = 0.3
 
 # A record that goes beyond the range that the equations are from by this share is outside of it.
 BEYOND = 0.1
-
-# Half-width of a 95 % interval, in standard deviations.
-HALF_WIDTH = 1.96
 
 # Two rows are the least that a run can go over.
 LEAST_ROWS = 2
@@ -301,7 +299,7 @@ def _single_step(equations: Equations, k: int, pieces: Sequence[Record], nrmse: 
         mean, sd = equations.predict(piece, return_std=True)
         mean, sd = (values if values.ndim == 1 else values[:, k] for values in (mean, sd))
         there = np.isfinite(piece[target])
-        inside += int(np.count_nonzero(np.abs(piece[target] - mean)[there] <= HALF_WIDTH * sd[there]))
+        inside += int(np.count_nonzero(np.abs(piece[target] - mean)[there] <= Z95 * sd[there]))
         known += int(there.sum())
     return Error(nrmse, nrmse * float(np.nanstd(samples)), unit, inside / known if known else None)
 
@@ -330,7 +328,7 @@ def _free_run(name: str, runs: Sequence[Forecast], noise: float, nrmse: float) -
             np.concatenate([part[name] for part in parts])
             for parts in zip(*((run.low, run.mean, run.high) for run in runs), strict=True)
         )
-        bottom, top = (np.hypot(side, HALF_WIDTH * noise) for side in (mean - low, high - mean))
+        bottom, top = (np.hypot(side, Z95 * noise) for side in (mean - low, high - mean))
         inside = float(np.mean((samples >= mean - bottom)[there] & (samples <= mean + top)[there]))
     return Error(nrmse, nrmse * float(np.nanstd(samples)), unit, inside)
 

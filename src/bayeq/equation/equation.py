@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayeq.equation.intervals import Z95, OverModels, intervals, over_models, unlike
+from bayeq.equation.intervals import OverModels, intervals, over_models, unlike
 from bayeq.equation.pip_curve import (
     PipCurve,
     PriorSensitivity,
@@ -27,6 +27,7 @@ from bayeq.export.latex import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.posterior import Posterior
+from bayeq.numerics.normal import Z95
 from bayeq.plan.models import CandidateModel
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.residuals import Fit, Residuals
@@ -36,7 +37,7 @@ from bayeq.states import Chain
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Z95", "Equation", "Fit", "RunnerUp"]
+__all__ = ["Equation", "Fit", "RunnerUp"]
 
 Floats = NDArray[np.float64]
 

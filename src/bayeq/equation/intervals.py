@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.inference.posterior import Z95, Posterior
+from bayeq.inference.posterior import Posterior
+from bayeq.numerics.normal import Z95
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.mixture import mixture_of
 
-__all__ = ["Z95", "OverModels", "intervals", "over_models", "unlike"]
+__all__ = ["OverModels", "intervals", "over_models", "unlike"]
 
 Floats = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from bayeq.equation.rest import about_rest, is_displaced
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
-from bayeq.inference.posterior import Z95
+from bayeq.numerics.normal import Z95
 
 if TYPE_CHECKING:
     import pandas as pd

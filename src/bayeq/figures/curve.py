@@ -11,8 +11,8 @@ from bayeq.figures.answer import Answer, equation_of
 from bayeq.figures.comparison import BAND
 from bayeq.figures.picture import GREY, label_of, one_axes, picture, plain, thinned, titled, unit_text
 from bayeq.figures.restoring import discovered_force, measured_force, require_second_order
-from bayeq.figures.step import Z95
 from bayeq.figures.style import BLUE
+from bayeq.numerics.normal import Z95
 from bayeq.records import Record
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import numpy as np
 from bayeq.figures.answer import Answer, equation_of
 from bayeq.figures.picture import one_axes, picture, plain, titled, unit_text
 from bayeq.figures.style import BLACK, BLUE, PALE, RED, term_label
+from bayeq.numerics.normal import Z95
 from bayeq.records import Record
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ def _number(value: float, sd: float) -> str:
     power = floor(log10(abs(value)))
     if -4 <= power < 6:
         digits = 1 - floor(log10(sd))
-        return f"{round(value, digits):.{max(digits, 0)}f} ± {round(1.96 * sd, digits):.{max(digits, 0)}f}"
+        return f"{round(value, digits):.{max(digits, 0)}f} ± {round(Z95 * sd, digits):.{max(digits, 0)}f}"
     digits = max(power - floor(log10(sd)), 0)
     scale = 10.0**-power
-    return f"({value * scale:.{digits}f} ± {1.96 * sd * scale:.{digits}f})e{power}"
+    return f"({value * scale:.{digits}f} ± {Z95 * sd * scale:.{digits}f})e{power}"

@@ -12,15 +12,13 @@ from bayeq.figures.comparison import compare
 from bayeq.figures.picture import above, label_of, picture, time_label, two_axes
 from bayeq.figures.run import LAST
 from bayeq.figures.style import term_label
+from bayeq.numerics.normal import Z95
 from bayeq.records import Record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["one_step"]
-
-# Half the width of a 95 % interval of a normal distribution, in standard deviations.
-Z95 = 1.959963984540054
 
 
 @picture

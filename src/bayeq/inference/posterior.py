@@ -11,12 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.gram import Standardised
 
-__all__ = ["Z95", "Draws", "ModelAverage", "Posterior"]
+__all__ = ["Draws", "ModelAverage", "Posterior"]
 
 Floats = NDArray[np.float64]
-
-# Half-width of a 95 % interval of a normal distribution, in standard deviations.
-Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True, slots=True)

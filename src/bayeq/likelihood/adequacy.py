@@ -21,6 +21,7 @@ from bayeq.likelihood.levels import MEMORY
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.numerics.beta import incomplete_beta
+from bayeq.numerics.normal import Z95
 
 __all__ = ["Adequacy", "Discrepancy", "Octave", "adequacy_of", "chance_of", "octaves_of", "turn_of"]
 
@@ -31,9 +32,6 @@ LEVEL = 0.01
 
 # Octaves below half the sampling rate, and the least number of bins of one.
 OCTAVES, LEAST_BINS = 9, 8
-
-# Half of the width of a 95 % interval, in standard deviations.
-HALF = 1.96
 
 # Memories of a discrepancy between which its test is followed.
 MEMORIES = 33
@@ -145,7 +143,7 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
         gain = 2.0 * (here.value - log_likelihood(c, 0.0))
         p = chance_of(gain, _length(task, state, linears, precision, c)) if gain > 0.0 else 1.0
         bend = -(log_likelihood(c, math.exp(STEP)) - 2.0 * here.value + log_likelihood(c, math.exp(-STEP))) / STEP**2
-        factor = math.exp(0.5 * HALF / math.sqrt(bend)) if bend > LEAST_BEND else math.inf
+        factor = math.exp(0.5 * Z95 / math.sqrt(bend)) if bend > LEAST_BEND else math.inf
         paths = [path[:, layout.discrepancy[c]] for path in state.paths]
         discrepancies.append(Discrepancy(size, size / factor, size * factor, p, _main_octave(paths, interval)))
 

@@ -14,7 +14,8 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.polynomial import degree
 from bayeq.inference.collapsed.conditional import noise_given_model
 from bayeq.inference.collapsed.problem import all_rows
-from bayeq.inference.posterior import Z95, Posterior
+from bayeq.inference.posterior import Posterior
+from bayeq.numerics.normal import Z95
 from bayeq.regression.fit import RegressionFit
 from bayeq.selection.tolerance import TOLERANCE
 
