@@ -61,8 +61,8 @@ class TextRows:
                 continue
             if layout.stamps:
                 raise FileFormatError(
-                    f"{self.path}: has dates or times of day, which are not read from long text files; write the time in"
-                    " seconds, or a Parquet file"
+                    f"{self.path}: has dates or times of day, which are not read from long text files; write the time"
+                    " in seconds, or a Parquet file"
                 )
             return layout
         raise FileFormatError(f"{self.path}: not a text file of single-byte characters; write UTF-8, or a Parquet file")
@@ -123,7 +123,9 @@ class TextRows:
         found = Columns.build(self.headers, lambda i: values[i][taken], lambda _: columns)
         return Columns(found.headers, found.values, found.doubts, step=self.layout.step)
 
-    def _parsed(self, text: bytes, columns: list[int], start: int, stop: int) -> dict[int, np.ndarray[tuple[int], np.dtype[np.float64]]]:
+    def _parsed(
+        self, text: bytes, columns: list[int], start: int, stop: int
+    ) -> dict[int, np.ndarray[tuple[int], np.dtype[np.float64]]]:
         where = f"{self.path}, rows {start + 1:,} to {stop:,}"
         with reading(where, "table of numbers"):
             if self.layout.delimiter is None:
@@ -156,7 +158,9 @@ class TextRows:
         return {i: table.column(names[i]).to_numpy() for i in columns}
 
 
-def _with_ink(chunk: np.ndarray[tuple[int], np.dtype[np.uint8]], ends: np.ndarray[tuple[int], np.dtype[np.intp]], begun: bool) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _with_ink(
+    chunk: np.ndarray[tuple[int], np.dtype[np.uint8]], ends: np.ndarray[tuple[int], np.dtype[np.intp]], begun: bool
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Whether each line of a chunk, and what follows the last, has a character that is no blank."""
     starts = np.concatenate([[0], ends + 1])
     stops = np.concatenate([ends, [len(chunk)]])
