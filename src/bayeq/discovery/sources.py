@@ -14,7 +14,7 @@ from bayeq.likelihood.record_fit import MOST_ROWS
 from bayeq.records import as_records, with_row_numbers
 from bayeq.records.stream import RecordStream, open_streams, streamed_unasked
 from bayeq.streaming.checkpoint import Checkpoints, cache_folder
-from bayeq.streaming.extent import Extent, stretches
+from bayeq.streaming.extent import Extent, of_channels, stretches
 from bayeq.streaming.fold import Executor, Threads
 from bayeq.streaming.whole import Whole
 
@@ -33,15 +33,19 @@ def answer_of(
     extents = extents_of(records, t, stream)
     executor = Threads()
     if extents is not None:
-        return question.answer(stretches(extents), _whole(question, extents, executor, checkpoint))
-    whole = with_row_numbers(as_records(records, t))
-    if question.smooth == "auto" and sum(record.n for record in whole) > MOST_ROWS:
-        long = tuple(Extent(RecordStream(record), 0, record.n) for record in whole)
+        extents = of_channels(extents, [*question.roles.measured, *question.roles.inputs])
+        whole = _whole(question, extents, executor, checkpoint)
+        found = question.answer(stretches(extents), whole)
+        whole.checkpoints.clear()
+        return found
+    measured = with_row_numbers(as_records(records, t))
+    if question.smooth == "auto" and sum(record.n for record in measured) > MOST_ROWS:
+        long = tuple(Extent(RecordStream(record), 0, record.n) for record in measured)
         try:
             return question.answer(stretches(long), _whole(question, long, executor, None))
         except NotStreamed:
-            return question.answer(whole)
-    return question.answer(whole)
+            return question.answer(measured)
+    return question.answer(measured)
 
 
 def extents_of(records: Any, t: Any, stream: bool | None) -> tuple[Extent, ...] | None:

@@ -12,6 +12,7 @@ from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, corrections, information
 from bayeq.likelihood.layout import Candidates
 from bayeq.likelihood.search import Task, with_mean_signs
+from bayeq.likelihood.signs import jumps_of
 from bayeq.likelihood.start import series_and_paths
 from bayeq.states import MotionRows
 
@@ -20,7 +21,7 @@ __all__ = ["Block", "block_of"]
 Floats = NDArray[np.float64]
 
 # Steps of the path at most, and the deviation, in standard deviations of a state, that ends them.
-STEPS, NEAR = 6, 1e-4
+STEPS, NEAR = 6, 3e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +61,20 @@ def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
     size, rows = len(task.precision), sum(piece.n for piece in pieces)
     try:
         series, paths = series_and_paths(task.layout, pieces)
-        own = replace(task, series=series, recent=[])
-        here = replace(state, paths=paths)
-        found = _at_its_path(with_mean_signs(own, here), here)
+        own, here = replace(task, series=series, recent=[]), replace(state, paths=paths)
+        # jumps of other terms are averaged as they were in the fit
+        found = _at_its_path(with_mean_signs(own, here) if _jumps(task, state) else own, here)
     except np.linalg.LinAlgError:
         found = None
     if found is None or not (np.isfinite(found.slope).all() and np.isfinite(found.information).all()):
         return Block(Quadratic(0.0, np.zeros(size), np.zeros((size, size))), 0.0, rows)
     return Block(found, own.rows)
+
+
+def _jumps(task: Task, state: State) -> bool:
+    """Whether a term of the model jumps."""
+    terms = task.layout.terms
+    return any(next(jumps_of(terms[j].tree), None) is not None for j in state.chosen.term if j < len(terms))
 
 
 def _at_its_path(task: Task, state: State) -> Quadratic:

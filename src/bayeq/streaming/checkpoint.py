@@ -68,7 +68,7 @@ class Checkpoint:
         if self.path is None or not self.path.is_file():
             return 0, None
         try:
-            with np.load(self.path, allow_pickle=False) as file:
+            with self.path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
                 about = json.loads(bytes(file["about"]).decode())
                 return int(about["done"]), _rebuilt(about["sum"], file)
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):

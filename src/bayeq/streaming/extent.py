@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from bayeq.records import Record, counts_rows, with_row_numbers
 from bayeq.records.stream import Stream, units_between
 from bayeq.states.motion import cut_at
 
-__all__ = ["Extent", "Unit", "stretches", "units_of"]
+__all__ = ["Extent", "Unit", "of_channels", "stretches", "units_of"]
 
 #: Stretches that are looked at first, and rows of each.
 STRETCHES, ROWS_EACH = 20, 2500
@@ -56,11 +57,25 @@ class Unit:
         return self.stop - self.start
 
 
-def units_of(extents: Sequence[Extent]) -> list[Unit]:
-    """The units of some extents, in order."""
-    return [
+def units_of(extents: Sequence[Extent], most: int | None = None) -> list[Unit]:
+    """The units of some extents, in order; where rows take long in parts of at most some number."""
+    whole = [
         Unit(k, a, b) for k, one in enumerate(extents) for a, b in units_between(one.stream.bounds, one.start, one.stop)
     ]
+    if most is None:
+        return whole
+    out = []
+    for unit in whole:
+        bounds = np.linspace(unit.start, unit.stop, -(-unit.n // most) + 1).round().astype(int).tolist()
+        out += [Unit(unit.extent, a, b) for a, b in pairwise(bounds)]
+    return out
+
+
+def of_channels(extents: Sequence[Extent], channels: Sequence[str]) -> tuple[Extent, ...]:
+    """The same rows of these channels, and of time; of all channels where none is named."""
+    if not channels:
+        return tuple(extents)
+    return tuple(replace(one, stream=one.stream.of(list(channels))) for one in extents)
 
 
 def stretches(extents: Sequence[Extent]) -> list[Record]:

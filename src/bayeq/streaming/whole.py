@@ -22,7 +22,7 @@ from bayeq.streaming.checkpoint import Checkpoints
 from bayeq.streaming.extent import Extent, Unit, units_of
 from bayeq.streaming.fold import Executor, fold
 from bayeq.streaming.residuals import LaggedResiduals, with_all_rows
-from bayeq.streaming.work import AsMeasured, ByLikelihood
+from bayeq.streaming.work import BLOCK_ROWS, AsMeasured, ByLikelihood
 
 __all__ = ["Whole"]
 
@@ -100,7 +100,7 @@ class Whole:
 
     def record(self, former: RecordFit, motion: Motion, log: WarningLog) -> RecordFit:
         """The likelihood of all rows about the fit to some of them."""
-        units = units_of(self.extents)
+        units = units_of(self.extents, BLOCK_ROWS)
         found = former
         if len(units) > 2 * SPREAD:
             some = [units[k] for k in np.linspace(0, len(units) - 1, SPREAD).round().astype(int).tolist()]

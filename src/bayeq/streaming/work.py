@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +13,6 @@ from bayeq.expressions import Expression
 from bayeq.likelihood.block import Block, block_of
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.search import Task
-from bayeq.records import Record
 from bayeq.states import Motion, Roles
 from bayeq.states.derive import derive_states, require_usable
 from bayeq.states.missing import complete_rows, has_all
@@ -24,13 +21,13 @@ from bayeq.states.prepare import cleaned, divided_at_gaps
 from bayeq.streaming.extent import Extent, Unit
 from bayeq.streaming.moments import Folded, fold_columns
 
-__all__ = ["AsMeasured", "ByLikelihood", "OfRows"]
+__all__ = ["BLOCK_ROWS", "AsMeasured", "ByLikelihood", "OfRows"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-# Rows whose likelihood is computed together: of the state before them nothing is known, which costs what some hundred
-# rows tell; and the memory of 1 kB a row.
+#: Rows whose likelihood is computed together: of the state before them nothing is known, which costs what some hundred
+#: rows tell; and the memory of 1 kB a row.
 BLOCK_ROWS = 2**16
 
 
@@ -148,15 +145,6 @@ class ByLikelihood:
         return cls(tuple(extents), motion, task, replace(state, paths=()))
 
     def __call__(self, unit: Unit) -> Block:
-        record = self.extents[unit.extent].read(unit.start, unit.stop)
-        return reduce(Block.__add__, map(self._of, self._blocks(record)))
-
-    def _blocks(self, record: Record) -> list[Record]:
-        count = max(1, round(record.n / BLOCK_ROWS))
-        bounds = np.linspace(0, record.n, count + 1).round().astype(int).tolist()
-        return [record.take(slice(a, b)) for a, b in pairwise(bounds)]
-
-    def _of(self, record: Record) -> Block:
-        roles = self.motion.roles
+        record, roles = self.extents[unit.extent].read(unit.start, unit.stop), self.motion.roles
         pieces, _ = divided_at_gaps(cleaned([record], roles, "auto")[0], roles, "auto")
         return block_of(self.task, self.state, [further_rows(piece, self.motion) for piece in pieces if piece.n > 1])
