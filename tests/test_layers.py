@@ -17,7 +17,7 @@ ORDER = [
     "dictionary figures inference ode states",
     "adapters forecast inspection likelihood systems",
     "export regression",
-    "plan refine selection",
+    "plan refine selection streaming",
     "equation study",
     "discovery estimators",
     "cli",

@@ -90,7 +90,7 @@ def test_true_terms_that_are_not_simple_are_kept(seed):
 
 
 def test_discover_keeps_what_explains_and_says_so(monkeypatch):
-    monkeypatch.setattr("bayeq.discovery.MOST_TERMS", 30)
+    monkeypatch.setattr("bayeq.discovery.question.MOST_TERMS", 30)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         eq = bq.discover(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import bayeq as bq
-from bayeq import discovery
+from bayeq.discovery import question
 from bayeq.equation.verdict import judge
 from bayeq.errors import DataWarning, InputError
 from bayeq.regression.residuals import Fit
@@ -125,7 +125,7 @@ def test_a_term_that_cannot_be_read_is_refused_before_the_work(monkeypatch):
     def worked(*_, **__):
         raise AssertionError("smoothed first")
 
-    monkeypatch.setattr(discovery, "estimate_motion", worked)
+    monkeypatch.setattr(question, "estimate_motion", worked)
     rec = bq.simulate("duffing", n=500, seed=1)
     with pytest.raises(InputError, match="dictionary, term 2"):
         bq.discover(rec, **OSCILLATOR, dictionary="x, sine(x)")

@@ -181,6 +181,13 @@ Examples:
     help="Coefficients by output error: those whose free run is closest to the record.",
 )
 @option("--physical", group=WRITTEN, is_flag=True, help="Also mass, damping, stiffness ... of a second-order equation.")
+@option(
+    "--checkpoint",
+    group=WRITTEN,
+    type=FILE,
+    help="Folder for sums over the rows of long files, kept on the way: a run that is killed goes on where it was. By"
+    " default one in the user's cache.",
+)
 @option("--seed", group=SURE, type=int, default=0, help="Seed of methods that draw random numbers (gibbs).")
 @option("--explain", group=WRITTEN, is_flag=True, help="Explain below the answer, in plain words, what is printed.")
 @option("--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes.")
@@ -198,14 +205,34 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, **options: A
     options = _cleaned(options)
     announce_compiling(lambda: say(COMPILING))
     with Progress(verbose) as progress:
-        records = reading.records(files, _used(options), paths, progress)
+        records, source = _read(reading, files, _used(options), paths, outputs.refine, progress)
         if not options["chains"]:  # which may be badly written
             _require_channels(records, _used(options))
         outputs.check_records(records)
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
-        answer = run(records, **options, progress=progress)
+        answer = run(source, **options, progress=progress)
         outputs.write(answer, records, files, options["holdout"], as_json, progress)
+
+
+def _read(
+    reading: Reading,
+    files: Sequence[Path],
+    used: Sequence[str],
+    paths: Mapping[str, str],
+    refine: bool,
+    progress: Progress,
+) -> tuple[Sequence[Record], Any]:
+    """The records that are looked at, and what `bayeq.discover` takes: these, or all rows of long ones."""
+    if not reading.streamed(files):
+        records = reading.records(files, used, paths, progress)
+        return records, records
+    if refine:
+        raise InputError("--refine runs over whole records: leave it out, or use some rows (--no-stream --rows A:B)")
+    from bayeq.streaming.extent import of_channels, stretches
+
+    extents = of_channels(reading.extents(files, paths), used)
+    return stretches(extents), extents
 
 
 def _cleaned(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from bayeq.errors import FileFormatError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from bayeq.records import Record
+    from bayeq.streaming.extent import Extent
 
 __all__ = ["STANDARD_INPUT", "Reading", "reading_options"]
 
@@ -47,6 +48,14 @@ _OPTIONS = (
         group=MEASURED,
         is_flag=True,
         help="FILE... are channels of one motion: join them on the time of the first.",
+    ),
+    option(
+        "--stream/--no-stream",
+        "stream",
+        group=MEASURED,
+        default=None,
+        help="Read some rows at a time, for files larger than memory: Parquet, HDF5, NPY, text. By default folders, and"
+        " files of more than 256 MB together.",
     ),
     option("--rows", group=ALTERED, help="Rows that are used, A:B as in Python, of each record: 0:2000, 500:, :-100."),
     option(
@@ -88,6 +97,8 @@ class Reading:
         Of each record.
     offsets : mapping of str to (float or None)
         By channel what is subtracted, None for the mean.
+    stream : bool or None
+        Whether files are read some rows at a time; None where their size decides.
     """
 
     time: str | None = None
@@ -99,6 +110,7 @@ class Reading:
     skip: int = 0
     rows: slice | None = None
     offsets: Mapping[str, float | None] = field(default_factory=dict)
+    stream: bool | None = None
 
     @classmethod
     def of(cls, options: dict[str, Any]) -> Self:
@@ -123,7 +135,46 @@ class Reading:
             skip=skip,
             rows=_rows(options.pop("rows")),
             offsets=_offsets(options.pop("offsets")),
+            stream=options.pop("stream"),
         )
+
+    def streamed(self, files: Sequence[Path]) -> bool:
+        """Whether files are read some rows at a time: folders, large files, or as `stream` says."""
+        if self.stream is not None:
+            return self.stream
+        from bayeq.records.stream import streamed_unasked
+
+        return STANDARD_INPUT not in files and streamed_unasked(files)
+
+    def extents(self, files: Sequence[Path], paths: Mapping[str, str]) -> list[Extent]:
+        """The rows of files that are read some at a time.
+
+        Raises
+        ------
+        InputError
+            An option that takes whole records, a file that cannot be read, rows that are not there.
+        """
+        from bayeq.records.stream import open_streams
+        from bayeq.streaming.extent import Extent
+
+        given: dict[str, object] = {
+            "--group": self.group, "--join": self.join, "--names": self.names, "--skip": self.skip,
+            "--remove-offset": self.offsets, "standard input": STANDARD_INPUT in files,
+        }  # fmt: skip
+        whole = [option for option, value in given.items() if value]
+        if whole:
+            raise InputError(
+                f"{whole[0]}: not for files that are read some rows at a time; write what it changes to a file, or take"
+                " the file whole (--no-stream)"
+            )
+        _require_different(files)
+        out = []
+        for one in open_streams(files, time=self.time, fs=self.fs, units=self.units, channels=paths):
+            rows = range(one.bounds[-1])[self.rows or slice(None)]
+            if not len(rows):
+                raise InputError(f"{one.name}: --rows leaves none of {one.bounds[-1]} rows")
+            out.append(Extent(one, rows.start, rows.stop))
+        return out
 
     def records(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, Self
 
 from bayeq.equation.equation import Equation
@@ -46,6 +46,8 @@ class DataSummary:
         Whether the number of the row was taken for time, which was not known: coefficients are per sample.
     band : (float, float) or None
         Frequencies [Hz] between which the equations were to be fitted.
+    stretches : int
+        Number of stretches of long records that noise levels, verdict and free runs are of; 0 if of all rows.
     """
 
     files: tuple[str, ...]
@@ -61,6 +63,13 @@ class DataSummary:
     seconds: float | None = None
     rows_as_time: bool = False
     band: tuple[float, float] | None = None
+    stretches: int = 0
+
+    def of_stretches(self, used: int, held_out: int, stretches: int) -> Self:
+        """The summary of all rows, this being that of some stretches of them."""
+        n = used + held_out
+        seconds = None if self.seconds is None else self.seconds * n / max(self.n, 1)
+        return replace(self, n=n, n_train=used, n_held_out=held_out, seconds=seconds, stretches=stretches)
 
     @property
     def fs(self) -> float | None:

@@ -21,10 +21,12 @@ from bayeq.kernels import kernel
 __all__ = [
     "Gram",
     "GramLike",
+    "Moments",
     "Standardised",
     "checked_weights",
     "default_names",
     "dense",
+    "from_moments",
     "grams_from_blocks",
     "grams_from_data",
 ]
@@ -148,8 +150,8 @@ class Gram:
             return NotImplemented
         if self.names != other.names:
             raise InputError("cannot add Grams of different dictionaries")
-        joined = _merge(self._moments(), other._moments())
-        merged = _from_moments(joined, self.names, 1)[0]
+        joined = self._moments() + other._moments()
+        merged = from_moments(joined, self.names, 1)[0]
         # The intercept is lost once, however many parts were added.
         return merged.with_dof(merged.n - max(self.n - self.dof, other.n - other.dof))
 
@@ -249,13 +251,13 @@ class Gram:
         )
         return Standardised(gram=gram, source=self, scale=scale, target_scale=float(target_scale))
 
-    def _moments(self) -> _Moments:
+    def _moments(self) -> Moments:
         p = len(self.names)
         cross = np.empty((p + 1, p + 1))
         cross[:p, :p] = self.DtD
         cross[:p, p] = cross[p, :p] = self.Dty
         cross[p, p] = self.yty
-        return _Moments(self.n, np.append(self.mean, self.target_mean), cross)
+        return Moments(self.n, np.append(self.mean, self.target_mean), cross)
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,12 +282,19 @@ class Standardised:
 
 
 @dataclass(frozen=True, slots=True)
-class _Moments:
+class Moments:
     """Count, means and centred co-moments of the columns [D Y]."""
 
     n: float
     mean: Floats
     cross: Floats
+
+    def __add__(self, other: Moments) -> Moments:
+        """Moments of both sets of rows together (Chan, Golub and LeVeque 1983)."""
+        n = self.n + other.n
+        delta = other.mean - self.mean
+        cross = self.cross + other.cross + np.outer(delta, delta * (self.n * other.n / n))
+        return Moments(n, self.mean + delta * (other.n / n), cross)
 
 
 @kernel
@@ -374,7 +383,7 @@ def _wide_cross(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
     return mean, z.T @ z, rest
 
 
-def _block_moments(D: Floats, Y: Floats) -> _Moments:
+def _block_moments(D: Floats, Y: Floats) -> Moments:
     """Two-pass centred co-moments of a block, corrected for the rounding of its mean."""
     n = len(D)
     D = np.ascontiguousarray(D)
@@ -383,10 +392,10 @@ def _block_moments(D: Floats, Y: Floats) -> _Moments:
     with np.errstate(over="ignore", invalid="ignore"):
         mean, cross, rest = (_narrow_cross if columns <= SMALL else _wide_cross)(D, Y)
         cross -= rest[:, None] * (rest / n)
-    return _Moments(n, mean + rest / n, cross)
+    return Moments(n, mean + rest / n, cross)
 
 
-def _weighted_moments(D: Floats, Y: Floats, weights: Floats) -> _Moments:
+def _weighted_moments(D: Floats, Y: Floats, weights: Floats) -> Moments:
     """`_block_moments` of rows that count `weights` (all above 0) times."""
     n = float(weights.sum())
     with np.errstate(over="ignore", invalid="ignore"):
@@ -400,17 +409,21 @@ def _weighted_moments(D: Floats, Y: Floats, weights: Floats) -> _Moments:
         z *= np.sqrt(weights)[:, None]
         cross = z.T @ z
         cross -= np.outer(rest, rest / n)
-    return _Moments(n, first + (mean + rest / n), cross)
+    return Moments(n, first + (mean + rest / n), cross)
 
 
-def _merge(a: _Moments, b: _Moments) -> _Moments:
-    n = a.n + b.n
-    delta = b.mean - a.mean
-    cross = a.cross + b.cross + np.outer(delta, delta * (a.n * b.n / n))
-    return _Moments(n, a.mean + delta * (b.n / n), cross)
+def from_moments(moments: Moments, names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
+    """One `Gram` per target from moments of the columns of D and the targets; all share D'D.
 
-
-def _from_moments(moments: _Moments, names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
+    Raises
+    ------
+    InputError
+        Values that are not finite, or overflow when squared.
+    """
+    bad = np.flatnonzero(~np.isfinite(np.diagonal(moments.cross)))
+    if bad.size:
+        labels = [*names, *(["the target"] * targets)]
+        raise InputError(f"non-finite values (or squares that overflow) in {', '.join(labels[j] for j in bad[:8])}")
     p = len(names)
     DtD = np.ascontiguousarray(moments.cross[:p, :p])
     # weights that count rows give a whole number
@@ -430,18 +443,14 @@ def _from_moments(moments: _Moments, names: tuple[str, ...], targets: int) -> tu
     )
 
 
-def _joined(parts: Iterable[_Moments], names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
+def _joined(parts: Iterable[Moments], names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
     """The Grams of the moments of all parts together."""
-    total: _Moments | None = None
+    total: Moments | None = None
     for part in parts:
-        total = part if total is None else _merge(total, part)
+        total = part if total is None else total + part
     if total is None:
         raise InputError("no rows: a Gram needs at least one")
-    bad = np.flatnonzero(~np.isfinite(np.diagonal(total.cross)))
-    if bad.size:
-        labels = [*names, *(["the target"] * targets)]
-        raise InputError(f"non-finite values (or squares that overflow) in {', '.join(labels[j] for j in bad[:8])}")
-    return _from_moments(total, names, targets)
+    return from_moments(total, names, targets)
 
 
 def grams_from_blocks(

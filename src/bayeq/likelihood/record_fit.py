@@ -75,8 +75,29 @@ class RecordFit:
         found = cls(task, fitted, _averaged(task, fitted, fitted_only=True))
         return found.about(found.posterior.support)
 
+    @classmethod
+    def of_more(cls, former: RecordFit, quadratic: Quadratic, samples: float) -> RecordFit:
+        """What the likelihood of more rows, about a fit to some of them, tells.
+
+        Parameters
+        ----------
+        former : RecordFit
+            The fit to some of the rows.
+        quadratic : Quadratic
+            The likelihood of all of them about it.
+        samples : float
+            Their number.
+        """
+        task = replace(former.task, counted=samples)
+        fitted = replace(former.fitted, quadratic=quadratic, tried={})
+        found = cls(task, fitted, _averaged(task, fitted))
+        return found.about(found.posterior.support)
+
     def about(self, model: Bools) -> RecordFit:
         """The fit of another model, (C (P + 1),) bool; probabilities stay."""
+        if self.task.counted is not None:
+            state = with_model(self.task, self.fitted, model)
+            return replace(self, fitted=replace(self.fitted, model=model, state=state))
         if bool((model == self.fitted.model).all()):
             return self
         try:
@@ -212,6 +233,7 @@ def suits(motion: Motion, terms: int) -> bool:
         motion.timed
         and bool(motion.smoothing)
         and all(chain.lowest == 0 for chain in motion.roles.chains)
+        and rows <= MOST_ROWS
         and rows <= MOST_ROWS
         and (terms + 1) * len(motion.roles.chains) <= MOST_CANDIDATES
     )

@@ -109,6 +109,8 @@ class Task:
         Of each coefficient not being zero.
     substeps : int
         Runge-Kutta steps between two samples.
+    counted : float or None
+        Number of samples that the likelihood is of, where the series are some of them only.
     recent : list
         The last two linearisations and what they are of: fits go on from where others have stood.
     """
@@ -118,6 +120,7 @@ class Task:
     precision: Floats
     log_odds: Floats
     substeps: int = 1
+    counted: float | None = None
     recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
 
     def linearised(self, state: State) -> list[Linear]:
@@ -133,6 +136,8 @@ class Task:
     @property
     def rows(self) -> float:
         """Number of samples."""
+        if self.counted is not None:
+            return self.counted
         return float(sum(np.isfinite(one.samples).sum() for one in self.series))
 
     def number(self, chosen: Candidates) -> NDArray[np.int64]:

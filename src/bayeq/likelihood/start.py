@@ -25,7 +25,7 @@ from bayeq.likelihood.search import Fitted, Task
 from bayeq.ode.rk4 import Interpolation, interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
-__all__ = ["Start", "carried_over", "start_from", "with_exact_inputs"]
+__all__ = ["Start", "carried_over", "series_and_paths", "start_from", "with_exact_inputs"]
 
 Floats = NDArray[np.float64]
 
@@ -185,12 +185,16 @@ def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tu
     places : sequence of (int, int)
         The record that each path of the fit belongs to, and its first row there.
     """
-    layout, pieces = task.layout, motion.train
-    paths = [_path(layout, rows, [rows.columns[name][:, None] for name in layout.noisy]) for rows in pieces]
+    series, paths = series_and_paths(task.layout, motion.train)
     for path, (record, first) in zip(fitted.state.paths, places, strict=True):
         paths[record][first : first + len(path)] = path
-    series = tuple(_series(layout, rows) for rows in pieces)
-    return replace(task, series=series), replace(fitted.state, paths=tuple(paths))
+    return replace(task, series=series), replace(fitted.state, paths=paths)
+
+
+def series_and_paths(layout: Layout, pieces: Sequence[MotionRows]) -> tuple[tuple[Series, ...], tuple[Floats, ...]]:
+    """Samples of some rows, and the smoothed motion as their paths."""
+    paths = tuple(_path(layout, rows, [rows.columns[name][:, None] for name in layout.noisy]) for rows in pieces)
+    return tuple(_series(layout, rows) for rows in pieces), paths
 
 
 def _series(layout: Layout, rows: MotionRows) -> Series:

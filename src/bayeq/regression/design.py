@@ -7,7 +7,7 @@ earlier column.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,11 @@ from bayeq.errors import InputError
 from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.gram.gram import grams_from_blocks
+from bayeq.inference.posterior import Posterior
+from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion, MotionRows
 
-__all__ = ["Design", "DroppedTerm", "build_design"]
+__all__ = ["Design", "DroppedTerm", "build_design", "usable_terms"]
 
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -66,6 +68,9 @@ class Design:
         Columns on the training rows of each record; empty where there would be too many numbers.
     allowed : (C, P) bool array
         Candidates of each equation; the others are in the dictionaries of other equations only.
+    scan : callable, optional
+        Where the motion is of some rows only: takes the number of an equation, a posterior and what was found of its
+        residuals in these rows, and says what those of all rows are.
     """
 
     motion: Motion
@@ -75,6 +80,7 @@ class Design:
     dropped: tuple[DroppedTerm, ...]
     kept: tuple[Floats, ...]
     allowed: NDArray[np.bool_] = field(default_factory=lambda: np.ones((1, 1), dtype=np.bool_))
+    scan: Callable[[int, Posterior, Residuals], Residuals] | None = None
 
     def __post_init__(self) -> None:
         shape = len(self.motion.roles.chains), len(self.terms)
@@ -119,20 +125,46 @@ def build_design(
     held_out = builder.grams(motion.held_out) if motion.held_out else ()
     if allowed is None:
         allowed = np.ones((len(motion.roles.chains), len(terms)), dtype=np.bool_)
-    reasons = _reasons(train[0], builder.bad, builder.total, allowed)
+    found = Design(motion, tuple(terms), train, held_out, (), tuple(builder.kept), allowed)
+    return usable_terms(found, train, held_out, builder.bad, builder.total)
+
+
+def usable_terms(
+    design: Design, train: tuple[Gram, ...], held_out: tuple[Gram, ...], bad: NDArray[np.int64], rows: int
+) -> Design:
+    """A dictionary without the candidates that cannot be used.
+
+    Parameters
+    ----------
+    design : Design
+        All candidates.
+    train, held_out : tuple of Gram
+        Their statistics.
+    bad : (P,) int array
+        Rows in which each is not finite, or too large to square.
+    rows : int
+        Rows in all.
+
+    Raises
+    ------
+    InputError
+        No candidate can be used.
+    """
+    terms, allowed = design.terms, design.allowed
+    reasons = _reasons(train[0], bad, rows, allowed)
     dropped = tuple(DroppedTerm(terms[j].text, why) for j, why in sorted(reasons.items()))
     kept = np.array([j for j in range(len(terms)) if j not in reasons], dtype=np.intp)
     if not len(kept):
         raise InputError(f"no usable term in the dictionary: {'; '.join(f'{d.name}: {d.reason}' for d in dropped[:5])}")
     if not dropped:
-        return Design(motion, tuple(terms), train, held_out, dropped, tuple(builder.kept), allowed)
-    return Design(
-        motion=motion,
+        return replace(design, train=train, held_out=held_out)
+    return replace(
+        design,
         terms=tuple(terms[j] for j in kept),
         train=tuple(gram.select(kept) for gram in train),
         held_out=tuple(gram.select(kept) for gram in held_out),
         dropped=dropped,
-        kept=tuple(np.asfortranarray(columns[:, kept]) for columns in builder.kept),
+        kept=tuple(np.asfortranarray(columns[:, kept]) for columns in design.kept),
         allowed=allowed[:, kept],
     )
 

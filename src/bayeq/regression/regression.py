@@ -94,7 +94,12 @@ class Regression:
         """The regression with rows that count for the effective sample size, where their residuals are correlated."""
         if self.record is not None or self.band is not None or len(self.design.terms) > MOST_TERMS_TO_THIN:
             return self
-        return replace(self, gram=thinned_gram(self.gram, self.residuals))
+        return replace(self, gram=thinned_gram(self.gram, self._all_residuals))
+
+    def _all_residuals(self, posterior: Posterior) -> Residuals:
+        """Correlation of the residuals of all training rows, also where the motion is of some of them only."""
+        found, scan = self.residuals(posterior), self.design.scan
+        return found if scan is None or not found.correlated else scan(self.k, posterior, found)
 
     def raised(self, power: float) -> Regression:
         """The regression with the likelihood raised to a power of at most 1."""

@@ -517,9 +517,9 @@ def _long_runs(series: ChainSeries) -> Bools:
             continue
         starts, lengths = equal_runs(values)
         usual = float(np.median(np.repeat(lengths, lengths)))
-        for start, length in zip(starts, lengths, strict=True):
-            if length >= max(LEAST_STUCK, TIMES_USUAL * usual) and np.isfinite(values[start]):
-                out[start : start + length, k] = True
+        long = (lengths >= max(LEAST_STUCK, TIMES_USUAL * usual)) & np.isfinite(values[starts])
+        for start, length in zip(starts[long], lengths[long], strict=True):
+            out[start : start + length, k] = True
     return out
 
 

@@ -14,14 +14,14 @@ from bayeq.expressions.functions import TIME
 from bayeq.records import Record, counts_rows
 from bayeq.states.chain import Chain
 from bayeq.states.derive import Smooth, derive_states, require_usable
-from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain
+from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
 from bayeq.states.missing import bridged_record, complete_rows
 from bayeq.states.roles import Roles
 from bayeq.states.sensors import Sensors
 from bayeq.states.uniform_grid import filled_in, on_grid
 from bayeq.states.unit_gains import unit_gains
 
-__all__ = ["FEW_ROWS", "Motion", "MotionRows", "cut_at", "estimate_motion", "held_out_share"]
+__all__ = ["FEW_ROWS", "Motion", "MotionRows", "cut_at", "estimate_motion", "further_rows", "held_out_share"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -232,6 +232,14 @@ def estimate_motion(
         pieces, cuts, smoothing = smoothed
         gains = tuple(one.unit_gains for one in smoothing)
     return Motion(roles, pieces, cuts, smoothing, gains, share, sensors, band)
+
+
+def further_rows(record: Record, motion: Motion) -> MotionRows:
+    """Rows of another record of the same system, prepared as its others were and smoothed as they are in a motion."""
+    roles = motion.roles
+    filled = on_grid(record, (*roles.measured, *roles.inputs), ())
+    chains = zip(roles.chains, motion.smoothing, strict=True)
+    return _rows(filled, roles, [smooth_further(filled, chain, smoothing) for chain, smoothing in chains])
 
 
 def _as_measured(record: Record, roles: Roles, smooth: Smooth) -> MotionRows:

@@ -45,13 +45,20 @@ class _Dataset:
 
     def __getitem__(self, key: Any) -> Any:
         where = str(self.path)
-        check_array(where, self.place, self.shape, self.dtype.itemsize, self.path.stat().st_size)
+        check_array(where, self.place, _selected(self.shape, key), self.dtype.itemsize, self.path.stat().st_size)
         if self.transposed and isinstance(key, tuple):
             key = key[::-1]
         with reading(where, _KIND), _h5py().File(self.path, "r") as file:
             found = file[self.place]
             values = found[self.column][key] if self.column else found[key]
         return values.T if self.transposed else values
+
+
+def _selected(shape: tuple[int, ...], key: Any) -> tuple[int, ...]:
+    """The shape of a part of an array."""
+    keys = key if isinstance(key, tuple) else (key,)
+    lengths = [len(range(*k.indices(n))) if isinstance(k, slice) else n for k, n in zip(keys, shape, strict=False)]
+    return (*lengths, *shape[len(lengths) :])
 
 
 def channels(path: Path) -> list[Channel]:

@@ -104,7 +104,7 @@ def _segment(
     if one_x and names[0] == _X:
         times = _column(rows, 0, len(rows), place + 2, _X, comma, where)
         if np.isfinite(times).all() and len(times):
-            found.append(Channel("t", len(times), lambda: times, unit="s"))
+            found.append(Channel("t", len(times), times.__getitem__, unit="s"))
     for k, column in enumerate(ys):
         size = int(_number(about.get("Samples"), k, len(rows), where))
         if size > len(rows):
@@ -117,7 +117,7 @@ def _segment(
             Channel(
                 names[column],
                 size,
-                lambda values=values: values,  # type: ignore[misc]
+                values.__getitem__,
                 unit=_unit((about.get("Y_Unit_Label", [])[k : k + 1] or [""])[0]),
                 step=step if np.isfinite(step) and step > 0 else None,
                 start=_number(about.get("X0"), k, 0.0, where),

@@ -30,6 +30,9 @@ DEEPEST = 64
 #: Without names, arrays shorter than this share of the longest are settings, not channels.
 SETTINGS = 0.1
 
+#: All rows.
+EVERY = slice(None)
+
 
 @dataclass(frozen=True, slots=True)
 class Channel:
@@ -42,7 +45,7 @@ class Channel:
     size : int
         Number of samples.
     values : callable
-        Returns the samples, shape (size,).
+        Returns the samples of a slice of the rows.
     label : str, optional
         What it is called if not by its path; cleaned to a channel's name.
     unit : str, optional
@@ -57,7 +60,7 @@ class Channel:
 
     path: str
     size: int
-    values: Callable[[], Any]
+    values: Callable[[slice], Any]
     label: str | None = None
     unit: str | None = None
     step: float | None = None
@@ -153,19 +156,30 @@ def _rows(array: Any, path: str, about: Mapping[str, Any]) -> Iterator[Channel]:
     long = max(shape, default=0)
     enough = long > 1 or (long == 1 and about.get("single"))
     if enough and long == np.prod(shape, dtype=float):  # of one dimension, as a row or as a column
-        yield Channel(path, long, lambda: np.ravel(array[...]), unit=unit, step=step)
+        yield Channel(path, long, _whole(array, long), unit=unit, step=step)
     elif len(shape) == 2 and 1 < min(shape) <= MOST_ROWS:
         across = shape[0] > shape[1]
         for k in range(min(shape)):
             yield Channel(f"{path}.{k}", long, _part(array, k, across), unit=unit, step=step)
 
 
-def _part(array: Any, k: int, across: bool) -> Callable[[], Any]:
-    return lambda: array[:, k] if across else array[k, :]
+def _whole(array: Any, long: int) -> Callable[[slice], Any]:
+    """The samples of an array of one dimension, or of a matrix of one row or column."""
+    if array.shape == (long,):
+        return lambda rows: array[rows]
+    return lambda rows: np.ravel(array[...])[rows]
+
+
+def _part(array: Any, k: int, across: bool) -> Callable[[slice], Any]:
+    return lambda rows: array[rows, k] if across else array[k, rows]
 
 
 def read_pieces(
-    channels: Sequence[Channel], where: str, request: Request, names: Sequence[str] | str | None = None
+    channels: Sequence[Channel],
+    where: str,
+    request: Request,
+    names: Sequence[str] | str | None = None,
+    rows: slice = EVERY,
 ) -> list[tuple[Request, Columns]]:
     """The columns of each record that is asked for, with the request for that one alone.
 
@@ -179,6 +193,8 @@ def read_pieces(
         The channels that are asked for; without names, all those of one length.
     names : list of str, or str, optional
         Names of those channels, in order.
+    rows : slice
+        The rows that are read.
 
     Raises
     ------
@@ -190,10 +206,12 @@ def read_pieces(
     if not channels:
         raise FileFormatError(f"{where}: holds no array of numbers that could be a channel")
     requests = request.each([channel.path for channel in channels], where)
-    return [(one, _columns(list(channels), where, one, names)) for one in requests]
+    return [(one, _columns(list(channels), where, one, names, rows)) for one in requests]
 
 
-def _columns(channels: list[Channel], where: str, request: Request, names: Sequence[str] | str | None) -> Columns:
+def _columns(
+    channels: list[Channel], where: str, request: Request, names: Sequence[str] | str | None, part: slice
+) -> Columns:
     labels = [channel.label or channel.path.replace("[", "_").replace("]", "") for channel in channels]
     headers = Headers.parse(labels, where)
     units = [channel.unit or unit for channel, unit in zip(channels, headers.units, strict=True)]
@@ -214,7 +232,7 @@ def _columns(channels: list[Channel], where: str, request: Request, names: Seque
         raise FileFormatError(
             f"{where}: channels of several rates: {rates}; name channels of one rate, and join the rest"
         )
-    values = {i: plain(channels[i].values(), where, channels[i].path) for i in rows}
+    values = {i: plain(channels[i].values(part), where, channels[i].path) for i in rows}
     data = Columns.build(headers, values.__getitem__, lambda _: rows)
     step = steps.pop() if len(steps) == 1 and time is None and request.time is None else None
     return Columns(data.headers, data.values, (), time, step, chosen[0].start)

@@ -12,7 +12,7 @@ from bayeq.errors import FileFormatError
 from bayeq.records.columns import Columns, Headers, Select
 from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, reading
 
-__all__ = ["read_array", "read_columns"]
+__all__ = ["columns_of", "read_array", "read_columns"]
 
 AnyArray = np.ndarray[Any, np.dtype[Any]]
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -37,6 +37,19 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
     where = str(path)
     with reading(where, ".npy file"), path.open("rb") as file:
         array = read_array(file, path.stat().st_size, where, "the array")
+    texts, columns = columns_of(array, where)
+    headers = Headers.parse(texts, where)
+    return Columns.build(headers.renamed(names), columns.__getitem__, chosen)
+
+
+def columns_of(array: AnyArray, where: str) -> tuple[list[str], list[AnyArray]]:
+    """Headers and columns of an array.
+
+    Raises
+    ------
+    FileFormatError
+        Other than one or two dimensions, or no rows.
+    """
     if array.dtype.names:
         texts, columns = list(array.dtype.names), [np.ravel(array[name]) for name in array.dtype.names]
     else:
@@ -47,8 +60,7 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
         texts = [""] * len(columns)
     if not columns or not len(columns[0]):
         raise FileFormatError(f"{where}: no rows")
-    headers = Headers.parse(texts, where)
-    return Columns.build(headers.renamed(names), columns.__getitem__, chosen)
+    return texts, columns
 
 
 def read_array(file: IO[bytes], size: int, where: str, what: str) -> AnyArray:

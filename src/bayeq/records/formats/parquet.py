@@ -13,12 +13,19 @@ from bayeq.records.columns import Columns, Headers, Select
 from bayeq.records.formats.limits import check_array, reading
 from bayeq.records.record import Record
 
-__all__ = ["read_columns", "write"]
+__all__ = ["headers_of", "library", "read_columns", "values_of", "write"]
 
 _UNITS = b"bayeq.units"
 
 
-def _pyarrow() -> tuple[Any, Any]:
+def library() -> tuple[Any, Any]:
+    """pyarrow and its reader of Parquet files.
+
+    Raises
+    ------
+    MissingExtraError
+        It is not installed.
+    """
     try:
         import pyarrow
         import pyarrow.parquet
@@ -43,28 +50,33 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
     -------
     Columns
     """
-    pa, pq = _pyarrow()
+    pa, pq = library()
     where = str(path)
     with reading(where, "Parquet file"), pq.ParquetFile(path) as file:
         shape = (file.metadata.num_rows, file.metadata.num_columns)
         check_array(where, "the table", shape, 8, path.stat().st_size)
-        units = _units((file.schema_arrow.metadata or {}).get(_UNITS))
+        headers = headers_of(file.schema_arrow, where)
         table = file.read()
     if table.num_columns == 0 or table.num_rows == 0:
         raise FileFormatError(f"{where}: no {'rows' if table.num_columns else 'columns'}")
-    headers = Headers.parse(table.column_names, where)
-    headers = headers.with_units([units.get(t) or u for t, u in zip(table.column_names, headers.units, strict=True)])
+    return Columns.build(headers.renamed(names), lambda i: values_of(pa, table.column(i)), chosen)
 
-    def values(i: int) -> Any:
-        column = table.column(i)
-        kind = column.type
-        if pa.types.is_decimal(kind) or (column.null_count and not pa.types.is_temporal(kind)):
-            if not (pa.types.is_decimal(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-                return np.array([str(kind)])
-            column = column.cast(pa.float64(), safe=False)
-        return column.to_numpy()
 
-    return Columns.build(headers.renamed(names), values, chosen)
+def headers_of(schema: Any, where: str) -> Headers:
+    """Names and units of the columns of a schema."""
+    units = _units((schema.metadata or {}).get(_UNITS))
+    headers = Headers.parse(schema.names, where)
+    return headers.with_units([units.get(t) or u for t, u in zip(schema.names, headers.units, strict=True)])
+
+
+def values_of(pa: Any, column: Any) -> Any:
+    """The samples of a column; what is no number, by the name of its type, for the message."""
+    kind = column.type
+    if pa.types.is_decimal(kind) or (column.null_count and not pa.types.is_temporal(kind)):
+        if not (pa.types.is_decimal(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+            return np.array([str(kind)])
+        column = column.cast(pa.float64(), safe=False)
+    return column.to_numpy()
 
 
 def _units(metadata: bytes | None) -> dict[str, str]:
@@ -82,7 +94,7 @@ def write(record: Record, path: Path) -> None:
     path : Path
         The file, replaced if it is there.
     """
-    pa, pq = _pyarrow()
+    pa, pq = library()
     columns = record.to_columns()
     units = {n: u for n, u in zip(columns.names, columns.headers.units, strict=True) if u}
     table = pa.table(dict(zip(columns.names, columns.values, strict=True)))

@@ -65,7 +65,7 @@ def _channel(place: str, label: str, values: Any, properties: Any) -> Channel:
     return Channel(
         place,
         len(values),
-        lambda: values,
+        values.__getitem__,
         label,
         str(properties.get("unit_string") or "").strip() or None,
         float(step) if known else None,

@@ -93,11 +93,11 @@ def _channels(function: Mapping[str, Any], place: int, where: str) -> list[Chann
         step, start = function["abscissa_inc"] * factor, function["abscissa_min"] * factor
         if not step > 0:
             raise FileFormatError(f"{where}: function {place} has a time step of {step:g} s; the file is damaged")
-        return [Channel(f"[{place}]", len(values), lambda: values, label, unit, step, start)]
+        return [Channel(f"[{place}]", len(values), values.__getitem__, label, unit, step, start)]
     times = np.asarray(function["x"], dtype=float) * factor
     return [
-        Channel(f"[{place}].t", len(times), lambda: times, "t" if not place else f"t_{place}", "s"),
-        Channel(f"[{place}]", len(values), lambda: values, label, unit),
+        Channel(f"[{place}].t", len(times), times.__getitem__, "t" if not place else f"t_{place}", "s"),
+        Channel(f"[{place}]", len(values), values.__getitem__, label, unit),
     ]
 
 

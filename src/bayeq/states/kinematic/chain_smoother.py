@@ -16,7 +16,7 @@ from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, fit_kin
 from bayeq.states.sensors import LEAST_SHARE
 from bayeq.states.unit_gains import bridged, unit_gains
 
-__all__ = ["ChainSmoothing", "smooth_chain"]
+__all__ = ["ChainSmoothing", "smooth_chain", "smooth_further"]
 
 Floats = NDArray[np.float64]
 
@@ -214,6 +214,15 @@ def smooth_chain(
         samples = np.concatenate([np.asarray(s.channels[k]) for s in series])
         ratio = max(ratio, float(model.noise_sd[k] or 0.0) * abs(gains[k]) / float(np.nanstd(samples)))
     return means, ChainSmoothing(model, _rate(series), ratio, gains, bound)
+
+
+def smooth_further(record: Record, chain: Chain, smoothing: ChainSmoothing) -> Floats:
+    """States of a chain in a record as others of the same system were smoothed, (n, K + 1)."""
+    series = _series(record, chain)
+    if smoothing.coordinate_sd is not None:
+        series = _bounded(series)
+    mean = smooth_kinematic(_in_units(series, smoothing.unit_gains), smoothing.model).mean
+    return np.asarray(mean[:, : chain.order + 1] * smoothing.unit_gains)
 
 
 def _known_noise(

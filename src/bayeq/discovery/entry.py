@@ -1,0 +1,241 @@
+"""`discover`: from records to equations of motion."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, get_args
+
+import numpy as np
+
+from bayeq.adapters.pysindy.library import is_library, terms_of
+from bayeq.dictionary import Specification, Variables, build_dictionaries
+from bayeq.discovery.question import Question
+from bayeq.discovery.sources import answer_of
+from bayeq.equation.equations import Equations
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.inference.engines import ENGINES
+from bayeq.inference.prior import Prior
+from bayeq.regression.constraints import parse_constraints
+from bayeq.selection.select import Rules
+from bayeq.selection.tolerance import TOLERANCE
+from bayeq.states import Roles, Smooth, Tails, check_sensors
+
+__all__ = ["discover"]
+
+Progress = Callable[[str, int, int], None]
+
+
+# The parameters are those of the public contract; all but the records have defaults.
+def discover(
+    records: Any,
+    *,
+    chains: str | Sequence[str] | None = None,
+    displacement: str | None = None,
+    velocity: str | None = None,
+    acceleration: str | None = None,
+    force: str | None = None,
+    inputs: Sequence[str] = (),
+    dictionary: Specification | Any = "oscillator",
+    method: str = "auto",
+    smooth: Smooth = "auto",
+    holdout: float = 0.2,
+    max_terms: int | None = None,
+    tolerance: float = TOLERANCE,
+    coarsen: float = 1.0,
+    prior: Prior | None = None,
+    constraints: str | Sequence[str] = (),
+    noise: Mapping[str, float | str] | None = None,
+    gain_sd: Mapping[str, float | str] | None = None,
+    tails: Tails = "gauss",
+    band: tuple[float, float] | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+    t: Any = None,
+    stream: bool | None = None,
+    client: Any = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+) -> Equations:
+    """Find the governing equations of measured motion.
+
+    Parameters
+    ----------
+    records : Record, path, DataFrame, mapping of str to array_like, object with `u`, `y`, or sequence of such
+        Measured channels (`bayeq.records.as_record`); several records of the same system are used together.
+    chains : sequence of str, optional
+        A coordinate and its measured derivatives each: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order). In ``"::a"``,
+        only the acceleration measured, the coordinate is called x; where another chain or an input has that name, as
+        in ``["::a1", "::a2"]``, x_a1 and x_a2. ``"~q::a"`` names it q.
+    displacement, velocity, acceleration : str, optional
+        Channels of one oscillator's chain, instead of `chains`.
+    force : str, optional
+        Channel of its force.
+    inputs : sequence of str
+        Channels of further inputs.
+    dictionary : str, sequence of str, mapping of str to these, or feature library of PySINDy
+        ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, ``"fourier:2"``, ``"neighbours"``, a file of terms, or terms;
+        ``"oscillator + sin(x) - x**5"`` joins families and terms, and leaves some out. With a mapping,
+        ``{"a1": "oscillator", ...}``, or ``"a1: oscillator; a2: ..."``, each equation has its own; the terms of the
+        others then have probability 0 in it. See docs/terms.md for the language of terms. A feature library, as
+        ``pysindy.PolynomialLibrary(3)``, is taken by the names of its features in states and inputs.
+    method : str
+        ``"auto"`` (the optimum of variational Bayes, probabilities by model averaging), ``"vb"``, ``"bma"``,
+        ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
+    smooth : "auto", "band" or "none"
+        "auto" is the likelihood of the record where it can be used, "band" the regression of smoothed rows.
+        How derivatives that are not measured are estimated, see `bayeq.states.estimate_motion`. Spikes, stuck and
+        clipped stretches are left out first, and missing samples (NaN) are bridged; with "none" nothing is left out,
+        and NaN is an error.
+    holdout : float
+        Share of the rows, the last of each record, that the equations of the other rows are judged by. Under the
+        likelihood of the record the equations are then found once more, from all rows. 0 skips that.
+    max_terms : int, optional
+        Largest number of terms that are shown: the likeliest such model where the method includes more. The path of
+        each equation (`Equation.path`) tells what each further term brings. Probabilities and the included terms stay;
+        what is left out is listed after the equation.
+    tolerance : float
+        What makes no practical difference: the equation shown is the smallest whose predictions and free runs over
+        windows of the training rows are worse than the full model's by no more than this share of the target's standard
+        deviation and of the states' spread (`bayeq.selection.tolerance`). By default 0.5 %, half of that to which
+        sensors are calibrated. Terms that are certain and yet not needed for that are listed after the equation, beside
+        the full model. 0 shows the included terms.
+    coarsen : float
+        Power, above 0 and at most 1, that the likelihood is raised to: each row counts as this share of one (Miller
+        and Dunson 2019). It widens all intervals and asks more evidence of a term, for models that are only nearly
+        true. `Equation.coarsening` shows how PIPs depend on it.
+    prior : Prior, optional
+        By default p_0 = 0.1, a slab variance v_s that maximises the evidence (at least 10), and a vague prior of
+        the noise in units of the least-squares residual. A given prior applies to standardised columns and
+        those units; its v_s is used as it is.
+    constraints : str or sequence of str
+        What is known of the coefficients, in original units: linear equations, ``"u == 1"``,
+        ``"x*abs(x) == 0.5*x**3"``, and signs, ``"v <= 0"`` (methods auto and bma). They concern every equation,
+        or with a target in front that one, ``"a: v <= 0"``.
+    noise : mapping of str to float or str, optional
+        Known noise of channels: standard deviations in the channel's unit, or shares of its own such as ``"2%"``. It is
+        then not learned from the record. 0 is a channel without noise.
+    gain_sd : mapping of str to float, optional
+        Uncertainty of the calibration of sensors, 0.01 for a factor known to 1 %: the intervals take it in.
+    tails : "gauss" or "student"
+        Distribution of the channels' noise: normal, or Student's t with degrees of freedom that are estimated per
+        channel, for noise of many outliers. Needs the likelihood of the record. Single spikes are left out in any case.
+    band : (float, float), optional
+        Frequencies [Hz] between which the spectra of target and terms are fitted, as where hum or drift lie outside.
+        This is the band regression, which ``smooth="auto"`` then means too; its own band, in which states follow the
+        motion, is narrowed to this. Fits, free runs and the verdict are judged by the rows, all frequencies in them.
+    seed : int
+        Seed of methods that draw random numbers (``"gibbs"``).
+    progress : callable, optional
+        Called with (stage, done, total).
+    t : str or array_like, optional
+        The column that is time, of files and data frames, or sampling times [s] of arrays. Where no record has a time
+        the number of the row is time, with a warning, and coefficients are per sample.
+    stream : bool, optional
+        Whether files are read some rows at a time, for records larger than memory: Parquet, HDF5, NPY and text. By
+        default folders, all files of which are read, and files of more than 256 MB together. Noise levels, verdict and
+        free runs are then those of 20 stretches of the rows, coefficients and probabilities those of all rows. See
+        docs/scale.md.
+    client : dask.distributed.Client, optional
+        A cluster that reads the files and sums over the rows; see docs/cluster.md.
+    checkpoint : path, optional
+        Folder in which sums over the rows are kept on the way, so that a run that is killed goes on where it was. By
+        default one in the user's cache. They are removed at the end.
+
+    Returns
+    -------
+    Equations
+        Coefficients in original units.
+
+    Raises
+    ------
+    InputError
+        Channels, chains, terms or samples that cannot be used; the message says which and what to do.
+
+    Warns
+    -----
+    TermWarning, DataWarning, AmbiguityWarning, CorrelatedResidualsWarning, ConvergenceWarning
+        What makes the answer less than it seems; also kept in ``warnings`` of the result.
+
+    Examples
+    --------
+    >>> import bayeq as bq
+    >>> rec = bq.simulate("duffing", seed=1)
+    >>> eq = bq.discover(rec, displacement="x", velocity="v", acceleration="a", force="u")
+    >>> eq[0].included
+    ('x', 'v', 'x**3', 'u')
+    """
+    step = progress or _silent
+    _check_method(method)
+    rules = Rules(max_terms, tolerance)
+    rules.check(method)
+    _check_shares(holdout, coarsen)
+    roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
+    check_sensors(noise or {}, gain_sd or {}, roles)
+    _check_tails(tails, smooth)
+    smooth = _smooth_in(band, smooth)
+    variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
+    if is_library(dictionary):
+        dictionary = terms_of(dictionary, variables.names)
+    terms, allowed = build_dictionaries(dictionary, roles.targets, variables)
+    known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
+    parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    question = Question(
+        roles=roles.for_terms(terms),
+        terms=tuple(terms),
+        allowed=allowed,
+        dictionary=dictionary,
+        method=method,
+        smooth=smooth,
+        holdout=holdout,
+        rules=rules,
+        coarsen=coarsen,
+        prior=prior,
+        known=known,
+        noise=noise or {},
+        gain_sd=gain_sd or {},
+        tails=tails,
+        band=band,
+        seed=seed,
+        step=step,
+    )
+    answer, log = answer_of(question, records, t, stream, client, checkpoint)
+    log.emit(stacklevel=3)
+    return answer
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """No progress shown."""
+
+
+def _check_method(method: str) -> None:
+    if method not in ENGINES:
+        raise UnknownNameError("method", method, ENGINES)
+
+
+def _check_shares(holdout: float, coarsen: float) -> None:
+    if not 0 <= holdout < 1:
+        raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
+    if not 0 < coarsen <= 1:
+        raise InputError(f"coarsen is a power of the likelihood, 0 < coarsen <= 1, got {coarsen!r}")
+
+
+def _check_tails(tails: str, smooth: str) -> None:
+    if tails not in get_args(Tails):
+        raise InputError(f"tails is 'gauss' or 'student', got {tails!r}")
+    if tails == "student" and smooth != "auto":
+        raise InputError(f"tails='student' needs the likelihood of the record, smooth='auto', not {smooth!r}")
+
+
+def _smooth_in(band: tuple[float, float] | None, smooth: Smooth) -> Smooth:
+    """How motion is smoothed: where a band is given by the regression in it."""
+    if band is None:
+        return smooth
+    if smooth == "none":
+        raise InputError("band= is fitted by the band regression, smooth='band' or 'auto', not smooth='none'")
+    try:
+        low, high = (float(end) for end in band)
+    except (TypeError, ValueError):
+        raise InputError(f"band is a pair of frequencies [Hz], such as (0.5, 40), not {band!r}") from None
+    if not 0.0 <= low < high < np.inf:
+        raise InputError(f"band {low:g} to {high:g} Hz: give two frequencies, the lower one first, 0 or more")
+    return "band"

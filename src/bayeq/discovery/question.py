@@ -1,0 +1,302 @@
+"""`Question`: what is asked of records, and the way from there to the equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary import Specification, written
+from bayeq.discovery.doubts import warn_of_other_terms, warn_of_sensors, warn_of_terms, warn_of_zero
+from bayeq.equation.build import build_equations, with_doubts
+from bayeq.equation.equation import Equation
+from bayeq.equation.equations import DataSummary, Equations
+from bayeq.equation.several import EquationTuple
+from bayeq.equation.units import channel_units
+from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, WarningLog
+from bayeq.expressions import Expression
+from bayeq.expressions.functions import CONSTANTS, TIME
+from bayeq.forecast.results import Scores
+from bayeq.inference.prior import SIGNED, Prior
+from bayeq.likelihood.record_fit import RecordFit, refit_record, suits
+from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows
+from bayeq.regression.constraints import Constraints, parse_constraints
+from bayeq.regression.design import Design, build_design
+from bayeq.regression.joint import fit_equations, record_of
+from bayeq.regression.regression import Regression
+from bayeq.regression.screening import MOST_TERMS, screened
+from bayeq.selection.select import Rules, Selection, select
+from bayeq.selection.tolerance import TOLERANCE
+from bayeq.states import (
+    Motion,
+    Roles,
+    Smooth,
+    Tails,
+    estimate_motion,
+    known_sensors,
+    measured_apart,
+    require_varying,
+)
+from bayeq.states.missing import bridged_record, require_enough
+from bayeq.states.motion import held_out_share
+from bayeq.states.prepare import cleaned, divided_at_gaps
+from bayeq.streaming.whole import Whole
+
+__all__ = ["NotStreamed", "Question"]
+
+Bools = NDArray[np.bool_]
+Progress = Callable[[str, int, int], None]
+NO_LIKELIHOOD = (
+    "the likelihood of the record could not be evaluated near its motion: the regression of smoothed rows is used"
+    " instead, whose intervals and probabilities are less sure; give fewer terms"
+)
+
+NO_TAILS = (
+    "tails='student' makes no difference: it is part of the likelihood of the record, which is not used here; use fewer"
+    " rows or terms, or measure every coordinate"
+)
+
+# With fewer training rows there is no regression.
+LEAST_TRAINING_ROWS = 3
+
+# Channels are checked against each other with straight lines over missing samples if these are a smaller share.
+MOST_BRIDGED = 0.05
+
+
+class NotStreamed(InputError):
+    """Rows that have to be taken all together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """The arguments of `bayeq.discover`, checked; `known` are the constraints, `step` the progress."""
+
+    roles: Roles
+    terms: tuple[Expression, ...]
+    allowed: Bools
+    dictionary: Specification
+    method: str
+    smooth: Smooth
+    holdout: float
+    rules: Rules
+    coarsen: float
+    prior: Prior | None
+    known: tuple[str, ...]
+    noise: Mapping[str, float | str]
+    gain_sd: Mapping[str, float | str]
+    tails: Tails
+    band: tuple[float, float] | None
+    seed: int
+    step: Progress
+
+    def answer(self, records: Sequence[Record], whole: Whole | None = None) -> tuple[Equations, WarningLog]:
+        """The equations, and the warnings that go with them.
+
+        Parameters
+        ----------
+        records : sequence of Record
+            Measured channels.
+        whole : Whole, optional
+            All rows, where the records are stretches of longer ones.
+
+        Raises
+        ------
+        InputError
+            Channels, terms or samples that cannot be used.
+        NotStreamed
+            Stretches do not do for what is asked.
+        """
+        log, step = WarningLog(), self.step
+        measured = list(records)
+        if any(map(counts_rows, measured)):
+            log.warn(UNKNOWN_TIME, DataWarning)
+        _require_unambiguous(self.terms, measured, self.roles)
+        step("states", 0, 1)
+        motion, pieces = self._motion(measured, log)
+        terms, allowed = self.terms, self.allowed
+        if len(terms) > MOST_TERMS:
+            constrained = parse_constraints(self.known, terms, motion.roles.targets)
+            terms, allowed = _screened(terms, motion, allowed, constrained, log)
+        design = self._design(motion, terms, allowed, whole)
+        warn_of_terms(design, log)
+        warn_of_zero(design, pieces, log)
+        constrained = _constrained(self.known, design, self.method)
+
+        step("likelihood", 0, 1)
+        record = record_of(design, self.smooth, self.dictionary, self.prior)
+        if record is None and self.smooth == "auto" and suits(motion, len(design.terms)):
+            log.warn(NO_LIKELIHOOD, DataWarning)
+        if record is None and self.tails == "student":
+            log.warn(NO_TAILS, DataWarning)
+        _require_likelihood(motion, record, whole)
+        first = WarningLog()
+        units = _units(pieces, motion.roles, log)
+        equations, scores, selections = self._found(design, record, constrained, units, first)
+        found = self._of_all_rows(design, record, whole, log)
+        if found is not None:
+            scored, first = equations, WarningLog()
+            equations, _, selections = self._found(*found, constrained, units, first, scored)
+            warn_of_other_terms(equations, scored, first)
+        log.collected += first.collected
+        step("inference", len(equations), len(equations))
+        data = DataSummary.of(pieces, motion, found is not None)
+        answer = Equations(
+            equations=EquationTuple(with_doubts(equations, selections, self.rules.tolerance or TOLERANCE)),
+            inputs=motion.roles.inputs,
+            method=self.method,
+            dictionary=written(self.dictionary),
+            smooth=self.smooth,
+            data=data if whole is None else data.of_stretches(*whole.counts(motion.holdout), len(measured)),
+            dropped=design.dropped,
+            warnings=log.messages,
+            constraints=self.known,
+            scores=scores,
+        )
+        return answer, log
+
+    def _motion(self, records: list[Record], log: WarningLog) -> tuple[Motion, list[Record]]:
+        """States, and the records that they are of."""
+        pieces, roles, share = _prepared(records, self.roles, self.smooth, self.holdout, log)
+        sensors = known_sensors(self.noise, self.gain_sd, roles, pieces, self.tails)
+        motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
+        warn_of_sensors(motion, {*self.noise, *self.gain_sd}, log)
+        _inspect(motion, pieces, self.holdout, log)
+        return motion, pieces
+
+    def _design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, whole: Whole | None) -> Design:
+        """The dictionary on the rows: of all of them, where motion is not smoothed."""
+        if whole is None or motion.smoothing:
+            return build_design(terms, motion, lambda done, total: self.step("dictionary", done, total), allowed)
+        return whole.design(motion, terms, allowed, motion.holdout, self.smooth != "none")
+
+    def _of_all_rows(
+        self, design: Design, record: RecordFit | None, whole: Whole | None, log: WarningLog
+    ) -> tuple[Design, RecordFit] | None:
+        """The likelihood of all rows, those held out among them; None where the answer is of those for training."""
+        motion = design.motion
+        if record is None or not (motion.held_out or whole is not None):
+            return None
+        of_all = build_design(design.terms, motion.whole, allowed=design.allowed)
+        # columns that a single row of those held out decides may be copies of each other there
+        if of_all.names != design.names:
+            if whole is None:
+                return None
+            of_all = design
+        if whole is not None:
+            return of_all, whole.record(record, motion, log)
+        found = refit_record(motion.whole, record, of_all.terms, of_all.train)
+        return None if found is None else (of_all, found)
+
+    def _found(
+        self,
+        design: Design,
+        record: RecordFit | None,
+        constrained: Sequence[Constraints],
+        units: Mapping[str, str],
+        log: WarningLog,
+        scored: Sequence[Equation] = (),
+    ) -> tuple[tuple[Equation, ...], Scores | None, list[Selection]]:
+        """The equations of a likelihood, or of rows; where they were scored before, with those scores."""
+        chains = len(design.motion.roles.chains)
+        regressions = [Regression.of(design, k, record) for k in range(chains)]
+        self.step("inference", 0, chains)
+        fits = fit_equations(regressions, constrained, self.method, self.prior, self.coarsen, self.seed)
+        selections = select(fits, self.rules, design.motion)
+        equations, scores = build_equations(selections, units, log, scored)
+        return equations, scores, selections
+
+
+def _require_likelihood(motion: Motion, record: RecordFit | None, whole: Whole | None) -> None:
+    """Refuse stretches where the band regression would be about all rows together."""
+    if whole is not None and motion.smoothing and record is None:
+        raise NotStreamed(
+            "these channels are fitted by the band regression, which takes all rows together, and not for records that"
+            " are read some rows at a time: measure every coordinate, give fewer terms, or use some rows (--rows)"
+        )
+
+
+def _prepared(
+    records: list[Record], roles: Roles, smooth: Smooth, holdout: float, log: WarningLog
+) -> tuple[list[Record], Roles, float]:
+    """Records without bad samples, divided at gaps that cannot be bridged, chains without channels that were computed
+    from others, and the share of the rows to hold out."""
+    share = held_out_share(holdout, sum(record.n for record in records))
+    require_varying(records, [*roles.measured, *roles.inputs])
+    records, messages = cleaned(records, roles, smooth)
+    log.extend(messages, DataWarning)
+    require_enough(records, roles)
+    records, messages = divided_at_gaps(records, roles, smooth)
+    if smooth != "none" and all(record.time is not None for record in records):
+        chains, computed = measured_apart(records, roles.chains, share)
+        roles, messages = roles.with_chains(chains), messages + computed
+    log.extend(messages, DataWarning)
+    return records, roles, share
+
+
+def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: WarningLog) -> None:
+    """Refuse too few rows, and warn of channels that do not fit each other and of rows that cannot be used in full."""
+    total = sum(record.n for record in records)
+    used, _ = motion.counts
+    if used < LEAST_TRAINING_ROWS:
+        raise RecordError(f"holdout {holdout:g} leaves {used} training rows, too few for a regression; lower it")
+    if holdout > 0 and motion.holdout == 0:
+        log.warn(f"only {total} rows: all are used, none held out to judge the equation by; measure more", DataWarning)
+    present = [bridged_record(record, motion.roles, MOST_BRIDGED) for record in records]
+    log.extend(
+        check_messages(present, [chain.measured for chain in motion.roles.chains], motion.roles.inputs), DataWarning
+    )
+    if any(smoothing.fs is None for smoothing in motion.smoothing):
+        log.warn(
+            "steps of time are uneven, or differ between records: the regression goes row by row instead of in the band"
+            " that the smoother follows, and small terms are harder to find; resample evenly, all records at one rate",
+            DataWarning,
+        )
+
+
+def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Constraints, ...]:
+    """What is known of the coefficients of each equation, among the terms that can be used."""
+    dropped = {term.name: term.reason for term in design.dropped}
+    found = parse_constraints(known, design.terms, design.motion.roles.targets, dropped)
+    if method not in SIGNED and any(one.signs.any() for one in found):
+        raise InputError(f"method {method!r} takes no signs of coefficients; choose one of: {', '.join(SIGNED)}")
+    return found
+
+
+def _screened(
+    terms: Sequence[Expression], motion: Motion, allowed: Bools, constrained: Sequence[Constraints], log: WarningLog
+) -> tuple[tuple[Expression, ...], Bools]:
+    """The candidates of a large dictionary that explain most, and those that something is known of."""
+    forced = np.any([one.concerned for one in constrained], axis=0)
+    kept = screened(terms, motion, allowed, forced, MOST_TERMS)
+    targets = ", ".join(motion.roles.targets)
+    log.warn(
+        f"{len(terms):,} candidates: {len(kept):,} were kept, the simplest and those that explain most of {targets}"
+        " beside them; probabilities are among these. Leave out what cannot be in the equation, and all are compared",
+        TermWarning,
+    )
+    return tuple(terms[int(j)] for j in kept), allowed[:, kept]
+
+
+def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:
+    units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs)
+    log.extend(conflicts, DataWarning)
+    if any(map(counts_rows, records)):  # derivatives that are not measured are per sample
+        return {name: unit for name, unit in units.items() if name in roles.channels}
+    if roles.timed:
+        units[TIME] = "s"
+    return units
+
+
+def _require_unambiguous(terms: Sequence[Expression], records: Sequence[Record], roles: Roles) -> None:
+    """Check that t, pi and e of terms are no channels of records that are neither in a chain nor an input."""
+    for term in terms:
+        written = term.names | term.constants
+        for name in sorted(written.intersection({TIME, *CONSTANTS}).difference(roles.names)):
+            if any(name in record.channels for record in records):
+                meaning = "the time" if name == TIME else f"the number {CONSTANTS[name]:.4g}"
+                raise InputError(
+                    f"term {term.text!r}: {name} is {meaning}, but the record has a channel {name!r} that is no input;"
+                    f" name it as one (inputs=, --input), or give the channel another name"
+                )

@@ -1,0 +1,79 @@
+"""How records are taken: whole, or, where they are long, some rows at a time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from bayeq.discovery.question import NotStreamed, Question
+from bayeq.equation.equations import Equations
+from bayeq.errors import InputError, WarningLog
+from bayeq.likelihood.record_fit import MOST_ROWS
+from bayeq.records import as_records, with_row_numbers
+from bayeq.records.stream import RecordStream, open_streams, streamed_unasked
+from bayeq.streaming.checkpoint import Checkpoints, cache_folder
+from bayeq.streaming.extent import Extent, of_channels, stretches
+from bayeq.streaming.fold import Executor, Threads
+from bayeq.streaming.whole import Whole
+
+__all__ = ["answer_of", "extents_of"]
+
+
+def answer_of(
+    question: Question,
+    records: Any,
+    t: Any = None,
+    stream: bool | None = None,
+    client: Any = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+) -> tuple[Equations, WarningLog]:
+    """The answer to a question, as `bayeq.discover` takes the records."""
+    extents = extents_of(records, t, stream)
+    executor = Threads()
+    if extents is not None:
+        extents = of_channels(extents, [*question.roles.measured, *question.roles.inputs])
+        whole = _whole(question, extents, executor, checkpoint)
+        found = question.answer(stretches(extents), whole)
+        whole.checkpoints.clear()
+        return found
+    measured = with_row_numbers(as_records(records, t))
+    if question.smooth == "auto" and sum(record.n for record in measured) > MOST_ROWS:
+        long = tuple(Extent(RecordStream(record), 0, record.n) for record in measured)
+        try:
+            return question.answer(stretches(long), _whole(question, long, executor, None))
+        except NotStreamed:
+            return question.answer(measured)
+    return question.answer(measured)
+
+
+def extents_of(records: Any, t: Any, stream: bool | None) -> tuple[Extent, ...] | None:
+    """The rows of files that are read some at a time; None of records that are taken whole."""
+    several = isinstance(records, Sequence) and not isinstance(records, (str, bytes))
+    items = list(records) if several else [records]
+    if items and all(isinstance(one, Extent) for one in items):
+        return tuple(items)
+    paths = [one for one in items if isinstance(one, (str, os.PathLike))]
+    if len(paths) < len(items) or not items or stream is False:
+        if stream:
+            raise InputError("stream=True is for files and folders; these are data in memory")
+        return None
+    if not stream and not streamed_unasked(paths):
+        return None
+    if t is not None and not isinstance(t, str):
+        raise InputError("t names the column that is time, of a file")
+    return tuple(Extent(one, 0, one.bounds[-1]) for one in open_streams(paths, time=t))
+
+
+def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, folder: Any) -> Whole:
+    if question.roles.timed:
+        raise NotStreamed("a term uses t, the time, which is not known from row to row of long records; use some rows")
+    if question.smooth == "band" or question.tails == "student":
+        raise NotStreamed(
+            "records that are read some rows at a time are fitted by smooth='auto' or 'none' with tails='gauss'; use"
+            " some rows (--rows), or leave these options out"
+        )
+    place = cache_folder() if folder is None else Path(folder)
+    kept = Checkpoints.of(extents, None if place is None else place / "checkpoints" if folder is None else place)
+    return Whole(extents, executor, question.step, kept)

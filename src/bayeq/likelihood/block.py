@@ -1,0 +1,95 @@
+"""The likelihood of further rows about a fit: what a long record adds to that of some of its stretches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.likelihood.filter import run_filter
+from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, corrections, information
+from bayeq.likelihood.layout import Candidates
+from bayeq.likelihood.search import Task, with_mean_signs
+from bayeq.likelihood.signs import jumps_of
+from bayeq.likelihood.start import series_and_paths
+from bayeq.states import MotionRows
+
+__all__ = ["Block", "block_of"]
+
+Floats = NDArray[np.float64]
+
+# Steps of the path at most, and the deviation, in standard deviations of a state, that ends them.
+STEPS, NEAR = 6, 3e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """What the likelihood says of some rows.
+
+    Attributes
+    ----------
+    quadratic : Quadratic
+        The log likelihood of all candidates about zero.
+    samples : float
+        Number of samples.
+    lost : int
+        Rows of which it could not be evaluated.
+    """
+
+    quadratic: Quadratic
+    samples: float
+    lost: int = 0
+
+    def __add__(self, other: Block) -> Block:
+        a, b = self.quadratic, other.quadratic
+        q = Quadratic(a.level + b.level, a.slope + b.slope, a.information + b.information)
+        return Block(q, self.samples + other.samples, self.lost + other.lost)
+
+
+def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
+    """The likelihood of rows given the coefficients, levels and prior of a fit, about the path that is likeliest there.
+
+    Parameters
+    ----------
+    task, state : Task, State
+        What other rows of the same system were explained by.
+    pieces : sequence of MotionRows
+        Rows, smoothed.
+    """
+    size, rows = len(task.precision), sum(piece.n for piece in pieces)
+    try:
+        series, paths = series_and_paths(task.layout, pieces)
+        own, here = replace(task, series=series, recent=[]), replace(state, paths=paths)
+        # jumps of other terms are averaged as they were in the fit
+        found = _at_its_path(with_mean_signs(own, here) if _jumps(task, state) else own, here)
+    except np.linalg.LinAlgError:
+        found = None
+    if found is None or not (np.isfinite(found.slope).all() and np.isfinite(found.information).all()):
+        return Block(Quadratic(0.0, np.zeros(size), np.zeros((size, size))), 0.0, rows)
+    return Block(found, own.rows)
+
+
+def _jumps(task: Task, state: State) -> bool:
+    """Whether a term of the model jumps."""
+    terms = task.layout.terms
+    return any(next(jumps_of(terms[j].tree), None) is not None for j in state.chosen.term if j < len(terms))
+
+
+def _at_its_path(task: Task, state: State) -> Quadratic:
+    """The likelihood linearised about the path that the coefficients and the samples make likeliest."""
+    none = np.zeros(0)
+    nothing = Candidates(none.astype(np.int64), none.astype(np.int64))
+    spread = np.sqrt(state.levels.scales.variance)
+    for _ in range(STEPS):
+        linears = task.linearised(state)
+        filtered = tuple(run_filter(linear, nothing, state.levels.noise) for linear in linears)
+        about = Statistics(0.0, none, np.zeros((0, 0)), filtered)
+        found = adjoints(linears, state.levels, about, none, curved=True)
+        if max(float(np.abs(one.deviation / spread).max()) for one in found) < NEAR:
+            break
+        state = replace(state, paths=tuple(path + one.deviation for path, one in zip(state.paths, found, strict=True)))
+        task.recent.clear()
+    curved = corrections(task.layout, task.series, linears, found)
+    return information(task.layout, task.series, linears, state, curved)

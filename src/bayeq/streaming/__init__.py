@@ -1,0 +1,1 @@
+"""Statistics of records that are read some rows at a time: sums over units of rows."""

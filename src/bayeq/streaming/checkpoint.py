@@ -1,0 +1,160 @@
+"""Sums on the way, kept in files, so that a run that is killed goes on where it was.
+
+A file holds the number of units done and the sum over them, as a NumPy archive of plain arrays: nothing in it is code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time as clock
+import zipfile
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayeq.gram.gram import Moments
+from bayeq.likelihood.block import Block
+from bayeq.likelihood.fit import Quadratic
+from bayeq.records.atomic import replacing
+from bayeq.records.stream import FileStream
+from bayeq.streaming.extent import Extent
+from bayeq.streaming.moments import Folded
+from bayeq.streaming.residuals import Lagged
+from bayeq.streaming.work import OfRows
+
+__all__ = ["Checkpoint", "Checkpoints", "cache_folder"]
+
+# A sum is kept no more often than this [s].
+EVERY = 10.0
+
+# What a file may hold.
+KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in (OfRows, Folded, Moments, Block, Quadratic, Lagged)}
+
+
+def cache_folder() -> Path | None:
+    """The user's folder for what can be computed again; None where there is no home."""
+    given = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    if given:
+        return Path(given) / "bayeq"
+    try:
+        return Path.home() / ".cache" / "bayeq"
+    except RuntimeError:
+        return None
+
+
+@dataclass(eq=False)
+class Checkpoint:
+    """One sum.
+
+    Attributes
+    ----------
+    path : Path or None
+        The file; None keeps nothing.
+    saved : float
+        When it was kept last.
+    """
+
+    path: Path | None
+    saved: float = field(default_factory=clock.monotonic)
+
+    def load(self) -> tuple[int, Any]:
+        """The number of units done, and their sum; (0, None) where there is nothing, or a damaged file."""
+        if self.path is None or not self.path.is_file():
+            return 0, None
+        try:
+            with self.path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+                about = json.loads(bytes(file["about"]).decode())
+                return int(about["done"]), _rebuilt(about["sum"], file)
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+            return 0, None
+
+    def save(self, done: int, total: Any, last: bool) -> None:
+        """Keep a sum, if it is time, or the last one of a long run; a folder that cannot be written keeps nothing."""
+        now = clock.monotonic()
+        if self.path is None or (now - self.saved < EVERY and not (last and self.path.exists())):
+            return
+        arrays: dict[str, Any] = {}
+        about = {"done": done, "sum": _taken_apart(total, arrays)}
+        with suppress(OSError):
+            self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with replacing(self.path) as part, part.open("wb") as file:
+                np.savez(file, about=np.frombuffer(json.dumps(about).encode(), dtype=np.uint8), **arrays)
+        self.saved = now
+
+
+@dataclass(eq=False)
+class Checkpoints:
+    """The sums of one run.
+
+    Attributes
+    ----------
+    folder : Path or None
+        Where they are kept; None keeps nothing.
+    about : str
+        What tells this run from others: the files, their sizes and times of change.
+    """
+
+    folder: Path | None
+    about: str = ""
+    used: list[Checkpoint] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, extents: Sequence[Extent], folder: Path | None) -> Checkpoints:
+        """Of rows of files; of records in memory nothing is kept."""
+        about = []
+        for one in extents:
+            path = getattr(one.stream.rows, "path", None) if isinstance(one.stream, FileStream) else None
+            if not isinstance(path, Path):
+                return cls(None)
+            stat = path.stat()
+            about.append((str(path.resolve()), stat.st_size, stat.st_mtime_ns, one.start, one.stop, repr(one.stream)))
+        return cls(folder, repr(about))
+
+    def of_stage(self, stage: str, about: object) -> Checkpoint:
+        """The sum of a stage that depends on what `about` says."""
+        if self.folder is None:
+            return Checkpoint(None)
+        key = hashlib.sha256(f"{self.about}|{stage}|{about!r}".encode()).hexdigest()[:32]
+        found = Checkpoint(self.folder / f"{key}.npz")
+        self.used.append(found)
+        return found
+
+    def clear(self) -> None:
+        """Forget the sums: the run is through."""
+        for one in self.used:
+            if one.path is not None:
+                with suppress(OSError):
+                    one.path.unlink(missing_ok=True)
+        self.used.clear()
+
+
+def _taken_apart(value: Any, arrays: dict[str, Any]) -> Any:
+    """A sum as JSON, its arrays aside."""
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = {one.name: _taken_apart(getattr(value, one.name), arrays) for one in fields(value)}
+        return {"kind": type(value).__name__, "parts": parts}
+    if isinstance(value, np.ndarray):
+        name = f"a{len(arrays)}"
+        arrays[name] = value
+        return {"array": name}
+    if value is None:
+        return None
+    if isinstance(value, (bool, int)):
+        return {"whole": int(value)}
+    return {"number": float(value).hex()}
+
+
+def _rebuilt(node: Any, arrays: Any) -> Any:
+    if node is None:
+        return None
+    if "kind" in node:
+        return KINDS[node["kind"]](**{name: _rebuilt(part, arrays) for name, part in node["parts"].items()})
+    if "array" in node:
+        return arrays[node["array"]]
+    return int(node["whole"]) if "whole" in node else float.fromhex(node["number"])

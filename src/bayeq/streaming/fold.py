@@ -1,0 +1,95 @@
+"""``fold``: the sum of what is computed of every unit of rows, in the order of the rows whoever computes it."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Protocol, TypeVar
+
+from threadpoolctl import threadpool_limits
+
+from bayeq.streaming.extent import Unit
+
+__all__ = ["Executor", "Threads", "fold"]
+
+T = TypeVar("T")
+Progress = Callable[[str, int, int], None]
+
+
+class Executor(Protocol):
+    """Who computes."""
+
+    def map(self, work: Callable[[Unit], T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
+        """What is computed of consecutive units, in order: how many of them, and their sum."""
+        ...
+
+
+class Threads:
+    """Threads of this process, as many as there are cores; few units are in memory at a time."""
+
+    def __init__(self, workers: int | None = None) -> None:
+        self.workers = (
+            workers or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        )
+
+    def map(self, work: Callable[[Unit], T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
+        """One unit after the other."""
+        waiting: deque[Any] = deque()
+        left = iter(units)
+        with threadpool_limits(1), ThreadPoolExecutor(self.workers) as pool:
+            try:
+                for unit in left:
+                    waiting.append(pool.submit(work, unit))
+                    if len(waiting) > self.workers:
+                        yield 1, waiting.popleft().result()
+                while waiting:
+                    yield 1, waiting.popleft().result()
+            finally:
+                for one in waiting:
+                    one.cancel()
+
+
+def fold(
+    work: Callable[[Unit], T],
+    units: Sequence[Unit],
+    executor: Executor,
+    progress: Progress,
+    stage: str,
+    kept: Any = None,
+) -> T:
+    """The sum over units, of at least one.
+
+    Parameters
+    ----------
+    work : callable
+        Computes something of a unit that can be added.
+    units : sequence of Unit
+        The units, in order.
+    executor : Executor
+        Who computes.
+    progress : callable
+        Called with (stage, rows done, rows in all).
+    stage : str
+        What it is called there.
+    kept : Checkpoint, optional
+        Where the sum so far is kept, and taken from.
+    """
+    done, total = (0, None) if kept is None else kept.load()
+    rows, every = sum(unit.n for unit in units[:done]), sum(unit.n for unit in units)
+    progress(stage, rows, every)
+    try:
+        for count, part in executor.map(work, units[done:]):
+            total = part if total is None else total + part
+            rows += sum(unit.n for unit in units[done : done + count])
+            done += count
+            progress(stage, rows, every)
+            if kept is not None:
+                kept.save(done, total, last=done == len(units))
+    except BaseException:
+        if kept is not None and total is not None:
+            kept.save(done, total, last=True)
+        raise
+    assert total is not None
+    return total

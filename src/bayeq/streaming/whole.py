@@ -1,0 +1,142 @@
+"""``Whole``: all rows of long records, whose statistics replace those of the stretches that were looked at first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import DataWarning, RecordError, WarningLog
+from bayeq.expressions import Expression
+from bayeq.gram.gram import from_moments
+from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.record_fit import RecordFit
+from bayeq.regression.design import Design, usable_terms
+from bayeq.regression.residuals import Residuals
+from bayeq.states import Motion
+from bayeq.streaming.checkpoint import Checkpoints
+from bayeq.streaming.extent import Extent, Unit, units_of
+from bayeq.streaming.fold import Executor, fold
+from bayeq.streaming.residuals import LaggedResiduals, with_all_rows
+from bayeq.streaming.work import BLOCK_ROWS, AsMeasured, ByLikelihood
+
+__all__ = ["Whole"]
+
+Bools = NDArray[np.bool_]
+Progress = Callable[[str, int, int], None]
+
+# Of many units these first, evenly spread, so that the likelihood of all is taken near its maximum.
+SPREAD = 16
+
+# Passes over all rows until the included terms stay.
+PASSES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """All rows.
+
+    Attributes
+    ----------
+    extents : tuple of Extent
+        The rows of each record.
+    executor : Executor
+        Who computes.
+    progress : callable
+        Called with (stage, rows done, rows in all).
+    checkpoints : Checkpoints
+        Where sums are kept on the way.
+    """
+
+    extents: tuple[Extent, ...]
+    executor: Executor
+    progress: Progress
+    checkpoints: Checkpoints
+
+    @property
+    def n(self) -> int:
+        """Number of rows."""
+        return sum(one.n for one in self.extents)
+
+    def counts(self, share: float) -> tuple[int, int]:
+        """Rows for training, and held out."""
+        used = sum(one.cut(share) - one.start for one in self.extents)
+        return used, self.n - used
+
+    def design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, share: float, clean: bool) -> Design:
+        """A dictionary on the motion of stretches, with the statistics of all rows as they are.
+
+        Parameters
+        ----------
+        motion : Motion
+            Of stretches.
+        terms, allowed
+            As for `bayeq.regression.design.build_design`.
+        share : float
+            Of the rows of each record, the last, that are held out.
+        clean : bool
+            Whether bad samples and rows with missing ones are left out; otherwise the latter are an error.
+
+        Raises
+        ------
+        InputError
+            No candidate can be used; missing samples.
+        """
+        roles, terms = motion.roles, tuple(terms)
+        work = AsMeasured(self.extents, roles, terms, share, clean)
+        names, targets = tuple(term.text for term in terms), len(roles.targets)
+        found = self._fold(work, units_of(self.extents), "rows", (names, roles, share, clean))
+        if found.train.moments is None:
+            raise RecordError("no row can be used for training: each has a missing sample")
+        train = from_moments(found.train.moments, names, targets)
+        held = () if found.held_out.moments is None else from_moments(found.held_out.moments, names, targets)
+        whole = Design(motion, terms, train, held, (), (), allowed)
+        whole = usable_terms(whole, train, held, found.train.bad + found.held_out.bad, self.n)
+        return replace(whole, scan=partial(self.residuals, work, whole))
+
+    def record(self, former: RecordFit, motion: Motion, log: WarningLog) -> RecordFit:
+        """The likelihood of all rows about the fit to some of them."""
+        units = units_of(self.extents, BLOCK_ROWS)
+        found = former
+        if len(units) > 2 * SPREAD:
+            some = [units[k] for k in np.linspace(0, len(units) - 1, SPREAD).round().astype(int).tolist()]
+            found, _ = self._about(found, former, motion, some, "likelihood of some rows")
+        for _ in range(PASSES):
+            before = found
+            found, lost = self._about(before, former, motion, units, "likelihood of all rows")
+            if (found.posterior.support == before.posterior.support).all():
+                break
+        if lost:
+            log.warn(
+                f"of {lost:,} of {self.n:,} rows the likelihood could not be evaluated near their motion: the answer is"
+                " about the others; look at these rows, or leave them out (--rows)",
+                DataWarning,
+            )
+        return found
+
+    def _about(
+        self, at: RecordFit, former: RecordFit, motion: Motion, units: Sequence[Unit], stage: str
+    ) -> tuple[RecordFit, int]:
+        """The likelihood of some units about where a fit stands, and the rows that it is not of."""
+        state = at.fitted.state
+        work = ByLikelihood.of(self.extents, motion, former.task, state)
+        about = (motion.roles, state.chosen.term.tolist(), state.theta.tolist(), state.levels.free.tolist())
+        block = self._fold(work, units, stage, about)
+        return RecordFit.of_more(former, block.quadratic, block.samples), block.lost
+
+    def residuals(self, work: AsMeasured, design: Design, k: int, posterior: Posterior, found: Residuals) -> Residuals:
+        """What was found of residuals of stretches, with the correlation of those of all training rows."""
+        kept = np.flatnonzero(posterior.support)
+        gram = design.train[k]
+        mean = gram.target_mean - float(gram.mean[kept] @ posterior.coef[kept])
+        terms = tuple(design.terms[int(j)] for j in kept)
+        lagged = LaggedResiduals(work, design.motion.roles.targets[k], terms, posterior.coef[kept], mean)
+        about = (work.roles, design.names, posterior.coef.tolist(), k, work.share, work.clean)
+        return with_all_rows(found, self._fold(lagged, units_of(self.extents), "residuals", about))
+
+    def _fold(self, work: Any, units: Sequence[Unit], stage: str, about: object) -> Any:
+        return fold(work, units, self.executor, self.progress, stage, self.checkpoints.of_stage(stage, (about, units)))

@@ -1,0 +1,150 @@
+"""What is computed of every unit of rows: moments of rows as they are, or the likelihood about a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import RecordError
+from bayeq.expressions import Expression
+from bayeq.likelihood.block import Block, block_of
+from bayeq.likelihood.fit import State
+from bayeq.likelihood.search import Task
+from bayeq.states import Motion, Roles
+from bayeq.states.derive import derive_states, require_usable
+from bayeq.states.missing import complete_rows, has_all
+from bayeq.states.motion import further_rows
+from bayeq.states.prepare import cleaned, divided_at_gaps
+from bayeq.streaming.extent import Extent, Unit
+from bayeq.streaming.moments import Folded, fold_columns
+
+__all__ = ["BLOCK_ROWS", "AsMeasured", "ByLikelihood", "OfRows"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+#: Rows whose likelihood is computed together: of the state before them nothing is known, which costs what some hundred
+#: rows tell; and the memory of 1 kB a row.
+BLOCK_ROWS = 2**16
+
+
+@dataclass(frozen=True)
+class OfRows:
+    """Moments of training rows and of rows held out, and the times between which they are.
+
+    Attributes
+    ----------
+    train, held_out : Folded
+        Their moments.
+    extent : int
+        The extent of the last row.
+    first, last : float
+        Times of the first row and of the last one; NaN where they are not known.
+    """
+
+    train: Folded
+    held_out: Folded
+    extent: int
+    first: float
+    last: float
+
+    def __add__(self, other: OfRows) -> OfRows:
+        if self.extent == other.extent and other.first <= self.last:
+            raise RecordError(
+                f"record {other.extent + 1}: time goes back from {self.last:.9g} to {other.first:.9g} s; sort the"
+                " rows by time"
+            )
+        return OfRows(self.train + other.train, self.held_out + other.held_out, other.extent, self.first, other.last)
+
+
+@dataclass(frozen=True)
+class AsMeasured:
+    """Moments of the rows as they are, states that are not measured by central differences.
+
+    Attributes
+    ----------
+    extents : tuple of Extent
+        The rows.
+    roles : Roles
+        Chains and inputs.
+    terms : tuple of Expression
+        The candidates.
+    share : float
+        Of the rows of each extent, the last, held out.
+    clean : bool
+        Whether bad samples and rows with missing ones are left out; otherwise the latter are an error.
+    """
+
+    extents: tuple[Extent, ...]
+    roles: Roles
+    terms: tuple[Expression, ...]
+    share: float
+    clean: bool
+
+    def __call__(self, unit: Unit) -> OfRows:
+        columns, train, (first, last) = self.columns(unit)
+        parts = [fold_columns(self.terms, columns, self.roles.targets, chosen) for chosen in (train, ~train)]
+        return OfRows(parts[0], parts[1], unit.extent, first, last)
+
+    def columns(self, unit: Unit) -> tuple[dict[str, Floats], Bools, tuple[float, float]]:
+        """States, inputs and targets of the rows, which of them are for training, and the first and the last time."""
+        extent = self.extents[unit.extent]
+        # central differences look at the rows beside
+        reach = max(chain.order for chain in self.roles.chains) if self._estimates else 0
+        start, stop = max(unit.start - reach, extent.start), min(unit.stop + reach, extent.stop)
+        record = extent.read(start, stop)
+        own = slice(unit.start - start, unit.stop - start)
+        between = (np.nan, np.nan) if record.time is None else (float(record.time[own][0]), float(record.time[own][-1]))
+        rows = np.arange(start, stop)
+        if self.clean:
+            (record,), _ = cleaned([record], self.roles, "auto")
+            record, rows = complete_rows(record, self.roles), rows[has_all(record, self.roles)]
+        else:
+            require_usable(record, self._channels)
+        found = derive_states(record, self.roles.chains, self.roles.inputs, "none").columns
+        inner = (rows >= unit.start) & (rows < unit.stop)
+        columns = {name: values if inner.all() else values[inner] for name, values in found.items()}
+        return columns, rows[inner] < extent.cut(self.share), between
+
+    @property
+    def _channels(self) -> tuple[str, ...]:
+        return (*self.roles.measured, *self.roles.inputs)
+
+    @property
+    def _estimates(self) -> bool:
+        return any(name is None for chain in self.roles.chains for name in chain.measured)
+
+
+@dataclass(frozen=True)
+class ByLikelihood:
+    """The likelihood of the rows about a fit to some of them.
+
+    Attributes
+    ----------
+    extents : tuple of Extent
+        The rows.
+    motion : Motion
+        How rows are smoothed; its own rows are not needed.
+    task, state : Task, State
+        The fit.
+    """
+
+    extents: tuple[Extent, ...]
+    motion: Motion
+    task: Task
+    state: State
+
+    @classmethod
+    def of(cls, extents: Sequence[Extent], motion: Motion, task: Task, state: State) -> ByLikelihood:
+        """Without the rows and paths of the fit, so that it is small."""
+        motion = replace(motion, records=(), cuts=())
+        task = replace(task, series=(), recent=[])
+        return cls(tuple(extents), motion, task, replace(state, paths=()))
+
+    def __call__(self, unit: Unit) -> Block:
+        record, roles = self.extents[unit.extent].read(unit.start, unit.stop), self.motion.roles
+        pieces, _ = divided_at_gaps(cleaned([record], roles, "auto")[0], roles, "auto")
+        return block_of(self.task, self.state, [further_rows(piece, self.motion) for piece in pieces if piece.n > 1])

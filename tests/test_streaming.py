@@ -1,0 +1,422 @@
+"""Records that are read some rows at a time: the same answer as in memory, and sums that survive."""
+
+from __future__ import annotations
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import bayeq as bq
+from bayeq.cli.app import main
+from bayeq.discovery.sources import extents_of
+from bayeq.errors import FileFormatError, InputError, RecordError
+from bayeq.expressions import parse
+from bayeq.gram.gram import from_moments, grams_from_data
+from bayeq.records.stream import RecordStream, open_streams, units_between
+from bayeq.regression.residuals import inspect_residuals
+from bayeq.streaming.checkpoint import Checkpoint
+from bayeq.streaming.extent import Extent, stretches, units_of
+from bayeq.streaming.fold import Threads, fold
+from bayeq.streaming.moments import Folded, fold_columns
+from bayeq.streaming.residuals import LAGS, Lagged
+from bayeq.streaming.work import OfRows
+
+OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
+TERMS = [
+    parse(text)
+    for text in ("x", "v", "x**2*v", "sign(v)", "v*abs(x)", "exp(x)", "max(x, v)", "x/(1 + v**2)", "tanh(u)")
+]
+
+
+@pytest.fixture(scope="module")
+def record():
+    return bq.simulate("duffing", n=60_000, seed=3)
+
+
+@pytest.fixture(autouse=True)
+def small_units(monkeypatch):
+    """Units of few rows, so that short files have several."""
+    for module in ("rows", "parquet", "text"):
+        monkeypatch.setattr(f"bayeq.records.stream.{module}.UNIT_ROWS", 7000)
+    monkeypatch.setattr("bayeq.records.stream.rows.grid.__defaults__", (7000,))
+
+
+def written(record, path):
+    if path.suffix == ".npy":
+        np.save(path, np.column_stack([record.time, *(record[name] for name in record.names)]))
+    elif path.suffix == ".parquet":
+        pa = pytest.importorskip("pyarrow", reason="needs the extra parquet")
+        import pyarrow.parquet as pq
+
+        table = pa.table({"t": record.time, **{name: record[name] for name in record.names}})
+        pq.write_table(table, path, row_group_size=5000)
+    else:
+        bq.write(record, path)
+    return path
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["r.parquet", "r.csv", "r.tsv", "r.h5", "r.npy"])
+def test_rows_of_a_file_are_those_that_reading_it_gives(name, record, tmp_path):
+    path = written(record, tmp_path / name)
+    whole = bq.read(path)
+    (stream,) = open_streams([path])
+    assert stream.bounds[0] == 0
+    assert stream.bounds[-1] == record.n
+    assert len(stream.bounds) > 5
+    channels = list(whole.names)[-2:]
+    for start, stop in ((0, 10), (6999, 7001), (12_345, 40_000), (59_999, 60_000)):
+        part = stream.of(channels).read(start, stop)
+        assert sorted(part.names) == sorted(channels)
+        for channel in channels:
+            np.testing.assert_array_equal(part[channel], whole[channel][start:stop])
+        if whole.time is not None:
+            np.testing.assert_array_equal(part.time, whole.time[start:stop])
+
+
+def test_units_and_rates_come_with_the_rows(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text("time [ms],x [mm]\n" + "".join(f"{k * 2},{k % 7}\n" for k in range(20_000)))
+    (stream,) = open_streams([path])
+    part = stream.read(9000, 9010)
+    assert part.units["x"] == "mm"
+    assert part.time[0] == 18.0
+    (by_rate,) = open_streams([path], fs=500.0)
+    assert by_rate.read(9000, 9010).time[0] == 18.0
+
+
+@pytest.mark.parametrize("text", ["x,v\n1,2\n\n3,4\n", "x,v\r\n1,2\r\n3,4\r\n\r\n", "x,v\n1,2\n3,4"])
+def test_lines_that_are_empty_are_no_rows(text, tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_bytes(text.encode())
+    (stream,) = open_streams([path])
+    assert stream.bounds == (0, 2)
+    np.testing.assert_array_equal(stream.read(0, 2)["v"], [2.0, 4.0])
+
+
+def test_a_folder_is_its_files_in_the_order_of_their_numbers(record, tmp_path):
+    for k in (10, 2, 1):
+        written(record.take(slice(k * 100, k * 100 + 50)), tmp_path / f"part-{k}.csv")
+    (tmp_path / "notes.doc").write_text("no record")
+    assert [stream.name for stream in open_streams([tmp_path])] == ["part-1.csv", "part-2.csv", "part-10.csv"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.csv", "x,v\n1,2\n3,word\n", "word"),
+        ("a.csv", "t,x\n2024-01-01 10:00:00,1\n2024-01-01 10:00:01,2\n", "dates"),
+        ("a.wav", "RIFF....WAVE", "not read some rows at a time"),
+        ("a.npy", "no array", "npy"),
+        ("a.parquet", "PAR1 nothing", "Parquet"),
+    ],
+)
+def test_a_file_that_cannot_be_streamed_says_why(name, text, message, tmp_path):
+    (tmp_path / name).write_text(text)
+
+    def read():
+        (stream,) = open_streams([tmp_path / name])
+        return stream.read(0, stream.bounds[-1])
+
+    with pytest.raises(FileFormatError, match=message) as error:
+        read()
+    assert name in str(error.value)
+
+
+def test_a_file_that_changes_while_it_is_read_is_refused(record, tmp_path):
+    path = written(record, tmp_path / "r.npy")
+    (stream,) = open_streams([path])
+    assert stream.bounds[-1] == record.n
+    written(record.take(slice(0, 500)), path)
+    with pytest.raises(FileFormatError, match="changed"):
+        stream.read(0, 100)
+
+
+# --- sums ------------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 9000), st.integers(0, 10**6), st.sampled_from([1e-6, 1.0, 1e8]))
+def test_moments_of_blocks_are_those_of_all_rows(n, seed, offset):
+    rng = np.random.default_rng(seed)
+    columns = {name: rng.normal(size=n) for name in "xvu"}
+    columns["a"] = offset + columns["x"]
+    found = fold_columns(TERMS, columns, ["a"], None).moments
+    from bayeq.dictionary import evaluate_terms
+
+    slow = grams_from_data(evaluate_terms(TERMS, columns), columns["a"][:, None])[0]
+    fast = from_moments(found, slow.names, 1)[0]
+    scale = np.sqrt(np.outer(slow.diagonal, slow.diagonal)) + 1e-300
+    np.testing.assert_allclose(fast.DtD / scale, slow.DtD / scale, atol=1e-11)
+    np.testing.assert_allclose(fast.mean, slow.mean, rtol=1e-11, atol=1e-13)
+    # the target's offset leaves that many digits of its products
+    np.testing.assert_allclose(fast.Dty, slow.Dty, atol=1e-11 * n * max(1.0, offset * 1e-5))
+
+
+def test_values_without_a_square_are_counted_and_taken_as_zero():
+    columns = {"x": np.array([1.0, 1e200, 3.0, -2.0]), "a": np.array([1.0, 2.0, 3.0, 4.0])}
+    found = fold_columns([parse("x"), parse("1/(x - 3)")], columns, ["a"], None)
+    assert found.bad.tolist() == [1, 1]
+    assert found.moments.mean[0] == pytest.approx(0.5)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.integers(1, 9000), min_size=1, max_size=5), st.integers(0, 10**6))
+def test_autocorrelation_of_units_is_that_of_all_rows(lengths, seed):
+    rng = np.random.default_rng(seed)
+    e = np.convolve(rng.normal(size=sum(lengths)), [0.5, 0.3, 0.2])[: sum(lengths)]
+    parts = np.split(e, np.cumsum(lengths)[:-1])
+    total = Lagged.of(parts[0], 0)
+    for part in parts[1:]:
+        total = total + Lagged.of(part, 0)
+    direct = np.array([e[k:] @ e[: len(e) - k] for k in (0, 1, 5, 100) if k < len(e)])
+    lags = [k for k in (0, 1, 5, 100) if k < len(e)]
+    np.testing.assert_allclose(total.products[lags], direct, atol=1e-9 * len(e))
+    assert total.n == len(e)
+    assert len(total.products) == LAGS
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 100), st.integers(1, 40), st.data())
+def test_units_cover_every_row_once(n, unit, data):
+    start = data.draw(st.integers(0, n))
+    stop = data.draw(st.integers(start, n))
+    bounds = (*range(0, n, unit), n)
+    rows = [row for a, b in units_between(bounds, start, stop) for row in range(a, b)]
+    assert rows == list(range(start, stop))
+
+
+# --- the answer ------------------------------------------------------------------------------------------------------
+
+
+def quietly(*args, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return bq.discover(*args, **OSCILLATOR, **options)
+
+
+def compare(found, expected, rtol, pip=1e-6):
+    a, b = found.table(), expected.table()
+    assert a.term.tolist() == b.term.tolist()
+    assert a.included.tolist() == b.included.tolist()
+    np.testing.assert_allclose(a.coef, b.coef, rtol=rtol)
+    np.testing.assert_allclose(a.sd, b.sd, rtol=rtol)
+    np.testing.assert_allclose(a.pip, b.pip, atol=pip)
+
+
+@pytest.mark.parametrize("name", ["r.parquet", "r.csv", "r.h5"])
+def test_without_smoothing_the_answer_is_that_in_memory(name, record, tmp_path):
+    path = written(record, tmp_path / name)
+    found, expected = quietly(path, smooth="none", stream=True), quietly(path, smooth="none", stream=False)
+    compare(found, expected, rtol=1e-8)
+    assert found[0].train.n == expected[0].train.n == 48_000
+    assert found[0].held_out.r2 == pytest.approx(expected[0].held_out.r2, abs=1e-10)
+    assert (found.data.n, found.data.stretches > 0) == (60_000, True)
+
+
+def test_derivatives_by_differences_do_not_see_where_units_meet(record, tmp_path):
+    path = written(record, tmp_path / "r.parquet")
+    options = {"chains": "x:v:", "inputs": ["u"], "dictionary": ["x", "v", "x**3", "u"], "smooth": "none"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found, expected = (bq.discover(path, **options, stream=stream) for stream in (True, False))
+    compare(found, expected, rtol=1e-6)
+
+
+def test_correlated_residuals_count_as_in_memory(tmp_path):
+    rng = np.random.default_rng(0)
+    n = 60_000
+    x, v = rng.normal(size=(2, n))
+    noise = np.convolve(rng.normal(size=n), np.full(20, 1.0 / 20.0))[:n]
+    rec = bq.Record({"x": x, "v": v, "u": rng.normal(size=n), "a": -3.0 * x - 0.1 * v + noise}, np.arange(n) / 100.0)
+    path = written(rec, tmp_path / "r.parquet")
+    found, expected = quietly(path, smooth="none", stream=True), quietly(path, smooth="none", stream=False)
+    assert inspect_residuals([noise]).correlated
+    compare(found, expected, rtol=1e-7)
+
+
+def test_the_likelihood_of_all_rows_is_that_in_memory(record, tmp_path, monkeypatch):
+    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 300)
+    record = record.take(slice(0, 21_000))
+    path = written(record, tmp_path / "r.parquet")
+    found, expected = quietly(path, stream=True), quietly(path, stream=False)
+    assert found[0].included == expected[0].included == ("x", "v", "x**3", "u")
+    for name in found[0].included:
+        sd = expected.table().set_index("term").sd[name]
+        # units of 7,000 rows, of whose first states nothing is known, leave out some of what the record tells
+        assert abs(found[0].coef[name] - expected[0].coef[name]) < 0.35 * sd
+    assert found.data.n == record.n
+    assert found.verdict.kind == expected.verdict.kind == "found"
+
+
+def test_any_number_of_threads_gives_the_same_bytes(record):
+    extents = (Extent(RecordStream(record), 0, record.n),)
+    from bayeq.states import Roles
+    from bayeq.streaming.work import AsMeasured
+
+    work = AsMeasured(extents, Roles.parse(**OSCILLATOR), tuple(TERMS), 0.2, clean=False)
+    sums = [fold(work, units_of(extents), Threads(k), lambda *_: None, "rows") for k in (1, 2, 5)]
+    for other in sums[1:]:
+        assert other.train.moments.cross.tobytes() == sums[0].train.moments.cross.tobytes()
+
+
+def test_stretches_are_spread_over_all_rows(record):
+    found = stretches([Extent(RecordStream(record), 0, 60_000), Extent(RecordStream(record), 0, 2000)])
+    assert sum(one.n for one in found) <= 55_000
+    assert found[0].time[0] == record.time[0]
+    assert found[-2].time[-1] == record.time[-1]
+    assert found[-1].n == 2000
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dictionary": "x, v, sin(t)"}, "time"),
+        ({"smooth": "band"}, "smooth"),
+        ({"tails": "student"}, "tails"),
+    ],
+)
+def test_what_takes_whole_records_is_refused(options, message, record, tmp_path):
+    path = written(record, tmp_path / "r.npz")
+    path = written(record, tmp_path / "r.h5")
+    with pytest.raises(InputError, match=message):
+        quietly(path, stream=True, **options)
+
+
+def test_time_that_goes_back_between_units_is_refused(record, tmp_path):
+    time = np.asarray(record.time).copy()
+    time[7000:] -= 3.0
+    (tmp_path / "r.csv").write_text("")
+    pa = pytest.importorskip("pyarrow", reason="needs the extra parquet")
+    import pyarrow.parquet as pq
+
+    table = pa.table({"t": time, **{name: record[name] for name in record.names}})
+    pq.write_table(table, tmp_path / "r.parquet", row_group_size=7000)
+    with pytest.raises(RecordError, match=r"t.*from 6.999"):
+        quietly(tmp_path / "r.parquet", stream=True, smooth="none")
+
+
+def test_times_are_compared_where_units_meet():
+    nothing = Folded(None, np.zeros(1, dtype=np.int64))
+    first = OfRows(nothing, nothing, 0, 0.0, 6.9)
+    assert (first + OfRows(nothing, nothing, 0, 7.0, 8.0)).last == 8.0
+    assert (first + OfRows(nothing, nothing, 1, 0.0, 8.0)).last == 8.0
+    with pytest.raises(RecordError, match=r"record 1: time goes back from 6.9 to 6.8 s"):
+        _ = first + OfRows(nothing, nothing, 0, 6.8, 8.0)
+
+
+def test_missing_samples_are_an_error_without_smoothing(record, tmp_path):
+    x = np.asarray(record["x"]).copy()
+    x[33_333] = np.nan
+    rec = bq.Record({**record.channels, "x": x}, record.time)
+    path = written(rec, tmp_path / "r.csv")
+    with pytest.raises(RecordError, match="x"):
+        quietly(path, stream=True, smooth="none")
+
+
+# --- sums on the way -------------------------------------------------------------------------------------------------
+
+
+def test_a_sum_that_is_kept_goes_on_where_it_was(record, tmp_path, monkeypatch):
+    from bayeq.states import Roles
+    from bayeq.streaming.work import AsMeasured
+
+    monkeypatch.setattr("bayeq.streaming.checkpoint.EVERY", 0.0)
+    extents = (Extent(RecordStream(record), 0, record.n),)
+    work = AsMeasured(extents, Roles.parse(**OSCILLATOR), tuple(TERMS), 0.2, clean=False)
+    units = units_of(extents)
+    whole = fold(work, units, Threads(1), lambda *_: None, "rows")
+    done = []
+
+    def stopped(unit):
+        if len(done) == 4:
+            raise KeyboardInterrupt
+        done.append(unit)
+        return work(unit)
+
+    path = tmp_path / "sum.npz"
+    with pytest.raises(KeyboardInterrupt):
+        fold(stopped, units, Threads(1), lambda *_: None, "rows", Checkpoint(path))
+    count, _ = Checkpoint(path).load()
+    assert 2 <= count <= 4
+    seen = []
+
+    def counted(unit):
+        seen.append(unit)
+        return work(unit)
+
+    again = fold(counted, units, Threads(1), lambda *_: None, "rows", Checkpoint(path))
+    assert seen == units[count:]
+    assert again.train.moments.cross.tobytes() == whole.train.moments.cross.tobytes()
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 damaged", b"\x93NUMPY"])
+def test_a_damaged_sum_is_no_sum(content, tmp_path):
+    path = tmp_path / "sum.npz"
+    path.write_bytes(content)
+    assert Checkpoint(path).load() == (0, None)
+
+
+def test_sums_of_a_run_that_is_through_are_removed(record, tmp_path, monkeypatch):
+    monkeypatch.setattr("bayeq.streaming.checkpoint.EVERY", 0.0)
+    path = written(record, tmp_path / "r.h5")
+    quietly(path, stream=True, smooth="none", checkpoint=tmp_path / "sums")
+    assert list((tmp_path / "sums").glob("*")) == []
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+def test_the_command_streams_what_it_is_asked_to(record, tmp_path, capsys):
+    path = written(record, tmp_path / "r.parquet")
+    command = [
+        "discover",
+        str(path),
+        "--disp",
+        "x",
+        "--vel",
+        "v",
+        "--acc",
+        "a",
+        "--force",
+        "u",
+        "--smooth",
+        "none",
+        "--json",
+    ]
+    assert main([*command, "--stream", "--rows", "1000:41000"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert main([*command, "--rows", "1000:41000"]) == 0
+    expected = json.loads(capsys.readouterr().out)
+    assert found["data"]["n"] == expected["data"]["n"] == 40_000
+    for a, b in zip(found["equations"][0]["terms"], expected["equations"][0]["terms"], strict=True):
+        assert a["coef"] == pytest.approx(b["coef"], rel=1e-8)
+
+
+@pytest.mark.parametrize("option", [["--refine"], ["--group", "x"], ["--remove-offset", "x"]])
+def test_the_command_refuses_what_takes_whole_records(option, record, tmp_path, capsys):
+    path = written(record.take(slice(0, 500)), tmp_path / "r.csv")
+    assert main(["discover", str(path), "--disp", "x", "--acc", "a", "--stream", *option]) == 2
+    error = capsys.readouterr().err
+    assert option[0] in error
+    assert error.count("\n") == 1
+
+
+def test_data_in_memory_is_not_streamed(record):
+    assert extents_of(record, None, None) is None
+    with pytest.raises(InputError, match="in memory"):
+        extents_of(record, None, True)
+
+
+def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
+    monkeypatch.setattr("bayeq.discovery.sources.MOST_ROWS", 50_000)
+    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 300)
+    found = quietly(record)
+    assert (found.data.stretches, found.data.n) == (20, record.n)
+    assert found[0].included == ("x", "v", "x**3", "u")
