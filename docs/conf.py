@@ -1,0 +1,40 @@
+"""How Sphinx builds the site: `make site` writes it into build/site, and takes every warning for an error."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import version as installed
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
+
+project = "bayeq"
+author = "The bayeq developers"
+copyright = author
+release = version = installed("bayeq")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "native_mathml"]
+exclude_patterns = ["tables/*.md"]  # tables that studies write; pages quote them
+
+# Pages are Markdown, with formulas between dollars, and links to headings as on GitHub.
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4
+suppress_warnings = ["toc.empty_glob"]  # of the start page: a folder that holds no page yet
+
+# The reference is made of docstrings. Names between single backticks are looked up, and set as code where there are none.
+default_role = "py:obj"
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # units and shapes stand in the docstring
+numpydoc_show_class_members = False
+numpydoc_validation_checks = {"GL07", "GL10", "PR01", "PR02", "PR03", "PR04", "PR07", "PR10", "RT03", "YD01"}
+python_maximum_signature_line_length = 90
+
+html_theme = "furo"
+html_title = f"bayeq {release}"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_show_sphinx = False
+html_math_renderer = "native_mathml"
+pygments_style = "friendly"
