@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from importlib.metadata import version as installed
 from pathlib import Path
@@ -19,7 +20,8 @@ exclude_patterns = ["tables/*.md"]  # tables that studies write; pages quote the
 # Pages are Markdown, with formulas between dollars, and links to headings as on GitHub.
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
-suppress_warnings = ["toc.empty_glob"]  # of the start page: a folder that holds no page yet
+# A pattern of the start page may match no page yet; Sphinx gives this warning no type that could be suppressed.
+logging.getLogger("sphinx.sphinx.directives.other").addFilter(lambda record: "toctree glob pattern" not in record.msg)
 
 # The reference is made of docstrings. Names between single backticks are looked up, and set as code where there are none.
 default_role = "py:obj"
@@ -27,6 +29,8 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # units and shapes stand in the docstring
 numpydoc_show_class_members = False
 numpydoc_validation_checks = {"GL07", "GL10", "PR01", "PR02", "PR03", "PR04", "PR07", "PR10", "RT03", "YD01"}
+numpydoc_validation_overrides = {"PR01": [r"Attributes\s+-", "Attributes are those of"]}  # results list what they hold; users do not make them
+autodoc_default_options = {"exclude-members": "get_metadata_routing, set_fit_request, set_predict_request, set_score_request"}  # scikit-learn's
 python_maximum_signature_line_length = 90
 
 html_theme = "furo"
