@@ -14,7 +14,7 @@ author = "The bayeq developers"
 copyright = author
 release = version = installed("bayeq")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "native_mathml"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "native_mathml", "wide_pictures"]
 exclude_patterns = ["tables/*.md"]  # tables that studies write; pages quote them
 
 # Pages are Markdown, with formulas between dollars, and links to headings as on GitHub.
@@ -29,8 +29,12 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # units and shapes stand in the docstring
 numpydoc_show_class_members = False
 numpydoc_validation_checks = {"GL07", "GL10", "PR01", "PR02", "PR03", "PR04", "PR07", "PR10", "RT03", "YD01"}
-numpydoc_validation_overrides = {"PR01": [r"Attributes\s+-", "Attributes are those of"]}  # results list what they hold; users do not make them
-autodoc_default_options = {"exclude-members": "get_metadata_routing, set_fit_request, set_predict_request, set_score_request"}  # scikit-learn's
+numpydoc_validation_overrides = {
+    "PR01": [r"Attributes\s+-", "Attributes are those of"]
+}  # results list what they hold; users do not make them
+autodoc_default_options = {
+    "exclude-members": "get_metadata_routing, set_fit_request, set_predict_request, set_score_request"
+}  # scikit-learn's
 python_maximum_signature_line_length = 90
 
 html_theme = "furo"

@@ -24,7 +24,7 @@ STAGES = [
 AFTER = ["free runs", "refinement", "next plan"]
 
 # A page on a telephone is 360 wide: letters of 14 stay readable there.
-WIDTH, BOX, GAP, MARGIN = 400, 54, 40, 16
+WIDTH, BOX, GAP, MARGIN, STEM = 400, 54, 40, 16, 70
 INK, BLUE, PALE, GREY = "#1f2933", "#0072b2", "#e3eff7", "#52606d"
 
 
@@ -40,7 +40,7 @@ def drawn() -> str:
     top = MARGIN
     for leads, name, holds in STAGES:
         if leads:
-            parts += _arrow(WIDTH / 2, top - GAP, top) + [_text(WIDTH / 2 + 12, top - GAP / 2 + 4, leads, start=True)]
+            parts += _arrow(STEM, top - GAP, top) + [_text(STEM + 14, top - GAP / 2 + 4, leads, start=True)]
         parts += _box(MARGIN, top, WIDTH - 2 * MARGIN, BOX) + [
             _text(WIDTH / 2, top + 22, name, colour=INK, size=16, bold=True),
             _text(WIDTH / 2, top + 43, holds, colour=INK),
@@ -68,7 +68,9 @@ def _arrow(x: float, top: float, bottom: float) -> list[str]:
     ]
 
 
-def _text(x: float, y: float, text: str, *, colour: str = GREY, size: int = 14, bold: bool = False, start: bool = False) -> str:
+def _text(
+    x: float, y: float, text: str, *, colour: str = GREY, size: int = 14, bold: bool = False, start: bool = False
+) -> str:
     style = (' font-weight="bold"' if bold else "") + (' text-anchor="start"' if start else "")
     return f'<text x="{x:g}" y="{y:g}" font-size="{size}" fill="{colour}"{style}>{escape(text)}</text>'
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from docutils import nodes
@@ -11,12 +12,17 @@ from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.writers.html5 import HTML5Translator
 
+# LaTeX takes the first digit for the numerator, docutils all of them.
+UNBRACED = re.compile(r"\\[dt]?frac\s*\d")
+
 LOGGER = logging.getLogger(__name__)
 
 
 def mathml(node: nodes.Element, block: bool) -> str:
     """The formula of a node; one that cannot be read is a warning, and stands as it was written."""
     text = " ".join(node.astext().split())
+    if UNBRACED.search(text):
+        LOGGER.warning("formula %r: write \\frac{1}{2}, not \\frac12, which is read as \\frac{12}", text, location=node)
     try:
         # a prime is a letter of its own size in MathML, not an apostrophe
         return tex2mathml(text, as_block=block).replace("<mo>'</mo>", "<mo>′</mo>")
