@@ -23,7 +23,7 @@ myst_heading_anchors = 4
 # A pattern of the start page may match no page yet; Sphinx gives this warning no type that could be suppressed.
 logging.getLogger("sphinx.sphinx.directives.other").addFilter(lambda record: "toctree glob pattern" not in record.msg)
 
-# The reference is made of docstrings. Names between single backticks are looked up, and set as code where there are none.
+# The reference is made of docstrings. Names between single backticks are links, or code where there is no such name.
 default_role = "py:obj"
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # units and shapes stand in the docstring

@@ -1,4 +1,4 @@
-"""The picture of the pipeline in docs/method/index.md: ``python -m examples.pipeline`` writes docs/figures/pipeline.svg."""
+"""The picture of the pipeline in docs/method: ``python -m examples.pipeline`` writes docs/figures/pipeline.svg."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ AFTER = ["free runs", "refinement", "next plan"]
 
 # A page on a telephone is 360 wide: letters of 14 stay readable there.
 WIDTH, BOX, GAP, MARGIN, STEM = 400, 54, 40, 16, 70
-INK, BLUE, PALE, GREY = "#1f2933", "#0072b2", "#e3eff7", "#52606d"
+BLUE, PALE = "#0072b2", "#e3eff7"
+
+NAME = 'font-size="16" font-weight="bold" fill="#1f2933"'
+INSIDE = 'font-size="14" fill="#1f2933"'
+BESIDE = 'font-size="14" fill="#52606d" text-anchor="start"'
 
 
 def drawn() -> str:
@@ -40,39 +44,32 @@ def drawn() -> str:
     top = MARGIN
     for leads, name, holds in STAGES:
         if leads:
-            parts += _arrow(STEM, top - GAP, top) + [_text(STEM + 14, top - GAP / 2 + 4, leads, start=True)]
-        parts += _box(MARGIN, top, WIDTH - 2 * MARGIN, BOX) + [
-            _text(WIDTH / 2, top + 22, name, colour=INK, size=16, bold=True),
-            _text(WIDTH / 2, top + 43, holds, colour=INK),
+            parts += [_arrow(STEM, top - GAP, top), _text(STEM + 14, top - GAP / 2 + 4, leads, BESIDE)]
+        parts += [
+            _box(MARGIN, top, WIDTH - 2 * MARGIN, BOX),
+            _text(WIDTH / 2, top + 22, name, NAME),
+            _text(WIDTH / 2, top + 43, holds, INSIDE),
         ]
         top += BOX + GAP
     wide = (WIDTH - 4 * MARGIN) / len(AFTER)
     for place, name in enumerate(AFTER):
         left = MARGIN + place * (wide + MARGIN)
-        parts += _arrow(left + wide / 2, top - GAP, top) + _box(left, top, wide, 34)
-        parts.append(_text(left + wide / 2, top + 22, name, colour=INK))
+        parts += [_arrow(left + wide / 2, top - GAP, top), _box(left, top, wide, 34)]
+        parts.append(_text(left + wide / 2, top + 22, name, INSIDE))
     return "\n".join([*parts, "</svg>\n"])
 
 
-def _box(left: float, top: float, wide: float, high: float) -> list[str]:
-    return [
-        f'<rect x="{left:g}" y="{top:g}" width="{wide:g}" height="{high:g}" rx="6" fill="{PALE}" stroke="{BLUE}" '
-        'stroke-width="1.5"/>'
-    ]
+def _box(left: float, top: float, wide: float, high: float) -> str:
+    return f'<rect x="{left:g}" y="{top:g}" width="{wide:g}" height="{high:g}" rx="6" fill="{PALE}" stroke="{BLUE}"/>'
 
 
-def _arrow(x: float, top: float, bottom: float) -> list[str]:
-    return [
-        f'<line x1="{x:g}" y1="{top:g}" x2="{x:g}" y2="{bottom - 8:g}" stroke="{BLUE}" stroke-width="2"/>',
-        f'<path d="M{x - 5:g} {bottom - 9:g} h10 l-5 9 z" fill="{BLUE}"/>',
-    ]
+def _arrow(x: float, top: float, bottom: float) -> str:
+    line = f'<line x1="{x:g}" y1="{top:g}" x2="{x:g}" y2="{bottom - 8:g}" stroke="{BLUE}" stroke-width="2"/>'
+    return f'{line}<path d="M{x - 5:g} {bottom - 9:g} h10 l-5 9 z" fill="{BLUE}"/>'
 
 
-def _text(
-    x: float, y: float, text: str, *, colour: str = GREY, size: int = 14, bold: bool = False, start: bool = False
-) -> str:
-    style = (' font-weight="bold"' if bold else "") + (' text-anchor="start"' if start else "")
-    return f'<text x="{x:g}" y="{y:g}" font-size="{size}" fill="{colour}"{style}>{escape(text)}</text>'
+def _text(x: float, y: float, text: str, style: str) -> str:
+    return f'<text x="{x:g}" y="{y:g}" {style}>{escape(text)}</text>'
 
 
 if __name__ == "__main__":

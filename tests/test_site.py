@@ -1,4 +1,4 @@
-"""The site: it builds without a warning, every page is found from the first, nothing dead is linked, nothing foreign is loaded."""
+"""The site builds without a warning, its pages are found from the first, no link is dead, nothing foreign is loaded."""
 
 from __future__ import annotations
 

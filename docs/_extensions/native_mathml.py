@@ -1,4 +1,4 @@
-"""Formulas as MathML, which browsers draw by themselves: made by docutils while the site is built, nothing is loaded."""
+"""Formulas as MathML, which browsers draw by themselves; docutils makes it while the site is built."""
 
 from __future__ import annotations
 

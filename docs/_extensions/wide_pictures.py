@@ -1,4 +1,4 @@
-"""Wide pictures are marked for the style sheet, which lets them scroll on a telephone, and are links to the whole picture."""
+"""Wide pictures: marked for the style sheet, which lets them scroll on a telephone, and linked to the whole picture."""
 
 from __future__ import annotations
 
