@@ -29,12 +29,11 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # units and shapes stand in the docstring
 numpydoc_show_class_members = False
 numpydoc_validation_checks = {"GL07", "GL10", "PR01", "PR02", "PR03", "PR04", "PR07", "PR10", "RT03", "YD01"}
-numpydoc_validation_overrides = {
-    "PR01": [r"Attributes\s+-", "Attributes are those of"]
-}  # results list what they hold; users do not make them
-autodoc_default_options = {
-    "exclude-members": "get_metadata_routing, set_fit_request, set_predict_request, set_score_request"
-}  # scikit-learn's
+# Results list what they hold, and are not made by users.
+numpydoc_validation_overrides = {"PR01": [r"Attributes\s+-", "Attributes are those of"]}
+# Scikit-learn's own methods.
+ROUTING = "get_metadata_routing, set_fit_request, set_predict_request, set_score_request"
+autodoc_default_options = {"exclude-members": ROUTING}
 python_maximum_signature_line_length = 90
 
 html_theme = "furo"
@@ -46,3 +45,13 @@ html_show_sourcelink = False
 html_show_sphinx = False
 html_math_renderer = "native_mathml"
 pygments_style = "friendly"
+
+
+def hide_constructor(app, what, name, obj, options, signature, returns):
+    """No signature for results: what they hold is listed below it, and users do not make them."""
+    text = obj.__doc__ or ""
+    return ("", None) if what == "class" and "Attributes" in text and "Parameters\n" not in text else None
+
+
+def setup(app):
+    app.connect("autodoc-process-signature", hide_constructor)
