@@ -15,6 +15,12 @@ from sphinx.writers.html5 import HTML5Translator
 # LaTeX takes the first digit for the numerator, docutils all of them.
 UNBRACED = re.compile(r"\\[dt]?frac\s*\d")
 
+# Names of functions stand apart from what is before and after them, but for a bracket.
+APPLIED = r"<mo>&ApplyFunction;</mo>"
+BEFORE = re.compile(rf"(</m(?:i|n|frac|sub|sup|subsup|row)>\s*)(<mi[^>]*>\w+</mi>\s*{APPLIED})")
+AFTER = re.compile(rf"{APPLIED}(?!\s*(?:<mrow>\s*)?<mo[^>]*>\()")
+THIN = '<mspace width="0.167em"/>'
+
 LOGGER = logging.getLogger(__name__)
 
 
@@ -25,10 +31,11 @@ def mathml(node: nodes.Element, block: bool) -> str:
         LOGGER.warning("formula %r: write \\frac{1}{2}, not \\frac12, which is read as \\frac{12}", text, location=node)
     try:
         # a prime is a letter of its own size in MathML, not an apostrophe
-        return tex2mathml(text, as_block=block).replace("<mo>'</mo>", "<mo>′</mo>")
+        drawn = tex2mathml(text, as_block=block).replace("<mo>'</mo>", "<mo>′</mo>")
     except MathError as error:
         LOGGER.warning("formula %r cannot be drawn: %s", text, error, location=node)
         return f"<code>{nodes.unescape(text)}</code>"
+    return AFTER.sub(APPLIED + THIN, BEFORE.sub(rf"\1{THIN}\2", drawn))
 
 
 def visit_inline(self: HTML5Translator, node: nodes.Element) -> None:
