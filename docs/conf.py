@@ -53,5 +53,12 @@ def hide_constructor(app, what, name, obj, options, signature, returns):
     return ("", None) if what == "class" and "Attributes" in text and "Parameters\n" not in text else None
 
 
+def link_to_contributing(app, name, source):
+    """CONTRIBUTING.md is a page of the site, under a name of its own."""
+    up = "../" * name.count("/")
+    source[0] = source[0].replace(f"]({up}../CONTRIBUTING.md", f"]({up}contributing.md")
+
+
 def setup(app):
     app.connect("autodoc-process-signature", hide_constructor)
+    app.connect("source-read", link_to_contributing)
