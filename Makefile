@@ -9,10 +9,13 @@ QUICK := tests/conformance tests/test_cli_streams.py tests/test_estimators.py te
 	tests/test_forecast.py tests/test_gram.py tests/test_kernels.py tests/test_kinematic.py tests/test_public_api.py \
 	tests/test_records_text.py tests/test_startup.py tests/test_vb.py
 
+# What is linted; of docs the programs alone, for ruff would format the Python in pages too.
+SOURCES := src tests perf examples studies docs/conf.py docs/_extensions
+
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
 RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths
 
-.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery lock clean
+.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery site lock clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -22,8 +25,8 @@ demo: $(VENV)/.runtime
 test: lint types tests
 
 lint: $(VENV)/.dev
-	$(BIN)/ruff check src tests perf examples studies
-	$(BIN)/ruff format --check src tests perf examples studies
+	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/ruff format --check $(SOURCES)
 
 types: $(VENV)/.dev
 	$(BIN)/mypy
@@ -91,9 +94,15 @@ study: $(VENV)/.dev
 examples: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m examples
 
-# The pictures of docs/gallery.md, and the page.
+# The pictures of docs/gallery.md, and the page; the picture of the pipeline.
 gallery: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m examples.gallery
+	$(BIN)/python -m examples.pipeline
+
+# The documents as a site, build/site/index.html; a warning is an error.
+site: $(VENV)/.dev
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/site
+	@echo "open build/site/index.html"
 
 # Pin what is installed now, after an upgrade that the tests have passed.
 lock: $(VENV)/.dev

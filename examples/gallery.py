@@ -82,10 +82,14 @@ def draw_gallery(folder: Path) -> None:
         write_figure(figure, folder / f"gallery_{name}.png")
 
 
+def _title(name: str) -> str:
+    return name.replace("_", " ").capitalize().replace("Pip", "PIP")
+
+
 def page() -> str:
     """The text of the page."""
     parts = [
-        f"## {name.replace('_', ' ').capitalize()}\n\n`bayeq.figures.{name}(eq, rec)`\n\n{text}\n\n"
+        f"## {_title(name)}\n\n`bayeq.figures.{name}(eq, rec)`\n\n{text}\n\n"
         f"![{name.replace('_', ' ')}](figures/gallery_{name}.png)\n"
         for name, text in PICTURES.items()
     ]

@@ -32,7 +32,7 @@ VARIABLES = {"anew": ("kalman.py", "rts.py", "rows.py", "smoother.py")}
 
 
 def prose():
-    files = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+    files = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [*files, *sorted((ROOT / "src" / "bayeq").rglob("*.py"))]
 
 

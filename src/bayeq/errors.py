@@ -152,11 +152,27 @@ class WarningLog:
         self.collected: list[tuple[str, type[BayeqWarning]]] = []
 
     def warn(self, message: str, category: type[BayeqWarning]) -> None:
-        """Record a warning."""
+        """Record a warning.
+
+        Parameters
+        ----------
+        message : str
+            What is wrong, and what to do.
+        category : type of BayeqWarning
+            Its type.
+        """
         self.collected.append((message, category))
 
     def extend(self, messages: Iterable[str], category: type[BayeqWarning]) -> None:
-        """Record several of one category."""
+        """Record several of one category.
+
+        Parameters
+        ----------
+        messages : iterable of str
+            One for each warning.
+        category : type of BayeqWarning
+            The type of all of them.
+        """
         self.collected.extend((message, category) for message in messages)
 
     @property
@@ -165,6 +181,12 @@ class WarningLog:
         return tuple(message for message, _ in self.collected)
 
     def emit(self, stacklevel: int) -> None:
-        """Issue the warnings, as `warnings.warn` does from the caller."""
+        """Issue the warnings, as `warnings.warn` does from the caller.
+
+        Parameters
+        ----------
+        stacklevel : int
+            As for `warnings.warn`: whose line is named.
+        """
         for message, category in self.collected:
             warnings.warn(message, category, stacklevel=stacklevel)

@@ -428,7 +428,18 @@ class Equation:
         return total
 
     def evaluate(self, columns: Mapping[str, ArrayLike]) -> Floats:
-        """Predictive mean of the target (29) from columns (or numbers) of states and inputs."""
+        """Predictive mean of the target (29) from columns (or numbers) of states and inputs.
+
+        Parameters
+        ----------
+        columns : mapping of str to array-like
+            A column of n values, or a number, for each state and input, by name and in the record's units.
+
+        Returns
+        -------
+        (n,) array
+            In the target's unit.
+        """
         return self._mean(Evaluator(columns))
 
     def _mean(self, evaluate: Evaluator) -> Floats:
@@ -439,7 +450,20 @@ class Equation:
         return np.asarray(total, dtype=np.float64)
 
     def predict(self, columns: Mapping[str, Floats], return_std: bool = False) -> Any:
-        """Predictive mean (29), and with `return_std` the standard deviation (30), at n rows of columns."""
+        """Predictive mean (29), and with `return_std` the standard deviation (30), at n rows of columns.
+
+        Parameters
+        ----------
+        columns : mapping of str to (n,) array
+            States and inputs by name, in the record's units.
+        return_std : bool
+            Also return the standard deviation.
+
+        Returns
+        -------
+        (n,) array, or a pair of them
+            In the target's unit.
+        """
         evaluate = Evaluator(columns)
         n = len(next(iter(columns.values())))
         mean = np.broadcast_to(self._mean(evaluate), (n,)).copy()

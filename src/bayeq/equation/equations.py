@@ -55,7 +55,7 @@ LAST = 0.2
 class Equations:
     """Equations of motion with a posterior on every term.
 
-    Indexing and iteration give the single `Equation`s, in the order of the chains.
+    Indexing and iteration give single equations (`Equation`), in the order of the chains.
 
     Attributes
     ----------
@@ -174,6 +174,7 @@ class Equations:
         Returns
         -------
         list of matplotlib.axes.Axes
+            Those that were drawn on.
 
         Raises
         ------
@@ -289,7 +290,18 @@ class Equations:
         return np.array(out)
 
     def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics:
-        """The equations shown as one system of first order; by default all have an intercept."""
+        """The equations shown as one system of first order; by default all have an intercept.
+
+        Parameters
+        ----------
+        intercepts : sequence of bool, optional
+            Of each equation, whether its intercept is in.
+
+        Returns
+        -------
+        Dynamics
+            What `simulate` integrates.
+        """
         from bayeq.forecast.dynamics import Dynamics
 
         return Dynamics.of([equation.law for equation in self.equations], self.inputs, intercepts, self.roles.timed)
@@ -309,6 +321,7 @@ class Equations:
         Returns
         -------
         (n,) array, or (n, k) for k equations; with `return_std` a pair of them
+            In the target's unit, row for row of the record.
 
         Raises
         ------
@@ -734,7 +747,13 @@ class Equations:
         return to_dict(self)
 
     def save(self, path: str | Path) -> None:
-        """Write to a JSON file that `bayeq.load` reads."""
+        """Write to a JSON file that `bayeq.load` reads.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; it is replaced if it exists.
+        """
         from bayeq.equation.to_json import to_saved
 
         text = json.dumps(to_saved(self), indent=1, allow_nan=False) + "\n"

@@ -58,6 +58,16 @@ def _restored_average(saved: Mapping[str, Any], terms: int) -> ModelAverage:
 def load(path: str | Path) -> Equations:
     """Read equations that `Equations.save` wrote.
 
+    Parameters
+    ----------
+    path : str or Path
+        The JSON file.
+
+    Returns
+    -------
+    Equations
+        As they were saved; the record they were found from is not part of the file.
+
     Raises
     ------
     FileFormatError

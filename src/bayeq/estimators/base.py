@@ -150,6 +150,13 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def predict(self, D: ArrayLike, return_std: bool = False) -> Any:
         """Predictive mean (29), and with `return_std` the predictive standard deviation (30), at rows of D.
 
+        Parameters
+        ----------
+        D : (n, P) array or DataFrame
+            The columns that the estimator was fitted to.
+        return_std : bool
+            Also return the standard deviation.
+
         Returns
         -------
         (n,) or (n, T) array, or a pair of them

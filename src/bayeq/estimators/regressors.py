@@ -61,13 +61,14 @@ class SpikeSlabVB(SpikeSlabRegressor):
     pip_ : (P,) array
         Posterior inclusion probabilities, the variational w.
     support_ : (P,) bool array
-        pip_ > 0.5.
+        `pip_` > 0.5.
     covariance_ : (r, r) array
         Posterior covariance of the selected coefficients.
     noise_variance_ : float
     elbo_ : float
         Evidence lower bound.
-    elbo_trace_ : (n_iter_,) array
+    elbo_trace_ : array of length `n_iter_`
+        The ELBO after each sweep.
     n_iter_ : int
     posterior_ : Posterior
     posteriors_ : tuple of Posterior
@@ -132,7 +133,7 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
 
     Parameters
     ----------
-    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta
+    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta : optional
         The prior, as in `SpikeSlabVB`.
     chains, samples, burn_in : int
         The paper's 4 chains of 5000 samples, the first 1000 left out.
@@ -241,7 +242,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
 
     Parameters
     ----------
-    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta
+    slab_variance, prior_inclusion, noise_shape, noise_rate, inclusion_beta : optional
         The prior, as in `SpikeSlabVB`.
     signs : (P,) array of -1, 0 and +1, optional
         Known signs of the coefficients, 0 for unknown: given inclusion a coefficient of known sign is half normal.
@@ -367,7 +368,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
 
         Parameters
         ----------
-        slab_variances, prior_inclusions
+        slab_variances, prior_inclusions : array-like, optional
             As in `Equation.sensitivity`.
         target : int, optional
             Which target, of a fit to several.
@@ -375,6 +376,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         Returns
         -------
         PriorSensitivity
+            The PIPs of the target for every value.
         """
         k = self._target(target)
         grams, prior = self._sampled

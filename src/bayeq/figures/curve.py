@@ -49,6 +49,7 @@ def restoring_force_curve(
     Returns
     -------
     matplotlib.axes.Axes
+        Those that were drawn on.
 
     Raises
     ------

@@ -45,6 +45,7 @@ def phase_portrait(
     Returns
     -------
     matplotlib.axes.Axes
+        Those that were drawn on.
 
     Raises
     ------

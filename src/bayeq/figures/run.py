@@ -52,6 +52,7 @@ def free_run(
     Returns
     -------
     pair of matplotlib.axes.Axes
+        Of the run and of the residual.
 
     Raises
     ------

@@ -92,7 +92,18 @@ class Forecast:
             return draw_forecasts([self.strip()])
 
     def strip(self, title: str = "") -> Strip:
-        """What `bayeq.figures.forecast` draws."""
+        """What `bayeq.figures.forecast` draws.
+
+        Parameters
+        ----------
+        title : str
+            What stands above it.
+
+        Returns
+        -------
+        Strip
+            The run, its band and what was measured, as arrays.
+        """
         panels = [
             Panel(
                 name if name not in self.units else f"{name} [{self.units[name]}]",

@@ -171,15 +171,48 @@ class Gram:
         return np.sqrt(self.diagonal / self.n)
 
     def column(self, j: int) -> Floats:
-        """Column j of D'D, (P,)."""
+        """Column j of D'D, (P,).
+
+        Parameters
+        ----------
+        j : int
+            Place of the column, from 0.
+
+        Returns
+        -------
+        (P,) array
+            Products of column j with all columns.
+        """
         return self.DtD[:, j]
 
     def with_dof(self, dof: float) -> Gram:
-        """The same statistics with another N in the likelihood (n for the paper's convention)."""
+        """The same statistics with another N in the likelihood (n for the paper's convention).
+
+        Parameters
+        ----------
+        dof : float
+            Degrees of freedom.
+
+        Returns
+        -------
+        Gram
+            With these, and all else as it was.
+        """
         return replace(self, dof=float(dof))
 
     def select(self, columns: Sequence[int] | NDArray[np.intp]) -> Gram:
-        """The Gram of some of the columns."""
+        """The Gram of some of the columns.
+
+        Parameters
+        ----------
+        columns : sequence of int
+            Their places, from 0.
+
+        Returns
+        -------
+        Gram
+            Of these columns, in this order.
+        """
         idx = np.asarray(columns, dtype=np.intp)
         return replace(
             self,
@@ -233,12 +266,35 @@ class Gram:
         """Eq. (32) as algebra: columns of zero mean and unit standard deviation, y divided by `target_scale`.
 
         A column without variance is left unscaled.
+
+        Parameters
+        ----------
+        target_scale : float
+            In the unit of y.
+
+        Returns
+        -------
+        Standardised
+            The Gram matrix, and the scales that lead back to original units.
         """
         sd = self.standard_deviation
         return self.in_units(np.where(sd > 0, sd, 1.0), target_scale)
 
     def in_units(self, scale: Floats, target_scale: float) -> Standardised:
-        """Columns of zero mean divided by a scale each, (P,), and y by `target_scale`."""
+        """Columns of zero mean divided by a scale each, (P,), and y by `target_scale`.
+
+        Parameters
+        ----------
+        scale : (P,) array
+            In the units of the columns.
+        target_scale : float
+            In the unit of y.
+
+        Returns
+        -------
+        Standardised
+            The Gram matrix, and the scales that lead back to original units.
+        """
         gram = Gram(
             names=self.names,
             n=self.n,

@@ -265,13 +265,35 @@ class Posterior:
         )
 
     def predict(self, D: ArrayLike) -> Floats:
-        """Predictive mean, eq. (29), at the rows of D (n*, P)."""
+        """Predictive mean, eq. (29), at the rows of D (n*, P).
+
+        Parameters
+        ----------
+        D : (n*, P) array
+            Columns in original units.
+
+        Returns
+        -------
+        (n*,) array
+            In the unit of the target.
+        """
         D = np.asarray(D, dtype=np.float64)
         kept = self.support
         return self.intercept + D[:, kept] @ self.coef[kept]
 
     def predictive_sd(self, D: ArrayLike) -> Floats:
-        """Predictive standard deviation, eq. (30) with the intercept's uncertainty, at the rows of D (n*, P)."""
+        """Predictive standard deviation, eq. (30) with the intercept's uncertainty, at the rows of D (n*, P).
+
+        Parameters
+        ----------
+        D : (n*, P) array
+            Columns in original units.
+
+        Returns
+        -------
+        (n*,) array
+            In the unit of the target.
+        """
         kept = self.support
         Z = np.asarray(D, dtype=np.float64)[:, kept] - self.center[kept]
         spread = np.einsum("ij,jk,ik->i", Z, self.covariance, Z)

@@ -50,7 +50,12 @@ class Prior:
     signs: ArrayLike | None = None
 
     def validate(self, terms: int) -> None:
-        """Check the values against a dictionary of `terms` columns.
+        """Check the values against a dictionary.
+
+        Parameters
+        ----------
+        terms : int
+            Number of its columns.
 
         Raises
         ------
@@ -83,6 +88,11 @@ class Prior:
     def refuse_signs(self, method: str) -> None:
         """Check that no sign is known, for engines that cannot use it.
 
+        Parameters
+        ----------
+        method : str
+            The engine, for the message.
+
         Raises
         ------
         InputError
@@ -92,9 +102,19 @@ class Prior:
             raise InputError(f"method {method!r} takes no signs of coefficients; choose one of: {', '.join(SIGNED)}")
 
     def log_odds(self, terms: int) -> Floats:
-        """logit(p_0) of each of `terms` terms: +inf for a forced, -inf for a forbidden one.
+        """logit(p_0) of each term: +inf for a forced, -inf for a forbidden one.
 
         0 for the others if their p_0 is unknown (`inclusion_beta`): `size_prior` then says the rest.
+
+        Parameters
+        ----------
+        terms : int
+            P, the number of terms.
+
+        Returns
+        -------
+        (P,) array
+            In nats.
         """
         p0 = np.asarray(self.prior_inclusion, dtype=np.float64)
         if self.inclusion_beta is not None:
@@ -103,10 +123,20 @@ class Prior:
             return np.full(terms, np.log(p0) - np.log1p(-p0))
 
     def size_prior(self, terms: int) -> Floats:
-        """What a model of r = 0..P terms has on top of the log-odds of its terms, (P+1,).
+        """What a model of r = 0..P terms has on top of the log-odds of its terms.
 
         With p_0 ~ Beta(a, b) a model with k of the F free terms has probability B(k + a, F - k + b)/B(a, b); relative
         to 2^-F, which log-odds of 0 give it.
+
+        Parameters
+        ----------
+        terms : int
+            P, the number of terms.
+
+        Returns
+        -------
+        (P + 1,) array
+            By number of terms, in nats.
         """
         out = np.zeros(terms + 1)
         if self.inclusion_beta is not None:

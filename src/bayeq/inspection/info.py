@@ -130,7 +130,7 @@ def info(
     ----------
     source : Record, path, DataFrame or mapping of arrays
         What was measured. A file is opened as `bayeq.read` does; where its time starts over it is divided there.
-    time, fs, names, units, group
+    time, fs, names, units, group : optional
         As in `bayeq.read`, for files.
 
     Returns

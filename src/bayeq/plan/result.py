@@ -74,7 +74,18 @@ class Plan:
         return self.outcomes[0]
 
     def closest(self, outcome: Outcome) -> Compared | None:
-        """The rival that a design tells least of; None where coefficients are planned for."""
+        """The rival that a design tells least of; None where coefficients are planned for.
+
+        Parameters
+        ----------
+        outcome : Outcome
+            Of one design.
+
+        Returns
+        -------
+        Compared or None
+            What the design is expected to tell about that rival.
+        """
         return self.rivals[outcome.separations[0].rival] if outcome.separations else None
 
     @cached_property
@@ -163,7 +174,13 @@ class Plan:
         return draw_plan(self)
 
     def write(self, file: str | Path) -> None:
-        """Write the best excitation as CSV: ``time`` [s] and the inputs."""
+        """Write the best excitation as CSV: ``time`` [s] and the inputs.
+
+        Parameters
+        ----------
+        file : str or Path
+            The file; it is replaced if it exists.
+        """
         import pandas as pd
 
         from bayeq.records.atomic import replacing

@@ -225,6 +225,16 @@ class Record:
     def slice(self, start: int | None = None, stop: int | None = None, step: int | None = None) -> Record:
         """Rows from `start` up to `stop`, as Python slices.
 
+        Parameters
+        ----------
+        start, stop, step : int, optional
+            Row numbers from 0, as of a slice.
+
+        Returns
+        -------
+        Record
+            Of these rows.
+
         Examples
         --------
         >>> Record({"x": [1.0, 2.0, 3.0]}).slice(1)["x"]
@@ -233,7 +243,18 @@ class Record:
         return self.take(builtins.slice(start, stop, step))
 
     def take(self, rows: Any) -> Record:
-        """Some of the rows: a slice, a boolean mask or row numbers that increase."""
+        """Some of the rows: a slice, a boolean mask or row numbers that increase.
+
+        Parameters
+        ----------
+        rows : slice, (n,) bool array or array of int
+            Which rows.
+
+        Returns
+        -------
+        Record
+            Of these rows.
+        """
         channels = {name: values[rows] for name, values in self.channels.items()}
         time = None if self.time is None else self.time[rows]
         return Record(channels, time, self.units, self.name, self.truth and self.truth.take(rows))
@@ -264,20 +285,54 @@ class Record:
         return [r.renamed(f"{self.name} [trial {i}]".strip()) for i, r in enumerate(trials)]
 
     def renamed(self, name: str) -> Record:
-        """The same record under another name."""
+        """The same record under another name.
+
+        Parameters
+        ----------
+        name : str
+            The new name.
+
+        Returns
+        -------
+        Record
+            With the same samples.
+        """
         return Record(self.channels, self.time, self.units, name, self.truth)
 
     def with_channels(self, mapping: Mapping[str, Any], units: Mapping[str, str] | None = None) -> Record:
         """A record with channels added, or replaced where the name exists.
 
         A channel that is replaced loses its unit unless `units` gives one.
+
+        Parameters
+        ----------
+        mapping : mapping of str to (n,) array-like
+            Samples by name.
+        units : mapping of str to str, optional
+            Units by name.
+
+        Returns
+        -------
+        Record
+            With the channels that there were and these.
         """
         kept = {name: unit for name, unit in self.units.items() if name not in mapping}
         channels = {**self.channels, **mapping}
         return Record(channels, self.time, {**kept, **(units or {})}, self.name, self.truth)
 
     def require_finite(self, names: Sequence[str] | str | None = None) -> None:
-        """Raise a RecordError if a channel (of `names`, or any) holds NaN or infinite samples."""
+        """Raise a RecordError if a channel (of `names`, or any) holds NaN or infinite samples.
+
+        Parameters
+        ----------
+        names : str or sequence of str, optional
+            Channels that are looked at; by default all.
+
+        Raises
+        ------
+        RecordError
+            One of them holds such a sample.
+        """
         wanted = self.names if names is None else (names,) if isinstance(names, str) else names
         for name in wanted:
             bad = np.flatnonzero(~np.isfinite(self[name]))
@@ -289,7 +344,18 @@ class Record:
                 )
 
     def equals(self, other: object) -> bool:
-        """Whether two records hold the same channels in the same order, time and units (NaN equals NaN)."""
+        """Whether two records hold the same channels in the same order, time and units (NaN equals NaN).
+
+        Parameters
+        ----------
+        other : Record
+            The record that is compared; anything else is not equal.
+
+        Returns
+        -------
+        bool
+            Whether they are equal, sample by sample.
+        """
         if not isinstance(other, Record) or self.names != other.names or self.units != other.units:
             return False
         if self.time is None or other.time is None:

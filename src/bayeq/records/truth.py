@@ -71,6 +71,17 @@ class Truth:
         return Truth, (self.system, *parts)
 
     def take(self, rows: Any) -> Truth:
-        """The same truth for some of the rows (anything that indexes an array)."""
+        """The same truth for some of the rows (anything that indexes an array).
+
+        Parameters
+        ----------
+        rows : slice, (n,) bool array or array of int
+            Which rows.
+
+        Returns
+        -------
+        Truth
+            Of these rows.
+        """
         clean = {name: values[rows] for name, values in self.clean.items()}
         return Truth(self.system, self.parameters, self.coefficients, clean, self.noise_sd)
