@@ -28,6 +28,10 @@ class StudyProgress:
         self._bar: Any = None
         self._task: Any = None
 
+    def begin(self) -> None:
+        """Count the time from now on."""
+        self.started = self.last = time.monotonic()
+
     def __call__(self, done: int, total: int) -> None:
         self.done, self.total = done, total
         if sys.stderr.isatty():
