@@ -86,6 +86,7 @@ study: $(VENV)/.dev
 	$(BIN)/python -m studies.calibration --folder docs/tables
 	$(BIN)/python -m studies.refinement > docs/tables/refinement.csv
 	$(BIN)/python -m studies.planning --records 12 > docs/tables/planning.csv
+	$(BIN)/python -m studies.tracking > docs/tables/tracking.csv
 	$(BIN)/python -m studies.reliability --figures docs/figures > docs/tables/reliability.csv
 	$(BIN)/bayeq study figures docs/figures
 	for name in $(RECORD_STUDIES); do $(BIN)/python -m studies.$$name > docs/tables/$$name.csv || exit 1; done

@@ -121,7 +121,7 @@ class Batch:
         -------
         DataFrame
             ``order`` of the file, from 0; ``file``; ``target``; ``term``, of all that are in the equation of at least
-            one file (``1`` is the constant, where it is written out); ``coef``, ``sd``, ``ci_low``, ``ci_high`` of the
+            one file, or in the common one (``1`` is the constant, where it is written out); ``coef``, ``sd``, ``ci_low``, ``ci_high`` of the
             equation as it is printed, 0 where the term is not in it; ``pip``; ``included``, ``shown``; ``verdict`` on
             the equation; ``unit`` of the coefficient. With a common equation also ``common_coef``, ``common_ci_low``,
             ``common_ci_high``. Files without equations have no row.
@@ -136,7 +136,7 @@ class Batch:
         """The rows of `table`, as plain data."""
         equations = [(k, one.path, eq) for k, one in enumerate(self.files) for eq in _equations(one.content)]
         kept: dict[str, dict[str, None]] = {}
-        for _, _, equation in equations:
+        for equation in _equations(self._common) or [equation for _, _, equation in equations]:
             kept.setdefault(equation["target"], {}).update(
                 {term["name"]: None for term in _terms(equation) if term["shown"]}
             )
@@ -153,6 +153,7 @@ class Batch:
             for term in terms:
                 row = {"order": k, "file": path, "target": target, "term": term["name"], **_values(term)}
                 row |= {name: term[name] for name in ("pip", "included", "shown")}
+                row["shown"] |= self._common is not None  # the constant too, which no prior forces in
                 row |= {"verdict": equation["verdict"]["kind"], "unit": term["unit"]}
                 if self._common is not None:
                     beside = shared[target, term["name"]]

@@ -84,7 +84,7 @@ def _panel(ax: Axes, rows: pd.DataFrame, before: str) -> None:
     units = [unit for unit in rows.unit.dropna().unique() if unit != "1"]
     name = term_label(rows.term.iloc[0], tuple(rows.term)) if rows.term.iloc[0] != "1" else "constant"
     ax.set_ylabel(f"{plain(before)}{name}" + (f"\n[{unit_text(units[0])}]" if units else ""))
-    ax.yaxis.get_major_locator().set_params(nbins=5)
+    ax.locator_params(axis="y", nbins=5)
     ax.ticklabel_format(axis="y", useOffset=False, scilimits=(-4, 5))
 
 
