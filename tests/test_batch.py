@@ -21,6 +21,7 @@ from bayeq.batches.options import digest
 from bayeq.batches.store import BatchStore
 from bayeq.cli.app import main
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
+from bayeq.figures.drift import draw_drift
 
 OPTIONS = {
     "displacement": "x",
@@ -287,6 +288,36 @@ def test_an_interrupted_command_says_how_to_go_on(days, tmp_path, capsys, monkey
     assert "the same command continues" in err
 
 
+def test_a_stop_keeps_what_is_done(days, tmp_path, capsys):
+    store = tmp_path / "batch.db"
+    command = [sys.executable, "-m", "bayeq", "batch", str(days), *WORDS, "--store", str(store), "--jobs", "2"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and rows_in(store) < 1:
+        time.sleep(0.001)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    kept = rows_in(store)
+    if process.returncode == 0:  # it was too late
+        assert kept == 4
+    else:
+        assert process.returncode == 130
+        assert err.splitlines()[-1].startswith(f"bayeq: interrupted: {kept} files were added to {store}")
+        assert "Traceback" not in err
+    assert main([*command[3:], "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["done"] == 4 - kept
+
+
+def test_two_at_once_in_one_store(days, tmp_path, found):
+    store = tmp_path / "batch.db"
+    program = KILLED.format(options=OPTIONS)
+    both = [subprocess.Popen([sys.executable, "-c", program, str(days), str(store), "1"]) for _ in range(2)]
+    assert [process.wait() for process in both] == [0, 0]
+    again = bq.batch(days, store=store, **OPTIONS)
+    assert again.done == 0
+    pd.testing.assert_frame_equal(again.table(), found.table())
+    assert len(contents(store)) == 4
+
+
 # A common equation
 
 
@@ -385,3 +416,34 @@ def test_the_figure_has_a_panel_for_each_term(found):
     assert set(drawn.get_ydata()) <= set(own.coef) | set(table[table.term == "x"].coef)
     labels = [text.get_text() for text in figure.axes[-1].get_xticklabels()]
     assert labels == ["day8", "day9", "day10", "day11"]
+
+
+def test_most_terms_have_a_panel_and_the_rest_are_counted():
+    rows = [
+        {"order": k, "file": f"{k}.csv", "target": "a", "term": f"x**{j}", "coef": 1.0, "sd": 0.1, "ci_low": 0.8}
+        | {"ci_high": 1.2, "pip": 1.0, "included": True, "shown": k == 0 or j < 12, "verdict": "found", "unit": None}
+        for k in range(3)
+        for j in range(1, 16)
+    ]
+    figure = draw_drift(pd.DataFrame(rows))
+    assert len(figure.axes) == 12
+    assert [text.get_text() for text in figure.texts] == [
+        "3 more terms, each in at most 1 of the files, are in the table"
+    ]
+
+
+def test_constraints_on_terms_that_are_left_stay(days, tmp_path):
+    known = ["u == 1", "v*abs(v) <= 0", "x <= 0"]
+    options = {**OPTIONS, "dictionary": "x, v, x**3, u, v*abs(v)", "constraints": known}
+    found = bq.batch(days / "day8.csv", store=tmp_path / "a.db", common=True, **options)
+    assert found[0].status == "ok"
+    assert found[0].equations.constraints == ("u == 1", "x <= 0")
+    assert (found.table().query("term == 'u'").coef == 1.0).all()
+    assert "v*abs(v)" not in set(found.table().term)
+
+
+def test_an_output_is_no_record(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    (folder / "drift.csv").write_text("order,file\n")
+    assert main(["batch", ".", *WORDS, "--table", "drift.csv"]) == 2
+    assert "drift.csv: is a record that is read; name another file" in capsys.readouterr().err

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -101,11 +101,25 @@ def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[s
             " other terms (dictionary=), or leave common out"
         )
     prior = options.get("prior") or Prior()
+    fixed = {**options, "dictionary": terms, "constraints": ()}
     return {
-        **options,
-        "dictionary": terms,
+        **fixed,
+        "constraints": [text for text in _texts(options.get("constraints", ())) if _holds(fixed, text)],
         "prior": replace(prior, slab_variance=_WIDE, prior_inclusion=1.0, inclusion_beta=None, signs=None),
         "method": "bma",
         "max_terms": None,
         "tolerance": 0.0,
     }
+
+
+def _texts(constraints: str | Sequence[str]) -> list[str]:
+    return [constraints] if isinstance(constraints, str) else list(constraints)
+
+
+def _holds(options: Mapping[str, Any], constraint: str) -> bool:
+    """Whether a constraint, which has been checked, is on terms that are left."""
+    try:
+        question({**options, "constraints": constraint})
+    except UnknownNameError:
+        return False
+    return True

@@ -120,11 +120,11 @@ class Batch:
         Returns
         -------
         DataFrame
-            ``order`` of the file, from 0; ``file``; ``target``; ``term``, of all that are in the equation of at least
-            one file, or in the common one (``1`` is the constant, where it is written out); ``coef``, ``sd``, ``ci_low``, ``ci_high`` of the
-            equation as it is printed, 0 where the term is not in it; ``pip``; ``included``, ``shown``; ``verdict`` on
-            the equation; ``unit`` of the coefficient. With a common equation also ``common_coef``, ``common_ci_low``,
-            ``common_ci_high``. Files without equations have no row.
+            ``order`` of the file, from 0; ``file``; ``target``; ``term``, of all that are in the common equation, or
+            without one in that of at least one file (``1`` is the constant, where it is written out); ``coef``, ``sd``,
+            ``ci_low``, ``ci_high`` of the equation as it is printed, 0 where the term is not in it; ``pip``;
+            ``included``, ``shown``; ``verdict`` on the equation; ``unit`` of the coefficient. With a common equation
+            also ``common_coef``, ``common_ci_low``, ``common_ci_high``. Files without equations have no row.
         """
         import pandas as pd
 

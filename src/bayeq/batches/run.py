@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -162,7 +163,8 @@ def _work(options: Mapping[str, Any], read: Read, path: Path) -> Outcome:
         identity = Identity.of(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", BayeqWarning)  # they are kept in the answer
-            answer = to_saved(discover(read(path), **options))
+            # plain JSON, or else it is this file that fails
+            answer = json.loads(json.dumps(to_saved(discover(read(path), **options)), allow_nan=False))
     except OSError as error:
         status, message = "refused", f"{path}: {error.strerror or error}"
     except BayeqError as error:

@@ -81,13 +81,16 @@ def batch(
     """
     reading = Reading.of({**options, "join": False})
     options, paths = named_channels({name: value for name, value in options.items() if name not in _READING})
-    _require_outputs(files, store, table, figure)
     options = cleaned(options)
+    if STANDARD_INPUT in files:
+        raise InputError("-: a batch is of files, which it knows again; write standard input to one")
     announce_compiling(lambda: say(COMPILING))
     from bayeq.batches.files import files_of
-    from bayeq.batches.run import run_batch
 
     given = files_of(files)
+    _require_outputs(given, store, table, figure)
+    from bayeq.batches.run import run_batch
+
     if common and reading.stream is None:
         reading = replace(reading, stream=reading.streamed(given))
     read = _FileReading(reading, tuple(used_channels(options)), paths)
@@ -171,8 +174,6 @@ class _BatchProgress:
 
 def _require_outputs(files: Sequence[Path], store: Path, table: Path | None, figure: Path | None) -> None:
     """Refuse, before the work, what cannot be written after it."""
-    if STANDARD_INPUT in files:
-        raise InputError("-: a batch is of files, which it knows again; write standard input to one")
     for path in (store, table, figure):
         if path is not None:
             require_place(path, files)

@@ -26,6 +26,9 @@ MARKS: dict[str, dict[str, Any]] = {
     "none": {"marker": "x", "color": RED},
 }
 
+# Panels at most, of the terms that are in most files.
+MOST = 12
+
 # Names of files below the axis: as many as can be read.
 NAMES = 24
 
@@ -37,7 +40,8 @@ def draw_drift(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table : DataFrame
-        Of `Batch.table`: its rows of terms that are in the equation of their file are drawn. Marks are those of the
+        Of `Batch.table`: its rows of terms that are in the equation of their file are drawn, of
+        12 terms at most. Marks are those of the
         verdict; a grey band is the interval of the common equation, where there is one.
 
     Returns
@@ -52,7 +56,7 @@ def draw_drift(table: pd.DataFrame) -> Figure:
     """
     if not len(table):
         raise InputError("no file has an equation: there is nothing to draw; see the messages of the files")
-    panels = list(dict.fromkeys(zip(table.target, table.term, strict=True)))
+    panels, note = _panels(table)
     figure = new_figure(FULL_WIDTH, ABOVE + len(panels) * (HEIGHT + BETWEEN) - BETWEEN + BELOW)
     several = table.target.nunique() > 1
     first: Axes | None = None
@@ -65,7 +69,18 @@ def draw_drift(table: pd.DataFrame) -> Figure:
         ax.tick_params(axis="x", labelbottom=k == len(panels) - 1)
     _files(ax, table)
     _legend(first, table)
+    figure.text(0.01, 0.01, note, fontsize=7, va="bottom")
     return figure
+
+
+def _panels(table: pd.DataFrame) -> tuple[list[tuple[str, str]], str]:
+    """Targets and terms to draw, those of most files, and what is said of the others."""
+    every = list(dict.fromkeys(zip(table.target, table.term, strict=True)))
+    files = table.groupby(["target", "term"]).shown.sum()
+    kept = sorted(every, key=lambda one: -files[one])[:MOST]
+    rest = [int(files[one]) for one in every if one not in kept]
+    note = f"{len(rest)} more terms, each in at most {max(rest)} of the files, are in the table" if rest else ""
+    return [one for one in every if one in kept], note
 
 
 def _panel(ax: Axes, rows: pd.DataFrame, before: str) -> None:
