@@ -13,7 +13,7 @@ QUICK := tests/conformance tests/test_cli_streams.py tests/test_estimators.py te
 SOURCES := src tests perf examples studies docs/conf.py docs/_extensions
 
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
-RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths
+RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths tracking
 
 .PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery site lock clean
 
@@ -86,7 +86,6 @@ study: $(VENV)/.dev
 	$(BIN)/python -m studies.calibration --folder docs/tables
 	$(BIN)/python -m studies.refinement > docs/tables/refinement.csv
 	$(BIN)/python -m studies.planning --records 12 > docs/tables/planning.csv
-	$(BIN)/python -m studies.tracking > docs/tables/tracking.csv
 	$(BIN)/python -m studies.reliability --figures docs/figures > docs/tables/reliability.csv
 	$(BIN)/bayeq study figures docs/figures
 	for name in $(RECORD_STUDIES); do $(BIN)/python -m studies.$$name > docs/tables/$$name.csv || exit 1; done

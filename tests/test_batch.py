@@ -354,9 +354,21 @@ def test_coefficients_of_a_common_equation(folder, tmp_path, capsys, monkeypatch
     assert json.loads(capsys.readouterr().out)["table"] == answer["table"]
 
 
+def test_files_that_are_read_some_rows_at_a_time(days, tmp_path, capsys):
+    files = [str(days / "day8.csv"), str(days / "day9.csv")]
+    for extra in ([], ["--common"]):
+        tables = []
+        for way in ("--stream", "--no-stream"):
+            words = ["batch", *files, *WORDS, *extra, way, "--json", "--store", str(tmp_path / "a.db")]
+            assert main(words) == 0
+            tables.append(pd.DataFrame(json.loads(capsys.readouterr().out)["table"]))
+        streamed, whole = (table.query("term != '1'") for table in tables)
+        np.testing.assert_allclose(streamed.coef, whole.coef, rtol=0.05)
+
+
 def test_no_common_equation(tmp_path):
     (tmp_path / "a.csv").write_text("t,x\n0,1\n1,2\n")
-    with pytest.raises(InputError, match="none of the 1 files can be read"):
+    with pytest.raises(InputError, match=r"none of the 1 files can be used; the first: .*no .* named 'v'"):
         bq.batch(tmp_path / "a.csv", store=tmp_path / "a.db", common=True, **OPTIONS)
 
 
@@ -371,6 +383,9 @@ def test_arguments_of_reading_reach_the_files(days, tmp_path):
         tmp_path / "mm.csv", store=tmp_path / "a.db", read={"units": {"x": "mm", "v": "m/s", "a": "m/s^2"}}, **OPTIONS
     ).table()
     assert table.set_index("term").loc["x", "unit"] == "m/s^2/mm"
+    mixed = bq.batch([days / "day8.csv", tmp_path / "mm.csv"], store=tmp_path / "b.db", **OPTIONS)
+    assert "The units of u, v, x, x**3 differ over files" in str(mixed)
+    assert "units differ" in mixed.plot().axes[0].get_ylabel()
 
 
 def test_an_identity_is_that_of_the_content(tmp_path):
@@ -421,7 +436,14 @@ def test_the_figure_has_a_panel_for_each_term(found):
 def test_most_terms_have_a_panel_and_the_rest_are_counted():
     rows = [
         {"order": k, "file": f"{k}.csv", "target": "a", "term": f"x**{j}", "coef": 1.0, "sd": 0.1, "ci_low": 0.8}
-        | {"ci_high": 1.2, "pip": 1.0, "included": True, "shown": k == 0 or j < 12, "verdict": "found", "unit": None}
+        | {
+            "ci_high": 1.2,
+            "pip": 1.0,
+            "included": True,
+            "shown": k == 0 or j < 12,
+            "verdict": "found",
+            "unit": "1/m^4/s^2",
+        }
         for k in range(3)
         for j in range(1, 16)
     ]

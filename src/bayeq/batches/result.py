@@ -73,21 +73,12 @@ class BatchFile:
 class Batch:
     """What `batch` returns: its files in order, by position or in a loop, as `BatchFile`.
 
-    Parameters
-    ----------
-    outcomes : tuple of Outcome
-        What became of each file.
-    common : mapping or None
-        The common equations, as they are saved.
-    done : int
-        How many files were done in this run; the others were in the store.
-
     Attributes
     ----------
     files : tuple of BatchFile
         What became of each.
     done : int
-        How many files were done in this run.
+        How many files were done in this run; the others were in the store.
     """
 
     def __init__(self, outcomes: tuple[Outcome, ...], common: Mapping[str, Any] | None, done: int) -> None:

@@ -185,22 +185,24 @@ def _common(
     asked = question(options)
     channels = [*asked.roles.measured, *asked.roles.inputs]
     sources: list[Any] = []
+    why: list[str] = []
     contents = hashlib.sha256()
     for k, path in enumerate(paths):
         step(COMMON, k, len(paths))
         try:
             identity = Identity.of(path)
             source = read(path)
-            parts = source if isinstance(source, list) else as_records(source, options.get("t"))
+            parts = list(source) if isinstance(source, (list, tuple)) else as_records(source, options.get("t"))
             for part in parts:
                 for name in channels if isinstance(part, Record) else ():
                     _ = part[name]
-        except (BayeqError, OSError):
-            continue  # it is refused again, with its message, where each file is done
+        except (BayeqError, OSError) as error:
+            why.append(_one_line(error))  # it is refused again, with its message, where each file is done
+            continue
         sources += parts
         contents.update(identity.sha256.encode())
     if not sources:
-        raise InputError(f"no common equation: none of the {len(paths)} files can be read; try one with bayeq info")
+        raise InputError(f"no common equation: none of the {len(paths)} files can be used; the first: {why[0]}")
     key = digest(options, read), contents.hexdigest()
     if store.common(*key) is None:
         try:

@@ -18,6 +18,8 @@ DIFFERENT = (
     "  (common=True) compares the coefficients of one equation."
 )
 
+UNITS = "The units of {} differ over files: state them with --units (read={{'units': ...}}) before comparing numbers."
+
 
 class Summarised(Protocol):
     """What is summarised; see `bayeq.batches.result.Batch`."""
@@ -55,6 +57,10 @@ def summary(batch: Summarised) -> str:
         lines += [head, *(_line(own, term) for term in dict.fromkeys(row["term"] for row in own))]
         if not all(row["shown"] for row in own if row["term"] != CONSTANT):
             lines += ["", f"  {DIFFERENT}"]
+        units = {term: {row["unit"] for row in own if row["term"] == term} for term in {row["term"] for row in own}}
+        mixed = sorted(term for term, found in units.items() if len(found) > 1)
+        if mixed:
+            lines += ["", f"  {UNITS.format(', '.join(mixed))}"]
     return "\n".join(lines)
 
 

@@ -150,8 +150,8 @@ class _BatchProgress:
             self.stages(stage, done, total)
             return
         self.stages.close()
-        if done == 0:
-            self.files.begin()
+        if done <= 1:  # the first waits for processes to start
+            self.files.begin(done)
         else:
             self.files(done, total)
 

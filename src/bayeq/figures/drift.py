@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 from bayeq.errors import InputError
-from bayeq.figures.picture import plain, unit_text
+from bayeq.figures.picture import plain
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, PALE, RED, add_axes, new_figure, styled, term_label
 
 if TYPE_CHECKING:
@@ -96,11 +97,17 @@ def _panel(ax: Axes, rows: pd.DataFrame, before: str) -> None:
     for kind, look in MARKS.items():
         own = drawn[drawn.verdict == kind]
         ax.plot(own.order, own.coef, linestyle="none", markersize=3.4, zorder=3, **look)
-    units = [unit for unit in rows.unit.dropna().unique() if unit != "1"]
+    units = list(rows.unit.unique())
+    unit = "units differ" if len(units) > 1 else _unit(units[0] or "")
     name = term_label(rows.term.iloc[0], tuple(rows.term)) if rows.term.iloc[0] != "1" else "constant"
-    ax.set_ylabel(f"{plain(before)}{name}" + (f"\n[{unit_text(units[0])}]" if units else ""))
+    ax.set_ylabel(f"{plain(before)}{name}" + (f"\n[{unit}]" if unit not in ("", "1") else ""))
     ax.locator_params(axis="y", nbins=5)
     ax.ticklabel_format(axis="y", useOffset=False, scilimits=(-4, 5))
+
+
+def _unit(unit: str) -> str:
+    """A unit with its powers raised, of which the font has not all as characters."""
+    return re.sub(r"\^(-?\d+)", r"$^{\1}$", plain(unit))
 
 
 def _files(ax: Axes, table: pd.DataFrame) -> None:

@@ -24,12 +24,13 @@ class StudyProgress:
     def __init__(self, what: str = "realisations") -> None:
         self.what = what
         self.started = self.last = time.monotonic()
-        self.done = self.total = 0
+        self.done = self.before = self.total = 0
         self._bar: Any = None
         self._task: Any = None
 
-    def begin(self) -> None:
-        """Count the time from now on."""
+    def begin(self, done: int) -> None:
+        """Count from now on, with this number done: what it took to start says nothing of the rest."""
+        self.done = self.before = done
         self.started = self.last = time.monotonic()
 
     def __call__(self, done: int, total: int) -> None:
@@ -44,7 +45,7 @@ class StudyProgress:
     @property
     def rate(self) -> float:
         """How many per second so far."""
-        return max(self.done, 1) / max(time.monotonic() - self.started, 1e-9)
+        return max(self.done - self.before, 1) / max(time.monotonic() - self.started, 1e-9)
 
     def _draw(self) -> None:
         if self._bar is None:
