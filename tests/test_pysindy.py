@@ -533,10 +533,11 @@ def test_without_pysindy(monkeypatch):
 def test_every_block_of_the_page_runs(capsys):
     page = (Path(__file__).parents[1] / "docs/pysindy.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
-    assert len(blocks) == 4
+    assert len(blocks) == 5
     names: dict[str, object] = {}
     for block in blocks:
         exec(block, names)  # noqa: S102  the page is ours
     said = capsys.readouterr().out
     assert said.count("(x0)' = -") == 2
     assert terms(names["model"]) == LORENZ
+    assert terms(names["field"]) == [{"x0_11"}]
