@@ -86,7 +86,9 @@ def check_printed(expected: Iterable[str], printed: str, what: str) -> None:
     lines = iter(printed.splitlines())
     for line in expected:
         if not RULE.fullmatch(line) and line:
-            assert any(_within(line.strip(), out) for out in lines), f"{what}: no line with {line.strip()!r}:\n{printed}"
+            assert any(_within(line.strip(), out) for out in lines), (
+                f"{what}: no line with {line.strip()!r}:\n{printed}"
+            )
 
 
 def _within(said: str, line: str) -> bool:

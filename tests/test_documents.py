@@ -6,12 +6,14 @@ import re
 from pathlib import Path
 
 import pytest
+from examples import tutorials
 from examples.run_page import blocks, check_printed, run_page
 
 ROOT = Path(__file__).parents[1]
 PAGES = {str(page.relative_to(ROOT)): page for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]}
 
-# Python and commands are run. The others are what is printed, lines for a shell elsewhere, changes of a file, other languages.
+# Python and commands are run. The others are what is printed, lines for a shell that are not run, changes of a file,
+# other languages.
 RUN = {"python", "console"}
 LANGUAGES = RUN | {"text", "sh", "diff", "json", "matlab", "c", "julia"}
 
@@ -84,6 +86,18 @@ def run(tmp_path, monkeypatch, text):
     run_page(tmp_path / "page.md")
 
 
+def test_pictures_of_the_pages_chosen_are_kept(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(tutorials, "DOCS", tmp_path)
+    pages = [tmp_path / "a.md", tmp_path / "b.md"]
+    for page in pages:
+        page.write_text(f"```python\nopen('tutorial_{page.stem}.png', 'w').close()\n```\n", encoding="utf-8")
+    monkeypatch.setattr(tutorials, "PAGES", pages)
+    (tmp_path / "figures").mkdir()
+    tutorials.draw_tutorials(["b"])
+    assert [path.name for path in (tmp_path / "figures").iterdir()] == ["tutorial_b.png"]
+
+
 def test_a_command_that_prints_something_else_fails(tmp_path, monkeypatch):
     run(tmp_path, monkeypatch, "```console\n$ bayeq systems\nduffing\n```\n")
     with pytest.raises(AssertionError, match="no line with 'no such system'"):
@@ -91,7 +105,7 @@ def test_a_command_that_prints_something_else_fails(tmp_path, monkeypatch):
 
 
 def test_a_command_that_fails_says_why(tmp_path, monkeypatch):
-    with pytest.raises(AssertionError, match="exit code 2\n.*absent.csv"):
+    with pytest.raises(AssertionError, match=r"exit code 2\n.*absent\.csv"):
         run(tmp_path, monkeypatch, "```console\n$ bayeq info absent.csv\n```\n")
 
 
@@ -103,7 +117,11 @@ def test_python_that_prints_something_else_fails(tmp_path, monkeypatch):
 
 
 def test_blocks_share_names_and_text_elsewhere_is_not_compared(tmp_path, monkeypatch):
-    run(tmp_path, monkeypatch, "```python\na = 1\n```\n\nA file:\n\n```text\nzzz\n```\n\n```python\nassert a == 1\n```\n")
+    run(
+        tmp_path,
+        monkeypatch,
+        "```python\na = 1\n```\n\nA file:\n\n```text\nzzz\n```\n\n```python\nassert a == 1\n```\n",
+    )
 
 
 def test_a_block_without_an_end_is_refused(tmp_path):

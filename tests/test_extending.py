@@ -19,7 +19,10 @@ COPIED = ("src", "tests", "examples", "docs", "pyproject.toml", "README.md", "CO
 PASSED_OVER = shutil.ignore_patterns("*.png", "*.svg", "*.tmp.*")
 
 # Of the folders' tests, those of what the page adds.
-ADDED = "forward or softening or friction or (JSON and Lines) or terms_page or lists_every_format or test_the_schema_uses_keywords_that_are_checked"
+ADDED = (
+    "forward or softening or friction or (JSON and Lines) or terms_page or lists_every_format"
+    " or test_the_schema_uses_keywords_that_are_checked"
+)
 
 
 @pytest.fixture(scope="module")
