@@ -13,7 +13,7 @@ from examples.run_page import run_page
 __all__ = ["PAGES", "draw_tutorials"]
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-PAGES = sorted((DOCS / "tutorials").glob("*.md"))
+PAGES = [DOCS / "your_own_file.md", *sorted((DOCS / "tutorials").glob("*.md"))]
 
 
 def draw_tutorials(names: list[str]) -> None:
