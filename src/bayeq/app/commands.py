@@ -9,10 +9,19 @@ from typing import Any
 
 from bayeq.app.roles import Choice, chains_of, inputs_of, proposed
 
-__all__ = ["EQUATION", "REPORT", "Choices", "as_typed", "discover_command", "info_command"]
+__all__ = [
+    "EQUATION",
+    "EXAMPLE",
+    "REPORT",
+    "Choices",
+    "as_typed",
+    "discover_command",
+    "example_command",
+    "info_command",
+]
 
 #: Names of the files that are written.
-EQUATION, REPORT = "equation.json", "report.html"
+EQUATION, REPORT, EXAMPLE = "equation.json", "report.html", "example.csv"
 
 # What a proposal says of reading, and is kept as it is.
 READING = ("--time", "--names", "--group")
@@ -57,6 +66,11 @@ class Choices:
 def info_command(file: str) -> list[str]:
     """What says what is in a file."""
     return ["info", file, "--json"]
+
+
+def example_command() -> list[str]:
+    """What makes a record to try the page with."""
+    return ["simulate", "duffing", "--n", "2000", "-o", EXAMPLE]
 
 
 def discover_command(file: str, choices: Choices) -> list[str]:

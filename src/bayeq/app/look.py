@@ -15,6 +15,11 @@ SHEET = (
 .nicegui-content { display: block; padding: 0; }
 .q-field, .q-btn, .q-uploader, .q-checkbox, .q-menu, .q-item { font-family: inherit; }
 .q-btn { font-weight: 600; }
+h1, h2, h3 { font-weight: 700; line-height: 1.3; letter-spacing: normal; }
+.q-field--with-bottom { padding-bottom: .6rem; }
+.q-field__bottom { position: static; transform: none !important; min-height: 0; padding: .2rem .75rem 0;
+  font-size: .85rem; line-height: 1.3; color: #555; }
+.q-checkbox { margin-left: -.5rem; }
 .q-field--dense .q-field__label, .q-field__native { font-size: 1rem; }
 p { margin: .4rem 0; }
 a { color: var(--blue); }
@@ -27,9 +32,10 @@ ul { padding-left: 1.2rem; margin: .4rem 0; }
 .drop { width: 100% !important; border: 2px dashed #8a8a8a; border-radius: 6px; box-shadow: none; max-height: 11rem; }
 .drop.q-uploader--dnd { border-color: var(--blue); }
 .drop .q-uploader__header { background: var(--pale); color: var(--ink); }
-.drop .q-uploader__title { font-size: 1rem; white-space: normal; line-height: 1.35; }
-.drop .q-uploader__subtitle, .drop .q-uploader__list { display: none; }
-.drop .q-uploader__header-content { min-height: 4.5rem; padding: .6rem 1rem; }
+.drop .q-uploader__list { display: none; }
+.drop-words { display: flex; flex-wrap: wrap; gap: .6rem 1.5rem; align-items: center; justify-content: space-between;
+  padding: 1rem; }
+.drop-words span:first-child { flex: 1 1 16rem; }
 .drop .q-uploader__dnd { outline: none; }
 .channels { display: grid; grid-template-columns: minmax(7rem, max-content) minmax(12rem, 1fr) 15rem; gap: .2rem 1.2rem;
   align-items: center; }
@@ -39,6 +45,7 @@ ul { padding-left: 1.2rem; margin: .4rem 0; }
 .channel-about { font-size: .9rem; color: #444; }
 .fields { display: grid; grid-template-columns: repeat(3, 1fr); gap: .2rem 1.2rem; }
 .fields .whole { grid-column: 1 / -1; }
+.command span { display: inline-block; max-width: 100%; vertical-align: top; }
 .buttons { display: flex; flex-wrap: wrap; gap: .8rem; align-items: center; margin: .6rem 0; }
 .button-like { border: 1px solid var(--blue); border-radius: 4px; padding: .35rem .9rem; text-decoration: none;
   font-weight: 600; }

@@ -8,7 +8,7 @@ from nicegui import background_tasks, ui
 
 from bayeq.app import parts
 from bayeq.app.look import BLUE, RED, SHEET
-from bayeq.app.session import Session
+from bayeq.app.session import LOOKING, Session
 from bayeq.app.workspace import LARGEST, safe_name
 
 __all__ = ["build", "refresh"]
@@ -20,6 +20,14 @@ FIT = """(event) => {
   fit();
   new ResizeObserver(fit).observe(page.documentElement);
 }"""
+
+# What stands in the box that files are dropped into; the framework compiles it.
+DROP = """<div class="drop-words"><span>{words}</span>
+  <q-btn no-caps unelevated color="primary" label="Choose a file" @click="props.pickFiles">
+    <q-uploader-add-trigger></q-uploader-add-trigger>
+  </q-btn>
+</div>"""
+FORMATS = "CSV, Excel, MATLAB, HDF5, Parquet, LabVIEW, universal files, WAV and others"
 
 TERMS_HINT = "oscillator, polynomial:3, or terms of your own: x, v, x**3, v*abs(v), sign(v), u"
 
@@ -67,17 +75,21 @@ def file_step(session: Session) -> None:
         refresh("file")
 
     size = f"{LARGEST // 1_000_000} MB"
-    if session.busy:
-        parts.text(session.opened.name if session.opened else "Reading the file ...", "note")
+    if session.busy == LOOKING:
+        parts.text("Another file can be opened when this is done or stopped.", "note")
+    elif session.busy:
+        with ui.element("div").classes("buttons").props("aria-live=polite"):
+            parts.text(f"{session.busy.capitalize()} ...", "note")
+            stop_button(session)
     else:
         upload = ui.upload(
-            label=f"Drop a file here, or press + to choose one: CSV, Excel, MATLAB, HDF5 and others, up to {size}",
             on_upload=dropped,
             on_rejected=lambda: refused(f"the file is larger than {size}: open it where it is, by bayeq app FILE"),
             max_file_size=LARGEST,
             auto_upload=True,
         )
         upload.props("flat").classes("drop")
+        upload.add_slot("header", DROP.format(words=f"Drop a measured file here, up to {size}: {FORMATS}."))
         upload.on("failed", lambda: refused(f"the file did not arrive: is it larger than {size}, or was it moved?"))
     if session.file_error:
         parts.message(session.file_error, "error")
@@ -97,6 +109,8 @@ def choice_steps(session: Session) -> None:
             " time. Next you say which is which, press Discover, and read the equation.",
             "note",
         )
+        example = ui.button("Open an example", on_click=lambda: background_tasks.create(session.open_example()))
+        example.props("no-caps outline").bind_enabled_from(session, "busy", lambda busy: not busy)
         return
     parts.heading(2, "What each channel is")
     parts.text("Roles are proposed from names, units and the motion itself. Change what is wrong.", "note")
@@ -112,9 +126,14 @@ def choice_steps(session: Session) -> None:
     with ui.element("div").classes("buttons"):
         start = ui.button("Discover", on_click=lambda: background_tasks.create(session.discover()))
         start.props("no-caps unelevated").bind_enabled_from(session, "busy", lambda busy: not busy)
-        stop = ui.button("Stop", on_click=lambda: background_tasks.create(session.stop()))
-        stop.props("no-caps outline color=negative").bind_enabled_from(session, "busy", bool)
+        stop_button(session).bind_visibility_from(session, "busy", lambda busy: busy == LOOKING)
     run_status(session)
+
+
+def stop_button(session: Session) -> Any:
+    """The button that stops what is being done."""
+    made = ui.button("Stop", on_click=lambda: background_tasks.create(session.stop()))
+    return made.props("no-caps outline color=negative")
 
 
 @ui.refreshable
@@ -136,10 +155,13 @@ def channels(session: Session, several: bool) -> None:
 def run_status(session: Session) -> None:
     """How far it is, or how it ended."""
     with ui.element("div").props("aria-live=polite"):
-        if session.busy:
+        if session.busy == LOOKING:
             ui.linear_progress(show_value=False).props("indeterminate rounded")
             elapsed = ui.label().classes("note")
-            show = lambda: elapsed.set_text(f"{session.busy.capitalize()}: {session.seconds():.0f} s")  # noqa: E731
+
+            def show() -> None:
+                elapsed.set_text(f"{session.busy.capitalize()}: {session.seconds():.0f} s")
+
             show()
             ui.timer(1.0, show, immediate=False)
             parts.bullets(session.progress[-4:])
@@ -147,9 +169,11 @@ def run_status(session: Session) -> None:
             parts.message(session.run_error, "error")
         if session.note:
             parts.message(session.note, "said")
+        if session.result is not None and (session.run_error or session.stopped):
+            parts.text("The result below is that of the run before.", "note")
     if session.command:
         parts.text("The same on the command line:", "note")
-        parts.text(session.command, tag="pre")
+        parts.command(session.command)
 
 
 @ui.refreshable

@@ -9,13 +9,20 @@ from nicegui import ui
 
 from bayeq.app.roles import INPUT, RATE, ROLES, Choice
 
-__all__ = ["bullets", "channel_rows", "field", "heading", "message", "summary", "text"]
+__all__ = ["bullets", "channel_rows", "command", "field", "heading", "is_several", "message", "summary", "text"]
 
 # More channels are not offered on a page.
 MOST_CHANNELS = 60
 
 # More coordinates are not offered.
 MOST_COORDINATES = 9
+
+
+def command(words: str) -> None:
+    """A command, which breaks between its options."""
+    with ui.element("pre").classes("command"):
+        for part in words.replace(" --", " \0--").split("\0"):
+            text(part, tag="span")
 
 
 def heading(number: int, title: str) -> None:
@@ -84,7 +91,9 @@ def channel_rows(info: Mapping[str, Any], choices: dict[str, Choice], several: b
 def _coordinate(name: str, choice: Choice) -> None:
     """Of which coordinate a channel is."""
     numbers = list(range(1, max(MOST_COORDINATES, choice.coordinate) + 1))
-    made = ui.select(numbers, label="Coordinate").props(f'outlined dense options-dense aria-label="Coordinate of {name}"')
+    made = ui.select(numbers, label="Coordinate").props(
+        f'outlined dense options-dense aria-label="Coordinate of {name}"'
+    )
     made.bind_value(choice, "coordinate")
     made.bind_visibility_from(choice, "role", lambda role: role not in ("", INPUT))
 
@@ -106,5 +115,5 @@ def _about(channel: Mapping[str, Any]) -> str:
         parts.append(f"{channel['missing']} samples missing")
     parts += [f"{kind}: {found['samples']} samples" for kind, found in channel["bad"].items()]
     if channel["why"]:
-        parts.append(f"proposed for {channel['why']}")
+        parts.append(f"role proposed: {channel['why']}")
     return "; ".join(parts)

@@ -10,13 +10,35 @@ from time import monotonic
 from typing import Any
 
 from bayeq.app.child import Child, Outcome
-from bayeq.app.commands import EQUATION, REPORT, Choices, as_typed, discover_command, info_command
+from bayeq.app.commands import (
+    EQUATION,
+    EXAMPLE,
+    REPORT,
+    Choices,
+    as_typed,
+    discover_command,
+    example_command,
+    info_command,
+)
 from bayeq.app.workspace import Workspace
 from bayeq.errors import InputError
 
-__all__ = ["Opened", "Result", "Session"]
+__all__ = ["LOOKING", "READING", "Opened", "Result", "Session", "in_words"]
 
 _PROGRESS = "bayeq: progress: "
+
+#: What can be going on.
+READING, LOOKING = "reading the file", "looking for the equation"
+
+# Stages, as the page calls them.
+_STAGES = {
+    "reading": "reading the file",
+    "states": "smoothing the motion",
+    "dictionary": "evaluating the candidate terms",
+    "likelihood": "learning path and noise of the record",
+    "inference": "weighing the terms",
+    f"writing {REPORT}": "drawing the report",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +113,7 @@ class Session:
         self.began = 0.0
         self.progress: list[str] = []
         self.file_error = self.run_error = self.note = ""
+        self.stopped = False
         self.command = ""
         self._child: Child | None = None
         self._runs = 0
@@ -98,11 +121,14 @@ class Session:
     async def open(self, path: Path, name: str) -> None:
         """Look into a file; what was open before stays open if it cannot be read."""
         if self.busy:
+            self.file_error = f"{name}: not opened, as something is being done: stop it first"
+            self._forget(path)
+            self.changed("file")
             return
         # messages name the file as it is called here
         inside = self.workspace.path in path.parents
-        outcome = await self._run("reading the file", info_command(path.name if inside else str(path)), path.parent)
-        self.file_error = outcome.error or ("stopped" if outcome.stopped else "")
+        outcome = await self._run(READING, info_command(path.name if inside else str(path)), path.parent)
+        self.file_error = outcome.error or ("Stopped: the file was not opened." if outcome.stopped else "")
         if not self.file_error:
             previous, self.opened = self.opened, Opened(name, path, json.loads(outcome.out))
             self.choices = Choices.proposed(self.opened.info)
@@ -113,11 +139,24 @@ class Session:
             self._forget(path)
         self.changed("file", "run", "result")
 
+    async def open_example(self) -> None:
+        """Make a record of a known system, and look into it."""
+        if self.busy:
+            return
+        folder = self.workspace.new_folder()
+        outcome = await self._run("making an example", example_command(), folder)
+        if outcome.error or outcome.stopped:
+            self.file_error = outcome.error
+            self.workspace.remove(folder)
+            self.changed("file", "run")
+        else:
+            await self.open(folder / EXAMPLE, EXAMPLE)
+
     async def discover(self) -> None:
         """Find the equations with what was chosen; an earlier result stays until there is another."""
         if self.busy or self.opened is None:
             return
-        self.run_error = self.note = ""
+        self.run_error, self.note, self.stopped = "", "", False
         path = self.opened.path
         inside = self.workspace.path in path.parents
         try:
@@ -130,14 +169,16 @@ class Session:
         folder = self.workspace.new_folder()
         if inside:  # a name without folders, also in the report
             (folder / path.name).hardlink_to(path)
-        outcome = await self._run("looking for the equation", words, folder)
+        began = monotonic()
+        outcome = await self._run(LOOKING, words, folder)
         if outcome.error or outcome.stopped:
-            self.run_error = outcome.error
-            self.note = "Stopped. Nothing of this run is kept." if outcome.stopped else ""
+            self.run_error, self.stopped = outcome.error, outcome.stopped
+            self.note = "Stopped: nothing of this run is kept." if outcome.stopped else ""
             self.workspace.remove(folder)
         else:
             previous, self._runs = self.result, self._runs + 1
             self.result = Result(self._runs, folder, Path(self.opened.name).stem)
+            self.note = f"Done in {monotonic() - began:.0f} s: the result is below."
             if previous is not None:
                 self.workspace.remove(previous.folder)
         self.changed("run", "result")
@@ -169,10 +210,22 @@ class Session:
     def _say(self, line: str) -> None:
         """A line of progress; warnings are in the report."""
         if not line.startswith(("bayeq: warning: ", "bayeq: error: ")):
-            self.progress.append(line.removeprefix(_PROGRESS))
+            self.progress.append(in_words(line))
             self.changed("progress")
 
     def _forget(self, path: Path, kept: Path | None = None) -> None:
         """Remove a file that was dropped, unless it is the one that is kept."""
         if self.workspace.path in path.parents and (kept is None or kept.parent != path.parent):
             self.workspace.remove(path.parent)
+
+
+def in_words(line: str) -> str:
+    """A line of progress, as the page says it.
+
+    Examples
+    --------
+    >>> in_words("bayeq: progress: likelihood, 2 of 3, 10 s")
+    'learning path and noise of the record, 2 of 3, 10 s'
+    """
+    stage, comma, rest = line.removeprefix(_PROGRESS).partition(",")
+    return _STAGES.get(stage, stage) + comma + rest
