@@ -73,7 +73,7 @@ class Page:
 
     def wait(self, condition, what, seconds=WAIT):
         """The value of a condition, once it is true."""
-        return WebDriverWait(self.driver, seconds, 0.1, ignored_exceptions=(Exception,)).until(
+        return WebDriverWait(self.driver, seconds, 0.2, ignored_exceptions=(Exception,)).until(
             lambda _: condition(), what
         )
 

@@ -81,6 +81,8 @@ def test_proposed_roles_make_the_proposed_chains(chains):
     assert chains_of(choices) == chains
     assert inputs_of(choices) == ["u", "f"]
     assert choices["other"].role == ""
+    # states alone have no numbers, which the page would have to show
+    assert {choice.coordinate for choice in choices.values()} == {1} or any(":" in chain for chain in chains[1:])
     assert {choice.role for choice in choices.values()} <= set(ROLES)
 
 

@@ -23,7 +23,7 @@ HOSTILE = "<img src=x onerror=alert(4)>{{7*7}}.csv"
 
 
 def hostile_file(folder):
-    record = bq.simulate("duffing", n=800, seed=1)
+    record = bq.simulate("duffing", n=500, seed=1)
     head = ",".join(f'"{name} [{unit.replace(chr(34), chr(34) * 2)}]"' for name, unit in UNITS.items())
     rows = np.column_stack([record.time, *(record[name] for name in UNITS)])
     np.savetxt(folder / HOSTILE, rows, delimiter=",", header=f"t [s],{head}", comments="")
@@ -68,7 +68,7 @@ def test_from_a_file_to_its_equation(tmp_path):
         assert "_img src_x onerror_alert(4)_" in page.text  # the name, without what a name cannot hold
         for name, unit in UNITS.items():
             assert f"{name} [{unit}]" in page.text
-        assert "800 rows at 1000 Hz, 0.799 s; 4 channels" in page.text
+        assert "500 rows at 1000 Hz, 0.499 s; 4 channels" in page.text
         # a role that is wrong is said, and nothing is run
         page.choose("Role of x", "velocity")
         page.choose("Role of v", "velocity")
@@ -84,24 +84,23 @@ def test_from_a_file_to_its_equation(tmp_path):
         assert "a = " in first
         assert "x**3" not in first.split("Pictures")[0]
         page.write("Candidate terms", "x, v, x**3, u")
-        page.write("Rows", "0:700")
+        page.write("Rows", "0:450")
         page.press("Discover")
         second = page.result(2)
         assert "Verdict: found" in second
         assert "x**3" in second.split("Pictures")[0]
         assert "onerror=alert(2)" in second  # the unit, as it stands in the file
         assert page.error() == ""
-        assert "--dictionary 'x, v, x**3, u' --rows 0:700 --save equation.json --report report.html" in page.text
+        assert "--dictionary 'x, v, x**3, u' --rows 0:450 --save equation.json --report report.html" in page.text
         report, equation = (page.download(words) for words in ("Download report", "Download equation (JSON)"))
         # nothing was run, nobody else was talked to
         assert said(driver) == []
         assert hosts(driver) == {address.removeprefix("http://").split("/")[0]}
-        driver.get(report.as_uri())
-        assert "Verdict: found" in driver.find_element("tag name", "body").text
+    assert "<strong>Verdict: found</strong>" in report.read_text(encoding="utf-8")  # the page that the frame has shown
     found = bq.load(equation)
     assert found.verdict.kind == "found"
     assert set(found[0].shown) == {"x", "v", "x**3", "u"}
-    assert found.data.n == 700
+    assert found.data.n == 450
 
 
 def test_a_file_on_disk_a_bad_file_and_a_stop(tmp_path):

@@ -100,8 +100,7 @@ def _coordinate(name: str, choice: Choice) -> None:
 
 def is_several(choices: Mapping[str, Choice]) -> bool:
     """Whether coordinates need numbers."""
-    roles = [choice for choice in choices.values() if choice.role not in ("", INPUT, "state")]
-    return any(choice.coordinate > 1 or choice.role == RATE for choice in roles)
+    return any(choice.coordinate > 1 or choice.role == RATE for choice in choices.values())
 
 
 def _about(channel: Mapping[str, Any]) -> str:

@@ -45,12 +45,14 @@ class Choice:
 def proposed(info: Mapping[str, Any]) -> dict[str, Choice]:
     """Likely roles by channel, from what ``bayeq info --json`` prints."""
     out = {channel["name"]: Choice() for channel in info["channels"]}
-    for k, chain in enumerate(info["roles"]["chains"], start=1):
+    number = 0
+    for chain in info["roles"]["chains"]:
         names = chain.split(":")
         roles = MOTION if len(names) == len(MOTION) else (STATE, RATE)
+        number += len(names) > 1  # a state alone needs no number, which the page need not show then
         for name, role in zip(names, roles, strict=False):
             if name in out:
-                out[name] = Choice(role, k)
+                out[name] = Choice(role, number if len(names) > 1 else 1)
     for name in info["roles"]["inputs"]:
         if name in out:
             out[name] = Choice(INPUT)
