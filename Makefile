@@ -12,7 +12,7 @@ QUICK := tests/conformance tests/test_cli_streams.py tests/test_estimators.py te
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
 RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths
 
-.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery lock clean
+.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery app-pictures lock clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -94,6 +94,10 @@ examples: $(VENV)/.dev
 # The pictures of docs/gallery.md, and the page.
 gallery: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m examples.gallery
+
+# The pictures of docs/app.md, with Chromium and chromedriver.
+app-pictures: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m examples.app_pictures
 
 # Pin what is installed now, after an upgrade that the tests have passed.
 lock: $(VENV)/.dev

@@ -130,6 +130,19 @@ class Page:
         finally:
             self.driver.switch_to.default_content()
 
+    def drawn(self, number):
+        """Whether the live pictures of a run's report are there."""
+        script = (
+            "const page = document.querySelector(arguments[0]).contentDocument;"
+            "return page.documentElement.dataset.drawn == page.querySelectorAll('script.plot').length"
+        )
+        return self.driver.execute_script(script, f'iframe[src="/report.html?run={number}"]')
+
+    def top_of(self, title):
+        """Where a heading is [pixels from the top]."""
+        heading = self.driver.find_element(By.XPATH, f"//h2[contains(., '{title}')]")
+        return int(self.driver.execute_script("return arguments[0].getBoundingClientRect().top + scrollY", heading))
+
     def download(self, words):
         """The file behind a link, once it is there."""
         link = self.driver.find_element(By.LINK_TEXT, words)

@@ -1,4 +1,4 @@
-"""The pieces of `bayeq app`: commands, names, who is let in, processes that are stopped. test_app_browser.py uses it."""
+"""The pieces of `bayeq app`: commands, names, who is let in, processes. test_app_browser.py uses the page itself."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def test_the_token_is_exchanged_for_a_cookie():
     code, reached, headers = answered({"host": HOST}, query="token=secret")
     assert (code, reached) == (303, False)
     assert headers[b"location"] == b"/"  # without the token
-    assert b"HttpOnly; SameSite=Strict" in headers[b"set-cookie"]
+    assert b"HttpOnly; SameSite=Lax" in headers[b"set-cookie"]
     assert answered({"host": HOST, **COOKIE})[:2] == (200, True)
 
 
@@ -237,7 +237,7 @@ def test_a_file_in_the_folder_is_never_imported(tmp_path, monkeypatch):
 
 
 def test_a_child_is_stopped(tmp_path):
-    bq.write(bq.simulate("duffing", n=20_000, seed=1), tmp_path / "run.csv")
+    bq.write(bq.simulate("duffing", n=5000, seed=1), tmp_path / "run.csv")
     lines = []
 
     async def stopped():

@@ -13,6 +13,7 @@ import bayeq as bq
 pytest.importorskip("nicegui", reason="the extra [app] is not installed")
 pytest.importorskip("selenium", reason="the extra [dev], with selenium, is not installed")
 
+from bayeq.app.workspace import LARGEST
 from tests.app_driver import Page, browser, missing_browser, running_app
 
 pytestmark = pytest.mark.skipif(bool(missing_browser()), reason=missing_browser())
@@ -116,6 +117,10 @@ def test_a_file_on_disk_a_bad_file_and_a_stop(tmp_path):
         assert "line 3" in page.error()
         assert "<b>one</b>" in page.error()
         assert "run.csv is still open" in page.text
+        with (tmp_path / "large.csv").open("wb") as file:
+            file.truncate(LARGEST + 1)
+        page.drop(tmp_path / "large.csv")
+        page.wait(lambda: "larger than 200 MB: open it where it is, by bayeq app FILE" in page.error(), "the limit")
         page.press("Discover")
         page.wait(lambda: children(process), "the command runs")
         assert "-m bayeq discover" in children(process)[0]

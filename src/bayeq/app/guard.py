@@ -59,7 +59,7 @@ class Guard:
         if refusal is not None:
             await _answer(scope, send, *refusal)
         elif scope["type"] == "http" and scope["path"] == "/" and self._has(_asked(scope)):
-            cookie = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+            cookie = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Lax"
             await _answer(scope, send, 303, "the page", {"Location": "/", "Set-Cookie": cookie})
         else:
             await self.app(scope, receive, _with_headers(send))

@@ -39,7 +39,7 @@ ul { padding-left: 1.2rem; margin: .4rem 0; }
 .drop .q-uploader__dnd { outline: none; }
 .channels { display: grid; grid-template-columns: minmax(7rem, max-content) minmax(12rem, 1fr) 15rem; gap: .2rem 1.2rem;
   align-items: center; }
-.channels.several { grid-template-columns: minmax(7rem, max-content) minmax(10rem, 1fr) 14rem 8rem; }
+.channels.several { grid-template-columns: minmax(7rem, max-content) minmax(9rem, 1fr) 15rem 7rem; }
 .channels > * { min-width: 0; }
 .channel-name { font-weight: 600; }
 .channel-about { font-size: .9rem; color: #444; }
@@ -53,7 +53,9 @@ ul { padding-left: 1.2rem; margin: .4rem 0; }
 .report { border: 0; display: block; width: calc(100% + 2.4rem); margin: .5rem -1.2rem 0; min-height: 30rem; }
 .q-linear-progress { margin: .6rem 0; }
 @media (max-width: 40rem) {
-  .channels, .channels.several { grid-template-columns: 1fr; gap: .1rem; }
+  .channels { grid-template-columns: 1fr; gap: .1rem; }
+  .channels.several { grid-template-columns: 1fr 6.5rem; gap: .1rem .6rem; }
+  .channels.several > .channel-name, .channels.several > .channel-about { grid-column: 1 / -1; }
   .channels .q-field { margin-bottom: .7rem; }
   .fields { grid-template-columns: 1fr; }
   .report { width: calc(100% + 1.6rem); margin: .5rem -.8rem 0; }

@@ -29,7 +29,7 @@ DROP = """<div class="drop-words"><span>{words}</span>
 </div>"""
 FORMATS = "CSV, Excel, MATLAB, HDF5, Parquet, LabVIEW, universal files, WAV and others"
 
-TERMS_HINT = "oscillator, polynomial:3, or terms of your own: x, v, x**3, v*abs(v), sign(v), u"
+TERMS_HINT = "oscillator, polynomial:3, or terms in the names of the channels: x, v, x**3, v*abs(v), sign(v), u"
 
 
 def build(session: Session) -> None:
