@@ -30,15 +30,17 @@ def missing_browser():
 
 @contextmanager
 def running_app(*arguments, cwd):
-    """The process of the app, and its address."""
+    """The process of the app, and its address; it has to end well, and to have said nothing of errors."""
     command = [sys.executable, "-m", "bayeq", "app", "--no-browser", *map(str, arguments)]
     process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         yield process, process.stdout.readline().strip()
+        process.send_signal(signal.SIGINT if os.name == "posix" else signal.SIGTERM)
+        _, said = process.communicate(timeout=20)
+        assert (process.returncode, said) == (0, "")
     finally:
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT if os.name == "posix" else signal.SIGTERM)
-        process.communicate(timeout=20)
+        process.kill()
+        process.communicate()
 
 
 @contextmanager

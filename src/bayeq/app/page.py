@@ -66,9 +66,13 @@ def file_step(session: Session) -> None:
     """Choose a file, and see what is in it."""
 
     async def dropped(event: Any) -> None:
-        path = session.workspace.new_folder() / safe_name(event.file.name)
-        await event.file.save(path)
-        await session.open(path, path.name)
+        try:
+            path = session.workspace.new_folder() / safe_name(event.file.name)
+            await event.file.save(path)
+        except OSError as error:
+            refused(f"the file cannot be kept in the folder for temporary files: {error.strerror or error}")
+        else:
+            await session.open(path, path.name)
 
     def refused(words: str) -> None:
         session.file_error = words

@@ -100,7 +100,7 @@ class Session:
     Attributes
     ----------
     changed : callable
-        Called with the parts of the page that are no longer right: "file", "run", "result".
+        Called with the parts of the page that are no longer right: "file", "run", "result", "progress".
     """
 
     def __init__(self, workspace: Workspace) -> None:
@@ -130,11 +130,13 @@ class Session:
         outcome = await self._run(READING, info_command(path.name if inside else str(path)), path.parent)
         self.file_error = outcome.error or ("Stopped: the file was not opened." if outcome.stopped else "")
         if not self.file_error:
-            previous, self.opened = self.opened, Opened(name, path, json.loads(outcome.out))
+            if self.opened is not None:
+                self._forget(self.opened.path)
+            if self.result is not None:
+                self.workspace.remove(self.result.folder)
+            self.opened = Opened(name, path, json.loads(outcome.out))
             self.choices = Choices.proposed(self.opened.info)
             self.result, self.run_error, self.note, self.command = None, "", "", ""
-            if previous is not None:
-                self._forget(previous.path, path)
         elif inside:
             self._forget(path)
         self.changed("file", "run", "result")
@@ -166,22 +168,28 @@ class Session:
             self.changed("run")
             return
         self.command = as_typed(words)
-        folder = self.workspace.new_folder()
-        if inside:  # a name without folders, also in the report
-            (folder / path.name).hardlink_to(path)
+        try:
+            folder = self.workspace.new_folder()
+            if inside:  # a name without folders, also in the report
+                (folder / path.name).hardlink_to(path)
+        except OSError as error:
+            self.run_error = f"the folder for temporary files cannot be written to: {error.strerror or error}"
+            self.changed("run")
+            return
         began = monotonic()
         outcome = await self._run(LOOKING, words, folder)
         if outcome.error or outcome.stopped:
             self.run_error, self.stopped = outcome.error, outcome.stopped
             self.note = "Stopped: nothing of this run is kept." if outcome.stopped else ""
             self.workspace.remove(folder)
+            self.changed("run")
         else:
             previous, self._runs = self.result, self._runs + 1
             self.result = Result(self._runs, folder, Path(self.opened.name).stem)
             self.note = f"Done in {monotonic() - began:.0f} s: the result is below."
             if previous is not None:
                 self.workspace.remove(previous.folder)
-        self.changed("run", "result")
+            self.changed("run", "result")
 
     async def stop(self) -> None:
         """Stop what is being done."""
@@ -213,9 +221,9 @@ class Session:
             self.progress.append(in_words(line))
             self.changed("progress")
 
-    def _forget(self, path: Path, kept: Path | None = None) -> None:
-        """Remove a file that was dropped, unless it is the one that is kept."""
-        if self.workspace.path in path.parents and (kept is None or kept.parent != path.parent):
+    def _forget(self, path: Path) -> None:
+        """Remove a file that was dropped; others are where they belong."""
+        if self.workspace.path in path.parents:
             self.workspace.remove(path.parent)
 
 
