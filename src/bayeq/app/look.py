@@ -54,7 +54,7 @@ ul { padding-left: 1.2rem; margin: .4rem 0; }
 .q-linear-progress { margin: .6rem 0; }
 @media (max-width: 40rem) {
   .channels { grid-template-columns: 1fr; gap: .1rem; }
-  .channels.several { grid-template-columns: 1fr 6.5rem; gap: .1rem .6rem; }
+  .channels.several { grid-template-columns: 1fr 7.7rem; gap: .1rem .6rem; }
   .channels.several > .channel-name, .channels.several > .channel-about { grid-column: 1 / -1; }
   .channels .q-field { margin-bottom: .7rem; }
   .fields { grid-template-columns: 1fr; }
