@@ -7,7 +7,8 @@ import tempfile
 from pathlib import Path
 
 from PIL import Image
-from tests.app_driver import Page, browser, missing_browser, running_app
+from tests.app_driver import Page, browser, missing_browser
+from tests.app_process import running_app
 
 FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
 

@@ -1,12 +1,8 @@
-"""``bayeq app`` in a process, and a headless Chromium that uses it as a person would."""
+"""A headless Chromium that uses the page of ``bayeq app`` as a person would."""
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from contextlib import contextmanager
 
@@ -15,7 +11,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
-__all__ = ["Page", "browser", "missing_browser", "running_app"]
+__all__ = ["Page", "browser", "missing_browser"]
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 WAIT = 120.0
@@ -26,21 +22,6 @@ def missing_browser():
     if not any(map(shutil.which, BROWSERS)):
         return "there is no Chromium here to use the page with"
     return "" if shutil.which("chromedriver") else "there is no chromedriver here to use Chromium with"
-
-
-@contextmanager
-def running_app(*arguments, cwd):
-    """The process of the app, and its address; it has to end well, and to have said nothing of errors."""
-    command = [sys.executable, "-m", "bayeq", "app", "--no-browser", *map(str, arguments)]
-    process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        yield process, process.stdout.readline().strip()
-        process.send_signal(signal.SIGINT if os.name == "posix" else signal.SIGTERM)
-        _, said = process.communicate(timeout=20)
-        assert (process.returncode, said) == (0, "")
-    finally:
-        process.kill()
-        process.communicate()
 
 
 @contextmanager

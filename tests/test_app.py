@@ -8,10 +8,9 @@ import os
 import signal
 import socket
 import stat
-import subprocess
 import sys
 import time
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -28,6 +27,7 @@ from bayeq.app.workspace import LARGEST, LONGEST_NAME, Workspace, safe_name
 from bayeq.cli.app import main
 from bayeq.cli.discover import discover
 from bayeq.errors import InputError
+from tests.app_process import running_app
 
 ROLE_OF = {"x": Choice("displacement"), "v": Choice("velocity"), "a": Choice("acceleration"), "u": Choice("input")}
 
@@ -305,24 +305,10 @@ def test_bad_arguments_are_said(tmp_path, capsys):
     assert "a port is a number" in capsys.readouterr().err
 
 
-@contextmanager
-def running(tmp_path):
-    """The app in a process, and the address that it prints."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bayeq", "app", "--no-browser"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "TMPDIR": str(tmp_path)},
-    )  # fmt: skip
-    try:
-        yield process, process.stdout.readline().strip()
-    finally:
-        process.kill()
-        process.communicate()
-
-
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_a_running_page_is_of_this_computer_alone_and_leaves_nothing(tmp_path):
     pytest.importorskip("nicegui", reason="the extra [app] is not installed")
-    with running(tmp_path) as (process, address):
+    with running_app(cwd=tmp_path, TMPDIR=str(tmp_path)) as (process, address):
         host, _, token = address.removeprefix("http://").partition("/?token=")
         name, port = host.split(":")
         assert name == "127.0.0.1"

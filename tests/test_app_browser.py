@@ -14,7 +14,8 @@ pytest.importorskip("nicegui", reason="the extra [app] is not installed")
 pytest.importorskip("selenium", reason="the extra [dev], with selenium, is not installed")
 
 from bayeq.app.workspace import LARGEST
-from tests.app_driver import Page, browser, missing_browser, running_app
+from tests.app_driver import Page, browser, missing_browser
+from tests.app_process import running_app
 
 pytestmark = pytest.mark.skipif(bool(missing_browser()), reason=missing_browser())
 

@@ -97,6 +97,11 @@ def file_step(session: Session) -> None:
         upload.on("failed", lambda: refused(f"the file did not arrive: is it larger than {size}, or was it moved?"))
     if session.file_error:
         parts.message(session.file_error, "error")
+        parts.text(
+            "A file that needs more to be read, such as names of its columns or paths of its arrays, is read on the"
+            " command line: bayeq discover -h.",
+            "note",
+        )
         if session.opened is not None:
             parts.text(f"{session.opened.name} is still open.", "note")
     if session.opened is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import secrets
 import signal
@@ -84,6 +85,7 @@ def _run(
 
     from bayeq.app.page import build, refresh
 
+    logging.getLogger("nicegui").setLevel(logging.ERROR)  # it warns where a busy computer is slow
     session.changed = refresh
     api = FastAPI(openapi_url=None)
 
