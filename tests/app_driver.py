@@ -14,7 +14,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 __all__ = ["Page", "browser", "missing_browser"]
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-WAIT = 120.0
+WAIT = 240.0
 
 
 def missing_browser():
