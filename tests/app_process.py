@@ -28,5 +28,6 @@ def running_app(*arguments, cwd, **environment):
             _, said = process.communicate(timeout=20)
             assert (process.returncode, said) == (0, ""), f"{process.returncode}: {said}"
     finally:
-        process.kill()
-        process.communicate()
+        if process.poll() is None:  # after a test that has failed: it takes its child and its folder along
+            process.terminate()
+        process.communicate(timeout=20)
