@@ -15,7 +15,7 @@ SOURCES := src tests perf examples studies docs/conf.py docs/_extensions
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
 RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths
 
-.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery site lock arviz tutorials clean
+.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery site lock arviz tutorials app-pictures clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -122,6 +122,10 @@ site: $(VENV)/.dev
 # The pictures of docs/tutorials, by the code of its pages.
 tutorials: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m examples.tutorials
+
+# The pictures of docs/app.md, with Chromium and chromedriver.
+app-pictures: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m examples.app_pictures
 
 # Pin what is installed now, after an upgrade that the tests have passed.
 lock: $(VENV)/.dev
