@@ -129,6 +129,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
             smoothed=bool(data["smoothed"]),
             holdout=float(data["holdout"]),
             refitted=bool(data.get("refitted", False)),
+            stretches=int(data.get("stretches", 0)),
             measured=_restored_measured(data.get("measured")),
             sensors=_restored_sensors(data, equations),
             seconds=None if data.get("seconds") is None else float(data["seconds"]),
