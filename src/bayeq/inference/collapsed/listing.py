@@ -40,7 +40,7 @@ MOST_BYTES = 100_000_000
 
 # Moves that a search looks at, at 20 to 100 ns each. A posterior that needs more is spread over too many models to
 # list; the inclusion probabilities given the other terms, averaged over those looked at, are exact to 0.0005 after half
-# as many (200 and 2,000 correlated terms, against chains of 20,000 to 40,000 samples).
+# as many (200 and 2,000 correlated terms, against chains of 2,000 to 40,000 samples).
 MOST_MOVES = 2_000_000
 
 # Models less likely than the best by more nats have no mass.
