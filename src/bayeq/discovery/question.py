@@ -114,7 +114,7 @@ class Question:
             log.warn(UNKNOWN_TIME, DataWarning)
         _require_unambiguous(self.terms, measured, self.roles)
         step("states", 0, 1)
-        motion, pieces = self._motion(measured, log)
+        motion, pieces = self._motion(measured, log, whole)
         terms, allowed = self.terms, self.allowed
         if len(terms) > MOST_TERMS:
             constrained = parse_constraints(self.known, terms, motion.roles.targets)
@@ -148,7 +148,9 @@ class Question:
             method=self.method,
             dictionary=written(self.dictionary),
             smooth=self.smooth,
-            data=data if whole is None else data.of_stretches(*whole.counts(motion.holdout), len(measured)),
+            data=data
+            if whole is None
+            else data.of_stretches(whole.names, *whole.counts(motion.holdout), len(measured)),
             dropped=design.dropped,
             warnings=log.messages,
             constraints=self.known,
@@ -156,9 +158,14 @@ class Question:
         )
         return answer, log
 
-    def _motion(self, records: list[Record], log: WarningLog) -> tuple[Motion, list[Record]]:
+    def _motion(self, records: list[Record], log: WarningLog, whole: Whole | None) -> tuple[Motion, list[Record]]:
         """States, and the records that they are of."""
-        pieces, roles, share = _prepared(records, self.roles, self.smooth, self.holdout, log)
+        try:
+            pieces, roles, share = _prepared(records, self.roles, self.smooth, self.holdout, log)
+        except RecordError as error:
+            if whole is None:
+                raise
+            raise RecordError(f"{error} (found in stretches of a long record: choose its rows, --rows)") from None
         sensors = known_sensors(self.noise, self.gain_sd, roles, pieces, self.tails)
         motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
         warn_of_sensors(motion, {*self.noise, *self.gain_sd}, log)
