@@ -33,6 +33,10 @@ Floats = NDArray[np.float64]
 # target: terms may cancel each other. Of 1, 3, 5 and 10, those above 1 found Lorenz's equations most often.
 SLAB = 5.0
 
+# Columns whose squared mean is above this many times their variance, as those of a pressure or a preload, need a constant
+# that makes up for it; squares and magnitudes of motion about zero stay below.
+FAR_FROM_ZERO = 10.0
+
 # Noise of channels at first, as a share of their variance; that of inputs, where their spectrum does not tell it.
 FIRST_NOISE, INPUT_NOISE = 1e-3, 2.5e-3
 
@@ -226,7 +230,10 @@ def _scales(layout: Layout, paths: Sequence[Floats], targets: Floats, samples: F
 def _precision(motion: Motion, layout: Layout) -> Floats:
     """1/variance of every coefficient's prior, (C (P + 1),)."""
     columns = np.concatenate([evaluate_terms(layout.terms, rows.columns) for rows in motion.train])
-    spread = np.append(columns.var(axis=0), 1.0)
+    mean, variance = columns.mean(axis=0), columns.var(axis=0)
+    # what the constant makes up for: a coefficient of this prior times the mean of its column
+    offset = mean**2 / np.maximum(variance, 1e-300)
+    spread = np.append(variance, 1.0 / (1.0 + offset[offset > FAR_FROM_ZERO].sum()))
     return np.asarray(spread / (SLAB * _targets(layout.roles, motion.train).var(axis=0)[:, None])).ravel()
 
 
