@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
+from numbers import Integral
 from typing import Any, get_args
 
 import numpy as np
@@ -23,6 +24,10 @@ from bayeq.errors import (
     TermWarning,
     UnknownNameError,
     WarningLog,
+    require_kind,
+    require_number,
+    require_text,
+    require_texts,
 )
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
@@ -201,13 +206,15 @@ def discover(
     >>> eq[0].included
     ('x', 'v', 'x**3', 'u')
     """
-    log, step = WarningLog(), progress or _silent
+    log, step = WarningLog(), _silent if progress is None else progress
+    _check_kinds(method, smooth, prior, seed, progress, constraints)
     _check_method(method)
     rules = Rules(max_terms, tolerance)
     rules.check(method)
     _check_shares(holdout, coarsen)
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
-    check_sensors(noise or {}, gain_sd or {}, roles)
+    noise, gain_sd = {} if noise is None else noise, {} if gain_sd is None else gain_sd
+    check_sensors(noise, gain_sd, roles)
     _check_tails(tails, smooth)
     smooth = _smooth_in(band, smooth)
     variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
@@ -224,9 +231,9 @@ def discover(
 
     step("states", 0, 1)
     pieces, roles, share = _prepared(measured, roles, smooth, holdout, log)
-    sensors = known_sensors(noise or {}, gain_sd or {}, roles, pieces, tails)
+    sensors = known_sensors(noise, gain_sd, roles, pieces, tails)
     motion = estimate_motion(pieces, roles, smooth, share, sensors, band)
-    _warn_of_sensors(motion, {*(noise or {}), *(gain_sd or {})}, log)
+    _warn_of_sensors(motion, {*noise, *gain_sd}, log)
     _inspect(motion, pieces, holdout, log)
     if len(terms) > MOST_TERMS:
         terms, allowed = _screened(terms, motion, allowed, constrained, log)
@@ -285,12 +292,28 @@ def _silent(stage: str, done: int, total: int) -> None:
     """No progress shown."""
 
 
+def _check_kinds(method: Any, smooth: Any, prior: Any, seed: Any, progress: Any, constraints: Any) -> None:
+    require_text(method, "method")
+    require_text(smooth, "smooth")
+    require_texts(constraints, "constraints")
+    if prior is not None:
+        require_kind(prior, Prior, "prior", "a Prior")
+    if progress is not None:
+        require_kind(progress, Callable, "progress", "a function of (stage, done, total)")  # type: ignore[arg-type]
+    for one in seed if isinstance(seed, Sequence) and not isinstance(seed, str) else [seed]:
+        require_kind(one, Integral, "seed", "a whole number")
+        if one < 0:
+            raise InputError(f"seed must not be negative, got {one}")
+
+
 def _check_method(method: str) -> None:
     if method not in ENGINES:
         raise UnknownNameError("method", method, ENGINES)
 
 
 def _check_shares(holdout: float, coarsen: float) -> None:
+    require_number(holdout, "holdout")
+    require_number(coarsen, "coarsen")
     if not 0 <= holdout < 1:
         raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
     if not 0 < coarsen <= 1:
@@ -298,6 +321,7 @@ def _check_shares(holdout: float, coarsen: float) -> None:
 
 
 def _check_tails(tails: str, smooth: str) -> None:
+    require_text(tails, "tails")
     if tails not in get_args(Tails):
         raise InputError(f"tails is 'gauss' or 'student', got {tails!r}")
     if tails == "student" and smooth != "auto":

@@ -20,7 +20,7 @@ from bayeq.equation.schema import first_fault
 from bayeq.equation.several import EquationTuple
 from bayeq.equation.to_json import FORMAT
 from bayeq.equation.verdict import Verdict
-from bayeq.errors import BayeqError, FileFormatError
+from bayeq.errors import BayeqError, FileFormatError, as_path
 from bayeq.expressions import parse
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
@@ -63,7 +63,7 @@ def load(path: str | Path) -> Equations:
     FileFormatError
         A file that is missing or not such a file, or whose content does not agree with `json_schema` or with itself.
     """
-    path = Path(path)
+    path = as_path(path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

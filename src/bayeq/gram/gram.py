@@ -525,7 +525,7 @@ def require_squares(D: Floats, Y: Floats, diagonal: Floats, yty: Floats, names: 
     InputError
         Naming the columns.
     """
-    small = [names[j] for j in np.flatnonzero(diagonal < LEAST_SQUARES) if np.ptp(D[:, j]) > 0.0]
+    small = [names[int(j)] for j in np.flatnonzero(diagonal < LEAST_SQUARES) if np.ptp(D[:, j]) > 0.0]
     small += ["the target" for k in np.flatnonzero(yty < LEAST_SQUARES) if np.ptp(Y[:, k]) > 0.0]
     if small:
         raise InputError(f"values too small to square in {', '.join(small[:8])}: multiply them by a power of ten")

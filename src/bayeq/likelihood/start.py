@@ -33,8 +33,8 @@ Floats = NDArray[np.float64]
 # target: terms may cancel each other. Of 1, 3, 5 and 10, those above 1 found Lorenz's equations most often.
 SLAB = 5.0
 
-# Columns whose squared mean is above this many times their variance, as those of a pressure or a preload, need a constant
-# that makes up for it; squares and magnitudes of motion about zero stay below.
+# Columns whose squared mean is above this many times their variance, as those of a pressure or a preload, need a
+# constant that makes up for it; squares and magnitudes of motion about zero stay below.
 FAR_FROM_ZERO = 10.0
 
 # Noise of channels at first, as a share of their variance; that of inputs, where their spectrum does not tell it.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import RecordError, UnknownNameError
+from bayeq.errors import RecordError, UnknownNameError, require_mapping
 from bayeq.records.names import clean_name
 from bayeq.records.truth import FloatArray
 
@@ -119,6 +119,7 @@ def check_name(name: object, where: str) -> None:
 
 def checked_units(units: Mapping[str, str], names: Iterable[str], has_time: bool, where: str) -> dict[str, str]:
     """Units of channels that exist, as text that fits in a header."""
+    require_mapping(units, f"{where}: units")
     names = list(names)
     known = [*names, "t"] if has_time and "t" not in names else names
     checked = {}

@@ -125,7 +125,7 @@ def build_design(
         allowed = np.ones((len(motion.roles.chains), len(terms)), dtype=np.bool_)
     reasons = _reasons(train[0], builder.bad, builder.total, allowed)
     out_of_range = (builder.bad > 0) | (builder.largest < SMALLEST) | _unwritable(train)
-    _require_units([terms[j] for j in np.flatnonzero(out_of_range)], motion)
+    _require_units([terms[int(j)] for j in np.flatnonzero(out_of_range)], motion)
     dropped = tuple(DroppedTerm(terms[j].text, why) for j, why in sorted(reasons.items()))
     kept = np.array([j for j in range(len(terms)) if j not in reasons], dtype=np.intp)
     if not len(kept):

@@ -17,7 +17,17 @@ from bayeq.records import Record
 from bayeq.states.chain import Chain
 from bayeq.states.savitzky_golay import smooth_derivative
 
-__all__ = ["Smooth", "States", "derive_states", "known", "require_in_range", "require_steps", "require_usable", "require_varying", "usable"]
+__all__ = [
+    "Smooth",
+    "States",
+    "derive_states",
+    "known",
+    "require_in_range",
+    "require_steps",
+    "require_usable",
+    "require_varying",
+    "usable",
+]
 
 Floats = NDArray[np.float64]
 Smooth = Literal["auto", "band", "none"]
@@ -126,8 +136,8 @@ def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
     Raises
     ------
     RecordError
-        A channel that is the same in all rows of all records, varies by too little to have a square, or lies too far from
-        zero.
+        A channel that is the same in all rows of all records, varies by too little to have a square, or lies too far
+        from zero.
     UnknownNameError
         A channel that a record does not have.
     """
@@ -197,8 +207,8 @@ def require_usable(record: Record, names: Sequence[str]) -> None:
         row = int(np.argmax(np.abs(values)))
         if abs(values[row]) > LARGEST:
             raise RecordError(
-                f"{record.name or 'record'}: channel {name!r} is {values[row]:g} in row {row + 1}, too large to square and cube;"
-                " correct it, or give the channel in a larger unit"
+                f"{record.name or 'record'}: channel {name!r} is {values[row]:g} in row {row + 1}, too large to square"
+                " and cube; correct it, or give the channel in a larger unit"
             )
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError, UnknownNameError, require_kind, require_mapping
 from bayeq.expressions import Evaluator, Expression, FloatArray, parse
 from bayeq.records import Record, Truth
 from bayeq.systems.force import band_limited_noise
@@ -89,6 +89,7 @@ def simulate(
         from bayeq.systems import get_system
 
         system = get_system(system)
+    require_kind(system, System, "system", "the name of a system, or a System")
     fs = _positive("fs", system.fs if fs is None else fs)
     parameter_stream, force_stream, *noise_streams = _streams(seed, 2 + len(system.channels))
     values = _parameters(system, parameters, perturb, parameter_stream)
@@ -194,6 +195,7 @@ def _parameters(
     system: System, given: Mapping[str, float] | None, perturb: float, stream: np.random.SeedSequence
 ) -> dict[str, float]:
     given = given or {}
+    require_mapping(given, "parameters")
     for name in given:
         if name not in system.parameters:
             raise UnknownNameError("parameter", name, system.parameters, where=f"system {system.name!r}")
