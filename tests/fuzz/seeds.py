@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import tempfile
+import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -38,7 +39,9 @@ def _array(values: np.ndarray) -> bytes:
 def arrays() -> list[bytes]:
     """NumPy's arrays."""
     fields = np.zeros(3, dtype=[("t", "<f8"), ("x", "<i4")])
-    return [_array(one) for one in (np.arange(6.0), np.arange(8).reshape(4, 2), fields, np.array("text"), np.eye(2, 5).T)]
+    return [
+        _array(one) for one in (np.arange(6.0), np.arange(8).reshape(4, 2), fields, np.array("text"), np.eye(2, 5).T)
+    ]
 
 
 @cache
@@ -59,8 +62,9 @@ def _equations() -> bytes:
     import bayeq
 
     record = bayeq.simulate("duffing", n=80, seed=1)
-    found = bayeq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", dictionary="x, v, u",
-                           smooth="none", method="bma")  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = bayeq.discover(record, chains="x:v:a", inputs=["u"], dictionary="x, v, u", smooth="none", method="bma")
     with tempfile.TemporaryDirectory() as folder:
         found.save(Path(folder) / "a.json")
         return (Path(folder) / "a.json").read_bytes()

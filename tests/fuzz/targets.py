@@ -77,7 +77,8 @@ def _file(name: str, data: bytes) -> None:
     try:
         found = read(path)
     except BayeqError as error:
-        assert "\n" not in str(error), "a message of several lines"
+        if "\n" in str(error):
+            raise ValueError("a message of several lines") from error
         return
     for record in found if isinstance(found, list) else [found]:
         assert record.n > 0
@@ -155,17 +156,26 @@ def _sheet(data: bytes) -> None:
     _file("a.xlsx", made.getvalue())
 
 
-NUMBERS = (b"0", b"-1", b"1e309", b"1e-320", b"nan", b"inf", b"9" * 30, b"0x1", b"1_0", b"1,5", b"\xff\xfe", b"\0")
+def _words(text: str) -> tuple[bytes, ...]:
+    return tuple(word.encode() for word in text.split())
+
+
+NUMBERS = (*_words("0 -1 1e309 1e-320 nan inf 0x1 1_0 1,5"), b"9" * 30, b"\xff\xfe", b"\0")
 BINARY = (struct.pack("<I", 2**32 - 1), struct.pack("<I", 2**31), struct.pack("<Q", 2**63), bytes(8), b"\xff" * 8)
-SIGNS = (b"(", b")", b"**", b"*", b"/", b"-", b"sign(", b"where(", b"atan2(", b",", b"<", b"==", b"t", b"pi", b".", b"e9")
-HEADER = (b"'descr': '<f8'", b"'descr': '|O'", b"'shape': (3,)", b"(", b"[", b"{", b"'", b'"', b"\n", b"True", b"<U9", b"10**9")
-JSON = (b"[", b"{", b"}", b"]", b"null", b"true", b'""', b"1e999", b"-0", b"NaN", b"\\ud800", b'"names"', b":", b",")
-TABLE = (b",", b";", b"\t", b'"', b"\n", b"\r", b"# ", b"[m]", b"t", b"12:30:00", b"2020-01-01", b"%", b"1,5", b"=1+1")
+SIGNS = _words("( ) ** * / - sign( where( atan2( , < == t pi . e9")
+HEADER = (*_words("'descr':'<f8' 'descr':'|O' 'shape':(3,) ( [ { ' True <U9 10**9"), b'"', b"\n")
+JSON = _words('[ { } ] null true "" 1e999 -0 NaN \\ud800 "names" : ,')
+TABLE = (*_words('; " # [m] t 12:30:00 2020-01-01 % 1,5 =1+1'), b",", b"\t", b"\n", b"\r")
 OPTIONS = (
-    b"discover", b"info", b"simulate", b"predict", b"plan", b"show", b"study", b"r.csv", b"--disp", b"--chain", b"x:v:a",
-    b"--input", b"--dictionary", b"polynomial:3", b"--time", b"--rows", b"1:9", b"--band", b"--noise", b"u=1%", b"--units",
-    b"--json", b"--method", b"--smooth", b"--fs", b"--remove-offset", b"--seed", b"--group", b"\n", b"=", b"--", b"-",
-)  # fmt: skip
+    *_words(
+        "discover info simulate predict plan show study r.csv --disp --chain x:v:a --input --dictionary --time --rows"
+    ),
+    *_words(
+        "polynomial:3 1:9 --band --noise u=1% --units --json --method --smooth --fs --remove-offset --seed --group"
+    ),
+    *_words("= -- -"),
+    b"\n",
+)
 
 #: Every parser.
 TARGETS: dict[str, Target] = {
@@ -176,7 +186,7 @@ TARGETS: dict[str, Target] = {
     "json": Target(_saved, seeds.saved, JSON + NUMBERS),
     "command": Target(_command, seeds.commands, OPTIONS + NUMBERS + SIGNS),
     "lvm": Target(partial(_file, "a.lvm"), seeds.lvm, TABLE + NUMBERS),
-    "wav": Target(partial(_file, "a.wav"), seeds.wav, BINARY + (b"data", b"fmt ", b"LIST")),
+    "wav": Target(partial(_file, "a.wav"), seeds.wav, (*BINARY, b"data", b"fmt ", b"LIST")),
     "excel": Target(_sheet, seeds.sheets, (b"<v>", b"</v>", b"<f>", b'r="A1"', b't="s"', b"<!ENTITY", *NUMBERS), False),
     "matlab": Target(partial(_file, "a.mat"), seeds.matlab, BINARY, False),
     "hdf5": Target(partial(_file, "a.h5"), seeds.hdf5, BINARY, False),

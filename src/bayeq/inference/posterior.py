@@ -250,10 +250,12 @@ class Posterior:
         """
         with np.errstate(over="ignore", under="ignore"):
             factor = standard.target_scale / standard.scale
-        far = np.flatnonzero(self.support & ~((factor >= SMALLEST) & (factor <= LARGEST)))
+            own = np.maximum(np.abs(self.coef), self.sd)
+            size = own * factor
+        far = np.flatnonzero((own > 0.0) & ~((size >= SMALLEST) & (size <= LARGEST)))
         if len(far):
             raise InputError(
-                f"the coefficient of {self.names[far[0]]} is about {factor[far[0]]:.0e}, too large or too small to"
+                f"the coefficient of {self.names[far[0]]} is about {size[far[0]]:.0e}, too large or too small to"
                 " square: give its column and the target in units in which they are about 1"
             )
         kept = factor[self.support]
