@@ -98,7 +98,7 @@ class UnknownNameError(InputError):
     def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
         self.name = name
         asked = str(name)
-        known = [str(k) for k in known]
+        known = [_printable(str(k)) for k in known]
         folded = {k.casefold(): k for k in known}
         near = [folded[m] for m in difflib.get_close_matches(asked.casefold(), list(folded), n=3, cutoff=0.5)]
         message = f"no {kind} named {name!r}"
@@ -244,6 +244,11 @@ def as_path(value: Any, what: str = "the file") -> Path:
 
 
 def _shown(value: Any) -> str:
-    text = "".join(c if c.isprintable() else " " for c in repr(value))
+    text = _printable(repr(value))
     short = text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
     return f"{short} ({type(value).__name__})"
+
+
+def _printable(text: str) -> str:
+    """A text of a file or a user in one line, without what a terminal would obey."""
+    return "".join(c if c.isprintable() else " " for c in text)

@@ -27,6 +27,7 @@ from bayeq.forecast.results import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.plan.measured import Measured
 from bayeq.plan.models import CandidateModel
+from bayeq.records.validate import check_name
 from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Residuals
@@ -91,6 +92,8 @@ def _restore(content: Mapping[str, Any]) -> Equations:
     names = [TIME, *data["inputs"]]
     for chain in chains:
         names += chain.names
+    for name in names:
+        check_name(name, "channels")
     for k, chain in enumerate(chains):
         saved = content["equations"][k]
         equations.append(
