@@ -19,7 +19,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.prepare import prepared, rows_of_record
 from bayeq.equation.several import EquationTuple, coefficients
 from bayeq.equation.verdict import Verdict, worst
-from bayeq.errors import ConvergenceWarning, DataWarning, InputError, UnknownNameError, as_path
+from bayeq.errors import ConvergenceWarning, DataWarning, FileFormatError, InputError, UnknownNameError, as_path
 from bayeq.export.latex import Uncertainty
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
@@ -734,12 +734,23 @@ class Equations:
         return to_dict(self)
 
     def save(self, path: str | Path) -> None:
-        """Write to a JSON file that `bayeq.load` reads."""
+        """Write to a JSON file that `bayeq.load` reads.
+
+        Raises
+        ------
+        FileFormatError
+            A place that cannot be written.
+        """
         from bayeq.equation.to_json import to_saved
 
         text = json.dumps(to_saved(self), indent=1, allow_nan=False) + "\n"
-        with replacing(as_path(path)) as part:
-            part.write_text(text, encoding="utf-8")
+        place = as_path(path)
+        try:
+            with replacing(place) as part:
+                part.write_text(text, encoding="utf-8")
+        except (OSError, UnicodeError) as error:
+            reason = getattr(error, "strerror", None) or type(error).__name__
+            raise FileFormatError(f"{str(place)!r}: cannot be written ({reason})") from None
 
     def report(
         self,
@@ -798,7 +809,7 @@ class Equations:
 def _numbers(value: Any, what: str) -> Floats:
     try:
         return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{what} must be numbers, not {type(value).__name__}") from None
 
 

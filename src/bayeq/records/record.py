@@ -140,8 +140,9 @@ class Record:
         array([0.  , 0.01, 0.02])
         """
         require_kind({} if mapping is None else mapping, Mapping, "channels", "a mapping such as {'x': [...]}")
+        require_kind(name, str, "the name of a record", "text")
         every = {**(mapping or {}), **channels}
-        return cls(every, time_from(every, time, fs, name or "record"), units or {}, name)
+        return cls(every, time_from(every, time, fs, name or "record"), {} if units is None else units, name)
 
     @classmethod
     def from_dataframe(

@@ -62,6 +62,7 @@ class Roles:
         require_texts(inputs, "inputs")
         if chains is not None:
             require_texts(chains, "chains")
+        inputs = [inputs] if isinstance(inputs, str) else inputs
         named = ((force,) if force is not None else ()) + tuple(inputs)
         if len(set(named)) < len(named):
             raise InputError(f"an input is named twice: {', '.join(named)}")

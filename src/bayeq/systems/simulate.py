@@ -194,7 +194,7 @@ def _streams(seed: int | Sequence[int], count: int) -> list[np.random.SeedSequen
 def _parameters(
     system: System, given: Mapping[str, float] | None, perturb: float, stream: np.random.SeedSequence
 ) -> dict[str, float]:
-    given = given or {}
+    given = {} if given is None else given
     require_mapping(given, "parameters")
     for name in given:
         if name not in system.parameters:
@@ -263,8 +263,8 @@ def _count(n: int) -> int:
 def _finite(what: str, value: float) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} must be a number, not {value!r}") from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{what} must be a number, not {str(value)[:40]!r}") from None
     if not math.isfinite(number):
         raise InputError(f"{what} must be finite, not {value!r}")
     return number
