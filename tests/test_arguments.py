@@ -68,7 +68,7 @@ def test_discover(record, option, odd):
         ("noise", ["u"], "noise must be a mapping such as {'x': ...}, not ['u'] (list)"),
         ("inputs", [1], "each of inputs must be text, not 1 (int)"),
         ("seed", 1.5, "seed must be a whole number, not 1.5 (float)"),
-        ("seed", -1, "seed must not be negative, got -1"),
+        ("seed", -1, "a seed is a whole number, 0 or more, got -1"),
         ("prior", "vague", "prior must be a Prior, not 'vague' (str)"),
         ("dictionary", 7, "dictionary must be text, a list of terms, or a mapping of these, not 7 (int)"),
     ],

@@ -303,7 +303,7 @@ def _check_kinds(method: Any, smooth: Any, prior: Any, seed: Any, progress: Any,
     for one in seed if isinstance(seed, Sequence) and not isinstance(seed, str) else [seed]:
         require_kind(one, Integral, "seed", "a whole number")
         if one < 0:
-            raise InputError(f"seed must not be negative, got {one}")
+            raise InputError(f"a seed is a whole number, 0 or more, got {one}")
 
 
 def _check_method(method: str) -> None:
