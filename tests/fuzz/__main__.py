@@ -122,10 +122,12 @@ def run_atheris(name: str, runs: int, state: Path) -> dict[str, int]:
 def table(state: Path) -> None:
     """Print the counts of all targets."""
     out = csv.writer(sys.stdout, lineterminator="\n")
-    out.writerow(["target", "parser", "mutations", "coverage_guided", "findings"])
+    out.writerow(["target", "parser", "mutations", "coverage_guided", "open_findings", "mended_and_kept"])
     for name, target in TARGETS.items():
         counts = Watch(name, "own", state).counts
-        out.writerow([name, "own" if target.own else "library", counts["own"], counts["atheris"], counts["findings"]])
+        kept = len([*(CORPUS / name).glob("*")])
+        parser = "own" if target.own else "library"
+        out.writerow([name, parser, counts["own"], counts["atheris"], counts["findings"], kept])
 
 
 def main() -> int:
