@@ -51,7 +51,7 @@ def channels(path: Path) -> list[Channel]:
 
 
 def _check_claims(path: Path) -> None:
-    """Walk over the elements of the file: each ends within it, has the types it should, and unpacks to what is allowed."""
+    """Walk over the elements of the file: each ends in it, has the types it should, and unpacks to what is allowed."""
     where, size = str(path), path.stat().st_size
     unpacked = 0
     with path.open("rb") as file:
