@@ -6,19 +6,18 @@ import sys
 import warnings
 from pathlib import Path
 
-import atheris
-
-with atheris.instrument_imports(include=["bayeq"]):
-    import bayeq.cli.app
-    import bayeq.equation.load
-    import bayeq.expressions
-    import bayeq.records.io  # noqa: F401
-
-from tests.fuzz.__main__ import Watch
-
 
 def main() -> None:
     """Fuzz until the number of runs is reached; libFuzzer then ends the process."""
+    import atheris
+
+    with atheris.instrument_imports(include=["bayeq"]):
+        import bayeq.cli.app
+        import bayeq.equation.load
+        import bayeq.expressions
+        import bayeq.records.io  # noqa: F401
+    from tests.fuzz.__main__ import Watch
+
     name, state, *options = sys.argv[1:]
     watch = Watch(name, "atheris", Path(state))
     warnings.simplefilter("ignore")
