@@ -121,6 +121,7 @@ def run_atheris(name: str, runs: int, state: Path) -> dict[str, int]:
 
 def table(state: Path) -> None:
     """Print the counts of all targets."""
+    print("# python -m tests.fuzz; python -m tests.fuzz --table")
     out = csv.writer(sys.stdout, lineterminator="\n")
     out.writerow(["target", "parser", "mutations", "coverage_guided", "open_findings", "mended_and_kept"])
     for name, target in TARGETS.items():
