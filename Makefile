@@ -15,7 +15,7 @@ SOURCES := src tests perf examples studies docs/conf.py docs/_extensions
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
 RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths
 
-.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery site lock arviz tutorials app-pictures clean
+.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery site lock arviz tutorials app-pictures fuzz audit clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -41,6 +41,16 @@ statistics: $(VENV)/.dev
 # Lines and branches that the tests run; kernels are compiled, and not counted.
 coverage: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered --cov-report=html
+
+# The long form of fuzzing: 1,000,000 inputs for each parser of our own, 100,000 where a library parses; some hours. It goes
+# on where it was stopped (.fuzz), is guided by coverage where atheris is installed, and ends with 1 if it found something.
+fuzz: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.fuzz
+	$(BIN)/python -m tests.fuzz --table > docs/tables/fuzzing.csv
+
+# Known vulnerabilities of the pinned packages; needs the network.
+audit: $(VENV)/.dev
+	@$(BIN)/python .ci/audit.py $(BIN)/uvx pip-audit
 
 # The tests on other Pythons, where they can be had, and a quick part of them on the oldest dependencies: scikit-learn 1.6
 # brings tests for pytest 8, and matplotlib 3.9 warns when it is imported beside pyparsing 3.3.

@@ -37,6 +37,8 @@ from bayeq.states import (
     estimate_motion,
     known_sensors,
     measured_apart,
+    require_in_range,
+    require_steps,
     require_varying,
 )
 from bayeq.states.missing import bridged_record, require_enough
@@ -231,6 +233,7 @@ def _prepared(
     from others, and the share of the rows to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
     require_varying(records, [*roles.measured, *roles.inputs])
+    require_steps(records)
     records, messages = cleaned(records, roles, smooth)
     log.extend(messages, DataWarning)
     require_enough(records, roles)
@@ -244,6 +247,8 @@ def _prepared(
 
 def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: WarningLog) -> None:
     """Refuse too few rows, and warn of channels that do not fit each other and of rows that cannot be used in full."""
+    for rows in motion.records:
+        require_in_range(rows.columns, rows.name)
     total = sum(record.n for record in records)
     used, _ = motion.counts
     if used < LEAST_TRAINING_ROWS:
