@@ -15,7 +15,7 @@ SOURCES := src tests perf examples studies docs/conf.py docs/_extensions
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
 RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths tracking
 
-.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery site lock clean
+.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery site lock arviz tutorials app-pictures fuzz audit clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -42,6 +42,16 @@ statistics: $(VENV)/.dev
 coverage: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered --cov-report=html
 
+# The long form of fuzzing: 1,000,000 inputs for each parser of our own, 100,000 where a library parses; some hours. It goes
+# on where it was stopped (.fuzz), is guided by coverage where atheris is installed, and ends with 1 if it found something.
+fuzz: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.fuzz
+	$(BIN)/python -m tests.fuzz --table > docs/tables/fuzzing.csv
+
+# Known vulnerabilities of the pinned packages; needs the network.
+audit: $(VENV)/.dev
+	@$(BIN)/python .ci/audit.py $(BIN)/uvx pip-audit
+
 # The tests on other Pythons, where they can be had, and a quick part of them on the oldest dependencies: scikit-learn 1.6
 # brings tests for pytest 8, and matplotlib 3.9 warns when it is imported beside pyparsing 3.3.
 matrix: $(PYTHONS:%=$(VENV)/matrix/%) $(VENV)/matrix/oldest
@@ -49,16 +59,31 @@ matrix: $(PYTHONS:%=$(VENV)/matrix/%) $(VENV)/matrix/oldest
 $(VENV)/matrix/oldest: $(VENV)/.dev FORCE
 	$(BIN)/uv venv --quiet --clear --python 3.11 $@
 	echo 'pyparsing<3.3' | $(BIN)/uv pip compile --quiet --resolution lowest-direct --python-version 3.11 \
-		--extra parquet --extra plot --constraint - pyproject.toml --output-file $@/constraints.txt
+		--extra parquet --extra plot --extra arviz --constraint - pyproject.toml --output-file $@/constraints.txt
 	$(BIN)/uv pip install --quiet --python $@ --constraint $@/constraints.txt \
-		--editable '.[parquet,plot]' 'pytest<9' pytest-xdist hypothesis
-	OPENBLAS_NUM_THREADS=1 $@/bin/python -m pytest -n auto $(QUICK)
+		--editable '.[parquet,plot,arviz]' 'pytest<9' pytest-xdist hypothesis
+	OPENBLAS_NUM_THREADS=1 $@/bin/python -m pytest -n auto $(QUICK) tests/test_arviz.py
 
 $(VENV)/matrix/%: $(VENV)/.dev FORCE
 	@if $(BIN)/uv venv --quiet --clear --python $* $@; then \
 		$(BIN)/uv pip install --quiet --python $@ --constraint constraints.txt --editable '.[dev]' \
 			&& OPENBLAS_NUM_THREADS=1 $@/bin/python -m pytest -n auto; \
 	else echo "Python $* cannot be had here: skipped" >&2; fi
+
+# The adapter with the oldest and the newest ArviZ 0.2x and with ArviZ 1, beside the newest of all other packages: 1 needs
+# Python 3.12, and 0.20 a part of matplotlib that was removed in 3.11.
+ARVIZ := 0.20 0 1
+arviz: $(filter-out %/3.11-1,$(foreach python,$(PYTHONS),$(ARVIZ:%=$(VENV)/arviz/$(python)-%)))
+
+$(VENV)/arviz/%: PYTHON_OF = $(firstword $(subst -, ,$*))
+$(VENV)/arviz/%: ARVIZ_OF = $(lastword $(subst -, ,$*))
+$(VENV)/arviz/%: $(VENV)/.dev FORCE
+	@if $(BIN)/uv venv --quiet --clear --python $(PYTHON_OF) $@; then \
+		$(BIN)/uv pip install --quiet --python $@ --editable . 'arviz==$(ARVIZ_OF).*' h5netcdf h5py pytest hypothesis \
+			$(if $(filter 0.20,$(ARVIZ_OF)),'matplotlib<3.11') \
+			&& $(BIN)/uv pip list --python $@ | grep -E '^(arviz|numpy|pandas|xarray) ' \
+			&& OPENBLAS_NUM_THREADS=1 $@/bin/python -m pytest -q tests/test_arviz.py; \
+	else echo "Python $(PYTHON_OF) cannot be had here: skipped" >&2; fi
 
 FORCE:
 
@@ -103,6 +128,14 @@ gallery: $(VENV)/.dev
 site: $(VENV)/.dev
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/site
 	@echo "open build/site/index.html"
+
+# The pictures of docs/tutorials, by the code of its pages.
+tutorials: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m examples.tutorials
+
+# The pictures of docs/app.md, with Chromium and chromedriver.
+app-pictures: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m examples.app_pictures
 
 # Pin what is installed now, after an upgrade that the tests have passed.
 lock: $(VENV)/.dev

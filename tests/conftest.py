@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib.util import find_spec
 
 import pytest
 from hypothesis import settings
@@ -17,6 +18,9 @@ from bayeq.kernels import Kernel
 settings.register_profile("ci", derandomize=True, deadline=None)
 if os.environ.get("CI"):
     settings.load_profile("ci")
+
+# Imports selenium, which those who skip the tests in a browser need not have.
+collect_ignore = [] if find_spec("selenium") else ["app_driver.py"]
 
 RAN_AT_COLLECTION = pytest.StashKey[list[str]]()
 

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import re
 import sys
 import types
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -93,7 +95,7 @@ def test_groups_dimensions_and_names(estimator):
     assert data["posterior_predictive"].sizes["row"] == 7
     np.testing.assert_array_equal(data["observed_data"]["y"], y[:7])
     # and nothing that was not asked for
-    assert sorted(handed_over(estimator).groups()) == ["posterior", "sample_stats"]
+    assert sorted(handed_over(estimator)) == ["posterior", "sample_stats"]
 
 
 @each
@@ -142,6 +144,24 @@ def test_predictions_have_the_predictive_mean_and_spread(estimator):
     assert np.all(np.abs(drawn.mean(("chain", "draw")) - mean) < 5 * sd / np.sqrt(DRAWS))
     # the standard error of a standard deviation of DRAWS Gaussian numbers is sd/sqrt(2 DRAWS)
     assert np.all(np.abs(drawn.std(("chain", "draw")) - sd) < 5 * sd / np.sqrt(2 * DRAWS))
+
+
+@each
+def test_the_file_is_read_back(estimator, tmp_path):
+    arviz = pytest.importorskip("arviz")
+    for package in ("h5netcdf", "h5py"):
+        pytest.importorskip(package, reason="ArviZ writes netCDF with both: pip install h5netcdf h5py")
+    D, y = problem()
+    frame = pd.DataFrame(D, columns=["x", "v", "x*v", "u"])
+    data = handed_over(estimator.fit(frame, y), frame[:3], y[:3])
+    data.to_netcdf(tmp_path / "draws.nc")
+    again = arviz.from_netcdf(tmp_path / "draws.nc")
+    assert sorted(again) == sorted(data)
+    for group in data:
+        assert set(again[group].data_vars) == set(data[group].data_vars)
+        for name, values in data[group].data_vars.items():
+            np.testing.assert_array_equal(again[group][name], values)
+    assert again["posterior"]["term"].values.tolist() == list(frame.columns)
 
 
 def test_statistics_of_the_draws():
@@ -228,3 +248,23 @@ def test_from_one_point_nought_on_the_groups_are_one_argument(monkeypatch):
     assert groups["posterior"]["coef"].shape == (4, DRAWS // 4, 4)
     assert coords == {"term": ["x0", "x1", "x2", "x3"]}
     assert dims["coef"] == ["term"]
+
+
+# ---- the page
+
+
+def test_the_block_of_the_page_runs(capsys):
+    arviz = pytest.importorskip("arviz")
+    page = (Path(__file__).parents[1] / "docs/arviz.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    names: dict[str, object] = {}
+    # R-hat of a term that never varies is 0/0 to ArviZ
+    with np.errstate(invalid="ignore"):
+        exec(block, names)  # noqa: S102  the page is ours
+    said = capsys.readouterr().out
+    assert "coef[x0]" in said
+    assert "multivariate_rhat" in said
+    # what the page says of the groups
+    assert set(names["data"]) == {"posterior", "sample_stats", "posterior_predictive", "observed_data"}
+    kind = "InferenceData" if arviz.__version__.startswith("0.") else "DataTree"
+    assert type(names["data"]).__name__ == kind

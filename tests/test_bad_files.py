@@ -102,13 +102,45 @@ def test_compressed_text_that_unpacks_to_far_more(tmp_path, bounded):
 
 
 def test_a_matlab_file_that_unpacks_to_far_more(tmp_path, bounded):
-    body = zlib.compress(bytes(120 * 10**6), 9)
+    size = 120 * 10**6
+    array = struct.pack("<IIIIIIIIIIII", 14, size + 48, 6, 8, 6, 0, 5, 8, 1, size // 8, 1, 0) + struct.pack(
+        "<II", 9, size
+    )
+    body = zlib.compress(array + bytes(size), 9)
     head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
     path = tmp_path / "bomb.mat"
     path.write_bytes(head + struct.pack("<II", 15, len(body)) + body)
     assert "claims" in refused(path)
     path.write_bytes(head + struct.pack("<II", 14, 4_000_000_000) + bytes(100))
     assert "the variable at byte 136 is cut off" in refused(path)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_types_of_a_matlab_file_are_checked_before_they_are_used(tmp_path, packed):
+    """SciPy looks types up in a table without asking whether they are in it: 128 ended the process."""
+    from scipy.io import savemat
+
+    content = {"x": np.arange(9.0), "s": {"y": np.arange(3.0), "c": np.array([1.0, "text"], dtype=object)}}
+    savemat(tmp_path / "whole.mat", {**content, "z": np.arange(4) * 1j, "e": np.zeros((0, 3))})
+    raw = (tmp_path / "whole.mat").read_bytes()
+    assert "x" in read(tmp_path / "whole.mat", channels={"x": "x"}).names
+    path, seen = tmp_path / "a.mat", set()
+    for place in range(128, len(raw), 4):
+        for kind in (0, 8, 10, 128, 0xFFFF):
+            bad = raw[:place] + struct.pack("<I", kind) + raw[place + 4 :]
+            if packed:
+                variables, at = b"", 128
+                while at + 8 <= len(bad):
+                    length = struct.unpack("<I", bad[at + 4 : at + 8])[0]
+                    body = zlib.compress(bad[at : at + 8 + length])
+                    variables, at = variables + struct.pack("<II", 15, len(body)) + body, at + 8 + length
+                bad = bad[:128] + variables
+            path.write_bytes(bad)
+            try:
+                read(path, channels={"x": "x"})
+            except InputError as refused:
+                seen.add(str(refused).partition("ValueError: ")[2][:20])
+    assert any("the type" in text for text in seen)
 
 
 def test_a_matlab_file_of_version_4_and_objects(tmp_path):

@@ -66,3 +66,18 @@ def test_the_files_are_written_though_the_equation_cannot_be_printed(record, tmp
     code, _, err = bayeq(*arguments(record), "--save", file, streams=">&-")
     assert (code, err.splitlines()[-1] + "\n") == (1, CLOSED)
     assert bq.load(file)[0].target == "a"
+
+
+def test_progress_says_rate_and_time_left(monkeypatch, capsys):
+    from bayeq.cli import progress
+
+    now = [100.0]
+    monkeypatch.setattr(progress.clock, "monotonic", lambda: now[0])
+    shown = progress.Progress()
+    shown.stage, shown.began, shown.first, shown.done, shown.total = "rows", 100.0, 1_000_000, 3_000_000, 5_000_000
+    shown.said = -100.0
+    now[0] = 110.0
+    shown._show()
+    assert capsys.readouterr().err == (
+        "bayeq: progress: rows, 3,000,000 of 5,000,000 (200,000 a second, 10 s left), 10 s\n"
+    )

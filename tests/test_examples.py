@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 
 import pytest
-from examples import air_track, encoder, pendulum, populations, tanks
+from examples import air_track, coupled, encoder, pendulum, populations, tanks
 from examples.__main__ import DOCS, EXAMPLES, PAGE, main
 from examples.page import Example, markers, put_blocks
 
@@ -106,6 +106,15 @@ def test_the_air_track_s_law():
     assert re.search(r"\na = -6\.2\d*\*x - 0\.01\d*\*v\n", example.blocks["found"])
     assert "v, a: computed from x, not measured" in example.blocks["found"]
     assert "smooth=auto: free run of the whole record, error of x 0." in example.blocks["given"]
+
+
+def test_the_coupled_masses_check_each_other():
+    example = ran(coupled)
+    springs = example.blocks["springs"].split("```text")[1]
+    assert float(re.search(r"ratio of stiffness (\S+)", springs).group(1)) == pytest.approx(1, abs=0.02)
+    errors = [float(e) for e in re.findall(r"x[12] (\S+) %", example.blocks["runs"].split("```text")[1])]
+    assert len(errors) == 4
+    assert max(errors) < 6
 
 
 def test_the_encoder_s_law_is_what_the_tolerance_leaves():

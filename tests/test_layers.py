@@ -19,7 +19,7 @@ ORDER = [
     "export regression",
     "plan refine selection streaming",
     "equation study",
-    "discovery estimators",
+    "app discovery estimators",
     "batches",
     "cli",
     "__main__",

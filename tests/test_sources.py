@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import bayeq as bq
@@ -188,6 +188,8 @@ words = st.sampled_from(["oops", "run 7", "", "NA", "5", "a,b", "1,2,3"])
         st.tuples(st.integers(0, 7), words), max_size=2, unique_by=lambda fault: fault[0]
     ),
 )  # fmt: skip
+@example(width=2, count=5, header=False, faults=[(0, "oops"), (1, "a,b")])
+@example(width=2, count=5, header=False, faults=[(0, "a,b"), (1, "a,b")])
 def test_no_row_is_lost_to_a_preamble(
     tmp_path: Path, width: int, count: int, header: bool, faults: list[tuple[int, str]]
 ) -> None:

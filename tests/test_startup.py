@@ -35,6 +35,7 @@ def run(*arguments, cwd=None):
         ["discover", "--help"],
         ["info", "--help"],
         ["plan", "--help"],
+        ["app", "--help"],
         ["simulate", "--help"],
         ["discover"],
     ],

@@ -420,3 +420,14 @@ def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
     found = quietly(record)
     assert (found.data.stretches, found.data.n) == (20, record.n)
     assert found[0].included == ("x", "v", "x**3", "u")
+
+
+def test_the_answer_says_what_is_of_stretches_only(record, tmp_path, monkeypatch):
+    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 300)
+    path = written(record.take(slice(0, 21_000)), tmp_path / "r.h5")
+    found = quietly(path, smooth="none", stream=True)
+    assert "16800 used; residuals, free runs and verdict are those of 20 stretches of them" in " ".join(
+        str(found).split()
+    )
+    found.save(tmp_path / "eq.json")
+    assert bq.load(tmp_path / "eq.json").data.stretches == 20

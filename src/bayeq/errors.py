@@ -1,4 +1,4 @@
-"""What can go wrong, as types.
+"""What can go wrong, as types; and checks of the types of arguments, which raise in one line that names them.
 
 ::
 
@@ -23,8 +23,12 @@
 from __future__ import annotations
 
 import difflib
+import os
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from numbers import Real
+from pathlib import Path
+from typing import Any
 
 __all__ = [
     "AmbiguityWarning",
@@ -43,6 +47,12 @@ __all__ = [
     "TermWarning",
     "UnknownNameError",
     "WarningLog",
+    "as_path",
+    "require_kind",
+    "require_mapping",
+    "require_number",
+    "require_text",
+    "require_texts",
 ]
 
 
@@ -87,9 +97,10 @@ class UnknownNameError(InputError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
         self.name = name
-        known = [str(k) for k in known]
+        asked = str(name)
+        known = [_printable(str(k)) for k in known]
         folded = {k.casefold(): k for k in known}
-        near = [folded[m] for m in difflib.get_close_matches(name.casefold(), list(folded), n=3, cutoff=0.5)]
+        near = [folded[m] for m in difflib.get_close_matches(asked.casefold(), list(folded), n=3, cutoff=0.5)]
         message = f"no {kind} named {name!r}"
         if near:
             message += f"; did you mean {' or '.join(repr(m) for m in near)}?"
@@ -190,3 +201,76 @@ class WarningLog:
         """
         for message, category in self.collected:
             warnings.warn(message, category, stacklevel=stacklevel)
+
+
+# What is shown of an argument of the wrong type.
+MOST_SHOWN = 40
+
+
+def require_kind(value: Any, kinds: type | tuple[type, ...], what: str, words: str) -> None:
+    """Raise an InputError unless a value is of some type.
+
+    Parameters
+    ----------
+    value : object
+        What was given.
+    kinds : type or tuple of types
+        What it may be.
+    what, words : str
+        The argument, and what it has to be, for the message.
+
+    Examples
+    --------
+    >>> require_kind(1, str, "method", "text")
+    Traceback (most recent call last):
+    bayeq.errors.InputError: method must be text, not 1 (int)
+    """
+    if not isinstance(value, kinds):
+        raise InputError(f"{what} must be {words}, not {_shown(value)}")
+
+
+def require_text(value: Any, what: str, optional: bool = False) -> None:
+    """Raise unless a value is text, or None where it is `optional`."""
+    if not (optional and value is None):
+        require_kind(value, str, what, "text")
+
+
+def require_number(value: Any, what: str) -> None:
+    """Raise unless a value is a real number."""
+    require_kind(value, Real, what, "a number")
+
+
+def require_texts(value: Any, what: str) -> None:
+    """Raise unless a value is text, or a sequence of texts."""
+    if isinstance(value, str):
+        return
+    require_kind(value, Iterable, what, "text or a list of texts")
+    for one in value if not isinstance(value, Mapping) else []:
+        require_kind(one, str, f"each of {what}", "text")
+
+
+def require_mapping(value: Any, what: str) -> None:
+    """Raise unless a value is a mapping with text as keys."""
+    require_kind(value, Mapping, what, "a mapping such as {'x': ...}")
+    for key in value:
+        require_kind(key, str, f"a key of {what}", "text")
+
+
+def as_path(value: Any, what: str = "the file") -> Path:
+    """A path, of text or of an `os.PathLike`."""
+    require_kind(value, (str, os.PathLike), what, "a path")
+    try:
+        return Path(value)
+    except TypeError:  # a PathLike of bytes
+        raise InputError(f"{what} must be a path of text, not {_shown(value)}") from None
+
+
+def _shown(value: Any) -> str:
+    text = _printable(repr(value))
+    short = text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+    return f"{short} ({type(value).__name__})"
+
+
+def _printable(text: str) -> str:
+    """A text of a file or a user in one line, without what a terminal would obey."""
+    return "".join(c if c.isprintable() else " " for c in text)

@@ -51,7 +51,7 @@ def question(options: Mapping[str, Any]) -> Question:
         if name not in parameters or name == "records":
             raise UnknownNameError("option", name, known, where="batch")
     given = {name: value for name, value in options.items() if name in known}
-    return question_of(**{**known, **given}, step=lambda stage, done, total: None)
+    return question_of(**{**known, **given}, progress=None)
 
 
 def digest(options: Mapping[str, Any], read: Read) -> str:

@@ -19,6 +19,7 @@ from bayeq.cli.batch import batch
 from bayeq.cli.completion import complete, completion
 from bayeq.cli.discover import discover
 from bayeq.cli.info import info
+from bayeq.cli.local_page import local_page
 from bayeq.cli.options import FILE, option
 from bayeq.cli.plan import plan
 from bayeq.cli.predict import predict
@@ -103,7 +104,7 @@ def systems(as_json: bool) -> None:
         click.echo(f"    {', '.join(f'{k} = {v:g}' for k, v in s.parameters.items())}")
 
 
-for command in (info, discover, batch, show, predict, plan, simulate, systems, study, completion):
+for command in (info, discover, batch, show, predict, plan, simulate, systems, study, local_page, completion):
     app.add_command(command)
 
 

@@ -23,6 +23,9 @@ PATIENCE = 1.0
 # A stage that goes on is named again after this time [s].
 INTERVAL = 10.0
 
+# Of this many the rate is said.
+MANY = 1000
+
 
 class Progress:
     """What is being done; call it with (stage, done, total).
@@ -38,6 +41,7 @@ class Progress:
     def __init__(self, verbose: bool = False) -> None:
         self.verbose = verbose
         self.stage, self.done, self.total = "", 0, 0
+        self.first = 0  # what was done when the stage began, of a run that goes on
         self.began = self.said = clock.monotonic()
         self.named = ""  # the stage that was named last
         self.bar: Any = None
@@ -62,7 +66,7 @@ class Progress:
                 self.watch.start()
             if stage != self.stage:
                 self._finish()
-                self.stage, self.began = stage, clock.monotonic()
+                self.stage, self.began, self.first = stage, clock.monotonic(), done
                 if self.verbose:
                     say(f"bayeq: {stage} ...")
             self.done, self.total = done, total
@@ -103,17 +107,25 @@ class Progress:
             if self.stage != self.named and self.verbose:
                 self.said = now  # it has been named when it began
             else:
-                count = f", {self.done} of {self.total}" if self.total > 1 else ""
+                count = f", {self.done:,} of {self.total:,}{self._left(now)}" if self.total > 1 else ""
                 say(f"{PROGRESS}{self.stage}{count}, {now - self.began:.0f} s")
                 self.said = now
             self.named = self.stage
 
+    def _left(self, now: float) -> str:
+        """The rate, of rows, and the time that is left."""
+        done, spent = self.done - self.first, now - self.began
+        if done <= 0 or spent <= 0.0:
+            return ""
+        rate = f"{done / spent:,.0f} a second, " if self.total >= MANY else ""
+        return f" ({rate}{(self.total - self.done) * spent / done:.0f} s left)"
+
     def _open_bar(self) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
         self.bar = Bar(*columns, console=Console(stderr=True), transient=True)
         self.bar.start()
         self.task = self.bar.add_task(self.stage, completed=self.done, total=self.total)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os.path import isdir, isfile
 from pathlib import Path
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bayeq.dictionary import fourier, neighbours, oscillator, polynomial
 from bayeq.dictionary.family import Variables
 from bayeq.dictionary.specification import Member, Specification, members, of_equations, split_at_commas, written
-from bayeq.errors import ExpressionError, FileFormatError, InputError, UnknownNameError
+from bayeq.errors import ExpressionError, FileFormatError, InputError, UnknownNameError, require_kind
 from bayeq.expressions import Evaluator, Expression, parse
 from bayeq.expressions.functions import FUNCTIONS
 from bayeq.records.io import near_files
@@ -139,6 +139,7 @@ def build_dictionaries(
     InputError
         As `build_dictionary`; a target that is not there, or that has no dictionary.
     """
+    require_kind(specification, Iterable, "dictionary", "text, a list of terms, or a mapping of these")
     given = of_equations(specification, targets)
     if given is None and not _by_equation(specification):
         assert not isinstance(specification, Mapping)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from numbers import Integral
 from typing import Any, get_args
 
 import numpy as np
@@ -13,7 +14,14 @@ from bayeq.dictionary import Specification, Variables, build_dictionaries
 from bayeq.discovery.question import Question
 from bayeq.discovery.sources import answer_of
 from bayeq.equation.equations import Equations
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import (
+    InputError,
+    UnknownNameError,
+    require_kind,
+    require_number,
+    require_text,
+    require_texts,
+)
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 from bayeq.regression.constraints import parse_constraints
@@ -185,7 +193,7 @@ def discover(
         tails=tails,
         band=band,
         seed=seed,
-        step=progress or _silent,
+        progress=progress,
     )
     answer, log = answer_of(question, records, t, stream, client, checkpoint)
     log.emit(stacklevel=3)
@@ -214,15 +222,17 @@ def question_of(
     tails: Tails,
     band: tuple[float, float] | None,
     seed: int,
-    step: Progress,
+    progress: Progress | None,
 ) -> Question:
     """The arguments of `discover`, checked before any record is read."""
+    _check_kinds(method, smooth, prior, seed, progress, constraints)
     _check_method(method)
     rules = Rules(max_terms, tolerance)
     rules.check(method)
     _check_shares(holdout, coarsen)
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
-    check_sensors(noise or {}, gain_sd or {}, roles)
+    noise, gain_sd = {} if noise is None else noise, {} if gain_sd is None else gain_sd
+    check_sensors(noise, gain_sd, roles)
     _check_tails(tails, smooth)
     smooth = _smooth_in(band, smooth)
     variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
@@ -243,17 +253,31 @@ def question_of(
         coarsen=coarsen,
         prior=prior,
         known=known,
-        noise=noise or {},
-        gain_sd=gain_sd or {},
+        noise=noise,
+        gain_sd=gain_sd,
         tails=tails,
         band=band,
         seed=seed,
-        step=step,
+        step=_silent if progress is None else progress,
     )
 
 
 def _silent(stage: str, done: int, total: int) -> None:
     """No progress shown."""
+
+
+def _check_kinds(method: Any, smooth: Any, prior: Any, seed: Any, progress: Any, constraints: Any) -> None:
+    require_text(method, "method")
+    require_text(smooth, "smooth")
+    require_texts(constraints, "constraints")
+    if prior is not None:
+        require_kind(prior, Prior, "prior", "a Prior")
+    if progress is not None:
+        require_kind(progress, Callable, "progress", "a function of (stage, done, total)")  # type: ignore[arg-type]
+    for one in seed if isinstance(seed, Sequence) and not isinstance(seed, str) else [seed]:
+        require_kind(one, Integral, "seed", "a whole number")
+        if one < 0:
+            raise InputError(f"a seed is a whole number, 0 or more, got {one}")
 
 
 def _check_method(method: str) -> None:
@@ -262,6 +286,8 @@ def _check_method(method: str) -> None:
 
 
 def _check_shares(holdout: float, coarsen: float) -> None:
+    require_number(holdout, "holdout")
+    require_number(coarsen, "coarsen")
     if not 0 <= holdout < 1:
         raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
     if not 0 < coarsen <= 1:
@@ -269,6 +295,7 @@ def _check_shares(holdout: float, coarsen: float) -> None:
 
 
 def _check_tails(tails: str, smooth: str) -> None:
+    require_text(tails, "tails")
     if tails not in get_args(Tails):
         raise InputError(f"tails is 'gauss' or 'student', got {tails!r}")
     if tails == "student" and smooth != "auto":

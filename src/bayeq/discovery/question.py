@@ -37,6 +37,8 @@ from bayeq.states import (
     estimate_motion,
     known_sensors,
     measured_apart,
+    require_in_range,
+    require_steps,
     require_varying,
 )
 from bayeq.states.missing import bridged_record, require_enough
@@ -114,7 +116,7 @@ class Question:
             log.warn(UNKNOWN_TIME, DataWarning)
         _require_unambiguous(self.terms, measured, self.roles)
         step("states", 0, 1)
-        motion, pieces = self._motion(measured, log)
+        motion, pieces = self._motion(measured, log, whole)
         terms, allowed = self.terms, self.allowed
         if len(terms) > MOST_TERMS:
             constrained = parse_constraints(self.known, terms, motion.roles.targets)
@@ -148,7 +150,9 @@ class Question:
             method=self.method,
             dictionary=written(self.dictionary),
             smooth=self.smooth,
-            data=data if whole is None else data.of_stretches(*whole.counts(motion.holdout), len(measured)),
+            data=data
+            if whole is None
+            else data.of_stretches(whole.names, *whole.counts(motion.holdout), len(measured)),
             dropped=design.dropped,
             warnings=log.messages,
             constraints=self.known,
@@ -156,9 +160,14 @@ class Question:
         )
         return answer, log
 
-    def _motion(self, records: list[Record], log: WarningLog) -> tuple[Motion, list[Record]]:
+    def _motion(self, records: list[Record], log: WarningLog, whole: Whole | None) -> tuple[Motion, list[Record]]:
         """States, and the records that they are of."""
-        pieces, roles, share = _prepared(records, self.roles, self.smooth, self.holdout, log)
+        try:
+            pieces, roles, share = _prepared(records, self.roles, self.smooth, self.holdout, log)
+        except RecordError as error:
+            if whole is None:
+                raise
+            raise RecordError(f"{error} (found in stretches of a long record: choose its rows, --rows)") from None
         sensors = known_sensors(self.noise, self.gain_sd, roles, pieces, self.tails)
         motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
         warn_of_sensors(motion, {*self.noise, *self.gain_sd}, log)
@@ -224,6 +233,7 @@ def _prepared(
     from others, and the share of the rows to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
     require_varying(records, [*roles.measured, *roles.inputs])
+    require_steps(records)
     records, messages = cleaned(records, roles, smooth)
     log.extend(messages, DataWarning)
     require_enough(records, roles)
@@ -237,6 +247,8 @@ def _prepared(
 
 def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: WarningLog) -> None:
     """Refuse too few rows, and warn of channels that do not fit each other and of rows that cannot be used in full."""
+    for rows in motion.records:
+        require_in_range(rows.columns, rows.name)
     total = sum(record.n for record in records)
     used, _ = motion.counts
     if used < LEAST_TRAINING_ROWS:

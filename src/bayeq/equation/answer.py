@@ -65,11 +65,19 @@ class DataSummary:
     band: tuple[float, float] | None = None
     stretches: int = 0
 
-    def of_stretches(self, used: int, held_out: int, stretches: int) -> Self:
+    def of_stretches(self, files: Sequence[str], used: int, held_out: int, stretches: int) -> Self:
         """The summary of all rows, this being that of some stretches of them."""
         n = used + held_out
         seconds = None if self.seconds is None else self.seconds * n / max(self.n, 1)
-        return replace(self, n=n, n_train=used, n_held_out=held_out, seconds=seconds, stretches=stretches)
+        return replace(
+            self,
+            files=tuple(dict.fromkeys(files)),
+            n=n,
+            n_train=used,
+            n_held_out=held_out,
+            seconds=seconds,
+            stretches=stretches,
+        )
 
     @property
     def fs(self) -> float | None:

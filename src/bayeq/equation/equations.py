@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
@@ -19,7 +19,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.prepare import prepared, rows_of_record
 from bayeq.equation.several import EquationTuple, coefficients
 from bayeq.equation.verdict import Verdict, worst
-from bayeq.errors import ConvergenceWarning, DataWarning, InputError, UnknownNameError
+from bayeq.errors import ConvergenceWarning, DataWarning, FileFormatError, InputError, UnknownNameError, as_path
 from bayeq.export.latex import Uncertainty
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
@@ -274,10 +274,10 @@ class Equations:
             In the unit of each state per second, also where the channels of a chain have units that do not belong
             together (see `Equation.unit_gains`).
         """
-        values = np.asarray(state, dtype=np.float64)
+        values = _numbers(state, "the state")
         if values.shape != (len(self.states),):
             raise InputError(f"the state has {len(self.states)} entries {self.states}, got shape {values.shape}")
-        given = np.atleast_1d(np.asarray([] if u is None else u, dtype=np.float64))
+        given = np.atleast_1d(_numbers([] if u is None else u, "u"))
         if given.shape != (len(self.inputs),):
             raise InputError(f"need {len(self.inputs)} input values {self.inputs}, got {given.size}")
         columns = dict(zip(self.states, values, strict=True)) | dict(zip(self.inputs, given, strict=True))
@@ -753,12 +753,22 @@ class Equations:
         ----------
         path : str or Path
             The file; it is replaced if it exists.
+
+        Raises
+        ------
+        FileFormatError
+            A place that cannot be written.
         """
         from bayeq.equation.to_json import to_saved
 
         text = json.dumps(to_saved(self), indent=1, allow_nan=False) + "\n"
-        with replacing(Path(path)) as part:
-            part.write_text(text, encoding="utf-8")
+        place = as_path(path)
+        try:
+            with replacing(place) as part:
+                part.write_text(text, encoding="utf-8")
+        except (OSError, UnicodeError) as error:
+            reason = getattr(error, "strerror", None) or type(error).__name__
+            raise FileFormatError(f"{str(place)!r}: cannot be written ({reason})") from None
 
     def report(
         self,
@@ -797,7 +807,7 @@ class Equations:
         for record in pieces:
             for name in self.roles.channels:
                 _ = record[name]
-        write_report(Path(path), self, pieces, [Path(file) for file in files], command)
+        write_report(as_path(path), self, pieces, [as_path(file) for file in files], command)
 
     def __str__(self) -> str:
         """The answer as text: in colour on a terminal, plain (Markdown) elsewhere."""
@@ -812,6 +822,13 @@ class Equations:
 
     def __repr__(self) -> str:
         return f"<Equations: {'; '.join(equation.text for equation in self.equations)}>"
+
+
+def _numbers(value: Any, what: str) -> Floats:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{what} must be numbers, not {type(value).__name__}") from None
 
 
 def _between(equations: Equations, interpolation: Interpolation | None) -> Interpolation:
@@ -829,7 +846,7 @@ def _silent(stage: str, done: int, total: int) -> None:
 
 
 def _as_list(records: Record | Sequence[Record], purpose: str) -> list[Record]:
-    pieces = [records] if isinstance(records, Record) else list(records)
+    pieces: list[Any] = [records] if isinstance(records, Record) or not isinstance(records, Iterable) else [*records]
     if not pieces or not all(isinstance(piece, Record) for piece in pieces):
         raise InputError(f"{purpose} needs a Record or a list of Records")
     return pieces

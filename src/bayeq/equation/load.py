@@ -20,13 +20,14 @@ from bayeq.equation.schema import first_fault
 from bayeq.equation.several import EquationTuple
 from bayeq.equation.to_json import FORMAT
 from bayeq.equation.verdict import Verdict
-from bayeq.errors import BayeqError, FileFormatError
+from bayeq.errors import BayeqError, FileFormatError, as_path
 from bayeq.expressions import parse
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.plan.measured import Measured
 from bayeq.plan.models import CandidateModel
+from bayeq.records.validate import check_name
 from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Residuals
@@ -73,7 +74,7 @@ def load(path: str | Path) -> Equations:
     FileFormatError
         A file that is missing or not such a file, or whose content does not agree with `json_schema` or with itself.
     """
-    path = Path(path)
+    path = as_path(path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -119,6 +120,8 @@ def _restore(content: Mapping[str, Any]) -> Equations:
     names = [TIME, *data["inputs"]]
     for chain in chains:
         names += chain.names
+    for name in names:
+        check_name(name, "channels")
     for k, chain in enumerate(chains):
         saved = content["equations"][k]
         equations.append(
@@ -147,6 +150,7 @@ def _restore(content: Mapping[str, Any]) -> Equations:
             smoothed=bool(data["smoothed"]),
             holdout=float(data["holdout"]),
             refitted=bool(data.get("refitted", False)),
+            stretches=int(data.get("stretches", 0)),
             measured=_restored_measured(data.get("measured")),
             sensors=_restored_sensors(data, equations),
             seconds=None if data.get("seconds") is None else float(data["seconds"]),

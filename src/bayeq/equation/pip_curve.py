@@ -306,7 +306,7 @@ def _curve(
     pip, left_out = np.empty((len(values), len(gram.names))), np.empty(len(values))
     for k, problem in enumerate(problems):
         found = average_models(problem, prior.known_signs, tolerance=tolerance)
-        pip[k], left_out[k] = np.minimum(found.weights @ found.models, 1.0), found.left_out
+        pip[k], left_out[k] = found.pip(tolerance)[0], found.left_out
     curve = PipCurve(axis_name, tuple(gram.names), values, pip, left_out, int(np.searchsorted(values, used)))
     if not curve.listed[curve.current]:
         warnings.warn(

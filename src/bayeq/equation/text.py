@@ -74,7 +74,11 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     names = [name for name in eq.data.files if name]
     source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
     used = f"{eq.data.n_train} used"
-    if eq.data.refitted:
+    if eq.data.stretches:
+        judged = "noise levels, fits" if eq.data.refitted else "residuals"
+        used = "all used" if eq.data.refitted else used
+        used += f"; {judged}, free runs and verdict are those of {eq.data.stretches} stretches of them"
+    elif eq.data.refitted:
         used = f"all used; fits and free runs on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
     console.print(f"{eq.data.n} rows{_rate(eq)}{source}, {used}; method: {ENGINES[eq.method].title}")
     if eq.data.band is not None:

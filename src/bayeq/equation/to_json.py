@@ -45,6 +45,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "smoothed": eq.data.smoothed,
             "holdout": eq.data.holdout,
             "refitted": eq.data.refitted,
+            "stretches": eq.data.stretches,
             "measured": asdict(eq.data.measured),
             "noise": dict(eq.data.sensors.noise),
             "gain_sd": dict(eq.data.sensors.gain_sd),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Callable, Sequence
 from numbers import Real
 from typing import Any, ClassVar, Self
@@ -12,7 +14,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.metadata_routing import UNUSED
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from bayeq.errors import InputError
+from bayeq.errors import DataWarning, InputError
 from bayeq.gram import Gram, GramLike
 from bayeq.gram.gram import checked_weights, grams_from_data
 from bayeq.gram.lazy import LazyGram, grams_of
@@ -278,6 +280,18 @@ class SpikeSlabRegressor(SparseRegressor):
             self.noise_rate,
             self.inclusion_beta,
         )
+
+    def _solve(self, gram: Gram | LazyGram) -> Posterior:
+        # even a perfect fit gains no more than n y'y / (4 noise_rate) nats, too few for any term
+        if 0.0 < gram.n * gram.yty < 4.0 * self.noise_rate:
+            warnings.warn(
+                f"the target varies by {math.sqrt(gram.yty / gram.n):.1g} only, which the prior of the noise"
+                f" (noise_rate={self.noise_rate:g}) takes for noise: no term can be found; divide y by its standard"
+                " deviation, or give a smaller noise_rate",
+                DataWarning,
+                stacklevel=3,
+            )
+        return super()._solve(gram)
 
     def _target(self, target: int | None) -> int:
         """The index of the one target, or of the one that was asked for."""

@@ -119,7 +119,7 @@ def _numerical(factor: Any, bits: float) -> Any:
     if not approximate.is_Float:
         return factor  # infinite, NaN or complex
     value = float(approximate)
-    return approximate if math.isfinite(value) and (value != 0 or approximate == 0) else sympy.sympify(value)
+    return approximate if math.isfinite(value) and (value != 0 or approximate == 0) else sympy.Float(value)
 
 
 def _bounded(value: Any) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
-from bayeq.errors import InputError, RecordError
+from bayeq.errors import InputError, RecordError, require_kind
 from bayeq.expressions import Expression
 from bayeq.ode.rk4 import Drive, Interpolation, interpolant, with_time
 from bayeq.records import Record
@@ -137,6 +137,7 @@ def require_time(record: Record, purpose: str) -> Floats:
     RecordError
         It has none.
     """
+    require_kind(record, Record, "the record", "a Record")
     if record.time is None:
         raise RecordError(f"{record.name or 'record'}: {purpose} needs a time column or fs")
     return record.time

@@ -24,6 +24,7 @@ __all__ = [
     "Moments",
     "Standardised",
     "checked_weights",
+    "require_squares",
     "default_names",
     "dense",
     "from_moments",
@@ -35,6 +36,9 @@ Floats = NDArray[np.float64]
 
 # Rows that are centred and multiplied at a time: large enough for BLAS, small enough for the cache.
 BLOCK_ROWS = 8192
+
+# A sum of squares below this has lost digits.
+LEAST_SQUARES = 1e-280
 
 # Up to this many columns the product Z'Z is our own kernel, above it is BLAS. The kernel centres this many
 # rows at a time, few enough for the cache; a multiple of 4.
@@ -549,19 +553,47 @@ def grams_from_data(
     if weights is None:
         starts = range(0, len(D), BLOCK_ROWS)
         blocks = (_block_moments(D[i : i + BLOCK_ROWS], Y[i : i + BLOCK_ROWS]) for i in starts)
-        return _joined(blocks, columns, Y.shape[1])
+        return _checked(_joined(blocks, columns, Y.shape[1]), D, Y)
     w = checked_weights(weights, len(D))
     kept = w > 0.0
     if not kept.all():
         D, Y, w = D[kept], Y[kept], w[kept]
     rows = (slice(i, i + BLOCK_ROWS) for i in range(0, len(D), BLOCK_ROWS))
-    return _joined((_weighted_moments(D[r], Y[r], w[r]) for r in rows), columns, Y.shape[1])
+    return _checked(_joined((_weighted_moments(D[r], Y[r], w[r]) for r in rows), columns, Y.shape[1]), D, Y)
+
+
+def _checked(grams: tuple[Gram, ...], D: Floats, Y: Floats) -> tuple[Gram, ...]:
+    require_squares(D, Y, grams[0].diagonal, np.array([gram.yty for gram in grams]), grams[0].names)
+    return grams
 
 
 @lru_cache(maxsize=16)
 def default_names(columns: int) -> tuple[str, ...]:
     """x0, x1 ... for columns without names."""
     return tuple(f"x{j}" for j in range(columns))
+
+
+def require_squares(D: Floats, Y: Floats, diagonal: Floats, yty: Floats, names: Sequence[str]) -> None:
+    """Raise where values vary, but by too little for their squares to keep their digits.
+
+    Parameters
+    ----------
+    D, Y : (n, P) array, (n, T) array
+        The rows.
+    diagonal, yty : (P,) array, (T,) array
+        Centred sums of squares of the columns and of the targets.
+    names : sequence of str
+        The P columns.
+
+    Raises
+    ------
+    InputError
+        Naming the columns.
+    """
+    small = [names[int(j)] for j in np.flatnonzero(diagonal < LEAST_SQUARES) if np.ptp(D[:, j]) > 0.0]
+    small += ["the target" for k in np.flatnonzero(yty < LEAST_SQUARES) if np.ptp(Y[:, k]) > 0.0]
+    if small:
+        raise InputError(f"values too small to square in {', '.join(small[:8])}: multiply them by a power of ten")
 
 
 def checked_weights(weights: ArrayLike, rows: int) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError
-from bayeq.gram.gram import Gram, Standardised, checked_weights, default_names, grams_from_data
+from bayeq.gram.gram import Gram, Standardised, checked_weights, default_names, grams_from_data, require_squares
 
 __all__ = ["LazyGram", "grams_of"]
 
@@ -99,6 +99,7 @@ def _lazy_grams(D: Floats, Y: Floats, names: Sequence[str] | None, weights: Arra
     if bad.size or not np.isfinite(yty).all():
         where = ", ".join(columns[j] for j in bad[:8]) or "the target"
         raise InputError(f"non-finite values (or squares that overflow) in {where}")
+    require_squares(D, Y, diagonal, yty, columns)
     return tuple(
         LazyGram(
             names=columns,

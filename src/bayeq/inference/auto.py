@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from bayeq.gram import GramLike
 from bayeq.inference.bma import spike_slab_bma
+from bayeq.inference.collapsed.listing import shares
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
@@ -17,11 +20,11 @@ __all__ = ["spike_slab_auto"]
 # well: in 3,680 fits of the four systems of the study, raw and smoothed, that never led to a higher ELBO.
 VB_STARTS = 3
 
-# If the models listed leave out more than this share of the mass, chains of this many samples say more; fewer samples
-# for many terms.
+# If the models listed say other probabilities than the average of those given the other terms by more than this, chains
+# of this many samples say more; fewer samples for many terms.
 MOST_LEFT_OUT = 0.02
 SAMPLES = 5000
-SAMPLED_TERMS = 10_000_000
+SAMPLED_TERMS = 2_000_000
 
 
 def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: float = 5e-3, seed: int = 0) -> Posterior:
@@ -43,8 +46,9 @@ def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: fl
     Posterior
         From model averaging: `pip`, `support` (the median probability model), `coef` and `covariance` (exact given
         that model), `averaged_coef`, `averaged_sd`, `noise_variance`, `average`. From variational Bayes: `elbo`,
-        `elbo_trace`, and `optimum`, the terms at its optimum. If the models listed leave out more than 2 % of the mass,
-        collapsed Gibbs sampling gives what averaging would have; `average` is then None and `rhat` is not.
+        `elbo_trace`, and `optimum`, the terms at its optimum. If the models listed leave out enough to change
+        probabilities by more than 2 %, collapsed Gibbs sampling gives what averaging would have; `average` is then None
+        and `rhat` is not.
 
     Notes
     -----
@@ -56,7 +60,8 @@ def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: fl
         return replace(bma, method="auto")
     assert bma.average is not None
     best = list(bma.average.models[:VB_STARTS])
-    if bma.average.left_out > MOST_LEFT_OUT:
+    listed = shares(bma.average.models, bma.average.probability)
+    if not bma.converged and float(np.abs(listed - bma.pip).max()) > MOST_LEFT_OUT:
         samples = min(SAMPLES, max(500, SAMPLED_TERMS // len(gram.names)))
         bma = spike_slab_gibbs(gram, prior, samples=samples, burn_in=samples // 5, seed=seed, keep_draws=False)
     vb = spike_slab_vb(gram, prior, models=best)

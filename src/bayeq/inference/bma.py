@@ -7,6 +7,7 @@ to hold nearly all of the mass (`inference.collapsed.listing`).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
 from bayeq.inference.collapsed.conditional import exact_posterior
-from bayeq.inference.collapsed.listing import ENUMERATE, ModelSet, list_models
+from bayeq.inference.collapsed.listing import ENUMERATE, ModelSet, list_models, shares
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, swept
 from bayeq.inference.posterior import ModelAverage, Posterior
@@ -30,8 +31,13 @@ TRUNCATED_MODELS = 1000
 TRUNCATED_MASS = 1e-3
 
 # Models in the moments of a listing that is not complete: this many, or as many as keep models times terms below this.
+# What they lack of a term its probability makes up for: moments given that it is in hardly depend on other terms.
 MOMENT_MODELS = 100
-MOMENT_WORK = 2_000_000
+MOMENT_WORK = 200_000
+
+# The likeliest models that the answer keeps, at most: those of a spread posterior, tens of thousands, say nothing that
+# its probabilities do not, and fill files of megabytes.
+MOST_KEPT = 5000
 
 # The covariance over all models is kept for this many terms, the likeliest.
 MOST_COVARIANCES = 1000
@@ -143,19 +149,20 @@ def spike_slab_bma(
     Posterior
         `pip`, `averaged_coef` and `averaged_sd` are over all models; `coef` and `covariance` those of the median
         probability model (Barbieri and Berger 2004), exact given the model. `average` lists the models with their
-        probabilities. `converged` is False if the room for models was used up before the tolerance was reached;
+        probabilities. Where these leave out more than the tolerance, `pip` is the probability of each term given the
+        others averaged over models, and `converged` is False if the two differ by more than the tolerance;
         `contradicted` names terms whose known signs the data contradict.
     """
     prior = prior or Prior()
     problem, signs = Problem.of(gram, prior), prior.known_signs
     found = average_models(problem, signs, tolerance=tolerance, enumerate_up_to=enumerate_up_to)
     found = found if revise is None else revise(found)
-    weights = found.weights
-    pip = np.minimum(weights @ found.models, 1.0)
-    converged = found.left_out <= tolerance * (1.0 + 1e-9)
+    found = found if revise is None else replace(found, inclusion=None)  # which was that before
+    weights, (pip, converged) = found.weights, found.pip(tolerance)
+    complete = found.left_out <= tolerance * (1.0 + 1e-9)
     enough, most = np.searchsorted(np.cumsum(weights), (1.0 - MOMENT_MASS, 1.0 - TRUNCATED_MASS)).tolist()
     enough = min(enough, max(most, TRUNCATED_MODELS)) + 1 if signs is not None else enough + 1
-    if not converged:
+    if not complete:
         enough = min(enough, max(MOMENT_MODELS, MOMENT_WORK // len(pip)))
     share = weights[:enough] / weights[:enough].sum()
     terms = np.flatnonzero(found.models.any(axis=0))
@@ -164,7 +171,11 @@ def spike_slab_bma(
     place = np.full(len(pip), -1)
     place[terms] = np.arange(len(terms))
     mean, square, second, noise = _moments(problem, signs, found.models[:enough], share, place, len(terms))
-    support = pip > 0.5
+    if not complete:
+        inside = shares(found.models[:enough], share)
+        lacking = np.where(inside > 0.0, pip / np.where(inside > 0.0, inside, 1.0), 0.0)
+        mean, square = mean * lacking, square * lacking
+    support, kept = pip > 0.5, float(weights[:MOST_KEPT].sum()) if len(weights) > MOST_KEPT else 1.0
     coef, conditional = exact_posterior(problem, support, signs)
     return Posterior(
         method="bma",
@@ -183,9 +194,9 @@ def spike_slab_bma(
         averaged_coef=mean,
         averaged_sd=np.sqrt(np.maximum(square - mean * mean, 0.0)),
         average=ModelAverage(
-            models=found.models,
-            probability=weights,
-            left_out=found.left_out,
+            models=found.models[:MOST_KEPT],
+            probability=weights[:MOST_KEPT] / kept,
+            left_out=found.left_out if kept == 1.0 else 1.0 - kept * (1.0 - found.left_out),
             terms=terms,
             covariance=second - np.outer(mean[terms], mean[terms]),
         ),

@@ -9,11 +9,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayeq.errors import InputError
 from bayeq.gram import Standardised
 
 __all__ = ["Draws", "ModelAverage", "Posterior"]
 
 Floats = NDArray[np.float64]
+
+# Coefficients between these have squares: variances.
+SMALLEST, LARGEST = 1e-150, 1e150
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,8 +239,22 @@ class Posterior:
         ----------
         standard : Standardised
             The Gram that this posterior comes from, and its scales.
+
+        Raises
+        ------
+        InputError
+            A coefficient that is too large or too small to square in the units of its column and of the target.
         """
-        factor = standard.target_scale / standard.scale
+        with np.errstate(over="ignore", under="ignore"):
+            factor = standard.target_scale / standard.scale
+            own = np.maximum(np.abs(self.coef), self.sd)
+            size = own * factor
+        far = np.flatnonzero((own > 0.0) & ~((size >= SMALLEST) & (size <= LARGEST)))
+        if len(far):
+            raise InputError(
+                f"the coefficient of {self.names[far[0]]} is about {size[far[0]]:.0e}, too large or too small to"
+                " square: give its column and the target in units in which they are about 1"
+            )
         kept = factor[self.support]
         variance = standard.target_scale**2
         jacobian = standard.source.dof * float(np.log(standard.target_scale))

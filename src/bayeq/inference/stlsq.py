@@ -254,6 +254,9 @@ def _posterior(
 
 
 def _inverse(matrix: Floats) -> Floats:
-    """Inverse of a positive definite matrix, scaled to unit diagonal on the way."""
+    """Inverse of a positive matrix, scaled to unit diagonal on the way; of directions that rounding decides, none."""
     scale = 1.0 / np.sqrt(np.diagonal(matrix))
-    return np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
+    kept = values > len(values) * np.finfo(np.float64).eps * values.max(initial=0.0)
+    half = vectors[:, kept] / np.sqrt(values[kept]) * scale[:, None]
+    return np.asarray(half @ half.T)

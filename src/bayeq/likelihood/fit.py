@@ -93,6 +93,8 @@ def quadratic(filtered: Sequence[Filtered]) -> Quadratic:
 def solved(A: Floats, B: Floats) -> Floats:
     """A^-1 B of a positive matrix that may be singular; B (r,) or (r, k)."""
     unit = 1.0 / np.sqrt(np.diagonal(A))
+    if not np.isfinite(unit).all():
+        raise np.linalg.LinAlgError("no positive matrix")
     return np.asarray((np.linalg.lstsq(A * unit[:, None] * unit, (B.T * unit).T, rcond=1e-13)[0].T * unit).T)
 
 

@@ -133,8 +133,11 @@ class RecordFit:
             for variance in (levels.channels[i], *(share * levels.scales.channels[i] for share in (LEAST_NOISE, SOME))):
                 channels = levels.channels.copy()
                 channels[i] = variance
-                values.append(marginal(linears, state, replace(levels, channels=channels), precision, False).value)
-            if max(values) - min(values) > READ:
+                try:
+                    values.append(marginal(linears, state, replace(levels, channels=channels), precision, False).value)
+                except np.linalg.LinAlgError:  # far from any motion: noise that cannot be
+                    values.append(-np.inf)
+            if max(values) > min(values) + READ:
                 known.add(name)
         return frozenset(known)
 

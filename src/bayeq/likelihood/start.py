@@ -33,6 +33,10 @@ Floats = NDArray[np.float64]
 # target: terms may cancel each other. Of 1, 3, 5 and 10, those above 1 found Lorenz's equations most often.
 SLAB = 5.0
 
+# Channels whose squared mean is above this many times their variance, as a pressure or a preload, need a constant that
+# makes up for it.
+FAR_FROM_ZERO = 10.0
+
 # Noise of channels at first, as a share of their variance; that of inputs, where their spectrum does not tell it.
 FIRST_NOISE, INPUT_NOISE = 1e-3, 2.5e-3
 
@@ -230,8 +234,18 @@ def _scales(layout: Layout, paths: Sequence[Floats], targets: Floats, samples: F
 def _precision(motion: Motion, layout: Layout) -> Floats:
     """1/variance of every coefficient's prior, (C (P + 1),)."""
     columns = np.concatenate([evaluate_terms(layout.terms, rows.columns) for rows in motion.train])
-    spread = np.append(columns.var(axis=0), 1.0)
+    spread = np.append(columns.var(axis=0), 1.0 / (1.0 + _offsets(motion, layout.terms)))
     return np.asarray(spread / (SLAB * _targets(layout.roles, motion.train).var(axis=0)[:, None])).ravel()
+
+
+def _offsets(motion: Motion, terms: Sequence[Expression]) -> float:
+    """What the constant makes up for: squared means of channels that are far from zero, in their variances."""
+    total = 0.0
+    for name in sorted(set().union(*(term.names for term in terms))):
+        values = np.concatenate([rows.columns[name] for rows in motion.train])
+        share = float(values.mean() ** 2 / max(values.var(), 1e-300))
+        total += share if share > FAR_FROM_ZERO else 0.0
+    return total
 
 
 def _targets(roles: Roles, pieces: Sequence[MotionRows]) -> Floats:

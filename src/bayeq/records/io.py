@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import overload
 
-from bayeq.errors import FileFormatError, InputError
+from bayeq.errors import FileFormatError, InputError, as_path, require_kind
 from bayeq.records.assemble import assemble
 from bayeq.records.atomic import replacing
 from bayeq.records.columns import Columns
@@ -114,7 +114,7 @@ def read(
     >>> read(path)
     Record('run.csv': 2 rows at 2 Hz; x [m])
     """
-    path = Path(path)
+    path = as_path(path)
     request = Request(columns, dict(channels or {}), time, group, fs)
     try:
         pieces = _pieces(path, request, names if names is None or isinstance(names, str) else list(names), skip)
@@ -166,7 +166,8 @@ def write(record: Record, path: str | os.PathLike[str]) -> None:
     FileFormatError
         An unknown suffix, or a place that cannot be written.
     """
-    path = Path(path)
+    require_kind(record, Record, "the record", "a Record")
+    path = as_path(path)
     known = writers()
     module = known.get(path.suffix.lower())
     if module is None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayeq.errors import RecordError
+from bayeq.errors import RecordError, require_kind
 from bayeq.records.record import Record
 from bayeq.records.truth import FloatArray
 
@@ -83,6 +83,7 @@ def _label(record: Record) -> str:
 
 
 def _time(record: Record) -> FloatArray:
+    require_kind(record, Record, "each of what is joined", "a Record")
     if record.time is None or record.n < 4:
         what = "has no time" if record.time is None else f"has {record.n} rows, too few for a spline"
         raise RecordError(f"{_label(record)} {what}; it cannot be joined")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from bayeq.errors import RecordError, UnknownNameError
+from bayeq.errors import RecordError, UnknownNameError, require_kind
 from bayeq.records.assemble import assemble
 from bayeq.records.columns import Columns
 from bayeq.records.request import Request
@@ -73,7 +73,9 @@ class Record:
     truth: Truth | None = None
 
     def __post_init__(self) -> None:
+        require_kind(self.name, str, "the name of a record", "text")
         where = self.name or "record"
+        require_kind(self.channels, Mapping, f"{where}: channels", "a mapping such as {'x': [...]}")
         if not self.channels:
             raise RecordError(f"{where}: no channels")
         channels = {}
@@ -137,8 +139,10 @@ class Record:
         >>> Record.from_arrays(x=[0.0, 1.0, 2.0], fs=100).time
         array([0.  , 0.01, 0.02])
         """
+        require_kind({} if mapping is None else mapping, Mapping, "channels", "a mapping such as {'x': [...]}")
+        require_kind(name, str, "the name of a record", "text")
         every = {**(mapping or {}), **channels}
-        return cls(every, time_from(every, time, fs, name or "record"), units or {}, name)
+        return cls(every, time_from(every, time, fs, name or "record"), {} if units is None else units, name)
 
     @classmethod
     def from_dataframe(

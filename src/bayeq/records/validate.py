@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import RecordError, UnknownNameError
+from bayeq.errors import RecordError, UnknownNameError, require_mapping
 from bayeq.records.names import clean_name
 from bayeq.records.truth import FloatArray
 
@@ -119,6 +120,7 @@ def check_name(name: object, where: str) -> None:
 
 def checked_units(units: Mapping[str, str], names: Iterable[str], has_time: bool, where: str) -> dict[str, str]:
     """Units of channels that exist, as text that fits in a header."""
+    require_mapping(units, f"{where}: units")
     names = list(names)
     known = [*names, "t"] if has_time and "t" not in names else names
     checked = {}
@@ -163,8 +165,8 @@ def time_from(channels: Mapping[str, Any], time: Any, fs: float | None, where: s
         return time
     if time is not None:
         raise RecordError(f"{_prefix(where)}time and fs are both given; give one of them")
-    if not (isinstance(fs, (int, float, np.number)) and 0 < fs < np.inf):
-        raise RecordError(f"{_prefix(where)}the sampling rate fs must be positive and finite, not {fs!r}")
+    if not (isinstance(fs, (int, float, np.number)) and 0 < fs <= sys.float_info.max):
+        raise RecordError(f"{_prefix(where)}the sampling rate fs must be positive and finite, not {str(fs)[:40]}")
     n = max((len(np.atleast_1d(values)) for values in channels.values()), default=0)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         seconds = np.arange(n) / float(fs)

@@ -108,10 +108,24 @@ def propagated_covariance(regression: Regression, posterior: Posterior, basis: F
     # in a band that does not begin at zero there is no constant
     constant = np.eye(1 + len(kept))[:, : int(H[0, 0] > 0)]
     free = np.hstack([constant, np.vstack([np.zeros((1, basis.shape[1])), basis])])
-    inverse = np.linalg.inv(free.T @ H @ free)
-    covariance = free @ inverse @ (free.T @ M @ free) @ inverse @ free.T * max(found / drawn, 1.0)
+    covariance = free @ _sandwich(free.T @ H @ free, free.T @ M @ free) @ free.T * max(found / drawn, 1.0)
     covariance = covariance[1:, 1:]
     return np.asarray(0.5 * (covariance + covariance.T)), surplus / numbers
+
+
+def _sandwich(H: Floats, M: Floats) -> Floats:
+    """H^-1 M H^-1 of symmetric matrices, H positive and M not negative, and so is the product in floating point.
+
+    Directions of H that rounding decides are left out.
+    """
+    sizes = np.diagonal(H)
+    unit = np.where(sizes > 0.0, 1.0 / np.sqrt(np.where(sizes > 0.0, sizes, 1.0)), 0.0)
+    values, vectors = np.linalg.eigh(H * unit[:, None] * unit)
+    kept = values > len(values) * np.finfo(np.float64).eps * values.max(initial=0.0)
+    inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    inner, axes = np.linalg.eigh(M * unit[:, None] * unit)
+    root = inverse @ (axes * np.sqrt(np.maximum(inner, 0.0))) * unit[:, None]
+    return np.asarray(root @ root.T)
 
 
 def _surplus(left: Floats, drawn: Floats, draws: int, numbers: Floats) -> float:

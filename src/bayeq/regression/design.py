@@ -32,8 +32,12 @@ BLOCK_ROWS = 65_536
 # Columns of the training rows are kept up to this many numbers in all (400 MB), and evaluated again beyond.
 MOST_KEPT = 50_000_000
 
-# The largest value whose square can be summed over any number of rows.
+# The largest value whose square can be summed over any number of rows, and the smallest that keeps its digits.
 LARGEST = 1e150
+SMALLEST = 1e-150
+
+# Terms of a channel that is larger than this, or smaller than its inverse, are out of range because of its unit.
+USUAL = 1e10
 
 # A column counts as constant below this relative spread, and as a copy above this correlation: both are the
 # rounding of the centred sums of squares.
@@ -118,7 +122,7 @@ def build_design(
     Raises
     ------
     InputError
-        No candidate can be used.
+        No candidate can be used, or one cannot because of the unit of a channel.
     """
     builder = _Builder(terms, motion, progress)
     train = builder.grams(motion.train, keep=sum(rows.n for rows in motion.train) * len(terms) <= MOST_KEPT)
@@ -148,10 +152,13 @@ def usable_terms(
     Raises
     ------
     InputError
-        No candidate can be used.
+        No candidate can be used, or one cannot because of the unit of a channel.
     """
     terms, allowed = design.terms, design.allowed
     reasons = _reasons(train[0], bad, rows, allowed)
+    size = np.abs(train[0].mean) + train[0].standard_deviation
+    out_of_range = (bad > 0) | (size < SMALLEST) | _unwritable(train)
+    _require_units([terms[int(j)] for j in np.flatnonzero(out_of_range)], design.motion)
     dropped = tuple(DroppedTerm(terms[j].text, why) for j, why in sorted(reasons.items()))
     kept = np.array([j for j in range(len(terms)) if j not in reasons], dtype=np.intp)
     if not len(kept):
@@ -206,6 +213,28 @@ class _Builder:
         if self.progress is not None:
             self.progress(self.done, self.total)
         return D
+
+
+def _unwritable(grams: Sequence[Gram]) -> NDArray[np.bool_]:
+    """Columns (P,) whose coefficient in one of the equations would be too large or too small to square."""
+    target = np.array([[gram.target_deviation] for gram in grams])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = target / grams[0].standard_deviation
+    varying = (target > 0) & np.isfinite(ratio)
+    return np.asarray((varying & ((ratio < SMALLEST) | (ratio > LARGEST))).any(axis=0))
+
+
+def _require_units(terms: Sequence[Expression], motion: Motion) -> None:
+    """Raise where one of some terms that are out of range is so because of the unit of a channel."""
+    for term in terms:
+        for name in sorted(term.names):
+            columns = [rows.columns[name] for rows in motion.records if name in rows.columns]
+            size = max((float(np.abs(values).max(initial=0.0)) for values in columns), default=0.0)
+            if size > USUAL or 0.0 < size < 1 / USUAL:
+                raise InputError(
+                    f"term {term.text} is out of range where {name} is about {size:.0e}: give {name} in a"
+                    f" {'larger' if size > 1 else 'smaller'} unit, in which it is about 1, or leave the term out"
+                )
 
 
 def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int, allowed: NDArray[np.bool_]) -> dict[int, str]:

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import InputError
+from bayeq.errors import InputError, require_number
 from bayeq.inference.collapsed.path import best_of_each_size, partial_shares, path_sizes
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
@@ -81,6 +81,7 @@ class Rules:
         InputError
             Values out of range, or a method without spike-and-slab prior.
         """
+        require_number(self.tolerance, "tolerance")
         if not 0 <= self.tolerance < 1:
             raise InputError(f"tolerance is a share of the target's sd, 0 <= tolerance < 1, got {self.tolerance!r}")
         if self.max_terms is None:

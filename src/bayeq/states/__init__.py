@@ -1,7 +1,7 @@
 """States: from measured channels to coordinates and their derivatives."""
 
 from bayeq.states.chain import Chain, parse_chain, parse_chains
-from bayeq.states.derive import Smooth, States, derive_states, require_varying
+from bayeq.states.derive import Smooth, States, derive_states, require_in_range, require_steps, require_varying
 from bayeq.states.derived_channels import measured_apart
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing
 from bayeq.states.motion import FEW_ROWS, Motion, MotionRows, estimate_motion
@@ -27,7 +27,9 @@ __all__ = [
     "measured_apart",
     "parse_chain",
     "parse_chains",
-    "require_varying",
     "rates",
+    "require_in_range",
+    "require_steps",
+    "require_varying",
     "unit_gains",
 ]

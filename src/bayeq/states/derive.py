@@ -17,7 +17,17 @@ from bayeq.records import Record
 from bayeq.states.chain import Chain
 from bayeq.states.savitzky_golay import smooth_derivative
 
-__all__ = ["Smooth", "States", "derive_states", "known", "require_usable", "require_varying", "usable"]
+__all__ = [
+    "Smooth",
+    "States",
+    "derive_states",
+    "known",
+    "require_in_range",
+    "require_steps",
+    "require_usable",
+    "require_varying",
+    "usable",
+]
 
 Floats = NDArray[np.float64]
 Smooth = Literal["auto", "band", "none"]
@@ -25,8 +35,14 @@ Smooth = Literal["auto", "band", "none"]
 # Fewer rows than this cannot carry a filter.
 LEAST_ROWS_TO_DIFFERENTIATE = 5
 
-# Samples beyond, and channels that vary by less than its inverse, have no square in floating point.
-LARGEST = 1e150
+# Samples beyond, and channels that vary by less than its inverse, have no cubes whose squares are numbers: channels are
+# refused there, as are steps of time beyond a power of it.
+LARGEST = 1e50
+LONGEST_STEP = 1e20
+
+# Channels that lie this many times their range from zero keep too few digits of what varies: sums of squares of rows
+# have sixteen, and lose twice those of the offset.
+FARTHEST = 1e4
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +136,8 @@ def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
     Raises
     ------
     RecordError
-        A channel that is the same in all rows of all records, or varies by too little to have a square.
+        A channel that is the same in all rows of all records, varies by too little to have a square, or lies too far
+        from zero.
     UnknownNameError
         A channel that a record does not have.
     """
@@ -139,8 +156,43 @@ def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
             )
         if rows > 1 and high - low < 1 / LARGEST:
             raise RecordError(
-                f"{where}: channel {name!r} varies by {high - low:g} only, too little to square; give the channel in a"
-                " smaller unit"
+                f"{where}: channel {name!r} varies by {high - low:g} only, too little to square and cube; give the"
+                " channel in a smaller unit"
+            )
+        far = max(abs(low), abs(high))
+        if rows > 1 and far > FARTHEST * (high - low):
+            raise RecordError(
+                f"{where}: channel {name!r} lies {far / (high - low):.0e} times its range from zero, which leaves too"
+                f" few digits of what varies; take the offset off (bayeq.remove_offset(record, {name!r}),"
+                f" --remove-offset {name})"
+            )
+
+
+def require_steps(records: Sequence[Record]) -> None:
+    """Raise unless the steps of time have powers in floating point.
+
+    Raises
+    ------
+    RecordError
+        Steps that are too long or too short to divide by.
+    """
+    for record in records:
+        step = record.dt
+        if step is not None and not 1 / LONGEST_STEP <= step <= LONGEST_STEP:
+            raise RecordError(
+                f"{record.name or 'record'}: steps of time are about {step:g} s, out of range; check the time column or"
+                " fs, or give time in another unit"
+            )
+
+
+def require_in_range(columns: Mapping[str, Floats], where: str) -> None:
+    """Raise unless states that were estimated are neither too large nor too small to square."""
+    for name, values in columns.items():
+        size = float(np.abs(values).max(initial=0.0))
+        if not (size <= LARGEST and (size == 0.0 or size >= 1 / LARGEST)):
+            raise RecordError(
+                f"{where or 'record'}: {name!r} is about {size:g}, out of range; give its channel or time in another"
+                " unit"
             )
 
 
@@ -155,8 +207,8 @@ def require_usable(record: Record, names: Sequence[str]) -> None:
         row = int(np.argmax(np.abs(values)))
         if abs(values[row]) > LARGEST:
             raise RecordError(
-                f"{record.name or 'record'}: channel {name!r} is {values[row]:g} in row {row + 1}, too large to square;"
-                " correct it, or give the channel in a larger unit"
+                f"{record.name or 'record'}: channel {name!r} is {values[row]:g} in row {row + 1}, too large to square"
+                " and cube; correct it, or give the channel in a larger unit"
             )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from bayeq.errors import ChainError, InputError
+from bayeq.errors import ChainError, InputError, require_text, require_texts
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import TIME
 from bayeq.states.chain import Chain, parse_chains
@@ -56,6 +56,13 @@ class Roles:
         InputError
             An input that is named twice.
         """
+        for role, channel in (("displacement", displacement), ("velocity", velocity), ("acceleration", acceleration)):
+            require_text(channel, role, optional=True)
+        require_text(force, "force", optional=True)
+        require_texts(inputs, "inputs")
+        if chains is not None:
+            require_texts(chains, "chains")
+        inputs = [inputs] if isinstance(inputs, str) else inputs
         named = ((force,) if force is not None else ()) + tuple(inputs)
         if len(set(named)) < len(named):
             raise InputError(f"an input is named twice: {', '.join(named)}")

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError, UnknownNameError, require_mapping
 from bayeq.records import Record
 from bayeq.states.chain import Chain
 from bayeq.states.roles import Roles
@@ -57,6 +57,7 @@ def check_sensors(noise: Mapping[str, float | str], gain_sd: Mapping[str, float 
     """
     known = [*roles.measured, *roles.inputs]
     for what, given in (("noise", noise), ("gain_sd", gain_sd)):
+        require_mapping(given, what)
         for name, value in given.items():
             if name not in known:
                 raise UnknownNameError("channel", name, known, where=what)

@@ -78,6 +78,13 @@ def of_channels(extents: Sequence[Extent], channels: Sequence[str]) -> tuple[Ext
     return tuple(replace(one, stream=one.stream.of(list(channels))) for one in extents)
 
 
+def _named(record: Record, first: int) -> Record:
+    """A stretch under a name that says which rows it is."""
+    return Record(
+        record.channels, record.time, record.units, f"{record.name}, rows {first + 1:,} to {first + record.n:,}"
+    )
+
+
 def stretches(extents: Sequence[Extent]) -> list[Record]:
     """Stretches spread evenly over some extents, all rows of short ones."""
     total = sum(one.n for one in extents)
@@ -87,5 +94,8 @@ def stretches(extents: Sequence[Extent]) -> list[Record]:
         length = min(ROWS_EACH, one.n) if total > STRETCHES * ROWS_EACH else one.n
         count = count if length < one.n else 1
         firsts = np.linspace(one.start, one.stop - length, count).round().astype(int).tolist()
-        out.extend(one.read(first, first + length) for first in firsts)
+        out.extend(
+            _named(one.read(first, first + length), first) if length < one.n else one.read(first, one.stop)
+            for first in firsts
+        )
     return out

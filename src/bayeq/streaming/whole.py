@@ -58,6 +58,11 @@ class Whole:
     checkpoints: Checkpoints
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Of the records."""
+        return tuple(one.stream.name for one in self.extents)
+
+    @property
     def n(self) -> int:
         """Number of rows."""
         return sum(one.n for one in self.extents)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError, UnknownNameError, require_kind, require_mapping
 from bayeq.expressions import Evaluator, Expression, FloatArray, parse
 from bayeq.records import Record, Truth
 from bayeq.systems.force import band_limited_noise
@@ -89,6 +89,7 @@ def simulate(
         from bayeq.systems import get_system
 
         system = get_system(system)
+    require_kind(system, System, "system", "the name of a system, or a System")
     fs = _positive("fs", system.fs if fs is None else fs)
     parameter_stream, force_stream, *noise_streams = _streams(seed, 2 + len(system.channels))
     values = _parameters(system, parameters, perturb, parameter_stream)
@@ -193,7 +194,8 @@ def _streams(seed: int | Sequence[int], count: int) -> list[np.random.SeedSequen
 def _parameters(
     system: System, given: Mapping[str, float] | None, perturb: float, stream: np.random.SeedSequence
 ) -> dict[str, float]:
-    given = given or {}
+    given = {} if given is None else given
+    require_mapping(given, "parameters")
     for name in given:
         if name not in system.parameters:
             raise UnknownNameError("parameter", name, system.parameters, where=f"system {system.name!r}")
@@ -261,8 +263,8 @@ def _count(n: int) -> int:
 def _finite(what: str, value: float) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} must be a number, not {value!r}") from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{what} must be a number, not {str(value)[:40]!r}") from None
     if not math.isfinite(number):
         raise InputError(f"{what} must be finite, not {value!r}")
     return number

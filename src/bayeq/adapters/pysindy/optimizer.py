@@ -40,7 +40,8 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         v_s: variance of a coefficient of a column of unit size, relative to the noise variance. By default the one that
         maximises the evidence of each target, at least 10.
     prior_inclusion : float or (P,) array
-        p_0; 1 forces a term in, 0 keeps it out.
+        p_0; 1 forces a term in, 0 keeps it out. Of columns that are multiples of one another the first counts (of the
+        greatest p_0), for no data tell them apart; the others have probability 0.
     noise_shape, noise_rate : float
         a_sigma, b_sigma of the inverse-Gamma prior of the noise variance, in units of the least-squares residual.
     inclusion_beta : (a, b), optional
@@ -58,6 +59,10 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         would not belong to the covariance and the probabilities that are reported.
     copy_X : bool
         As of other optimizers; the library is never written to.
+    normalize_columns : bool
+        As of other optimizers; it changes nothing, for columns are always put in units of their own.
+    verbose : bool
+        Print a line about each target when it is fitted.
 
     Attributes
     ----------
@@ -99,8 +104,10 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         random_state: int = 0,
         unbias: bool = False,
         copy_X: bool = True,
+        normalize_columns: bool = False,
+        verbose: bool = False,
     ) -> None:
-        super().__init__(unbias=unbias, copy_X=copy_X)
+        super().__init__(unbias=unbias, copy_X=copy_X, normalize_columns=normalize_columns)
         self.slab_variance = slab_variance
         self.prior_inclusion = prior_inclusion
         self.noise_shape = noise_shape
@@ -109,6 +116,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         self.method = method
         self.noise_floor = noise_floor
         self.random_state = random_state
+        self.verbose = verbose
 
     def set_params(self, **params: Any) -> Self:
         """Set parameters, as scikit-learn's estimators do."""
@@ -161,16 +169,53 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         grams = {k: row_gram(Z, T[:, k], weights, max(floors[k], unseen)) for k in range(y.shape[1])}
         if pieces is not None and varying:
             grams.update(zip(varying, series_grams(Z, T[:, varying], pieces, floors[varying]), strict=True))
+        inclusion = self._inclusion(Z)
         self.posteriors_ = tuple(
-            self._posterior(_in_original_units(gram, size, target_size[k]), size, target_size[k], x, y[:, k], weights)
+            self._posterior(
+                _in_original_units(gram, size, target_size[k]), inclusion, size, target_size[k], x, y[:, k], weights
+            )
             for k, gram in sorted(grams.items())
         )
         self.coef_ = np.array([p.coef for p in self.posteriors_])
         self.ind_ = np.array([p.support for p in self.posteriors_])
         self.pip_ = np.array([p.pip for p in self.posteriors_])
+        if self.verbose:
+            self._say("rows in no order" if pieces is None else f"time series of {len(pieces)} pieces")
+
+    def _say(self, rows: str) -> None:
+        """Print what was found of each target, and what its rows were taken to be."""
+        for k, posterior in enumerate(self.posteriors_):
+            nearest = np.abs(posterior.pip - 0.5).argmin()
+            print(
+                f"target {k}: {posterior.support.sum()} of {len(posterior.pip)} terms, noise"
+                f" {np.sqrt(posterior.noise_variance):.3g}, least certain column {nearest}"
+                f" (probability {posterior.pip[nearest]:.3f}); {rows}"
+            )
+
+    def _inclusion(self, Z: Floats) -> Floats:
+        """p_0 of each column, 0 of a column that is another one times a number."""
+        given = np.asarray(self.prior_inclusion, dtype=np.float64)
+        if given.shape not in ((), (Z.shape[1],)):
+            raise InputError(
+                f"prior_inclusion must be a probability, or one of each of the {Z.shape[1]} columns, got shape"
+                f" {given.shape}"
+            )
+        inclusion = np.broadcast_to(given, Z.shape[1]).copy()
+        order = np.argsort(-inclusion, kind="stable")
+        # columns have unit size: the correlation of two that differ by rounding is 1 less half the square of that
+        alike = np.abs(Z.T @ Z)[np.ix_(order, order)] / len(Z) > 1.0 - LEAST_FLOOR**2
+        inclusion[order[np.tril(alike, -1).any(axis=1)]] = 0.0
+        return inclusion
 
     def _posterior(
-        self, gram: Gram, size: Floats, target_size: float, x: Floats, y: Floats, weights: Floats | None
+        self,
+        gram: Gram,
+        inclusion: Floats,
+        size: Floats,
+        target_size: float,
+        x: Floats,
+        y: Floats,
+        weights: Floats | None,
     ) -> Posterior:
         """Of one target, as `discover` finds that of a regression."""
         unit = gram.in_units(size, target_size)
@@ -179,7 +224,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         standard = gram.in_units(size * np.where(spread > 0, spread, 1.0), target_size * scale)
         prior = Prior(
             10.0 if self.slab_variance is None else self.slab_variance,
-            self.prior_inclusion,
+            inclusion,
             self.noise_shape,
             self.noise_rate,
             self.inclusion_beta,

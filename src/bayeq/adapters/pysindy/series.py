@@ -245,7 +245,9 @@ def _banded(bands: Sequence[Band], terms: int, floor: float) -> Gram:
         E = slice(terms, None)
         ridged = whole.DtD[E, E] + np.diag(unit / COMPLETION**2)
         coef[E] = np.linalg.solve(ridged, whole.Dty[E] - whole.DtD[E, :terms] @ coef[:terms])
-    return _weighted(bands, names, terms, _spectrum(bands, coef, floor), floor)[1]
+    spectrum = _spectrum(bands, coef, floor)
+    counted = _counted(bands, coef, floor, spectrum)
+    return replace(_weighted(bands, names, terms, spectrum, floor)[1], n=counted, dof=counted)
 
 
 def _spectrum(bands: Sequence[Band], coef: Floats, floor: float) -> list[Floats]:
@@ -254,6 +256,16 @@ def _spectrum(bands: Sequence[Band], coef: Floats, floor: float) -> list[Floats]
     order = np.argsort(np.concatenate([b.frequency for b in bands]), kind="stable")
     found[order] = np.maximum.accumulate(found[order])
     return np.split(found + floor**2, np.cumsum([len(b.frequency) for b in bands])[:-1])
+
+
+def _counted(bands: Sequence[Band], coef: Floats, floor: float, spectrum: Sequence[Floats]) -> float:
+    """How many numbers the bins are worth: one whose residual is below the density that weights it is worth less.
+
+    Beyond the pass band of a smoothed motion the residual is next to nothing. Counted as whole ones, such bins would be
+    evidence that the noise is small in the others too.
+    """
+    own = residual_spectrum(bands, coef, 0.0)
+    return sum(float(b.count @ ((o + floor**2) / s)) for b, o, s in zip(bands, own, spectrum, strict=True))
 
 
 def _weighted(

@@ -19,6 +19,7 @@ from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, reading
 __all__ = ["is_excel", "read_columns"]
 
 _OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
+MOST_ROWS = 1_048_576
 Sheet = tuple[str, Iterable[Iterable[Any]]]
 
 
@@ -121,7 +122,9 @@ def _write_text(rows: Iterable[Iterable[Any]], path: Path) -> bool:
     """Write a sheet as text separated by tabs; whether it holds a number."""
     numbers, width = False, 0
     with path.open("w", encoding="utf-8") as file:
-        for row in rows:
+        for number, row in enumerate(rows):
+            if number == MOST_ROWS:  # a row may claim any number, and those above it would be made up
+                raise FileFormatError(f"a row beyond {MOST_ROWS}, the last that Excel has; the file is damaged")
             cells = list(row)
             while cells and cells[-1] is None:
                 cells.pop()

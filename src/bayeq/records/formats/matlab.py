@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayeq.errors import FileFormatError
-from bayeq.records.formats.limits import check_claim, reading
+from bayeq.records.formats.limits import reading
+from bayeq.records.formats.matlab_tags import MATRIX, FileBytes, PackedBytes, check_matrix
 from bayeq.records.formats.nested import Channel, channels_of
 
 __all__ = ["channels"]
 
 _COMPRESSED = 15
-_BYTES_AT_ONCE = 2**20
 _KIND = "MATLAB file"
 
 
@@ -52,7 +51,7 @@ def channels(path: Path) -> list[Channel]:
 
 
 def _check_claims(path: Path) -> None:
-    """Walk over the elements of the file: each must end within it, and unpack to what is allowed."""
+    """Walk over the elements of the file: each ends in it, has the types it should, and unpacks to what is allowed."""
     where, size = str(path), path.stat().st_size
     unpacked = 0
     with path.open("rb") as file:
@@ -65,17 +64,21 @@ def _check_claims(path: Path) -> None:
             if length > size - place:
                 raise FileFormatError(f"{where}: the variable at byte {place} is cut off; the file is damaged")
             if kind == _COMPRESSED:
-                unpacked += _unpacked_size(file.read(length), where, size, unpacked)
+                unpacked += _check_packed(PackedBytes(file.read(length), where, size, unpacked), order)
+            elif kind == MATRIX:
+                check_matrix(FileBytes(file), order, length)
             place += length
 
 
-def _unpacked_size(packed: bytes, where: str, size: int, before: int) -> int:
-    stream, total = zlib.decompressobj(), 0
-    while packed and not stream.eof:
-        total += len(stream.decompress(packed, _BYTES_AT_ONCE))
-        packed = stream.unconsumed_tail
-        check_claim(where, "the file", before + total, size)
-    return total
+def _check_packed(data: PackedBytes, order: str) -> int:
+    """Check a compressed variable; its size unpacked."""
+    tag = data.read(8)
+    if len(tag) == 8:
+        kind, length = struct.unpack(f"{order}II", tag)
+        if kind != MATRIX:
+            raise ValueError(f"a compressed variable has the type {kind}")
+        check_matrix(data, order, data.place + length)
+    return data.rest()
 
 
 def _tree(value: Any) -> Any:

@@ -63,6 +63,8 @@ def find_table(rows: Sequence[str]) -> Table | None:
     start = next((i for i in range(len(rows) - _ROWS + 1) if all(like[i : i + _ROWS])), 0)
     if start < 2 or any(_is_numbers(row, delimiter) for row in rows[:start]):
         return None
+    if all(is_number(split(row, delimiter)[0]) for row in rows[:start]):  # faulty rows: nothing there names anything
+        return None
     rigol = _rigol(rows, start, delimiter)
     if rigol is not None:
         return rigol

@@ -1,0 +1,114 @@
+"""Roles of channels, as the page offers them, and the chains and inputs that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from bayeq.errors import InputError
+
+__all__ = ["ROLES", "Choice", "chains_of", "inputs_of", "proposed"]
+
+DISPLACEMENT, VELOCITY, ACCELERATION = "displacement", "velocity", "acceleration"
+STATE, RATE, INPUT = "state", "rate", "input"
+
+#: What a channel may be, and what the page calls it.
+ROLES = {
+    "": "not used",
+    DISPLACEMENT: "displacement or angle",
+    VELOCITY: "velocity",
+    ACCELERATION: "acceleration",
+    INPUT: "force or other input",
+    STATE: "state of first order",
+    RATE: "rate of that state",
+}
+MOTION = (DISPLACEMENT, VELOCITY, ACCELERATION)
+
+
+@dataclass
+class Choice:
+    """What a channel is.
+
+    Attributes
+    ----------
+    role : str
+        A key of `ROLES`.
+    coordinate : int
+        Of which coordinate, counted from 1, where there are several.
+    """
+
+    role: str = ""
+    coordinate: int = 1
+
+
+def proposed(info: Mapping[str, Any]) -> dict[str, Choice]:
+    """Likely roles by channel, from what ``bayeq info --json`` prints."""
+    out = {channel["name"]: Choice() for channel in info["channels"]}
+    number = 0
+    for chain in info["roles"]["chains"]:
+        names = chain.split(":")
+        roles = MOTION if len(names) == len(MOTION) else (STATE, RATE)
+        number += len(names) > 1  # a state alone needs no number, which the page need not show then
+        for name, role in zip(names, roles, strict=False):
+            if name in out:
+                out[name] = Choice(role, number if len(names) > 1 else 1)
+    for name in info["roles"]["inputs"]:
+        if name in out:
+            out[name] = Choice(INPUT)
+    return out
+
+
+def chains_of(choices: Mapping[str, Choice]) -> list[str]:
+    """The chains that roles make, as ``--chain`` takes them.
+
+    Raises
+    ------
+    InputError
+        No channel moves, two have the same role of the same coordinate, or a rate has no state.
+
+    Examples
+    --------
+    >>> chains_of({"x": Choice("displacement"), "a": Choice("acceleration"), "u": Choice("input")})
+    ['x::a']
+    >>> chains_of({"hare": Choice("state"), "lynx": Choice("state")})
+    ['hare', 'lynx']
+    """
+    out: list[str] = []
+    for number in sorted({choice.coordinate for choice in choices.values() if choice.role not in ("", INPUT)}):
+        of = {name: choice.role for name, choice in choices.items() if choice.coordinate == number}
+        names = [_only(of, role, number) for role in MOTION]
+        if any(names):
+            out.append(":".join(names))
+        rate = _only(of, RATE, number)
+        states = [name for name, role in of.items() if role == STATE]
+        if rate and len(states) != 1:
+            raise InputError(
+                f"{rate} is the rate of a state: give it and that state, and no other state, the same number of"
+                " coordinate"
+            )
+        out += [f"{name}:{rate}" if rate else name for name in states]
+    if not out:
+        raise InputError("no channel has a role: say which one is the displacement, velocity, acceleration or state")
+    return out
+
+
+def inputs_of(choices: Mapping[str, Choice]) -> list[str]:
+    """Channels that drive the motion."""
+    return [name for name, choice in choices.items() if choice.role == INPUT]
+
+
+def _only(of: Mapping[str, str], role: str, number: int) -> str:
+    """The channel of a role, empty where there is none."""
+    names = [name for name, its in of.items() if its == role]
+    if len(names) > 1:
+        raise InputError(
+            f"{_and(names)} have both the role {role!r} of coordinate {number}: leave one out, or give them different"
+            " numbers of coordinate"
+        )
+    return names[0] if names else ""
+
+
+def _and(names: Iterable[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last}"

@@ -1,0 +1,239 @@
+"""What was opened, chosen and found; one for the page, however many windows show it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from bayeq.app.child import Child, Outcome
+from bayeq.app.commands import (
+    EQUATION,
+    EXAMPLE,
+    REPORT,
+    Choices,
+    as_typed,
+    discover_command,
+    example_command,
+    info_command,
+)
+from bayeq.app.workspace import Workspace
+from bayeq.errors import InputError
+
+__all__ = ["LOOKING", "READING", "Opened", "Result", "Session", "in_words"]
+
+_PROGRESS = "bayeq: progress: "
+
+#: What can be going on.
+READING, LOOKING = "reading the file", "looking for the equation"
+
+# Stages, as the page calls them.
+_STAGES = {
+    "reading": "reading the file",
+    "states": "smoothing the motion",
+    "dictionary": "evaluating the candidate terms",
+    "likelihood": "learning path and noise of the record",
+    "inference": "weighing the terms",
+    f"writing {REPORT}": "drawing the report",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """A file that is open.
+
+    Attributes
+    ----------
+    name : str
+        What the page calls it.
+    path : Path
+        Where it is.
+    info : dict
+        What ``bayeq info --json`` says of it.
+    """
+
+    name: str
+    path: Path
+    info: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What was found.
+
+    Attributes
+    ----------
+    number : int
+        Of the run, counted from 1.
+    folder : Path
+        That holds the equations and the report.
+    name : str
+        Of the file, without its ending.
+    """
+
+    number: int
+    folder: Path
+    name: str
+
+    @property
+    def equation(self) -> Path:
+        """The equations, for `bayeq.load`."""
+        return self.folder / EQUATION
+
+    @property
+    def report(self) -> Path:
+        """The page."""
+        return self.folder / REPORT
+
+
+class Session:
+    """The state of the page, and what can be done with it.
+
+    Parameters
+    ----------
+    workspace : Workspace
+        Where files and results are.
+
+    Attributes
+    ----------
+    changed : callable
+        Called with the parts of the page that are no longer right: "file", "run", "result", "progress".
+    """
+
+    def __init__(self, workspace: Workspace) -> None:
+        self.workspace = workspace
+        self.changed: Callable[..., None] = lambda *parts: None
+        self.opened: Opened | None = None
+        self.choices = Choices()
+        self.result: Result | None = None
+        self.busy = ""  # what is being done
+        self.began = 0.0
+        self.progress: list[str] = []
+        self.file_error = self.run_error = self.note = ""
+        self.stopped = False
+        self.command = ""
+        self._child: Child | None = None
+        self._runs = 0
+
+    async def open(self, path: Path, name: str) -> None:
+        """Look into a file; what was open before stays open if it cannot be read."""
+        if self.busy:
+            self.file_error = f"{name}: not opened, as something is being done: stop it first"
+            self._forget(path)
+            self.changed("file")
+            return
+        # messages name the file as it is called here
+        inside = self.workspace.path in path.parents
+        outcome = await self._run(READING, info_command(path.name if inside else str(path)), path.parent)
+        self.file_error = outcome.error or ("Stopped: the file was not opened." if outcome.stopped else "")
+        if not self.file_error:
+            if self.opened is not None:
+                self._forget(self.opened.path)
+            if self.result is not None:
+                self.workspace.remove(self.result.folder)
+            self.opened = Opened(name, path, json.loads(outcome.out))
+            self.choices = Choices.proposed(self.opened.info)
+            self.result, self.run_error, self.note, self.command = None, "", "", ""
+        elif inside:
+            self._forget(path)
+        self.changed("file", "run", "result")
+
+    async def open_example(self) -> None:
+        """Make a record of a known system, and look into it."""
+        if self.busy:
+            return
+        folder = self.workspace.new_folder()
+        outcome = await self._run("making an example", example_command(), folder)
+        if outcome.error or outcome.stopped:
+            self.file_error = outcome.error
+            self.workspace.remove(folder)
+            self.changed("file", "run")
+        else:
+            await self.open(folder / EXAMPLE, EXAMPLE)
+
+    async def discover(self) -> None:
+        """Find the equations with what was chosen; an earlier result stays until there is another."""
+        if self.busy or self.opened is None:
+            return
+        self.run_error, self.note, self.stopped = "", "", False
+        path = self.opened.path
+        inside = self.workspace.path in path.parents
+        try:
+            words = discover_command(path.name if inside else str(path), self.choices)
+        except InputError as error:
+            self.run_error = str(error)
+            self.changed("run")
+            return
+        self.command = as_typed(words)
+        try:
+            folder = self.workspace.new_folder()
+            if inside:  # a name without folders, also in the report
+                (folder / path.name).hardlink_to(path)
+        except OSError as error:
+            self.run_error = f"the folder for temporary files cannot be written to: {error.strerror or error}"
+            self.changed("run")
+            return
+        began = monotonic()
+        outcome = await self._run(LOOKING, words, folder)
+        if outcome.error or outcome.stopped:
+            self.run_error, self.stopped = outcome.error, outcome.stopped
+            self.note = "Stopped: nothing of this run is kept." if outcome.stopped else ""
+            self.workspace.remove(folder)
+            self.changed("run")
+        else:
+            previous, self._runs = self.result, self._runs + 1
+            self.result = Result(self._runs, folder, Path(self.opened.name).stem)
+            self.note = f"Done in {monotonic() - began:.0f} s: the result is below."
+            if previous is not None:
+                self.workspace.remove(previous.folder)
+            self.changed("run", "result")
+
+    async def stop(self) -> None:
+        """Stop what is being done."""
+        if self._child is not None:
+            await self._child.stop()
+
+    def close(self) -> None:
+        """End what is being done, and remove all files."""
+        if self._child is not None:
+            self._child.kill()
+        self.workspace.remove()
+
+    def seconds(self) -> float:
+        """For how long it is being done [s]."""
+        return monotonic() - self.began if self.busy else 0.0
+
+    async def _run(self, busy: str, words: Sequence[str], folder: Path) -> Outcome:
+        self.busy, self.began, self.progress = busy, monotonic(), []
+        self._child = Child(words, folder, self._say)
+        self.changed("run")
+        try:
+            return await self._child.run()
+        finally:
+            self._child, self.busy = None, ""
+
+    def _say(self, line: str) -> None:
+        """A line of progress; warnings are in the report."""
+        if not line.startswith(("bayeq: warning: ", "bayeq: error: ")):
+            self.progress.append(in_words(line))
+            self.changed("progress")
+
+    def _forget(self, path: Path) -> None:
+        """Remove a file that was dropped; others are where they belong."""
+        if self.workspace.path in path.parents:
+            self.workspace.remove(path.parent)
+
+
+def in_words(line: str) -> str:
+    """A line of progress, as the page says it.
+
+    Examples
+    --------
+    >>> in_words("bayeq: progress: likelihood, 2 of 3, 10 s")
+    'learning path and noise of the record, 2 of 3, 10 s'
+    """
+    stage, comma, rest = line.removeprefix(_PROGRESS).partition(",")
+    return _STAGES.get(stage, stage) + comma + rest

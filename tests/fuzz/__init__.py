@@ -1,0 +1,1 @@
+"""Fuzzing of every parser: one target each, a kept corpus, and a driver (``python -m tests.fuzz --help``)."""
