@@ -209,6 +209,14 @@ def test_a_bad_file_does_not_stop_the_others(folder, tmp_path, capsys, monkeypat
     assert json.loads(capsys.readouterr().out)["done"] == 1
 
 
+def test_names_of_bytes_that_are_no_characters(folder, tmp_path):
+    odd = os.fsdecode(os.fsencode(folder) + b"/day\xff.csv")
+    shutil.move(folder / "day9.csv", odd)
+    store = tmp_path / "batch.db"
+    assert [one.status for one in bq.batch(folder, store=store, **OPTIONS)] == ["ok"] * 4
+    assert bq.batch(odd, store=store, **OPTIONS).done == 0
+
+
 def test_no_file_that_can_be_used(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.csv").write_text("t,x\n0,1\n")

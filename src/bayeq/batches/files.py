@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from bayeq.errors import FileFormatError, InputError
+from bayeq.errors import FileFormatError, InputError, as_path
 from bayeq.records.formats import suffixes
 from bayeq.records.stream import in_order
 
@@ -68,16 +68,7 @@ def files_of(sources: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
     InputError
         No files, or one that is named twice.
     """
-    known = suffixes()
-    out: list[Path] = []
-    for one in map(Path, sources):
-        if not one.is_dir():
-            out.append(one)
-            continue
-        found = [path for path in one.iterdir() if path.is_file() and path.suffix.lower() in known]
-        if not found:
-            raise FileFormatError(f"{one}: the folder has no file of a known format ({', '.join(known)})")
-        out.extend(sorted(found, key=in_order))
+    out = [path for source in sources for path in _files(as_path(source, "each of the files"))]
     if not out:
         raise InputError("no files are given: name files or folders")
     seen: set[str] = set()
@@ -87,3 +78,18 @@ def files_of(sources: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
             raise InputError(f"{path}: named twice; leave one of them out")
         seen.add(place)
     return tuple(out)
+
+
+def _files(path: Path) -> list[Path]:
+    """A file, or those of a folder."""
+    try:
+        os.fsencode(path)
+        if not path.is_dir():
+            return [path]
+    except (OSError, ValueError):
+        raise InputError(f"{str(path)[:60]!r}: is no name of a file") from None
+    known = suffixes()
+    found = [one for one in path.iterdir() if one.is_file() and one.suffix.lower() in known]
+    if not found:
+        raise FileFormatError(f"{path}: the folder has no file of a known format ({', '.join(known)})")
+    return sorted(found, key=in_order)

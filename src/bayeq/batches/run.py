@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import os
 import warnings
@@ -19,7 +20,15 @@ from bayeq.batches.result import Batch
 from bayeq.batches.store import BatchStore, Outcome, Status
 from bayeq.discovery.entry import discover
 from bayeq.equation.to_json import to_saved
-from bayeq.errors import BayeqError, BayeqWarning, InputError
+from bayeq.errors import (
+    BayeqError,
+    BayeqWarning,
+    InputError,
+    UnknownNameError,
+    as_path,
+    require_kind,
+    require_mapping,
+)
 from bayeq.records import Record, as_records, read
 from bayeq.resumable.workers import MAX_JOBS, compute, one_thread
 
@@ -95,8 +104,23 @@ def batch(
     >>> list(found.table().term.unique())
     ['x', 'v', 'x**3', 'u']
     """
-    paths = files_of([files] if isinstance(files, (str, os.PathLike)) else files)
-    return run_batch(paths, options, _Reading(dict(read or {})), Path(store), jobs, common, progress)
+    if isinstance(files, (str, os.PathLike)):
+        files = [files]
+    require_kind(files, Sequence, "files", "a path or a list of paths")
+    require_kind(common, bool, "common", "True or False")
+    arguments = {} if read is None else read
+    require_mapping(arguments, "read")
+    if progress is not None:
+        require_kind(progress, Callable, "progress", "a function of (stage, done, total)")  # type: ignore[arg-type]
+    for name in arguments:
+        if name not in _ARGUMENTS:
+            raise UnknownNameError("argument of bayeq.read", name, _ARGUMENTS, where="read")
+    place = as_path(store, "store")
+    return run_batch(files_of(files), options, _Reading(dict(arguments)), place, jobs, common, progress)
+
+
+# What `bayeq.read` takes beside the file.
+_ARGUMENTS = [name for name in inspect.signature(read).parameters if name != "path"]
 
 
 @dataclass(frozen=True)
@@ -131,7 +155,7 @@ def run_batch(
     store, jobs, common, progress
         As in `batch`.
     """
-    if not (isinstance(jobs, int) and 1 <= jobs <= MAX_JOBS):
+    if not (isinstance(jobs, int) and not isinstance(jobs, bool) and 1 <= jobs <= MAX_JOBS):
         raise InputError(f"jobs is a number of processes, 1 to {MAX_JOBS}, got {jobs!r}")
     step = progress or _silent
     question(options)

@@ -76,7 +76,7 @@ class BatchStore(Database):
         identity = outcome.identity
         state = (None, None, None) if identity is None else (identity.size, identity.mtime, identity.sha256)
         answer = None if outcome.answer is None else json.dumps(outcome.answer, allow_nan=False)
-        row = (_key(outcome.path), options, *state, outcome.status, outcome.message, answer)
+        row = (_key(outcome.path), options, *state, outcome.status, _text(outcome.message), answer)
         with self._guard(), self._transaction():
             self._connection.execute("INSERT OR REPLACE INTO files VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)
 
@@ -120,4 +120,9 @@ class BatchStore(Database):
 
 
 def _key(path: Path) -> str:
-    return os.path.abspath(path)
+    return _text(os.path.abspath(path))
+
+
+def _text(text: str) -> str:
+    """Text as SQLite takes it: bytes of a file's name that are no characters are written out."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")

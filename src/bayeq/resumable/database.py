@@ -6,6 +6,7 @@ at any moment leaves the transactions that were committed, and nothing else.
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -52,9 +53,14 @@ class Database:
             It is something else, is damaged, or cannot be written.
         """
         path = Path(path)
-        if path.is_dir():
+        try:
+            os.fsencode(path)
+            folder, inside = path.is_dir(), path.parent.is_dir()
+        except (OSError, ValueError):
+            raise FileFormatError(f"{str(path)[:60]!r}: is no name of a file") from None
+        if folder:
             raise FileFormatError(f"{path}: is a directory; name a file in it")
-        if not path.parent.is_dir():
+        if not inside:
             raise FileFormatError(f"{path}: cannot be written: there is no directory {path.parent}")
         made = cls._connect(path, "rwc")
         try:
