@@ -13,6 +13,7 @@ import zipfile
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -114,7 +115,7 @@ class Checkpoints:
                 return cls(None)
             stat = path.stat()
             about.append((str(path.resolve()), stat.st_size, stat.st_mtime_ns, one.start, one.stop, repr(one.stream)))
-        return cls(folder, repr(about))
+        return cls(folder, repr((version("bayeq"), about)))
 
     def of_stage(self, stage: str, about: object) -> Checkpoint:
         """The sum of a stage that depends on what `about` says."""

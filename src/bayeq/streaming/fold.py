@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol, TypeVar
 
+from joblib import cpu_count
 from threadpoolctl import threadpool_limits
 
 from bayeq.streaming.extent import Unit
@@ -30,9 +30,7 @@ class Threads:
     """Threads of this process, as many as there are cores; few units are in memory at a time."""
 
     def __init__(self, workers: int | None = None) -> None:
-        self.workers = (
-            workers or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        )
+        self.workers = workers or cpu_count()
 
     def map(self, work: Callable[[Unit], T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
         """One unit after the other."""
