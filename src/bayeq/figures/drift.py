@@ -97,8 +97,8 @@ def _panel(ax: Axes, rows: pd.DataFrame, before: str) -> None:
     for kind, look in MARKS.items():
         own = drawn[drawn.verdict == kind]
         ax.plot(own.order, own.coef, linestyle="none", markersize=3.4, zorder=3, **look)
-    units = list(rows.unit.unique())
-    unit = "units differ" if len(units) > 1 else _unit(units[0] or "")
+    units = {unit if isinstance(unit, str) else "" for unit in rows.unit}  # pandas makes NaN of None
+    unit = "units differ" if len(units) > 1 else _unit(units.pop())
     name = term_label(rows.term.iloc[0], tuple(rows.term)) if rows.term.iloc[0] != "1" else "constant"
     ax.set_ylabel(f"{plain(before)}{name}" + (f"\n[{unit}]" if unit not in ("", "1") else ""))
     ax.locator_params(axis="y", nbins=5)
