@@ -94,9 +94,10 @@ def _panel(ax: Axes, rows: pd.DataFrame, before: str) -> None:
         ax.axhline(common.common_coef, color=BLACK, linewidth=0.6, zorder=1)
     drawn = rows[rows.shown]
     ax.vlines(drawn.order, drawn.ci_low, drawn.ci_high, color=BLUE, linewidth=0.9, zorder=2)
+    size = 3.4 if len(rows) <= 80 else 2.2
     for kind, look in MARKS.items():
         own = drawn[drawn.verdict == kind]
-        ax.plot(own.order, own.coef, linestyle="none", markersize=3.4, zorder=3, **look)
+        ax.plot(own.order, own.coef, linestyle="none", markersize=size, zorder=3, **look)
     units = {unit if isinstance(unit, str) else "" for unit in rows.unit}  # pandas makes NaN of None
     unit = "units differ" if len(units) > 1 else _unit(units.pop())
     name = term_label(rows.term.iloc[0], tuple(rows.term)) if rows.term.iloc[0] != "1" else "constant"
