@@ -32,7 +32,9 @@ numpydoc_validation_checks = {"GL07", "GL10", "PR01", "PR02", "PR03", "PR04", "P
 # Results list what they hold, and are not made by users.
 numpydoc_validation_overrides = {"PR01": [r"Attributes\s+-", "Attributes are those of"]}
 # Scikit-learn's own methods.
-ROUTING = "get_metadata_routing, set_fit_request, set_predict_request, set_score_request"
+ROUTING = ", ".join(
+    ["get_metadata_routing", *(f"set_{one}_request" for one in ("fit", "partial_fit", "predict", "score"))]
+)
 autodoc_default_options = {"exclude-members": ROUTING}
 python_maximum_signature_line_length = 90
 

@@ -129,3 +129,13 @@ def test_checks():
         require_texts(1, "names")
     with pytest.raises(InputError, match="must be a path of text"):
         as_path(Bytes())
+
+
+@pytest.mark.parametrize("option", ["files", "store", "jobs", "common", "read", "progress", "method"])
+@NAMED
+def test_batch(tmp_path, monkeypatch, option, odd):
+    monkeypatch.chdir(tmp_path)
+    # no file is there: what is right is refused at the end
+    given = {"files": "absent.csv", "store": "batch.db", **ROLES, option: odd}
+    said = decent(bq.batch, given.pop("files"), **given)
+    assert said or bq.batch("absent.csv", store="other.db", **ROLES).refused

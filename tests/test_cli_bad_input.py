@@ -316,7 +316,7 @@ def test_bad_options(run: Run, options: list[str], parts: list[str]) -> None:
 
 
 def test_bad_commands(run: Run) -> None:
-    assert_refused(run(), "no command given; there are: info, discover, show, predict, plan, simulate", "--help")
+    assert_refused(run(), "no command given; there are: info, discover, batch, show, predict, plan, simulate", "--help")
     assert_refused(run("discover"), "Missing argument 'FILE...'")
     assert_refused(run("discouver", "run.csv"), "No such command 'discouver'")
     assert_refused(run("--forze"), "No such option", "--forze")

@@ -395,3 +395,86 @@ def test_samples_of_several_targets_average_to_each():
     # five standard errors of a mean of 4000 independent draws
     assert np.all(np.abs(theta.mean(axis=0) - fit.averaged_coef_) < 5 * fit.averaged_sd_ / np.sqrt(4000) + 1e-12)
     np.testing.assert_allclose(noise.mean(axis=0), fit.noise_variance_, rtol=0.02)
+
+
+# ---- rows that come in blocks
+
+
+FITTED = ("coef_", "intercept_", "pip_", "covariance_", "noise_variance_", "n_effective_")
+
+
+@each_estimator
+def test_blocks_are_one_fit(estimator):
+    D, y = problem(n=150)
+    whole, blocks = clone(estimator).fit(D, y), clone(estimator)
+    for part in (slice(0, 40), slice(40, 41), slice(41, 150)):
+        blocks.partial_fit(D[part], y[part])
+    assert blocks.n_effective_ == 150
+    for name in FITTED:
+        np.testing.assert_allclose(getattr(blocks, name), getattr(whole, name), rtol=1e-7, atol=1e-12)
+    # a fit can be gone on with, and begins afresh itself
+    again = clone(estimator).fit(D[:40], y[:40]).partial_fit(D[40:], y[40:])
+    np.testing.assert_allclose(again.coef_, whole.coef_, rtol=1e-7, atol=1e-12)
+    np.testing.assert_array_equal(again.fit(D, y).coef_, whole.coef_)
+
+
+@each_estimator
+def test_forgetting_is_weights_that_fall(estimator):
+    D, y = problem(n=150)
+    blocks = clone(estimator).set_params(forgetting=0.97)
+    for part in (slice(0, 60), slice(60, 61), slice(61, 150)):
+        blocks.partial_fit(D[part], y[part])
+    weights = 0.97 ** np.arange(149, -1, -1)
+    whole = clone(estimator).fit(D, y, sample_weight=weights)
+    for name in FITTED:
+        np.testing.assert_allclose(getattr(blocks, name), getattr(whole, name), rtol=1e-6, atol=1e-12)
+    assert blocks.n_effective_ == pytest.approx(weights.sum())
+    assert blocks.n_effective_ == pytest.approx(1 / 0.03, rel=0.02)
+
+
+def test_blocks_with_weights_and_several_targets():
+    D, y = problem(n=120)
+    Y, weights = np.column_stack([y, -y + D[:, 0]]), np.random.default_rng(2).uniform(0.0, 2.0, 120)
+    blocks = SpikeSlabVB(forgetting=0.99)
+    for part in (slice(0, 50), slice(50, 120)):
+        blocks.partial_fit(D[part], Y[part], sample_weight=weights[part])
+    whole = SpikeSlabVB().fit(D, Y, sample_weight=weights * 0.99 ** np.arange(119, -1, -1))
+    np.testing.assert_allclose(blocks.coef_, whole.coef_, rtol=1e-7, atol=1e-12)
+    with pytest.raises(InputError, match=r"y has shape \(n,\), that of the rows before was \(n, 2\)"):
+        blocks.partial_fit(D, y)
+
+
+def test_a_change_is_followed():
+    rng = np.random.default_rng(3)
+    D = rng.normal(size=(3000, 3))
+    y = D[:, 0] * np.repeat([1.0, 2.0], 1500) + 0.1 * rng.normal(size=3000)
+    follows, remembers = SpikeSlabVB(forgetting=0.99), SpikeSlabVB()
+    for k in range(0, 3000, 100):
+        for fit in (follows, remembers):
+            fit.partial_fit(D[k : k + 100], y[k : k + 100])
+    assert follows.coef_[0] == pytest.approx(2.0, abs=0.05)
+    assert remembers.coef_[0] == pytest.approx(1.5, abs=0.05)
+
+
+def test_blocks_keep_the_names_of_the_first():
+    D, y = problem(n=60)
+    frame = pd.DataFrame(D, columns=list("abcdefgh"))
+    fit = SpikeSlabVB().partial_fit(frame[:30], y[:30]).partial_fit(frame[30:], y[30:])
+    assert fit.posterior_.names == tuple("abcdefgh")
+
+
+@pytest.mark.parametrize("forgetting", [0.0, 1.01, -1.0, np.nan, "0.9", None])
+def test_forgetting_is_a_share(forgetting):
+    D, y = problem(n=30)
+    with pytest.raises(InputError, match="0 < forgetting <= 1"):
+        SpikeSlabVB(forgetting=forgetting).partial_fit(D, y)
+
+
+def test_blocks_that_cannot_be_fitted():
+    D, y = problem(n=30)
+    with pytest.raises(InputError, match="count 1 times"):
+        SpikeSlabVB().partial_fit(D[:1], y[:1])
+    wide = np.random.default_rng(0).normal(size=(20, 600))
+    fit = STLSQ(standardise=True, ridge=1.0).fit(wide, wide[:, 0])
+    with pytest.raises(InputError, match="begin with partial_fit"):
+        fit.partial_fit(wide, wide[:, 0])

@@ -13,13 +13,14 @@ from tests.layers import SOURCE, circles, files, floors, imported, modules, room
 # From the ground up: a room imports from lines above its own, which here means from floors below.
 ORDER = [
     "citation errors kernels markup",
-    "expressions gram numerics records",
+    "expressions gram numerics records resumable",
     "dictionary figures inference ode states",
     "adapters forecast inspection likelihood systems",
     "export regression",
     "plan refine selection streaming",
     "equation study",
     "app discovery estimators",
+    "batches",
     "cli",
     "__main__",
 ]

@@ -25,6 +25,7 @@ QUICK = {
     "servo": "band",
     "circuit": "true band",
     "adverse": "few rows 60",
+    "tracking": "0.0 2000",
 }
 
 

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 # The public names, by the module that defines them.
 _NAMES = {
+    "batches.result": "Batch BatchFile",
+    "batches.run": "batch",
     "discovery": "discover",
     "equation.equation": "Equation",
     "equation.equations": "Equations",
@@ -37,6 +39,8 @@ __all__ = sorted(_HOME)
 
 if TYPE_CHECKING:  # the same names for type checkers; a test compares the two lists
     # isort: off
+    from bayeq.batches.result import Batch as Batch, BatchFile as BatchFile
+    from bayeq.batches.run import batch as batch
     from bayeq.discovery import discover as discover
     from bayeq.equation.equation import Equation as Equation
     from bayeq.equation.equations import Equations as Equations

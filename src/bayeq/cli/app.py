@@ -15,6 +15,7 @@ from typing import Any
 
 import click
 
+from bayeq.cli.batch import batch
 from bayeq.cli.completion import complete, completion
 from bayeq.cli.discover import discover
 from bayeq.cli.info import info
@@ -103,7 +104,7 @@ def systems(as_json: bool) -> None:
         click.echo(f"    {', '.join(f'{k} = {v:g}' for k, v in s.parameters.items())}")
 
 
-for command in (info, discover, show, predict, plan, simulate, systems, study, local_page, completion):
+for command in (info, discover, batch, show, predict, plan, simulate, systems, study, local_page, completion):
     app.add_command(command)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ from bayeq.kernels import announce_compiling
 if TYPE_CHECKING:
     from bayeq.records import Record
 
-__all__ = ["discover"]
+__all__ = ["cleaned", "discover", "source_of", "used_channels"]
 
 EXAMPLES = """
 Examples:
@@ -202,12 +202,12 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, **options: A
     reading = Reading.of(options)
     options, paths = named_channels(options)
     outputs.check(files, options, as_json)
-    options = _cleaned(options)
+    options = cleaned(options)
     announce_compiling(lambda: say(COMPILING))
     with Progress(verbose) as progress:
-        records, source = _read(reading, files, _used(options), paths, outputs.refine, progress)
+        records, source = source_of(reading, files, used_channels(options), paths, outputs.refine, progress)
         if not options["chains"]:  # which may be badly written
-            _require_channels(records, _used(options))
+            _require_channels(records, used_channels(options))
         outputs.check_records(records)
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
@@ -215,13 +215,13 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, **options: A
         outputs.write(answer, records, files, options["holdout"], as_json, progress)
 
 
-def _read(
+def source_of(
     reading: Reading,
     files: Sequence[Path],
     used: Sequence[str],
     paths: Mapping[str, str],
     refine: bool,
-    progress: Progress,
+    progress: Callable[[str, int, int], None],
 ) -> tuple[Sequence[Record], Any]:
     """The records that are looked at, and what `bayeq.discover` takes: these, or all rows of long ones."""
     if not reading.streamed(files):
@@ -235,7 +235,7 @@ def _read(
     return stretches(extents), extents
 
 
-def _cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
+def cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options as `bayeq.discover` takes them: channels by their names, without those that were not given."""
     out = {name: value for name, value in options.items() if value is not None}
     for role in ("displacement", "velocity", "acceleration", "force"):
@@ -265,7 +265,7 @@ def _pair(option: str, text: str) -> tuple[str, str]:
     return channel_name(name.strip()), value.strip()
 
 
-def _used(options: Mapping[str, Any]) -> list[str]:
+def used_channels(options: Mapping[str, Any]) -> list[str]:
     """Channels that the options name."""
     single = (options.get(role, "") for role in ("displacement", "velocity", "acceleration", "force"))
     texts = (*(options["chains"] or ()), *single, *options["inputs"])

@@ -29,7 +29,7 @@ from bayeq.selection.select import Rules
 from bayeq.selection.tolerance import TOLERANCE
 from bayeq.states import Roles, Smooth, Tails, check_sensors
 
-__all__ = ["discover"]
+__all__ = ["discover", "question_of"]
 
 Progress = Callable[[str, int, int], None]
 
@@ -172,6 +172,59 @@ def discover(
     >>> eq[0].included
     ('x', 'v', 'x**3', 'u')
     """
+    question = question_of(
+        chains=chains,
+        displacement=displacement,
+        velocity=velocity,
+        acceleration=acceleration,
+        force=force,
+        inputs=inputs,
+        dictionary=dictionary,
+        method=method,
+        smooth=smooth,
+        holdout=holdout,
+        max_terms=max_terms,
+        tolerance=tolerance,
+        coarsen=coarsen,
+        prior=prior,
+        constraints=constraints,
+        noise=noise,
+        gain_sd=gain_sd,
+        tails=tails,
+        band=band,
+        seed=seed,
+        progress=progress,
+    )
+    answer, log = answer_of(question, records, t, stream, client, checkpoint)
+    log.emit(stacklevel=3)
+    return answer
+
+
+def question_of(
+    *,
+    chains: str | Sequence[str] | None,
+    displacement: str | None,
+    velocity: str | None,
+    acceleration: str | None,
+    force: str | None,
+    inputs: Sequence[str],
+    dictionary: Specification | Any,
+    method: str,
+    smooth: Smooth,
+    holdout: float,
+    max_terms: int | None,
+    tolerance: float,
+    coarsen: float,
+    prior: Prior | None,
+    constraints: str | Sequence[str],
+    noise: Mapping[str, float | str] | None,
+    gain_sd: Mapping[str, float | str] | None,
+    tails: Tails,
+    band: tuple[float, float] | None,
+    seed: int,
+    progress: Progress | None,
+) -> Question:
+    """The arguments of `discover`, checked before any record is read."""
     _check_kinds(method, smooth, prior, seed, progress, constraints)
     _check_method(method)
     rules = Rules(max_terms, tolerance)
@@ -188,7 +241,7 @@ def discover(
     terms, allowed = build_dictionaries(dictionary, roles.targets, variables)
     known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
-    question = Question(
+    return Question(
         roles=roles.for_terms(terms),
         terms=tuple(terms),
         allowed=allowed,
@@ -207,9 +260,6 @@ def discover(
         seed=seed,
         step=_silent if progress is None else progress,
     )
-    answer, log = answer_of(question, records, t, stream, client, checkpoint)
-    log.emit(stacklevel=3)
-    return answer
 
 
 def _silent(stage: str, done: int, total: int) -> None:

@@ -34,7 +34,7 @@ from bayeq.regression.residuals import Driver, Residuals
 from bayeq.selection.select import LeftOut
 from bayeq.states import Chain, Roles, Sensors, Tails, check_sensors
 
-__all__ = ["load"]
+__all__ = ["load", "restored"]
 
 T = TypeVar("T", Fit, RunnerUp, LeftOut, Driver)
 
@@ -83,13 +83,31 @@ def load(path: str | Path) -> Equations:
         raise FileFormatError(f"{path}: not a JSON file") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise FileFormatError(f"{path}: not a file of equations saved by bayeq (no format {FORMAT!r})")
+    return restored(content, str(path))
+
+
+def restored(content: Mapping[str, Any], where: str) -> Equations:
+    """Equations from the content of a file of them.
+
+    Parameters
+    ----------
+    content : mapping
+        What `bayeq.equation.to_json.to_saved` made.
+    where : str
+        Where it was found, for the message.
+
+    Raises
+    ------
+    FileFormatError
+        It does not agree with `json_schema` or with itself.
+    """
     try:
         fault = first_fault(content)
         if fault is not None:
             raise ValueError(fault)
         return _restore(content)
     except (ValueError, OverflowError, RecursionError, BayeqError) as error:
-        raise FileFormatError(f"{path}: damaged: {error}") from error
+        raise FileFormatError(f"{where}: damaged: {error}") from error
 
 
 def _restore(content: Mapping[str, Any]) -> Equations:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
+from numbers import Real
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -15,6 +16,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from bayeq.errors import DataWarning, InputError
 from bayeq.gram import Gram, GramLike
+from bayeq.gram.gram import checked_weights, grams_from_data
 from bayeq.gram.lazy import LazyGram, grams_of
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
@@ -43,13 +45,22 @@ def _reader(posteriors: Sequence[Posterior], several: bool) -> Read:
     return read_all if several else read_one
 
 
+def _falling(forgetting: Any, rows: int) -> Floats:
+    """Weights of the rows of a block, of which the last has 1."""
+    if not (isinstance(forgetting, Real) and 0.0 < float(forgetting) <= 1.0):
+        raise InputError(f"forgetting is the share of its weight that a row keeps, 0 < forgetting <= 1: {forgetting!r}")
+    return np.power(float(forgetting), np.arange(rows - 1, -1, -1, dtype=np.float64))
+
+
 class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """A sparse linear regression: a subclass names its parameters and its engine."""
 
     posteriors_: tuple[Posterior, ...]
+    forgetting: float
 
     # scikit-learn looks for data under the name X and would take D for metadata to be routed
     __metadata_request__fit: ClassVar[dict[str, str]] = {"D": UNUSED}
+    __metadata_request__partial_fit: ClassVar[dict[str, str]] = {"D": UNUSED}
     __metadata_request__predict: ClassVar[dict[str, str]] = {"D": UNUSED}
 
     def _engine(self, gram: GramLike) -> Posterior:
@@ -84,6 +95,8 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def fit(self, D: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
         """Fit to a dictionary matrix and one target, or several that share it.
 
+        All rows count alike, whatever their order: `forgetting` is for `partial_fit`.
+
         Parameters
         ----------
         D : (n, P) array or DataFrame
@@ -116,10 +129,78 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 f"sample_weight sums to {grams[0].n:g}: weights count rows, and a fit needs at least 2; scale them to "
                 "sum to the number of rows"
             )
+        return self._fitted(grams, several)
+
+    def _fitted(self, grams: tuple[Gram | LazyGram, ...], several: bool) -> Self:
+        """Set all that a fit leaves."""
         posteriors = tuple([self._solve(gram) for gram in grams])
         self.posteriors_ = posteriors
         self._keep(grams, _reader(posteriors, several))
+        self.n_effective_ = float(grams[0].n)
+        # what `partial_fit` adds to; a lazy one is the data themselves, which are not kept
+        self._sums = tuple([gram for gram in grams if isinstance(gram, Gram)])
         return self
+
+    def partial_fit(self, D: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
+        """Fit to these rows and those of earlier calls, of which only the Gram matrix is kept.
+
+        Rows are in the order of time. A row that is k rows older than the last one counts ``forgetting**k`` times, in
+        whatever blocks the rows come, so that the fit is that of `fit` with these weights. With ``forgetting=1`` it is
+        that of `fit` on all rows. The count of rows, `n_effective_`, is the sum of the weights: it tends to
+        ``1 / (1 - forgetting)``, which is also the mean age of what the coefficients are an average of.
+
+        Parameters
+        ----------
+        D : (n, P) array or DataFrame
+            The next rows of the dictionary matrix, one or more.
+        y : (n,) or (n, T) array
+            Target, or targets, as many as in the first call.
+        sample_weight : (n,) array, optional
+            How often each row counts beside that, as in `fit`. A row of weight 0 is left out; time passes all the same.
+
+        Raises
+        ------
+        ValueError
+            As `fit`; `forgetting` out of range, other columns or targets than before, or fewer than 2 rows in all.
+        """
+        first = not hasattr(self, "coef_")
+        D, y = self._validated_block(D, y, first)
+        weights = _falling(self.forgetting, len(D))
+        if sample_weight is not None:
+            weights = weights * checked_weights(sample_weight, len(D))
+        several = y.ndim == 2
+        names = getattr(self, "feature_names_in_", None) if first else self._former()[0].names
+        grams = grams_from_data(D, y if several else y[:, None], names, weights)
+        if not first:
+            self._require_targets(y)
+            left = self.forgetting ** len(D)
+            grams = tuple([old.raised(left) + new for old, new in zip(self._sums, grams, strict=True)])
+        if grams[0].n < 2:
+            raise InputError(
+                f"partial_fit: the rows so far count {grams[0].n:g} times, and a fit needs at least 2; give more rows"
+                " at a time, or a forgetting closer to 1"
+            )
+        return self._fitted(grams, several)
+
+    def _validated_block(self, D: Any, y: Any, first: bool) -> tuple[Floats, Floats]:
+        D, y = validate_data(self, D, y, dtype=np.float64, multi_output=True, y_numeric=True, reset=first)
+        return D, np.asarray(y.toarray() if hasattr(y, "toarray") else y, dtype=np.float64)
+
+    def _former(self) -> tuple[Gram, ...]:
+        """The sums over earlier rows."""
+        if not self._sums:
+            raise InputError(
+                "partial_fit: this was fitted to fewer rows than columns, whose D'D is not kept; begin with partial_fit"
+                " on an estimator that is not fitted"
+            )
+        return self._sums
+
+    def _require_targets(self, y: Floats) -> None:
+        """Refuse another number of targets than that of the rows before."""
+        now, before = y.shape[1:], self.coef_.shape[:-1]
+        if now != before:
+            shapes = [f"(n, {shape[0]})" if shape else "(n,)" for shape in (now, before)]
+            raise InputError(f"partial_fit: y has shape {shapes[0]}, that of the rows before was {shapes[1]}")
 
     def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:
         """Set the fitted attributes; a subclass adds its own."""

@@ -52,6 +52,8 @@ class SpikeSlabVB(SpikeSlabRegressor):
         Stop when the ELBO rises by less.
     max_iter : int
         Limit on the sweeps.
+    forgetting : float
+        Share of its weight that a row keeps with each later row of `partial_fit`; 1 forgets nothing.
 
     Attributes
     ----------
@@ -70,6 +72,8 @@ class SpikeSlabVB(SpikeSlabRegressor):
     elbo_trace_ : array of length `n_iter_`
         The ELBO after each sweep.
     n_iter_ : int
+    n_effective_ : float
+        Number of rows that the fit counts: the sum of their weights.
     posterior_ : Posterior
     posteriors_ : tuple of Posterior
         One per target. These are the shapes of one target; `fit` says what they are for several, which have no
@@ -103,6 +107,7 @@ class SpikeSlabVB(SpikeSlabRegressor):
         init: Literal["search", "greedy", "rvm"] | Floats = "search",
         tol: float = 1e-6,
         max_iter: int = 1000,
+        forgetting: float = 1.0,
     ) -> None:
         self.slab_variance = slab_variance
         self.prior_inclusion = prior_inclusion
@@ -112,6 +117,7 @@ class SpikeSlabVB(SpikeSlabRegressor):
         self.init = init
         self.tol = tol
         self.max_iter = max_iter
+        self.forgetting = forgetting
 
     def _engine(self, gram: GramLike) -> Posterior:
         return spike_slab_vb(
@@ -141,6 +147,8 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
         Let chains exchange one term for another in one step; False is the paper's sampler.
     random_state : int or sequence of int
         Seed.
+    forgetting : float
+        Share of its weight that a row keeps with each later row of `partial_fit`; 1 forgets nothing.
 
     Attributes
     ----------
@@ -154,7 +162,7 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
         Multivariate potential scale reduction factor of the coefficients (Brooks and Gelman 1998).
     draws_ : Draws
         Samples of z, theta (original units) and sigma^2.
-    intercept_, support_, noise_variance_, n_iter_, posterior_, posteriors_
+    intercept_, support_, noise_variance_, n_iter_, n_effective_, posterior_, posteriors_
         As in `SpikeSlabVB`.
     """
 
@@ -170,6 +178,7 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
         burn_in: int = 1000,
         exchange: bool = True,
         random_state: int | Sequence[int] = 0,
+        forgetting: float = 1.0,
     ) -> None:
         self.slab_variance = slab_variance
         self.prior_inclusion = prior_inclusion
@@ -181,6 +190,7 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
         self.burn_in = burn_in
         self.exchange = exchange
         self.random_state = random_state
+        self.forgetting = forgetting
 
     def _engine(self, gram: GramLike) -> Posterior:
         return spike_slab_gibbs(
@@ -250,6 +260,8 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         Posterior mass that the search over models may leave out.
     enumerate_up_to : int
         Number of free terms up to which all models are enumerated instead.
+    forgetting : float
+        Share of its weight that a row keeps with each later row of `partial_fit`; 1 forgets nothing.
 
     Attributes
     ----------
@@ -261,7 +273,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         Over all models, zeros included.
     average_ : ModelAverage
         The models with their probabilities, the mass left out and the covariance over all models.
-    intercept_, support_, noise_variance_, n_iter_, posterior_, posteriors_
+    intercept_, support_, noise_variance_, n_iter_, n_effective_, posterior_, posteriors_
         As in `SpikeSlabVB`.
 
     References
@@ -290,6 +302,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         signs: ArrayLike | None = None,
         tolerance: float = 5e-3,
         enumerate_up_to: int = 14,
+        forgetting: float = 1.0,
     ) -> None:
         self.slab_variance = slab_variance
         self.prior_inclusion = prior_inclusion
@@ -299,6 +312,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         self.signs = signs
         self.tolerance = tolerance
         self.enumerate_up_to = enumerate_up_to
+        self.forgetting = forgetting
 
     def _prior(self) -> Prior:
         return replace(super()._prior(), signs=self.signs)
@@ -310,7 +324,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
                 f"the data contradict the known sign of {', '.join(found.contradicted)} (Bayes factor above 100 against"
                 " it): check the sign, or drop it",
                 DataWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
         return found
 
@@ -451,12 +465,14 @@ class STLSQ(SparseRegressor):
         Estimate an intercept; False regresses on the raw columns about zero, as PySINDy does.
     max_iter : int
         Limit on the regressions.
+    forgetting : float
+        Share of its weight that a row keeps with each later row of `partial_fit`; 1 forgets nothing.
 
     Attributes
     ----------
     pip_ : (P,) array
         1 for a term that is in, 0 for one that is out: there are no probabilities.
-    coef_, intercept_, support_, covariance_, noise_variance_, n_iter_, posterior_, posteriors_
+    coef_, intercept_, support_, covariance_, noise_variance_, n_iter_, n_effective_, posterior_, posteriors_
         As in `SpikeSlabVB`.
 
     References
@@ -472,12 +488,14 @@ class STLSQ(SparseRegressor):
         standardise: bool = False,
         fit_intercept: bool = True,
         max_iter: int = 20,
+        forgetting: float = 1.0,
     ) -> None:
         self.threshold = threshold
         self.ridge = ridge
         self.standardise = standardise
         self.fit_intercept = fit_intercept
         self.max_iter = max_iter
+        self.forgetting = forgetting
 
     def _solve(self, gram: Gram | LazyGram) -> Posterior:
         if self.standardise and not self.fit_intercept:
@@ -497,12 +515,14 @@ class RVM(SparseRegressor):
     ----------
     max_iter : int
         Limit on the add, re-estimate and delete steps.
+    forgetting : float
+        Share of its weight that a row keeps with each later row of `partial_fit`; 1 forgets nothing.
 
     Attributes
     ----------
     pip_ : (P,) array
         gamma_i = 1 - alpha_i Sigma_ii, how well the data determine each weight: not a probability.
-    coef_, intercept_, support_, covariance_, noise_variance_, n_iter_, posterior_, posteriors_
+    coef_, intercept_, support_, covariance_, noise_variance_, n_iter_, n_effective_, posterior_, posteriors_
         As in `SpikeSlabVB`; every term left in the machine is in the support.
 
     References
@@ -510,8 +530,9 @@ class RVM(SparseRegressor):
     M. E. Tipping, A. C. Faul, Fast marginal likelihood maximisation for sparse Bayesian models, AISTATS 2003.
     """
 
-    def __init__(self, max_iter: int = 10_000) -> None:
+    def __init__(self, max_iter: int = 10_000, forgetting: float = 1.0) -> None:
         self.max_iter = max_iter
+        self.forgetting = forgetting
 
     def _engine(self, gram: GramLike) -> Posterior:
         return rvm(gram, max_iter=self.max_iter)

@@ -1,4 +1,4 @@
-"""How far a study is, on standard error."""
+"""How far long work is, on standard error."""
 
 from __future__ import annotations
 
@@ -13,13 +13,25 @@ LINE_EVERY = 10.0
 
 
 class StudyProgress:
-    """A bar with rate and time left on a terminal, elsewhere a plain line now and then."""
+    """A bar with rate and time left on a terminal, elsewhere a plain line now and then.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    what : str
+        What is counted.
+    """
+
+    def __init__(self, what: str = "realisations") -> None:
+        self.what = what
         self.started = self.last = time.monotonic()
-        self.done = self.total = 0
+        self.done = self.before = self.total = 0
         self._bar: Any = None
         self._task: Any = None
+
+    def begin(self, done: int) -> None:
+        """Count from now on, with this number done: what it took to start says nothing of the rest."""
+        self.done = self.before = done
+        self.started = self.last = time.monotonic()
 
     def __call__(self, done: int, total: int) -> None:
         self.done, self.total = done, total
@@ -28,14 +40,12 @@ class StudyProgress:
         elif time.monotonic() - self.last >= LINE_EVERY and done < total:
             self.last = time.monotonic()
             left = (total - done) / self.rate
-            print(
-                f"{done} of {total} realisations, {self.rate:.3g}/s, {_clock(left)} left", file=sys.stderr, flush=True
-            )
+            print(f"{done} of {total} {self.what}, {self.rate:.3g}/s, {_clock(left)} left", file=sys.stderr, flush=True)
 
     @property
     def rate(self) -> float:
-        """Realisations per second so far."""
-        return max(self.done, 1) / max(time.monotonic() - self.started, 1e-9)
+        """How many per second so far."""
+        return max(self.done - self.before, 1) / max(time.monotonic() - self.started, 1e-9)
 
     def _draw(self) -> None:
         if self._bar is None:
@@ -43,7 +53,7 @@ class StudyProgress:
             from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
             self._bar = Progress(
-                TextColumn("realisations"),
+                TextColumn(self.what),
                 BarColumn(),
                 MofNCompleteColumn(),
                 TextColumn("{task.fields[rate]:.3g}/s"),

@@ -6,19 +6,14 @@ its index, so that neither the number of workers, nor the batches, nor a kill ch
 
 from __future__ import annotations
 
-import os
-import signal
-import threading
 import time
-import warnings
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 
-from bayeq.errors import BayeqError
+from bayeq.resumable.workers import AHEAD, MAX_JOBS, compute, one_thread
 from bayeq.study.algorithms import ALGORITHMS
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose, whole
 from bayeq.study.realise import Task, realise
@@ -33,15 +28,8 @@ Batch = tuple[Task, ...]
 BATCH_SECONDS = 0.25
 LARGEST_BATCH = 64
 
-# Batches that wait for each worker.
-AHEAD = 3
-
-# How often a worker looks whether its parent is alive [s].
-WATCH = 0.5
-
 # More is a mistake of typing.
 MAX_REALISATIONS = 100_000
-MAX_JOBS = 512
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,10 +102,11 @@ def run_study(
         tasks = _missing(file, systems, algorithms, realisations)
         done = failures = 0
         if tasks:
-            with _one_thread():
+            with one_thread():
                 size = whole("batch", batch, 1) if batch is not None else _batch_size(config, tasks, jobs)
                 batches = [tuple(tasks[k : k + size]) for k in range(0, len(tasks), size)]
-                with closing(_compute(config, batches, min(jobs, len(batches)), Path(store))) as answers:
+                work = partial(_work, config)
+                with closing(compute(work, batches, min(jobs, len(batches)), Path(store))) as answers:
                     for results in answers:
                         file.add(results)
                         done += len({(r.system, r.index) for r in results})
@@ -149,77 +138,8 @@ def _batch_size(config: StudyConfig, tasks: Sequence[Task], jobs: int) -> int:
     return max(1, min(int(BATCH_SECONDS / seconds), LARGEST_BATCH, len(tasks) // (AHEAD * jobs)))
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """BLAS in this process with one thread, as in the workers, so that sums are rounded alike."""
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1):
-        yield
-
-
-def _compute(config: StudyConfig, batches: Sequence[Batch], jobs: int, store: Path) -> Generator[list[Result]]:
-    """Results of each batch, in the order in which they are ready."""
-    if jobs == 1:
-        for batch in batches:
-            yield _work(config, batch)
-        return
-    from joblib import Parallel, delayed, parallel_config
-
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        parallel = Parallel(
-            n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch=AHEAD * jobs, max_nbytes=None
-        )
-    hook = threading.excepthook
-    threading.excepthook = partial(_thread_failed, hook)
-    try:
-        with _born_quiet():
-            answers = parallel(delayed(_work)(config, batch, os.getpid()) for batch in batches)
-        try:
-            for results in answers:  # noqa: UP028 - `yield from` would close it before the warning is silenced
-                yield results
-        finally:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # "generator was not exhausted": it is meant not to be
-                answers.close()
-    except BrokenProcessPool:
-        raise BayeqError(
-            f"a worker process was killed (out of memory?); what was done is in {store}: the same command continues,"
-            " fewer jobs need less memory"
-        ) from None
-    finally:
-        threading.excepthook = hook
-
-
-def _thread_failed(hook: Callable[[threading.ExceptHookArgs], object], failure: threading.ExceptHookArgs) -> None:
-    """Report an exception in a thread, unless it is loky's manager that finds its queue taken away when stopped."""
-    name = failure.thread.name if failure.thread is not None else ""
-    if not (name.startswith("ExecutorManager") and issubclass(failure.exc_type, KeyError)):
-        hook(failure)
-
-
-@contextmanager
-def _born_quiet() -> Iterator[None]:
-    """Processes started here inherit that Ctrl-C is for the parent alone, and say nothing of what a stop leaves."""
-    warned = os.environ.get("PYTHONWARNINGS")
-    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (warned, "ignore:resource_tracker")))
-    main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
-    try:
-        yield
-    finally:
-        if main:
-            signal.signal(signal.SIGINT, handler)
-        if warned is None:
-            del os.environ["PYTHONWARNINGS"]
-        else:
-            os.environ["PYTHONWARNINGS"] = warned
-
-
-def _work(config: StudyConfig, batch: Batch, parent: int | None = None) -> list[Result]:
-    """A batch, in a worker (whose parent is given) or in this process."""
-    if parent is not None:
-        _watch(parent)
+def _work(config: StudyConfig, batch: Batch) -> list[Result]:
+    """A batch, in a worker or in this process."""
     results = []
     for task in batch:
         _warm(config, task.algorithms)
@@ -231,15 +151,3 @@ def _work(config: StudyConfig, batch: Batch, parent: int | None = None) -> list[
 def _warm(config: StudyConfig, algorithms: tuple[str, ...]) -> None:
     """Load what is loaded at the first call, so that it is not counted as an algorithm's time."""
     realise(config, Task(STUDY_SYSTEMS[0], 0, algorithms))
-
-
-@lru_cache(maxsize=1)
-def _watch(parent: int) -> None:
-    """End this worker soon after its parent has been killed, instead of waiting for work for minutes."""
-
-    def look() -> None:
-        while os.getppid() == parent:
-            time.sleep(WATCH)
-        os._exit(1)
-
-    threading.Thread(target=look, daemon=True, name="watch-parent").start()

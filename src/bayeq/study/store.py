@@ -1,7 +1,6 @@
 """Results of a study in an SQLite file, a row per (system, index, algorithm).
 
-Only the process that runs the study writes, each batch in one transaction under SQLite's rollback journal (one
-file, also on network drives): a kill at any moment leaves the batches that were committed, and nothing else.
+Only the process that runs the study writes, each batch in one transaction.
 """
 
 from __future__ import annotations
@@ -9,23 +8,15 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
-from bayeq.errors import FileFormatError, InputError
+from bayeq.errors import InputError
+from bayeq.resumable.database import Database
 from bayeq.study.config import StudyConfig
 from bayeq.study.result import METRICS, Metrics, Result
 
 __all__ = ["Plan", "Store"]
-
-# "byqs" in the header of the file, and the version of the tables.
-APPLICATION = 0x62797173
-VERSION = 1
-
-# How long to wait for another process that is writing [s].
-PATIENCE = 60.0
 
 # (system, algorithm) -> how many realisations were asked for.
 Plan = dict[tuple[str, str], int]
@@ -44,7 +35,7 @@ SCHEMA = (
 COLUMNS = ("system", "idx", "algorithm", *METRICS, "seconds", "selected", "converged", "extras", "failure")
 
 
-class Store:
+class Store(Database):
     """A study's file; use `create` to run a study, `open` to look at one, and either in a ``with`` statement.
 
     Attributes
@@ -55,9 +46,12 @@ class Store:
         The study's configuration.
     """
 
+    application, version = 0x62797173, 1  # "byqs"
+    noun = "a study"
+    schema = SCHEMA
+
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
-        self.path = path
-        self._connection = connection
+        super().__init__(path, connection)
         self.config: dict[str, Any] = {}
 
     @classmethod
@@ -71,26 +65,26 @@ class Store:
         FileFormatError
             The file is not a store, is damaged, or cannot be written.
         """
-        path = Path(path)
-        if path.is_dir():
-            raise FileFormatError(f"{path}: is a directory; name a file in it")
-        if not path.parent.is_dir():
-            raise FileFormatError(f"{path}: cannot be written: there is no directory {path.parent}")
-        store = cls._connect(path, "rwc")
+        store = cls._made(path)
         try:
-            with store._guard():
-                if store._scalar("PRAGMA page_count") == 0:
-                    store._initialise(config)
-            store._load()
-            if differences := config.differences(store.config):
-                raise InputError(
-                    f"{path}: holds a study of another configuration: {'; '.join(differences)}; repeat that study's"
-                    " options, or name another store"
-                )
+            store._configure(config)
         except BaseException:
             store.close()
             raise
         return store
+
+    def _configure(self, config: StudyConfig) -> None:
+        """Write the configuration, if there is none, or compare it with the one that is there."""
+        rows = [(key, json.dumps(value)) for key, value in config.to_dict().items()]
+        with self._guard(), self._transaction():
+            if not self._scalar("SELECT count(*) FROM config"):
+                self._connection.executemany("INSERT INTO config VALUES (?, ?)", rows)
+        self._load()
+        if differences := config.differences(self.config):
+            raise InputError(
+                f"{self.path}: holds a study of another configuration: {'; '.join(differences)}; repeat that study's"
+                " options, or name another store"
+            )
 
     @classmethod
     def open(cls, path: str | Path) -> Store:
@@ -101,11 +95,7 @@ class Store:
         FileFormatError
             There is no such file, it is not a store, or it is damaged.
         """
-        path = Path(path)
-        if not path.is_file():
-            raise FileFormatError(f"{path}: {'is a directory' if path.is_dir() else 'no such file'}; expected a study")
-        # Not read-only: what a killed study left half written has to be rolled back.
-        store = cls._connect(path, "rw")
+        store = cls._existing(path)
         try:
             store._load()
         except BaseException:
@@ -113,40 +103,12 @@ class Store:
             raise
         return store
 
-    @classmethod
-    def _connect(cls, path: Path, mode: str) -> Store:
-        try:
-            connection = sqlite3.connect(
-                f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=PATIENCE, isolation_level=None
-            )
-        except sqlite3.Error as error:
-            raise FileFormatError(f"{path}: {error}") from None
-        return cls(path, connection)
-
-    def _initialise(self, config: StudyConfig) -> None:
-        with self._transaction():
-            if self._scalar("SELECT count(*) FROM sqlite_master"):
-                return  # another process was faster
-            self._connection.execute(f"PRAGMA application_id = {APPLICATION}")
-            self._connection.execute(f"PRAGMA user_version = {VERSION}")
-            for statement in SCHEMA:
-                self._connection.execute(statement)
-            rows = [(key, json.dumps(value)) for key, value in config.to_dict().items()]
-            self._connection.executemany("INSERT INTO config VALUES (?, ?)", rows)
-
     def _load(self) -> None:
-        """Check what the file is, and read the configuration."""
+        """Read the configuration."""
         with self._guard():
-            if self._scalar("PRAGMA application_id") != APPLICATION:
-                raise FileFormatError(f"{self.path}: is not a study (a database of something else); name another file")
-            if (version := self._scalar("PRAGMA user_version")) != VERSION:
-                raise FileFormatError(
-                    f"{self.path}: was written by another version of bayeq (format {version}, not {VERSION});"
-                    " use that version, or name another file"
-                )
-            if (verdict := self._scalar("PRAGMA quick_check(1)")) != "ok":
-                raise sqlite3.DatabaseError(verdict)
             stored = self._connection.execute("SELECT key, value FROM config").fetchall()
+            if not stored:  # killed before the first commit
+                raise sqlite3.DatabaseError("no configuration")
             self.config = {key: json.loads(value) for key, value in stored}
 
     def plan(self, systems: Sequence[str], algorithms: Sequence[str], realisations: int) -> None:
@@ -189,46 +151,6 @@ class Store:
                 f"SELECT {', '.join(COLUMNS)} FROM results ORDER BY system, algorithm, idx"
             ):
                 yield _result(dict(zip(COLUMNS, row, strict=True)))
-
-    def close(self) -> None:
-        """Close the file."""
-        self._connection.close()
-
-    def __enter__(self) -> Store:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def _scalar(self, statement: str) -> Any:
-        return self._connection.execute(statement).fetchone()[0]
-
-    @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        self._connection.execute("BEGIN IMMEDIATE")
-        try:
-            yield
-            self._connection.execute("COMMIT")
-        except BaseException:
-            if self._connection.in_transaction:
-                self._connection.execute("ROLLBACK")
-            raise
-
-    @contextmanager
-    def _guard(self) -> Iterator[None]:
-        """SQLite's complaints as ours."""
-        try:
-            yield
-        except sqlite3.OperationalError as error:  # locked, full, not writable: the file may be fine
-            raise FileFormatError(f"{self.path}: {error}") from None
-        except (sqlite3.Error, ValueError, TypeError, KeyError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise FileFormatError(
-                f"{self.path}: is not a study, or is damaged ({error}); restore it, or name another file"
-            ) from None
 
 
 def _row(result: Result) -> tuple[Any, ...]:

@@ -17,7 +17,7 @@ from bayeq.records.stream.parquet import ParquetRows
 from bayeq.records.stream.rows import FileStream, Rows
 from bayeq.records.stream.text import TextRows
 
-__all__ = ["LARGE", "open_streams", "streamed_unasked"]
+__all__ = ["LARGE", "in_order", "open_streams", "streamed_unasked"]
 
 #: Files of more bytes together are streamed unasked.
 LARGE = 256 * 2**20
@@ -48,11 +48,11 @@ def files_of(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
         found = [path for path in one.iterdir() if path.is_file() and path.suffix.lower() in known]
         if not found:
             raise FileFormatError(f"{one}: the folder has no file that can be streamed ({', '.join(known)})")
-        out.extend(sorted(found, key=_in_order))
+        out.extend(sorted(found, key=in_order))
     return out
 
 
-def _in_order(path: Path) -> list[tuple[int, int | str]]:
+def in_order(path: Path) -> list[tuple[int, int | str]]:
     """Numbers in a name as numbers: part-2 before part-10."""
     return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"(\d+)", path.name) if part]
 

@@ -1,0 +1,125 @@
+"""The options of a batch: those of `discover`, checked once, and a digest that tells batches apart."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, is_dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayeq.discovery.entry import discover, question_of
+from bayeq.discovery.question import Question
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.inference.prior import Prior
+
+__all__ = ["Read", "digest", "fixed_terms", "question"]
+
+#: From a file to what `discover` takes; its text says how files are read.
+Read = Callable[[Path], Any]
+
+# What `discover` takes beside the options of a question.
+_BESIDE = {"records", "progress", "t", "stream", "client", "checkpoint"}
+
+# A slab that shrinks no coefficient: all terms are in, and the data say the rest.
+_WIDE = 1e8
+
+
+def question(options: Mapping[str, Any]) -> Question:
+    """The question that is put to each file.
+
+    Parameters
+    ----------
+    options : mapping
+        Of `discover`.
+
+    Raises
+    ------
+    InputError
+        An option that `discover` does not have or refuses.
+    """
+    parameters = inspect.signature(discover).parameters
+    known = {name: one.default for name, one in parameters.items() if name not in _BESIDE}
+    for name in options:
+        if name in ("client", "checkpoint", "progress"):
+            raise InputError(f"batch takes no {name}: files are done side by side with jobs=, and kept in store=")
+        if name not in parameters or name == "records":
+            raise UnknownNameError("option", name, known, where="batch")
+    given = {name: value for name, value in options.items() if name in known}
+    return question_of(**{**known, **given}, progress=None)
+
+
+def digest(options: Mapping[str, Any], read: Read) -> str:
+    """A text that differs where options, the terms of a dictionary in a file, reading or the program do."""
+    asked = question(options)
+    content = {
+        **{name: value for name, value in options.items() if name != "dictionary"},
+        "terms": [term.text for term in asked.terms],
+        "allowed": asked.allowed.tolist(),
+        "read": repr(read),
+        "version": version("bayeq"),
+    }
+    text = json.dumps(content, sort_keys=True, default=_plain)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _plain(value: object) -> Any:
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    if isinstance(value, tuple):
+        return list(value)
+    return repr(value)
+
+
+def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
+    """The options for one file with the terms of the common equation, and no others.
+
+    Parameters
+    ----------
+    options : mapping
+        Of `discover`.
+    common : mapping
+        The common equations, as they are saved.
+
+    Raises
+    ------
+    InputError
+        An equation without terms.
+    """
+    terms = {one["target"]: [t["name"] for t in one["terms"] if t["shown"]] for one in common["equations"]}
+    empty = [target for target, names in terms.items() if not names]
+    if empty:
+        raise InputError(
+            f"the common equation of {', '.join(empty)} has no terms: there is nothing to compare over files; offer"
+            " other terms (dictionary=), or leave common out"
+        )
+    prior = options.get("prior") or Prior()
+    fixed = {**options, "dictionary": terms, "constraints": ()}
+    return {
+        **fixed,
+        "constraints": [text for text in _texts(options.get("constraints", ())) if _holds(fixed, text)],
+        "prior": replace(prior, slab_variance=_WIDE, prior_inclusion=1.0, inclusion_beta=None, signs=None),
+        "method": "bma",
+        "max_terms": None,
+        "tolerance": 0.0,
+    }
+
+
+def _texts(constraints: str | Sequence[str]) -> list[str]:
+    return [constraints] if isinstance(constraints, str) else list(constraints)
+
+
+def _holds(options: Mapping[str, Any], constraint: str) -> bool:
+    """Whether a constraint, which has been checked, is on terms that are left."""
+    try:
+        question({**options, "constraints": constraint})
+    except UnknownNameError:
+        return False
+    return True

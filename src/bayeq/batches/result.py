@@ -1,0 +1,206 @@
+"""`Batch`: what became of each file, and the coefficients over files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from bayeq.batches.store import Outcome
+from bayeq.batches.summary import CONSTANT, summary
+from bayeq.equation.equations import Equations
+from bayeq.equation.load import restored
+from bayeq.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = ["Batch", "BatchFile"]
+
+COLUMNS = (
+    "order",
+    "file",
+    "target",
+    "term",
+    "coef",
+    "sd",
+    "ci_low",
+    "ci_high",
+    "pip",
+    "included",
+    "shown",
+    "verdict",
+    "unit",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class BatchFile:
+    """One file of a batch.
+
+    Attributes
+    ----------
+    path : str
+        As it was given.
+    status : "ok", "refused" or "failed"
+        ``refused``: the file, or what is in it, cannot be used; ``failed``: anything else went wrong.
+    message : str
+        Why, in a line; empty if all is well.
+    content : mapping or None
+        The equations as `Equations.to_dict` gives them, and what a saved file has beside.
+    """
+
+    path: str
+    status: str
+    message: str
+    content: Mapping[str, Any] | None
+
+    @property
+    def equations(self) -> Equations:
+        """The equations of the file, as `bayeq.load` gives them.
+
+        Raises
+        ------
+        InputError
+            There are none.
+        """
+        if self.content is None:
+            raise InputError(f"{self.path}: has no equations: {self.message}")
+        return restored(self.content, self.path)
+
+
+class Batch:
+    """What `batch` returns: its files in order, by position or in a loop, as `BatchFile`.
+
+    Attributes
+    ----------
+    files : tuple of BatchFile
+        What became of each.
+    done : int
+        How many files were done in this run; the others were in the store.
+    """
+
+    def __init__(self, outcomes: tuple[Outcome, ...], common: Mapping[str, Any] | None, done: int) -> None:
+        self.files = tuple(BatchFile(str(one.path), one.status, one.message, one.answer) for one in outcomes)
+        self.done = done
+        self._common = common
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __iter__(self) -> Iterator[BatchFile]:
+        return iter(self.files)
+
+    def __getitem__(self, position: int) -> BatchFile:
+        return self.files[position]
+
+    @property
+    def refused(self) -> tuple[BatchFile, ...]:
+        """The files without equations; `BatchFile.message` says why."""
+        return tuple(one for one in self.files if one.content is None)
+
+    @property
+    def common(self) -> Equations | None:
+        """The equations that all files have in common, if they were asked for."""
+        return None if self._common is None else restored(self._common, "the common equation")
+
+    def table(self) -> pd.DataFrame:
+        """Coefficients over files, a row for each file, target and term.
+
+        Returns
+        -------
+        DataFrame
+            ``order`` of the file, from 0; ``file``; ``target``; ``term``, of all that are in the common equation, or
+            without one in that of at least one file (``1`` is the constant, where it is written out); ``coef``, ``sd``,
+            ``ci_low``, ``ci_high`` of the equation as it is printed, 0 where the term is not in it; ``pip``;
+            ``included``, ``shown``; ``verdict`` on the equation; ``unit`` of the coefficient. With a common equation
+            also ``common_coef``, ``common_ci_low``, ``common_ci_high``. Files without equations have no row.
+        """
+        import pandas as pd
+
+        rows = self.rows()
+        columns = [*COLUMNS, "common_coef", "common_ci_low", "common_ci_high"] if self._common else [*COLUMNS]
+        return pd.DataFrame(rows, columns=columns)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of `table`, as plain data."""
+        equations = [(k, one.path, eq) for k, one in enumerate(self.files) for eq in _equations(one.content)]
+        kept: dict[str, dict[str, None]] = {}
+        for equation in _equations(self._common) or [equation for _, _, equation in equations]:
+            kept.setdefault(equation["target"], {}).update(
+                {term["name"]: None for term in _terms(equation) if term["shown"]}
+            )
+        shared = {
+            (equation["target"], term["name"]): _values(term, "common_")
+            for equation in _equations(self._common)
+            for term in _terms(equation)
+        }
+        order = {target: {name: k for k, name in enumerate(_in_order(names))} for target, names in kept.items()}
+        out = []
+        for k, path, equation in equations:
+            target, place = equation["target"], order[equation["target"]]
+            terms = sorted((term for term in _terms(equation) if term["name"] in place), key=lambda t: place[t["name"]])
+            for term in terms:
+                row = {"order": k, "file": path, "target": target, "term": term["name"], **_values(term)}
+                row |= {name: term[name] for name in ("pip", "included", "shown")}
+                row["shown"] |= self._common is not None  # the constant too, which no prior forces in
+                row |= {"verdict": equation["verdict"]["kind"], "unit": term["unit"]}
+                if self._common is not None:
+                    beside = shared[target, term["name"]]
+                    row |= {name: value for name, value in beside.items() if name != "common_sd"}
+                out.append(row)
+        return out
+
+    def plot(self) -> Figure:
+        """Coefficients over files with their 95 % intervals, a panel for each term.
+
+        Raises
+        ------
+        InputError
+            No file has an equation.
+        MissingExtraError
+            matplotlib is not installed.
+        """
+        from bayeq.figures.drift import draw_drift
+
+        return draw_drift(self.table())
+
+    def __str__(self) -> str:
+        """A line for each term: how often it is there, its coefficient, and how far that varies over files."""
+        return summary(self)
+
+
+def _equations(content: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
+    return [] if content is None else list(content["equations"])
+
+
+def _terms(equation: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Terms of an equation, the constant among them, which is in it where it is written out."""
+    low, high = sorted(equation["intercept_printed_ci95"])
+    pip = equation["intercept_pip"]
+    matters = pip > 0.5 if pip is not None else low > 0.0 or high < 0.0
+    constant = {
+        "name": CONSTANT,
+        "shown_coef": equation["intercept"],
+        "shown_sd": equation["intercept_sd"],
+        "printed_ci95": equation["intercept_printed_ci95"],
+        "pip": pip,
+        "included": matters,
+        "shown": matters,
+        "unit": None,
+    }
+    return [*equation["terms"], constant]
+
+
+def _values(term: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A coefficient and its interval, as it is printed."""
+    low, high = sorted(term["printed_ci95"])
+    names = ("coef", "sd", "ci_low", "ci_high")
+    values = (term["shown_coef"], term["shown_sd"], low, high)
+    return {f"{prefix}{name}": value for name, value in zip(names, values, strict=True)}
+
+
+def _in_order(names: Mapping[str, None]) -> list[str]:
+    """Terms in the order in which files bring them, the constant last."""
+    return [*(name for name in names if name != CONSTANT), *(name for name in names if name == CONSTANT)]

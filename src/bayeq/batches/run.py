@@ -1,0 +1,245 @@
+"""`batch`: one equation per file, or the coefficients of a common one, over many files."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bayeq.batches.files import Identity, files_of
+from bayeq.batches.options import Read, digest, fixed_terms, question
+from bayeq.batches.result import Batch
+from bayeq.batches.store import BatchStore, Outcome, Status
+from bayeq.discovery.entry import discover
+from bayeq.equation.to_json import to_saved
+from bayeq.errors import (
+    BayeqError,
+    BayeqWarning,
+    InputError,
+    UnknownNameError,
+    as_path,
+    require_kind,
+    require_mapping,
+)
+from bayeq.records import Record, as_records, read
+from bayeq.resumable.workers import MAX_JOBS, compute, one_thread
+
+__all__ = ["COMMON", "FILES", "batch", "run_batch"]
+
+# Called with (stage, done, total).
+Progress = Callable[[str, int, int], None]
+
+#: Stages of a batch: the equation that files have in common, and the files.
+COMMON, FILES = "common equation", "files"
+
+
+def batch(
+    files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    store: str | os.PathLike[str] = "batch.db",
+    jobs: int = 1,
+    common: bool = False,
+    read: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Batch:
+    """The equations of many files, kept as they are found; what has been done is not done twice.
+
+    Parameters
+    ----------
+    files : path or sequence of paths
+        A record each. A folder means all files in it whose suffix is that of a known format, in the order of the
+        numbers in their names. The order is that of the table.
+    store : path
+        SQLite file of the results, made if it is not there. A file that has been done with the same options, the same
+        version of bayeq and the same content is not done again; one that was refused is tried again. Results of other
+        options stay in it.
+    jobs : int
+        Worker processes; results do not depend on it.
+    common : bool
+        Find one equation from all files together first; each file then has the coefficients of its terms, and the
+        common coefficients stand beside them. All files are in memory at once.
+    read : mapping, optional
+        Arguments of `bayeq.read`, such as ``{"units": {"x": "mm"}, "fs": 1000.0}``.
+    progress : callable, optional
+        Called with (stage, done, total); the stage is "files" where files are done.
+    **options
+        Those of `discover`: channels, dictionary, method and so on.
+
+    Returns
+    -------
+    Batch
+        What became of each file, with a table and a figure of coefficients over files.
+
+    Raises
+    ------
+    InputError
+        Options that cannot be used, no files, one that is named twice, a store that is something else; no common
+        equation. A file that cannot be used is no error: see `Batch.refused`.
+    BayeqError
+        A worker process was killed.
+    KeyboardInterrupt
+        Stopped by the user; what was done is in the store.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import bayeq as bq
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> for k in range(3):
+    ...     bq.write(bq.simulate("duffing", n=400, seed=k), folder / f"day{k}.csv")
+    >>> found = bq.batch(
+    ...     folder, store=folder / "batch.db", chains="x:v:a", inputs=["u"], dictionary="x, v, x**3, u", smooth="none"
+    ... )
+    >>> [one.status for one in found]
+    ['ok', 'ok', 'ok']
+    >>> list(found.table().term.unique())
+    ['x', 'v', 'x**3', 'u']
+    """
+    if isinstance(files, (str, os.PathLike)):
+        files = [files]
+    require_kind(files, Sequence, "files", "a path or a list of paths")
+    require_kind(common, bool, "common", "True or False")
+    arguments = {} if read is None else read
+    require_mapping(arguments, "read")
+    if progress is not None:
+        require_kind(progress, Callable, "progress", "a function of (stage, done, total)")  # type: ignore[arg-type]
+    for name in arguments:
+        if name not in _ARGUMENTS:
+            raise UnknownNameError("argument of bayeq.read", name, _ARGUMENTS, where="read")
+    place = as_path(store, "store")
+    return run_batch(files_of(files), options, _Reading(dict(arguments)), place, jobs, common, progress)
+
+
+# What `bayeq.read` takes beside the file.
+_ARGUMENTS = [name for name in inspect.signature(read).parameters if name != "path"]
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """Files by `bayeq.read`."""
+
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+    def __call__(self, path: Path) -> Any:
+        return read(path, **self.arguments) if self.arguments else path
+
+
+def run_batch(
+    paths: Sequence[Path],
+    options: Mapping[str, Any],
+    read: Read,
+    store: Path,
+    jobs: int = 1,
+    common: bool = False,
+    progress: Progress | None = None,
+) -> Batch:
+    """`batch` of files that are read in any way.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The files.
+    options : mapping
+        Of `discover`.
+    read : callable
+        From a file to what `discover` takes; its `repr` says how.
+    store, jobs, common, progress
+        As in `batch`.
+    """
+    if not (isinstance(jobs, int) and not isinstance(jobs, bool) and 1 <= jobs <= MAX_JOBS):
+        raise InputError(f"jobs is a number of processes, 1 to {MAX_JOBS}, got {jobs!r}")
+    step = progress or _silent
+    question(options)
+    for path in paths:
+        if path.exists() and store.exists() and path.samefile(store):
+            raise InputError(f"{path}: is the store of the batch and no record; leave it out")
+    with BatchStore.create(store) as kept, one_thread():
+        shared = _common(kept, paths, options, read, step) if common else None
+        used = options if shared is None else fixed_terms(options, shared)
+        asked = digest(used, read)
+        missing = [path for path in paths if not kept.done(path, asked)]
+        if missing:
+            step(FILES, 0, len(missing))
+        work = partial(_work, dict(used), read)
+        with closing(compute(work, missing, min(jobs, max(len(missing), 1)), store)) as outcomes:
+            for count, outcome in enumerate(outcomes, 1):
+                kept.add(outcome, asked)
+                step(FILES, count, len(missing))
+        found = [kept.outcome(path, asked) for path in paths]
+    return Batch(tuple(one for one in found if one is not None), shared, len(missing))
+
+
+def _work(options: Mapping[str, Any], read: Read, path: Path) -> Outcome:
+    """What becomes of one file, in a worker or in this process."""
+    identity: Identity | None = None
+    status: Status = "ok"
+    message, answer = "", None
+    try:
+        identity = Identity.of(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", BayeqWarning)  # they are kept in the answer
+            # plain JSON, or else it is this file that fails
+            answer = json.loads(json.dumps(to_saved(discover(read(path), **options)), allow_nan=False))
+    except OSError as error:
+        status, message = "refused", f"{path}: {error.strerror or error}"
+    except BayeqError as error:
+        status, message = "refused", _one_line(error)
+    except Exception as error:  # noqa: BLE001 - one file does not stop the others; its row says what went wrong
+        status, message = "failed", f"{path}: {type(error).__name__}: {_one_line(error)}"
+    return Outcome(path, identity, status, message, answer)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _common(
+    store: BatchStore, paths: Sequence[Path], options: Mapping[str, Any], read: Read, step: Progress
+) -> Mapping[str, Any]:
+    """The equation of all files that can be read, together; from the store where these have not changed."""
+    asked = question(options)
+    channels = [*asked.roles.measured, *asked.roles.inputs]
+    sources: list[Any] = []
+    why: list[str] = []
+    contents = hashlib.sha256()
+    for k, path in enumerate(paths):
+        step(COMMON, k, len(paths))
+        try:
+            identity = Identity.of(path)
+            source = read(path)
+            parts = list(source) if isinstance(source, (list, tuple)) else as_records(source, options.get("t"))
+            for part in parts:
+                for name in channels if isinstance(part, Record) else ():
+                    _ = part[name]
+        except (BayeqError, OSError) as error:
+            why.append(_one_line(error))  # it is refused again, with its message, where each file is done
+            continue
+        sources += parts
+        contents.update(identity.sha256.encode())
+    if not sources:
+        raise InputError(f"no common equation: none of the {len(paths)} files can be used; the first: {why[0]}")
+    key = digest(options, read), contents.hexdigest()
+    if store.common(*key) is None:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", BayeqWarning)
+                without_time = {name: value for name, value in options.items() if name not in ("t", "stream")}
+                store.add_common(*key, to_saved(discover(sources, **without_time, progress=step)))
+        except InputError as error:
+            raise InputError(f"no common equation: {error}") from None
+    found = store.common(*key)
+    assert found is not None
+    return found
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """No progress shown."""

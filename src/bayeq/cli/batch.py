@@ -1,0 +1,239 @@
+"""``bayeq batch``: the equations of many files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import click
+
+from bayeq.cli.channels import named_channels
+from bayeq.cli.discover import cleaned, discover, source_of, used_channels
+from bayeq.cli.options import ALTERED, FILE, MEASURED, SURE, TERMS, WRITTEN, Command, option
+from bayeq.cli.outputs import require_place
+from bayeq.cli.progress import COMPILING, Progress
+from bayeq.cli.reading import STANDARD_INPUT, Reading
+from bayeq.cli.streams import say
+from bayeq.errors import BayeqError, InputError, InterruptedRun
+from bayeq.kernels import announce_compiling
+
+if TYPE_CHECKING:
+    from bayeq.batches.result import Batch, BatchFile
+
+__all__ = ["batch"]
+
+MANY = "Many files"
+
+# Files that are named where they have no equations; all are in --json.
+NAMED = 20
+
+EXAMPLES = """
+Examples:
+
+  A bridge, a file a day; the same command goes on where it was stopped, and takes in new files:
+
+    bayeq batch days/ --disp x --vel v --acc a --force u --jobs 8 --table drift.csv --figure drift.png
+
+  One equation of all files, and its coefficients in each:
+
+    bayeq batch day*.csv --common --chain x:v:a --input u --store common.db --figure drift.png
+"""
+
+
+@click.command(cls=Command, epilog=EXAMPLES)
+@click.argument("files", metavar="FILES...", nargs=-1, required=True, type=FILE)
+@option(
+    "--store",
+    group=MANY,
+    type=FILE,
+    default=Path("batch.db"),
+    help="File of results. Files that have been done with the same options are not done again, unless they changed.",
+)
+@option("--jobs", group=MANY, type=int, default=1, help="Worker processes; the results do not depend on it.")
+@option(
+    "--common",
+    group=MANY,
+    is_flag=True,
+    help="Find one equation from all files together; each file then has the coefficients of its terms.",
+)
+@option("--table", group=WRITTEN, type=FILE, help="Write the coefficients over files: a table (.csv).")
+@option("--figure", group=WRITTEN, type=FILE, help="Write a figure of the coefficients over files (.png, .svg, .pdf).")
+@option("--json", "as_json", group=WRITTEN, is_flag=True, help="Print one JSON object and nothing else.")
+def batch(
+    files: tuple[Path, ...],
+    store: Path,
+    jobs: int,
+    common: bool,
+    table: Path | None,
+    figure: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Find the equations of many files, one each, and how their coefficients drift.
+
+    FILES... are one record each, in this order; a folder means all files of known formats in it. Results are kept in a
+    file as they are found, so that a run that is stopped goes on where it was. A file that cannot be used does not stop
+    the others: it is named at the end, and the exit code is 1. It is 2 if the arguments are wrong, or no file could be
+    used.
+    """
+    reading = Reading.of({**options, "join": False})
+    options, paths = named_channels({name: value for name, value in options.items() if name not in _READING})
+    options = cleaned(options)
+    if STANDARD_INPUT in files:
+        raise InputError("-: a batch is of files, which it knows again; write standard input to one")
+    announce_compiling(lambda: say(COMPILING))
+    from bayeq.batches.files import files_of
+
+    given = files_of(files)
+    _require_outputs(given, store, table, figure)
+    from bayeq.batches.run import run_batch
+
+    if common and reading.stream is None:
+        reading = replace(reading, stream=reading.streamed(given))
+    read = _FileReading(reading, tuple(used_channels(options)), paths)
+    with _BatchProgress() as progress:
+        try:
+            found = run_batch(given, options, read, store, jobs, common, progress)
+        except KeyboardInterrupt:
+            progress.close()
+            raise InterruptedRun(
+                f"interrupted: {progress.done} files were added to {store}; the same command continues"
+            ) from None
+    _show(found, store, as_json)
+    if len(found.refused) < len(found):
+        _write(found, table, figure)
+    _name_refused(found.refused, len(found))
+
+
+_READING = [name for name in Reading.__dataclass_fields__ if name != "join"]
+
+# All that says how `discover` reads and what it looks for, but not what it writes; files are not joined.
+batch.params[1:1] = [
+    one
+    for one in discover.params
+    if getattr(one, "group", "") in (MEASURED, ALTERED, TERMS, SURE) and one.name != "join"
+]
+
+
+@dataclass(frozen=True)
+class _FileReading:
+    """One file as the options say; its text is part of what tells batches apart."""
+
+    reading: Reading
+    used: tuple[str, ...]
+    paths: Mapping[str, str]
+
+    def __call__(self, path: Path) -> Any:
+        _, source = source_of(self.reading, [path], self.used, self.paths, False, _silent)
+        return source
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """No progress of a single file."""
+
+
+class _BatchProgress:
+    """The common equation by its stages, the files with rate and time left."""
+
+    def __init__(self) -> None:
+        from bayeq.study.progress import StudyProgress
+
+        self.stages, self.files = Progress(), StudyProgress("files")
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        from bayeq.batches.run import FILES
+
+        if stage != FILES:
+            self.stages(stage, done, total)
+            return
+        self.stages.close()
+        if done <= 1:  # the first waits for processes to start
+            self.files.begin(done)
+        else:
+            self.files(done, total)
+
+    @property
+    def done(self) -> int:
+        """How many files."""
+        return self.files.done
+
+    def close(self) -> None:
+        """Take bars away."""
+        self.stages.close()
+        self.files.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _require_outputs(files: Sequence[Path], store: Path, table: Path | None, figure: Path | None) -> None:
+    """Refuse, before the work, what cannot be written after it."""
+    for path in (store, table, figure):
+        if path is not None:
+            require_place(path, files)
+    if table is not None and table.suffix.lower() != ".csv":
+        raise InputError(f"{table}: the table is written as text: end it in .csv")
+    if figure is not None:
+        from bayeq.figures.write import require_suffix
+
+        if figure.suffix.lower() == ".csv":
+            raise InputError(f"{figure}: a figure ends in .png, .svg or .pdf; --table writes numbers")
+        require_suffix(figure)
+
+
+def _write(found: Batch, table: Path | None, figure: Path | None) -> None:
+    from bayeq.figures.write import write_output
+
+    for path in (table, figure):
+        if path is not None:
+            write_output(path, found.table, found.plot)
+
+
+def _show(found: Batch, store: Path, as_json: bool) -> None:
+    """Print the batch as text, or as one JSON object."""
+    if not as_json:
+        click.echo(str(found))
+        return
+    from importlib.metadata import version
+
+    common = found.common
+    out = {
+        "version": version("bayeq"),
+        "store": str(store),
+        "done": found.done,
+        "files": [_file(one) for one in found],
+        "common": None if common is None else common.to_dict(),
+        "table": found.rows(),
+    }
+    click.echo(json.dumps(out, allow_nan=False))
+
+
+def _file(one: BatchFile) -> dict[str, Any]:
+    content = one.content or {}
+    return {
+        "file": one.path,
+        "status": one.status,
+        "message": one.message,
+        "verdict": content.get("verdict"),
+        "equations": {equation["target"]: equation["equation"] for equation in content.get("equations", ())},
+        "warnings": list(content["diagnostics"]["warnings"]) if content else [],
+    }
+
+
+def _name_refused(refused: Sequence[BatchFile], files: int) -> None:
+    """Say which files have no equations, and end with the exit code for it."""
+    for one in refused[:NAMED]:
+        named = one.path in one.message or Path(one.path).name in one.message
+        say(f"bayeq: {one.status}: {one.message if named else f'{one.path}: {one.message}'}")
+    if len(refused) > NAMED:
+        say(f"bayeq: and {len(refused) - NAMED} more, see --json")
+    if len(refused) == files:
+        raise InputError(f"none of the {files} files could be used; bayeq info FILE says what is in one")
+    if refused:
+        raise BayeqError(f"{len(refused)} of {files} files could not be used; the others are done")

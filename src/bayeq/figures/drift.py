@@ -1,0 +1,147 @@
+"""Drift: coefficients over many files, with their intervals."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+from bayeq.errors import InputError
+from bayeq.figures.picture import plain
+from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, PALE, RED, add_axes, new_figure, styled, term_label
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_drift"]
+
+# A panel for each term [mm].
+LEFT, HEIGHT, BETWEEN, ABOVE, BELOW, RIGHT = 24.0, 30.0, 5.0, 11.0, 24.0, 4.0
+
+# Verdicts by mark and colour, which differ in lightness too.
+MARKS: dict[str, dict[str, Any]] = {
+    "found": {"marker": "o", "color": BLUE},
+    "nearly true": {"marker": "s", "color": ORANGE, "markeredgecolor": BLACK, "markeredgewidth": 0.4},
+    "not determined": {"marker": "o", "color": BLUE, "markerfacecolor": "white"},
+    "none": {"marker": "x", "color": RED},
+}
+
+# Panels at most, of the terms that are in most files.
+MOST = 12
+
+# Names of files below the axis: as many as can be read.
+NAMES = 24
+
+
+@styled
+def draw_drift(table: pd.DataFrame) -> Figure:
+    """Coefficients with 95 % intervals over files, a panel for each target and term.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Of `Batch.table`: its rows of terms that are in the equation of their file are drawn, of
+        12 terms at most. Marks are those of the
+        verdict; a grey band is the interval of the common equation, where there is one.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The files from left to right.
+
+    Raises
+    ------
+    InputError
+        No rows.
+    """
+    if not len(table):
+        raise InputError("no file has an equation: there is nothing to draw; see the messages of the files")
+    panels, note = _panels(table)
+    figure = new_figure(FULL_WIDTH, ABOVE + len(panels) * (HEIGHT + BETWEEN) - BETWEEN + BELOW)
+    several = table.target.nunique() > 1
+    first: Axes | None = None
+    for k, (target, term) in enumerate(panels):
+        top = ABOVE + k * (HEIGHT + BETWEEN)
+        ax = add_axes(figure, LEFT, top, FULL_WIDTH - LEFT - RIGHT, HEIGHT, sharex=first)
+        first = first or ax
+        rows = table[(table.target == target) & (table.term == term)]
+        _panel(ax, rows, f"{target}: " if several else "")
+        ax.tick_params(axis="x", labelbottom=k == len(panels) - 1)
+    _files(ax, table)
+    _legend(first, table)
+    figure.text(0.01, 0.01, note, fontsize=7, va="bottom")
+    return figure
+
+
+def _panels(table: pd.DataFrame) -> tuple[list[tuple[str, str]], str]:
+    """Targets and terms to draw, those of most files, and what is said of the others."""
+    every = list(dict.fromkeys(zip(table.target, table.term, strict=True)))
+    files = table.groupby(["target", "term"]).shown.sum()
+    kept = sorted(every, key=lambda one: -files[one])[:MOST]
+    rest = [int(files[one]) for one in every if one not in kept]
+    note = f"{len(rest)} more terms, each in at most {max(rest)} of the files, are in the table" if rest else ""
+    return [one for one in every if one in kept], note
+
+
+def _panel(ax: Axes, rows: pd.DataFrame, before: str) -> None:
+    """The coefficient of one term."""
+    ax.set_axisbelow(True)
+    ax.grid(axis="y", color=PALE, linewidth=0.5)
+    if "common_coef" in rows:
+        common = rows.iloc[0]
+        ax.axhspan(common.common_ci_low, common.common_ci_high, color=PALE, linewidth=0, zorder=0)
+        ax.axhline(common.common_coef, color=BLACK, linewidth=0.6, zorder=1)
+    drawn = rows[rows.shown]
+    ax.vlines(drawn.order, drawn.ci_low, drawn.ci_high, color=BLUE, linewidth=0.9, zorder=2)
+    size = 3.4 if len(rows) <= 80 else 2.2
+    for kind, look in MARKS.items():
+        own = drawn[drawn.verdict == kind]
+        ax.plot(own.order, own.coef, linestyle="none", markersize=size, zorder=3, **look)
+    units = {unit if isinstance(unit, str) else "" for unit in rows.unit}  # pandas makes NaN of None
+    unit = "units differ" if len(units) > 1 else _unit(units.pop())
+    name = term_label(rows.term.iloc[0], tuple(rows.term)) if rows.term.iloc[0] != "1" else "constant"
+    ax.set_ylabel(f"{plain(before)}{name}" + (f"\n[{unit}]" if unit not in ("", "1") else ""))
+    ax.locator_params(axis="y", nbins=5)
+    ax.ticklabel_format(axis="y", useOffset=False, scilimits=(-4, 5))
+
+
+def _unit(unit: str) -> str:
+    """A unit with its powers raised, of which the font has not all as characters."""
+    return re.sub(r"\^(-?\d+)", r"$^{\1}$", plain(unit))
+
+
+def _files(ax: Axes, table: pd.DataFrame) -> None:
+    """Names of files below the lowest panel."""
+    names = dict(zip(table.order, table.file, strict=True))
+    orders = sorted(names)
+    shown = orders[:: -(-len(orders) // NAMES)]
+    stems = [plain(_short(str(names[order]))) for order in shown]
+    ax.set_xticks(shown, stems, rotation=90)
+    ax.set_xlim(orders[0] - 0.8, orders[-1] + 0.8)
+
+
+def _short(path: str, longest: int = 16) -> str:
+    """The name of a file without folder and suffix."""
+    from pathlib import PurePath
+
+    stem = PurePath(path).stem
+    return stem if len(stem) <= longest else f"…{stem[1 - longest :]}"
+
+
+def _legend(ax: Axes | None, table: pd.DataFrame) -> None:
+    """What the marks mean, above the first panel."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    assert ax is not None
+    kinds = set(table.verdict[table.shown])
+    handles: list[Any] = [
+        Line2D([], [], linestyle="none", markersize=4.0, label=kind, **look)
+        for kind, look in MARKS.items()
+        if kind in kinds
+    ]
+    handles.append(Line2D([], [], color=BLUE, linewidth=0.9, label="95 % interval"))
+    if "common_coef" in table:
+        handles.append(Patch(facecolor=PALE, label="common equation, 95 %"))
+    ax.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=len(handles))

@@ -1,0 +1,1 @@
+"""Long work that goes on where it was stopped: results in an SQLite file, and worker processes."""

@@ -1,0 +1,134 @@
+"""Tasks in worker processes: results as they are ready, a stop by Ctrl-C without noise, no workers left by a kill."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TypeVar
+
+from bayeq.errors import BayeqError
+
+__all__ = ["AHEAD", "MAX_JOBS", "compute", "one_thread"]
+
+Task = TypeVar("Task")
+Answer = TypeVar("Answer")
+
+# Tasks that wait for each worker.
+AHEAD = 3
+
+# How often a worker looks whether its parent is alive [s].
+WATCH = 0.5
+
+# More is a mistake of typing.
+MAX_JOBS = 512
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """BLAS in this process with one thread, as in the workers, so that sums are rounded alike."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        yield
+
+
+def compute(
+    work: Callable[[Task], Answer], tasks: Sequence[Task], jobs: int, store: Path
+) -> Generator[Answer, None, None]:
+    """The answer to each task, in the order in which they are ready.
+
+    Parameters
+    ----------
+    work : callable
+        From a task to its answer, both of which processes can hand on.
+    tasks : sequence
+        What is to be done.
+    jobs : int
+        Worker processes; with 1 all is done in this process.
+    store : Path
+        File of the results, for the message.
+
+    Raises
+    ------
+    BayeqError
+        A worker was killed.
+    """
+    if jobs == 1:
+        for task in tasks:
+            yield work(task)
+        return
+    from joblib import Parallel, delayed, parallel_config
+
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        parallel = Parallel(
+            n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch=AHEAD * jobs, max_nbytes=None
+        )
+    hook = threading.excepthook
+    threading.excepthook = partial(_thread_failed, hook)
+    try:
+        with _born_quiet():
+            answers = parallel(delayed(_in_worker)(work, task, os.getpid()) for task in tasks)
+        try:
+            for answer in answers:  # noqa: UP028 - `yield from` would close it before the warning is silenced
+                yield answer
+        finally:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # "generator was not exhausted": it is meant not to be
+                answers.close()
+    except BrokenProcessPool:
+        raise BayeqError(
+            f"a worker process was killed (out of memory?); what was done is in {store}: the same command continues,"
+            " fewer jobs need less memory"
+        ) from None
+    finally:
+        threading.excepthook = hook
+
+
+def _in_worker(work: Callable[[Task], Answer], task: Task, parent: int) -> Answer:
+    _watch(parent)
+    return work(task)
+
+
+def _thread_failed(hook: Callable[[threading.ExceptHookArgs], object], failure: threading.ExceptHookArgs) -> None:
+    """Report an exception in a thread, unless it is loky's manager that finds its queue taken away when stopped."""
+    name = failure.thread.name if failure.thread is not None else ""
+    if not (name.startswith("ExecutorManager") and issubclass(failure.exc_type, KeyError)):
+        hook(failure)
+
+
+@contextmanager
+def _born_quiet() -> Iterator[None]:
+    """Processes started here inherit that Ctrl-C is for the parent alone, and say nothing of what a stop leaves."""
+    warned = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (warned, "ignore:resource_tracker")))
+    main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
+    try:
+        yield
+    finally:
+        if main:
+            signal.signal(signal.SIGINT, handler)
+        if warned is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = warned
+
+
+@lru_cache(maxsize=1)
+def _watch(parent: int) -> None:
+    """End this worker soon after its parent has been killed, instead of waiting for work for minutes."""
+
+    def look() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH)
+        os._exit(1)
+
+    threading.Thread(target=look, daemon=True, name="watch-parent").start()
