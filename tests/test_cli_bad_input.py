@@ -130,7 +130,7 @@ def test_missing_file(run: Run, folder: Path) -> None:
 
 def test_directory(run: Run, folder: Path) -> None:
     (folder / "data.csv").mkdir()
-    assert_refused(run("discover", "data.csv", *CHANNELS), "data.csv: is a directory; name a file in it")
+    assert_refused(run("discover", "data.csv", *CHANNELS), "data.csv: the folder has no file that can be streamed")
 
 
 @pytest.mark.parametrize(
