@@ -10,18 +10,41 @@ from typing import Any, Protocol, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from bayeq.streaming.extent import Unit
+from bayeq.streaming.extent import Extent, Unit
 
-__all__ = ["Executor", "Threads", "fold"]
+__all__ = ["Executor", "Threads", "Work", "fold"]
 
 T = TypeVar("T")
+Of = TypeVar("Of", covariant=True)
 Progress = Callable[[str, int, int], None]
+
+
+class Work(Protocol[Of]):
+    """Something that is computed of units of rows, and can be added. It can be sent to other processes."""
+
+    @property
+    def extents(self) -> Sequence[Extent]:
+        """The rows."""
+        ...
+
+    @property
+    def reach(self) -> int:
+        """How many rows before and after a unit are looked at."""
+        ...
+
+    def on(self, extents: Sequence[Extent]) -> Work[Of]:
+        """The same of the same rows, kept elsewhere."""
+        ...
+
+    def __call__(self, unit: Unit) -> Of:
+        """What is computed of a unit."""
+        ...
 
 
 class Executor(Protocol):
     """Who computes."""
 
-    def map(self, work: Callable[[Unit], T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
+    def map(self, work: Work[T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
         """What is computed of consecutive units, in order: how many of them, and their sum."""
         ...
 
@@ -34,7 +57,7 @@ class Threads:
             workers or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         )
 
-    def map(self, work: Callable[[Unit], T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
+    def map(self, work: Work[T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
         """One unit after the other."""
         waiting: deque[Any] = deque()
         left = iter(units)
@@ -52,7 +75,7 @@ class Threads:
 
 
 def fold(
-    work: Callable[[Unit], T],
+    work: Work[T],
     units: Sequence[Unit],
     executor: Executor,
     progress: Progress,
@@ -63,7 +86,7 @@ def fold(
 
     Parameters
     ----------
-    work : callable
+    work : Work
         Computes something of a unit that can be added.
     units : sequence of Unit
         The units, in order.
