@@ -13,8 +13,8 @@ from bayeq.errors import InputError, WarningLog
 from bayeq.likelihood.record_fit import MOST_ROWS
 from bayeq.records import as_records, with_row_numbers
 from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_unasked
-from bayeq.streaming.cluster import Cluster
 from bayeq.streaming.checkpoint import Checkpoints, cache_folder
+from bayeq.streaming.cluster import Cluster
 from bayeq.streaming.extent import Extent, of_channels, stretches
 from bayeq.streaming.fold import Executor, Threads
 from bayeq.streaming.partitions import dask_streams, is_dask
@@ -57,9 +57,7 @@ def answer_of(
     return question.answer(measured)
 
 
-def extents_of(
-    records: Any, t: Any, stream: bool | None, clustered: bool = False
-) -> tuple[Extent, ...] | None:
+def extents_of(records: Any, t: Any, stream: bool | None, clustered: bool = False) -> tuple[Extent, ...] | None:
     """The rows of files that are read some at a time, on a cluster those of all files; None of records that are taken
     whole."""
     several = isinstance(records, Sequence) and not isinstance(records, (str, bytes))

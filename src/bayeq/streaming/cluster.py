@@ -22,7 +22,7 @@ from weakref import WeakValueDictionary
 from threadpoolctl import threadpool_limits
 
 from bayeq.errors import BayeqError, InputError, MissingExtraError
-from bayeq.records.stream import FileStream, RecordStream
+from bayeq.records.stream import FileStream
 from bayeq.streaming.extent import Extent, Unit
 from bayeq.streaming.fold import Work
 from bayeq.streaming.partitions import DaskStream, Parts, parts_between
@@ -88,7 +88,7 @@ class Cluster:
         try:
             for chunk in chunks:
                 waiting.append((len(chunk), *summed(chunk)))
-                if sum(count for count, _, _ in waiting) > AHEAD * self._threads() + TOGETHER:
+                if sum(count for count, _, _ in waiting) > AHEAD * self.threads + TOGETHER:
                     count, future, _ = waiting.popleft()
                     yield count, self._result(future)
             while waiting:
@@ -104,7 +104,7 @@ class Cluster:
         left = iter(batches)
         try:
             while True:
-                while len(waiting) < AHEAD * self._threads() and (batch := next(left, None)) is not None:
+                while len(waiting) < AHEAD * self.threads and (batch := next(left, None)) is not None:
                     waiting.append(self._submit(_on_one_thread, function, batch))
                 if not waiting:
                     return
@@ -139,7 +139,9 @@ class Cluster:
             held.append(found)
         return numbers, held
 
-    def _threads(self) -> int:
+    @property
+    def threads(self) -> int:
+        """Threads of all workers now, at least 1."""
         with _clear_errors():
             return max(1, sum(self.client.nthreads().values()))
 
@@ -176,7 +178,9 @@ class Cluster:
 def _without_rows(extent: Extent) -> Extent:
     """What is sent to every worker of a record: rows in memory are sent by parts, to those who need them."""
     stream = extent.stream
-    return extent if isinstance(stream, FileStream) else replace(extent, stream=Parts(stream.name, tuple(stream.bounds)))
+    return (
+        extent if isinstance(stream, FileStream) else replace(extent, stream=Parts(stream.name, tuple(stream.bounds)))
+    )
 
 
 def _itself(value: T) -> T:
@@ -308,8 +312,8 @@ def connected(address: str) -> Iterator[Any]:
     except (OSError, ValueError, TypeError, KeyError) as error:  # a timeout is an OSError
         reason = f"{type(error).__name__}: {error}" if isinstance(error, (TypeError, KeyError)) else str(error)
         raise InputError(
-            f"{address}: no Dask scheduler answers ({reason.splitlines()[0] if reason else type(error).__name__}); start"
-            " one, `dask scheduler`, and give the address that it prints, such as tcp://host:8786"
+            f"{address}: no Dask scheduler answers ({reason.splitlines()[0] if reason else type(error).__name__});"
+            " start one, `dask scheduler`, and give the address that it prints, such as tcp://host:8786"
         ) from None
     try:
         yield client

@@ -178,8 +178,8 @@ def _frame(data: Any) -> Any:
     if hasattr(data, "to_delayed") and hasattr(data, "map_partitions"):
         return data
     raise InputError(
-        f"no record can be made of {type(data).__name__}: give a Dask DataFrame, or a mapping of channels to Dask arrays"
-        " of one dimension, as in {'x': array[:, 0], 'v': array[:, 1]}"
+        f"no record can be made of {type(data).__name__}: give a Dask DataFrame, or a mapping of channels to Dask"
+        " arrays of one dimension, as in {'x': array[:, 0], 'v': array[:, 1]}"
     )
 
 
