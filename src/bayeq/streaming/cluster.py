@@ -6,6 +6,7 @@ sums in order. The order does not depend on the workers, and nor does a digit of
 
 from __future__ import annotations
 
+import json
 import threading
 import time as clock
 from collections import deque
@@ -303,19 +304,33 @@ def connected(address: str) -> Iterator[Any]:
         from distributed import Client
     except ImportError:
         raise MissingExtraError("distributed", "dask", "work on a cluster") from None
-    path = Path(address)
-    is_file = "://" not in address and (path.is_file() or path.suffix == ".json")
-    if is_file and not path.is_file():
-        raise InputError(f"{address}: no such file; it is written by `dask scheduler --scheduler-file {address}`")
     try:
-        client = Client(scheduler_file=address) if is_file else Client(address, timeout=ANSWER)
-    except (OSError, ValueError, TypeError, KeyError) as error:  # a timeout is an OSError
-        reason = f"{type(error).__name__}: {error}" if isinstance(error, (TypeError, KeyError)) else str(error)
+        client = Client(_in_file(address), timeout=ANSWER)
+    except (OSError, ValueError) as error:  # a timeout is an OSError
+        reason = str(error).splitlines()[:1] or [type(error).__name__]
         raise InputError(
-            f"{address}: no Dask scheduler answers ({reason.splitlines()[0] if reason else type(error).__name__});"
+            f"{address}: no Dask scheduler answers ({reason[0]});"
             " start one, `dask scheduler`, and give the address that it prints, such as tcp://host:8786"
         ) from None
     try:
         yield client
     finally:
         client.close()
+
+
+def _in_file(address: str) -> str:
+    """The address in a scheduler's file, or the address itself."""
+    path = Path(address)
+    if "://" in address or not (path.is_file() or path.suffix == ".json"):
+        return address
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))["address"]
+    except FileNotFoundError:
+        raise InputError(
+            f"{address}: no such file; it is written by `dask scheduler --scheduler-file {address}`"
+        ) from None
+    except (ValueError, KeyError, TypeError):
+        raise InputError(
+            f"{address}: holds no address of a scheduler; give the file that `dask scheduler --scheduler-file` wrote"
+        ) from None
+    return str(found)
