@@ -48,7 +48,7 @@ def local(workers, folder):
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address=":0",
             local_directory=str(folder),
         ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
@@ -162,7 +162,9 @@ def test_long_lists_of_records_are_sent_and_short_ones_are_not(record, client, e
 def test_the_likelihood_of_all_rows_is_that_of_threads(path, client, monkeypatch):
     monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 300)
     monkeypatch.setattr("bayeq.streaming.whole.BLOCK_ROWS", 3000)
-    found, here = (quietly(path, smooth="auto", **how) for how in ({"client": client}, {"stream": True}))
+    (stream,) = open_streams([path])
+    rows = [Extent(stream, 0, 9000)]
+    found, here = (quietly(rows, smooth="auto", client=who) for who in (client, None))
     compare(found, here, rtol=1e-7)
     assert found.data.stretches == here.data.stretches == 20
 
@@ -196,8 +198,8 @@ def test_what_is_wrong_with_the_data_is_said_as_without_a_cluster(frame, client,
     spoilt.to_parquet(folder / "spoilt.parquet", index=False, row_group_size=1000)
     with pytest.raises(RecordError, match="x"):
         quietly(folder / "spoilt.parquet", client=client)
-    with pytest.raises(UnknownNameError, match="'vel'"):
-        quietly(folder / "spoilt.parquet", client=client, velocity="vel")
+    with pytest.raises(UnknownNameError, match="'acc'"):
+        quietly(folder / "spoilt.parquet", client=client, acceleration="acc")
 
 
 def test_files_that_workers_do_not_find_are_named(frame, client, folder):
@@ -243,12 +245,12 @@ def test_what_cannot_be_read_by_a_cluster_is_refused(frame, client, path):
         (dates, {"t": "time"}, "'time': holds dates"),
         (whole[whole.t < 0], {}, "no rows"),
         (path, {"client": "tcp://localhost:8786"}, "Client, not str"),
-        (path, {"stream": False, "smooth": "band"}, "smooth"),
+        (path, {"smooth": "band"}, "smooth"),
     ):
         with pytest.raises(InputError, match=message):
             quietly(data, **{"client": client, **options})
-    with pytest.raises(UnknownNameError, match="'vel'"):
-        quietly(whole, client=client, velocity="vel")
+    with pytest.raises(UnknownNameError, match="'acc'"):
+        quietly(whole, client=client, acceleration="acc")
 
 
 def test_workers_of_another_version_are_refused(client, monkeypatch):
@@ -261,19 +263,22 @@ def test_workers_of_another_version_are_refused(client, monkeypatch):
 def test_addresses_where_nobody_answers_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("bayeq.streaming.cluster.ANSWER", 0.5)
     (tmp_path / "odd.json").write_text("[1]")
+    for address, message in (
+        ("tcp://127.0.0.1:9", "no Dask scheduler answers"),
+        ("nonsense", "no Dask scheduler answers"),
+        ("http://127.0.0.1:80", "no Dask scheduler answers"),
+        ("tcp://127.0.0.1:none", "no Dask scheduler answers"),
+        (str(tmp_path / "absent.json"), "no such file"),
+        (str(tmp_path / "odd.json"), "no address"),
+    ):
+        with pytest.raises(InputError, match=message), connected(address):
+            pass
     with socket.socket() as silent:  # listens, and says nothing
         silent.bind(("127.0.0.1", 0))
         silent.listen()
-        for address, message in (
-            ("tcp://127.0.0.1:9", "no Dask scheduler answers"),
-            (f"tcp://127.0.0.1:{silent.getsockname()[1]}", "no Dask scheduler answers"),
-            ("nonsense", "no Dask scheduler answers"),
-            ("http://127.0.0.1:80", "no Dask scheduler answers"),
-            (str(tmp_path / "absent.json"), "no such file"),
-            (str(tmp_path / "odd.json"), "no address"),
-        ):
-            with pytest.raises(InputError, match=message), connected(address):
-                pass
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(InputError, match="no Dask scheduler answers"), connected(address):
+            pass
 
 
 def test_without_dask_the_extra_is_named(monkeypatch, path, capsys):

@@ -7,6 +7,8 @@ sums in order. The order does not depend on the workers, and nor does a digit of
 from __future__ import annotations
 
 import json
+import os
+import socket
 import threading
 import time as clock
 from collections import deque
@@ -18,6 +20,7 @@ from importlib.metadata import PackageNotFoundError, version
 from operator import add
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 from weakref import WeakValueDictionary
 
 from threadpoolctl import threadpool_limits
@@ -151,7 +154,8 @@ class Cluster:
         from distributed import wait
 
         def look(timeout: float) -> Any:
-            return next(iter(wait(futures, timeout=timeout, return_when="FIRST_COMPLETED").done))
+            with self.client.as_current():
+                return next(iter(wait(futures, timeout=timeout, return_when="FIRST_COMPLETED").done))
 
         return self._patiently(look, lambda: any(one.done() for one in futures))
 
@@ -201,11 +205,10 @@ def _of_unit(work: Work[T], unit: Unit, numbers: Sequence[int], held: Sequence[A
     try:
         return _on_one_thread(work, (unit,))
     except OSError as error:
-        if error.filename is None:
-            raise
+        file = error.filename or getattr(getattr(own.stream, "rows", None), "path", own.stream.name)
+        reason = os.strerror(error.errno) if error.errno else type(error).__name__
         raise InputError(
-            f"{error.filename}: a worker cannot read it ({error.strerror}): put the files where all workers find them"
-            " by the same path"
+            f"{file}: a worker cannot read it ({reason}): put the files where all workers find them by the same path"
         ) from None
 
 
@@ -304,13 +307,15 @@ def connected(address: str) -> Iterator[Any]:
         from distributed import Client
     except ImportError:
         raise MissingExtraError("distributed", "dask", "work on a cluster") from None
+    found = _in_file(address)
     try:
-        client = Client(_in_file(address), timeout=ANSWER)
-    except (OSError, ValueError) as error:  # a timeout is an OSError
+        _require_answer(found)
+        client = Client(found, timeout=ANSWER)
+    except (OSError, ValueError) as error:
         reason = str(error).splitlines()[:1] or [type(error).__name__]
         raise InputError(
-            f"{address}: no Dask scheduler answers ({reason[0]});"
-            " start one, `dask scheduler`, and give the address that it prints, such as tcp://host:8786"
+            f"{address}: no Dask scheduler answers ({reason[0]}); start one, `dask scheduler`, and give the address"
+            " that it prints, such as tcp://host:8786"
         ) from None
     try:
         yield client
@@ -334,3 +339,13 @@ def _in_file(address: str) -> str:
             f"{address}: holds no address of a scheduler; give the file that `dask scheduler --scheduler-file` wrote"
         ) from None
     return str(found)
+
+
+def _require_answer(address: str) -> None:
+    """Refuse an address where nobody is, or somebody else: a client would wait for them."""
+    parts = urlsplit(address if "://" in address else f"tcp://{address}")
+    if parts.scheme not in ("tcp", "tls", "ws", "wss") or not parts.hostname or parts.port is None:
+        raise ValueError("it is no address of one")
+    with socket.create_connection((parts.hostname, parts.port), timeout=ANSWER) as connection:
+        if parts.scheme == "tcp" and not connection.recv(1):  # where a scheduler speaks first
+            raise OSError("somebody else is there")
