@@ -355,7 +355,9 @@ def test_the_commands_on_workers_from_the_shell(shell, path, expected, tmp_path)
     found = json.loads(command("discover", path.name, *OPTIONS, *terms, "--dask", shell.file, cwd=path.parent))
     assert found["data"]["n"] == 40_000
     coefficients = {term["name"]: term["coef"] for term in found["equations"][0]["terms"]}
-    assert coefficients == pytest.approx(dict(zip(*(expected.table()[name] for name in ("term", "coef")))), rel=1e-8)
+    assert coefficients == pytest.approx(
+        dict(zip(*(expected.table()[name] for name in ("term", "coef")), strict=True)), rel=1e-8
+    )
     study = ["--systems", "linear", "--algorithms", "rvm,vb", "--realisations", 6]
     command("study", "table2", *study, "--store", tmp_path / "there.db", "--dask", shell.file)
     run_study(tmp_path / "here.db", systems=["linear"], algorithms=["rvm", "vb"], realisations=6, jobs=1)
