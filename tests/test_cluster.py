@@ -31,6 +31,7 @@ from bayeq.streaming.work import AsMeasured
 from bayeq.study.runner import run_study
 from bayeq.study.store import Store
 
+dask = pytest.importorskip("dask", reason="needs the extra dask")
 distributed = pytest.importorskip("distributed", reason="needs the extra dask")
 pytest.importorskip("pyarrow", reason="needs the extra parquet")
 
@@ -155,7 +156,9 @@ def test_long_lists_of_records_are_sent_and_short_ones_are_not(record, client, e
     here = quietly(parts, client=client)
     assert not sent
     monkeypatch.setattr("bayeq.discovery.sources.MOST_ROWS", 10_000)
-    compare(quietly(parts, client=client), here)
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "100 kiB"}), warnings.catch_warnings():
+        warnings.filterwarnings("error", message="Sending large graph")
+        compare(bq.discover(parts, **FEW, smooth="none", client=client), here)
     assert len(sent) > 28
 
 
@@ -163,7 +166,7 @@ def test_the_likelihood_of_all_rows_is_that_of_threads(path, client, monkeypatch
     monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 300)
     monkeypatch.setattr("bayeq.streaming.whole.BLOCK_ROWS", 3000)
     (stream,) = open_streams([path])
-    rows = [Extent(stream, 0, 6001)]
+    rows = [Extent(stream, 0, 6001)]  # a unit of one row says nothing
     found, here = (quietly(rows, smooth="auto", client=who) for who in (client, None))
     compare(found, here, rtol=1e-7)
     assert found.data.stretches == here.data.stretches == 20
@@ -215,8 +218,6 @@ def test_files_that_workers_do_not_find_are_named(frame, client, folder):
 
 
 def test_workers_that_die_one_after_the_other_end_the_work(folder):
-    import dask
-
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), local(1, folder) as client:
         with pytest.raises(BayeqError, match="memory") as error:
             list(Cluster(client).unordered(os._exit, [(1,)]))

@@ -37,9 +37,8 @@ def answer_of(
     if is_dask(records):
         if client is None:
             raise InputError("Dask collections are read by a cluster: give client=, a dask.distributed.Client")
-        extents = _whole_streams(dask_streams(records, client, channels, t))
-    else:
-        extents = extents_of(records, t, stream, clustered=client is not None)
+        records = _whole_streams(dask_streams(records, client, channels, t))
+    extents = extents_of(records, t, stream, clustered=client is not None)
     if extents is not None:
         extents = of_channels(extents, channels)
         whole = _whole(question, extents, executor, checkpoint)
@@ -49,7 +48,7 @@ def answer_of(
     measured = with_row_numbers(as_records(records, t))
     long = sum(record.n for record in measured) > MOST_ROWS
     if long and (question.smooth == "auto" or (client is not None and question.smooth == "none")):
-        rows = _whole_streams(map(RecordStream, measured))
+        rows = of_channels(_whole_streams(map(RecordStream, measured)), channels)
         try:
             return question.answer(stretches(rows), _whole(question, rows, executor, None))
         except NotStreamed:

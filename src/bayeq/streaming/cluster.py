@@ -26,6 +26,7 @@ from weakref import WeakValueDictionary
 from threadpoolctl import threadpool_limits
 
 from bayeq.errors import BayeqError, InputError, MissingExtraError
+from bayeq.records import Record
 from bayeq.records.stream import FileStream
 from bayeq.streaming.extent import Extent, Unit
 from bayeq.streaming.fold import Work
@@ -123,6 +124,13 @@ class Cluster:
         """A task that is done once, even where another has the same arguments."""
         return self.client.submit(function, *arguments, pure=False)
 
+    def _sent(self, record: Record) -> Any:
+        """Rows in memory as a task's result: unlike data that are scattered, they survive the worker that has them."""
+        import dask
+
+        with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):
+            return self._submit(_itself, record)
+
     def _parts(
         self, work: Work[Any], unit: Unit, known: WeakValueDictionary[tuple[int, int], Any]
     ) -> tuple[list[int], list[Any]]:
@@ -138,7 +146,7 @@ class Cluster:
                 if isinstance(stream, DaskStream):
                     found = self.client.compute(stream.partitions[k])
                 else:
-                    found = self._submit(_itself, stream.read(stream.bounds[k], stream.bounds[k + 1]))
+                    found = self._sent(stream.read(stream.bounds[k], stream.bounds[k + 1]))
                 known[unit.extent, k] = found
             held.append(found)
         return numbers, held
@@ -214,7 +222,7 @@ def _of_unit(work: Work[T], unit: Unit, numbers: Sequence[int], held: Sequence[A
 
 def _sum(parts: Sequence[T]) -> T:
     """On a worker: the sum of what is computed of consecutive units."""
-    return reduce(add, parts)  # type: ignore[arg-type]
+    return reduce(add, parts)
 
 
 class _OneThread:
