@@ -385,3 +385,12 @@ def test_a_worker_that_is_killed_costs_time_only(shell, path):
         assert killed[0].wait(30) == -signal.SIGKILL
         assert as_bytes(disturbed) == as_bytes(undisturbed)
         shell.workers[0] = shell.worker()
+
+
+def test_a_scheduler_that_goes_ends_the_work_with_a_line(tmp_path, capfd):
+    with Shell(tmp_path) as own, connected(str(own.file)) as client:
+        threading.Timer(2.0, own.started[0].kill).start()
+        with pytest.raises(BayeqError, match="scheduler of the cluster has gone") as error:
+            list(Cluster(client).unordered(time.sleep, [(1,), (60,)]))
+        assert "\n" not in str(error.value)
+    assert "Traceback" not in capfd.readouterr().err

@@ -7,6 +7,7 @@ sums in order. The order does not depend on the workers, and nor does a digit of
 from __future__ import annotations
 
 import json
+import logging
 import os
 import socket
 import threading
@@ -178,8 +179,8 @@ class Cluster:
                 try:
                     return look(LOOK)
                 except TimeoutError:
-                    if done():  # a task has failed with this error
-                        raise
+                    if done():  # by now, or with this error
+                        return look(LOOK)
                 gone = None if self.client.nthreads() else gone or clock.monotonic()
                 if gone is not None and clock.monotonic() - gone > COME_BACK:
                     raise BayeqError(
@@ -325,10 +326,16 @@ def connected(address: str) -> Iterator[Any]:
             f"{address}: no Dask scheduler answers ({reason[0]}); start one, `dask scheduler`, and give the address"
             " that it prints, such as tcp://host:8786"
         ) from None
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "distributed.core")]
+    levels = [one.level for one in loggers]
+    for one in loggers:  # what goes wrong is said in one line, see `_clear_errors`
+        one.setLevel(logging.CRITICAL)
     try:
         yield client
     finally:
         client.close()
+        for one, level in zip(loggers, levels, strict=True):
+            one.setLevel(level)
 
 
 def _in_file(address: str) -> str:
