@@ -332,8 +332,7 @@ class Shell:
 
     def __exit__(self, *_):
         for process in reversed(self.started):
-            process.terminate()
-        for process in self.started:
+            process.kill()
             process.wait(30)
 
 
