@@ -23,6 +23,7 @@ from bayeq.cli.study import study as study_commands
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 from bayeq.study import realise as realise_module
 from bayeq.study.algorithms import ALGORITHMS
+from bayeq.study.claims import Claims
 from bayeq.study.config import StudyConfig
 from bayeq.study.progress import StudyProgress
 from bayeq.study.realise import Task, draw, realise
@@ -430,3 +431,97 @@ try:
 except BayeqError as error:
     print(error)
 """
+
+
+# Several runs on one store
+
+
+SHARING = ["--systems", "linear,duffing", "--algorithms", "rvm,vb", "--realisations", "60", "--jobs", "1"]
+
+
+def started(path):
+    return subprocess.Popen(
+        [sys.executable, "-m", "bayeq", "study", "table2", *SHARING, "--store", str(path)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def added(process):
+    """Realisations that a run says it has added."""
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    return sum(int(line.split(": ")[1].split()[0]) for line in err.splitlines() if "realisations in" in line)
+
+
+def test_two_runs_on_one_store_share_the_work(tmp_path):
+    path = tmp_path / "study.db"
+    both = [started(path), started(path)]
+    counts = [added(process) for process in both]
+    assert sum(counts) == 120  # none twice
+    assert min(counts) > 0
+    with Store.open(path) as store:
+        assert len(list(store.results())) == 240
+
+
+def test_what_a_killed_run_has_claimed_is_done_by_another(tmp_path):
+    path = tmp_path / "study.db"
+    killed, other = started(path), started(path)
+    while killed.poll() is None and rows_in(path) < 20:
+        time.sleep(0.005)
+    killed.kill()
+    killed.communicate()
+    added(other)
+    with Store.open(path) as store:
+        assert len(list(store.results())) == 240
+
+
+def test_claims_of_other_machines_count_until_they_end(tmp_path, monkeypatch):
+    path = tmp_path / "study.db"
+    with Store.create(path, StudyConfig()) as store:
+        ends = time.time() + 3.0
+        keys = [("linear", 0, "vb"), ("linear", 1, "vb"), ("linear", 1, "rvm")]
+        assert store.claimed(keys, "elsewhere:1:a", ends, lambda *_: False) == keys
+        assert store.claimed(keys, "nowhere:1:b", ends, lambda *_: False) == []
+        seen = []
+        outcome = study(
+            path, realisations=2, systems=["linear"], progress=lambda *step: seen.append((step, time.time()))
+        )
+        assert outcome.realisations == 3  # of one first one algorithm, and then the other
+        assert seen[0] == ((1, 2), seen[0][1])
+        assert seen[-1][1] > ends
+        assert store.claimed([("linear", 0, "vb"), ("linear", 5, "vb")], "c:1:c", ends, lambda *_: False) == [
+            ("linear", 5, "vb")
+        ]
+
+
+def test_claims_are_prolonged_and_given_back(tmp_path, monkeypatch):
+    monkeypatch.setattr("bayeq.study.claims.BEAT", 0.05)
+    path = tmp_path / "study.db"
+    Store.create(path, StudyConfig()).close()
+
+    def until():
+        with sqlite3.connect(path) as connection:
+            found = connection.execute("SELECT until FROM claims").fetchall()
+        connection.close()
+        return [row[0] for row in found]
+
+    with Claims(path) as claims:
+        (batch,) = claims.batches([Task("linear", 0, ("vb",))], 1)
+        assert batch == (Task("linear", 0, ("vb",)),)
+        first = until()
+        ends = time.monotonic() + 10
+        while until() == first:
+            assert time.monotonic() < ends
+            time.sleep(0.02)
+    assert until() == []
+
+
+def test_stores_of_earlier_versions_go_on(small, tmp_path):
+    path = tmp_path / "study.db"
+    path.write_bytes(small.read_bytes())
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TABLE claims")
+    connection.close()
+    assert study(path, realisations=7).realisations == 2

@@ -59,6 +59,16 @@ __all__ = [
 class BayeqError(Exception):
     """Base of every exception that bayeq raises on purpose."""
 
+    def __reduce__(self) -> tuple[Any, ...]:  # by its message: arguments of subclasses are others
+        return _received, (type(self), self.args, self.__dict__)
+
+
+def _received(kind: type[BayeqError], args: tuple[Any, ...], state: dict[str, Any]) -> BayeqError:
+    """An error that another process sent."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(state)
+    return error
+
 
 class InputError(BayeqError, ValueError):
     """The input or an argument is wrong; the message says what, where and what to do."""

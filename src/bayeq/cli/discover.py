@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bayeq.cli.channels import channel_name, named_channels
+from bayeq.cli.cluster import cluster_client, dask_option
 from bayeq.cli.options import FILE, MEASURED, SURE, TERMS, WRITTEN, Command, option, pair_of_numbers
 from bayeq.cli.outputs import OUTPUTS, Outputs
 from bayeq.cli.progress import COMPILING, Progress
-from bayeq.cli.reading import Reading, reading_options
+from bayeq.cli.reading import STANDARD_INPUT, Reading, reading_options
 from bayeq.cli.streams import say
 from bayeq.errors import InputError
 from bayeq.inference.engines import ENGINES
@@ -188,10 +189,15 @@ Examples:
     help="Folder for sums over the rows of long files, kept on the way: a run that is killed goes on where it was. By"
     " default one in the user's cache.",
 )
+@dask_option(
+    "Read the files and sum over their rows on a Dask cluster: the address of its scheduler, tcp://host:8786, or the"
+    " file that it wrote. Files are then read some rows at a time.",
+    group=WRITTEN,
+)
 @option("--seed", group=SURE, type=int, default=0, help="Seed of methods that draw random numbers (gibbs).")
 @option("--explain", group=WRITTEN, is_flag=True, help="Explain below the answer, in plain words, what is printed.")
 @option("--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes.")
-def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, **options: Any) -> None:
+def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | None, **options: Any) -> None:
     """Find the equation of motion of a measured record.
 
     FILE... are one or several records: text (CSV ...), MATLAB, HDF5, universal files, TDMS, LabVIEW, Excel, WAV,
@@ -204,14 +210,17 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, **options: A
     outputs.check(files, options, as_json)
     options = cleaned(options)
     announce_compiling(lambda: say(COMPILING))
-    with Progress(verbose) as progress:
+    if dask is not None:
+        reading = reading.clustered()
+        files = tuple(file if file == STANDARD_INPUT else file.absolute() for file in files)
+    with cluster_client(dask) as client, Progress(verbose) as progress:
         records, source = source_of(reading, files, used_channels(options), paths, outputs.refine, progress)
         if not options["chains"]:  # which may be badly written
             _require_channels(records, used_channels(options))
         outputs.check_records(records)
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
-        answer = run(source, **options, progress=progress)
+        answer = run(source, **options, progress=progress, client=client)
         outputs.write(answer, records, files, options["holdout"], as_json, progress)
 
 

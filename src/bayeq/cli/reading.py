@@ -11,7 +11,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -145,6 +145,12 @@ class Reading:
         from bayeq.records.stream import streamed_unasked
 
         return STANDARD_INPUT not in files and streamed_unasked(files)
+
+    def clustered(self) -> Reading:
+        """The same on a cluster, where every file is read some rows at a time."""
+        if self.stream is False:
+            raise InputError("--dask reads files some rows at a time: leave out --no-stream")
+        return replace(self, stream=True)
 
     def extents(self, files: Sequence[Path], paths: Mapping[str, str]) -> list[Extent]:
         """The rows of files that are read some at a time.

@@ -11,6 +11,7 @@ from typing import Literal, cast
 
 import click
 
+from bayeq.cli.cluster import cluster_client, dask_option
 from bayeq.cli.options import FILE, option
 from bayeq.cli.streams import say
 from bayeq.errors import InputError, InterruptedRun
@@ -31,6 +32,7 @@ def study(context: click.Context) -> None:
 @study.command()
 @option("--realisations", type=int, default=1000, help="Realisations of each system.")
 @option("--jobs", type=int, default=2, help="Worker processes; the results do not depend on it.")
+@dask_option("Workers of a Dask cluster instead of --jobs: the address of its scheduler, or its file.")
 @option("--seed", type=int, default=0, help="Seed of the study.")
 @option(
     "--store",
@@ -49,6 +51,7 @@ def study(context: click.Context) -> None:
 def table2(
     realisations: int,
     jobs: int,
+    dask: str | None,
     seed: int,
     store: Path,
     systems: str,
@@ -65,15 +68,17 @@ def table2(
             from bayeq.study.runner import run_study
             from bayeq.study.show import show as render
             from bayeq.study.store import Store
-        outcome = run_study(
-            store,
-            systems=_names(systems),
-            algorithms=_names(algorithms),
-            realisations=realisations,
-            jobs=jobs,
-            config=StudyConfig(seed=seed, smooth=smooth),
-            progress=progress,
-        )
+        with cluster_client(dask) as client:
+            outcome = run_study(
+                store,
+                systems=_names(systems),
+                algorithms=_names(algorithms),
+                realisations=realisations,
+                jobs=jobs,
+                config=StudyConfig(seed=seed, smooth=smooth),
+                progress=progress,
+                client=client,
+            )
     except KeyboardInterrupt:
         progress.close()
         raise InterruptedRun(

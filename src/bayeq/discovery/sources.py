@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,12 @@ from bayeq.equation.equations import Equations
 from bayeq.errors import InputError, WarningLog
 from bayeq.likelihood.record_fit import MOST_ROWS
 from bayeq.records import as_records, with_row_numbers
-from bayeq.records.stream import RecordStream, open_streams, streamed_unasked
+from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_unasked
 from bayeq.streaming.checkpoint import Checkpoints, cache_folder
+from bayeq.streaming.cluster import Cluster
 from bayeq.streaming.extent import Extent, of_channels, stretches
 from bayeq.streaming.fold import Executor, Threads
+from bayeq.streaming.partitions import dask_streams, is_dask
 from bayeq.streaming.whole import Whole
 
 __all__ = ["answer_of", "extents_of"]
@@ -30,26 +32,33 @@ def answer_of(
     checkpoint: str | os.PathLike[str] | None = None,
 ) -> tuple[Equations, WarningLog]:
     """The answer to a question, as `bayeq.discover` takes the records."""
-    extents = extents_of(records, t, stream)
-    executor = Threads()
+    channels = [*question.roles.measured, *question.roles.inputs]
+    executor = Threads() if client is None else Cluster(client)
+    if is_dask(records):
+        if client is None:
+            raise InputError("Dask collections are read by a cluster: give client=, a dask.distributed.Client")
+        records = _whole_streams(dask_streams(records, client, channels, t))
+    extents = extents_of(records, t, stream, clustered=client is not None)
     if extents is not None:
-        extents = of_channels(extents, [*question.roles.measured, *question.roles.inputs])
+        extents = of_channels(extents, channels)
         whole = _whole(question, extents, executor, checkpoint)
         found = question.answer(stretches(extents), whole)
         whole.checkpoints.clear()
         return found
     measured = with_row_numbers(as_records(records, t))
-    if question.smooth == "auto" and sum(record.n for record in measured) > MOST_ROWS:
-        long = tuple(Extent(RecordStream(record), 0, record.n) for record in measured)
+    long = sum(record.n for record in measured) > MOST_ROWS
+    if long and (question.smooth == "auto" or (client is not None and question.smooth == "none")):
+        rows = of_channels(_whole_streams(map(RecordStream, measured)), channels)
         try:
-            return question.answer(stretches(long), _whole(question, long, executor, None))
+            return question.answer(stretches(rows), _whole(question, rows, executor, None))
         except NotStreamed:
             return question.answer(measured)
     return question.answer(measured)
 
 
-def extents_of(records: Any, t: Any, stream: bool | None) -> tuple[Extent, ...] | None:
-    """The rows of files that are read some at a time; None of records that are taken whole."""
+def extents_of(records: Any, t: Any, stream: bool | None, clustered: bool = False) -> tuple[Extent, ...] | None:
+    """The rows of files that are read some at a time, on a cluster those of all files; None of records that are taken
+    whole."""
     several = isinstance(records, Sequence) and not isinstance(records, (str, bytes))
     items = list(records) if several else [records]
     if items and all(isinstance(one, Extent) for one in items):
@@ -59,11 +68,17 @@ def extents_of(records: Any, t: Any, stream: bool | None) -> tuple[Extent, ...] 
         if stream:
             raise InputError("stream=True is for files and folders; these are data in memory")
         return None
-    if not stream and not streamed_unasked(paths):
+    if not (stream or clustered or streamed_unasked(paths)):
         return None
+    if clustered:  # workers have other working directories
+        paths = [Path(path).absolute() for path in paths]
     if t is not None and not isinstance(t, str):
         raise InputError("t names the column that is time, of a file")
-    return tuple(Extent(one, 0, one.bounds[-1]) for one in open_streams(paths, time=t))
+    return _whole_streams(open_streams(paths, time=t))
+
+
+def _whole_streams(streams: Iterable[Stream]) -> tuple[Extent, ...]:
+    return tuple(Extent(one, 0, one.bounds[-1]) for one in streams)
 
 
 def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, folder: Any) -> Whole:

@@ -59,6 +59,9 @@ def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
         Rows, smoothed.
     """
     size, rows = len(task.precision), sum(piece.n for piece in pieces)
+    nothing = Block(Quadratic(0.0, np.zeros(size), np.zeros((size, size))), 0.0, rows)
+    if not pieces:
+        return nothing
     try:
         series, paths = series_and_paths(task.layout, pieces)
         own, here = replace(task, series=series, recent=[]), replace(state, paths=paths)
@@ -67,7 +70,7 @@ def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
     except np.linalg.LinAlgError:
         found = None
     if found is None or not (np.isfinite(found.slope).all() and np.isfinite(found.information).all()):
-        return Block(Quadratic(0.0, np.zeros(size), np.zeros((size, size))), 0.0, rows)
+        return nothing
     return Block(found, own.rows)
 
 

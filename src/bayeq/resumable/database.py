@@ -1,6 +1,6 @@
 """Results in an SQLite file, written one transaction at a time.
 
-Only the process that runs the work writes, under SQLite's rollback journal (one file, also on network drives): a kill
+Only processes that run the work write, under SQLite's rollback journal (one file, also on network drives): a kill
 at any moment leaves the transactions that were committed, and nothing else.
 """
 
@@ -74,8 +74,8 @@ class Database:
         return made
 
     @classmethod
-    def _existing(cls, path: str | Path) -> Self:
-        """A file that is there.
+    def _existing(cls, path: str | Path, any_thread: bool = False) -> Self:
+        """A file that is there; for `any_thread`, where they take turns.
 
         Raises
         ------
@@ -88,7 +88,7 @@ class Database:
                 f"{path}: {'is a directory' if path.is_dir() else 'no such file'}; expected {cls.noun}"
             )
         # Not read-only: what a killed process left half written has to be rolled back.
-        found = cls._connect(path, "rw")
+        found = cls._connect(path, "rw", any_thread)
         try:
             found._check()
         except BaseException:
@@ -97,10 +97,14 @@ class Database:
         return found
 
     @classmethod
-    def _connect(cls, path: Path, mode: str) -> Self:
+    def _connect(cls, path: Path, mode: str, any_thread: bool = False) -> Self:
         try:
             connection = sqlite3.connect(
-                f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=PATIENCE, isolation_level=None
+                f"{path.absolute().as_uri()}?mode={mode}",
+                uri=True,
+                timeout=PATIENCE,
+                isolation_level=None,
+                check_same_thread=not any_thread,
             )
         except sqlite3.Error as error:
             raise FileFormatError(f"{path}: {error}") from None

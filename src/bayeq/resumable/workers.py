@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import lru_cache, partial
@@ -41,7 +41,7 @@ def one_thread() -> Iterator[None]:
 
 
 def compute(
-    work: Callable[[Task], Answer], tasks: Sequence[Task], jobs: int, store: Path
+    work: Callable[[Task], Answer], tasks: Iterable[Task], jobs: int, store: Path
 ) -> Generator[Answer, None, None]:
     """The answer to each task, in the order in which they are ready.
 
@@ -49,8 +49,8 @@ def compute(
     ----------
     work : callable
         From a task to its answer, both of which processes can hand on.
-    tasks : sequence
-        What is to be done.
+    tasks : iterable
+        What is to be done, asked for as workers are free.
     jobs : int
         Worker processes; with 1 all is done in this process.
     store : Path

@@ -10,18 +10,41 @@ from typing import Any, Protocol, TypeVar
 from joblib import cpu_count
 from threadpoolctl import threadpool_limits
 
-from bayeq.streaming.extent import Unit
+from bayeq.streaming.extent import Extent, Unit
 
-__all__ = ["Executor", "Threads", "fold"]
+__all__ = ["Executor", "Threads", "Work", "fold"]
 
 T = TypeVar("T")
+Of = TypeVar("Of", covariant=True)
 Progress = Callable[[str, int, int], None]
+
+
+class Work(Protocol[Of]):
+    """Something that is computed of units of rows, and can be added. It can be sent to other processes."""
+
+    @property
+    def extents(self) -> Sequence[Extent]:
+        """The rows."""
+        ...
+
+    @property
+    def reach(self) -> int:
+        """How many rows before and after a unit are looked at."""
+        ...
+
+    def on(self, extents: Sequence[Extent]) -> Work[Of]:
+        """The same of the same rows, kept elsewhere."""
+        ...
+
+    def __call__(self, unit: Unit) -> Of:
+        """What is computed of a unit."""
+        ...
 
 
 class Executor(Protocol):
     """Who computes."""
 
-    def map(self, work: Callable[[Unit], T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
+    def map(self, work: Work[T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
         """What is computed of consecutive units, in order: how many of them, and their sum."""
         ...
 
@@ -32,7 +55,7 @@ class Threads:
     def __init__(self, workers: int | None = None) -> None:
         self.workers = workers or cpu_count()
 
-    def map(self, work: Callable[[Unit], T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
+    def map(self, work: Work[T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
         """One unit after the other."""
         waiting: deque[Any] = deque()
         left = iter(units)
@@ -50,7 +73,7 @@ class Threads:
 
 
 def fold(
-    work: Callable[[Unit], T],
+    work: Work[T],
     units: Sequence[Unit],
     executor: Executor,
     progress: Progress,
@@ -61,7 +84,7 @@ def fold(
 
     Parameters
     ----------
-    work : callable
+    work : Work
         Computes something of a unit that can be added.
     units : sequence of Unit
         The units, in order.

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Evaluator, Expression
 from bayeq.regression.residuals import Residuals
-from bayeq.streaming.extent import Unit
+from bayeq.streaming.extent import Extent, Unit
 from bayeq.streaming.work import AsMeasured
 
 __all__ = ["Lagged", "LaggedResiduals", "with_all_rows"]
@@ -87,6 +88,20 @@ class LaggedResiduals:
     terms: tuple[Expression, ...]
     coef: Floats
     constant: float
+
+    @property
+    def extents(self) -> tuple[Extent, ...]:
+        """The rows."""
+        return self.rows.extents
+
+    @property
+    def reach(self) -> int:
+        """Rows beside a unit that are looked at."""
+        return self.rows.reach
+
+    def on(self, extents: Sequence[Extent]) -> LaggedResiduals:
+        """The same of the same rows, kept elsewhere."""
+        return replace(self, rows=self.rows.on(extents))
 
     def __call__(self, unit: Unit) -> Lagged:
         columns, train, _ = self.rows.columns(unit)

@@ -84,6 +84,16 @@ class AsMeasured:
     share: float
     clean: bool
 
+    @property
+    def reach(self) -> int:
+        """Rows beside a unit that central differences look at."""
+        estimated = any(name is None for chain in self.roles.chains for name in chain.measured)
+        return max(chain.order for chain in self.roles.chains) if estimated else 0
+
+    def on(self, extents: Sequence[Extent]) -> AsMeasured:
+        """The same of the same rows, kept elsewhere."""
+        return replace(self, extents=tuple(extents))
+
     def __call__(self, unit: Unit) -> OfRows:
         columns, train, (first, last) = self.columns(unit)
         parts = [fold_columns(self.terms, columns, self.roles.targets, chosen) for chosen in (train, ~train)]
@@ -92,9 +102,7 @@ class AsMeasured:
     def columns(self, unit: Unit) -> tuple[dict[str, Floats], Bools, tuple[float, float]]:
         """States, inputs and targets of the rows, which of them are for training, and the first and the last time."""
         extent = self.extents[unit.extent]
-        # central differences look at the rows beside
-        reach = max(chain.order for chain in self.roles.chains) if self._estimates else 0
-        start, stop = max(unit.start - reach, extent.start), min(unit.stop + reach, extent.stop)
+        start, stop = max(unit.start - self.reach, extent.start), min(unit.stop + self.reach, extent.stop)
         record = extent.read(start, stop)
         own = slice(unit.start - start, unit.stop - start)
         between = (np.nan, np.nan) if record.time is None else (float(record.time[own][0]), float(record.time[own][-1]))
@@ -112,10 +120,6 @@ class AsMeasured:
     @property
     def _channels(self) -> tuple[str, ...]:
         return (*self.roles.measured, *self.roles.inputs)
-
-    @property
-    def _estimates(self) -> bool:
-        return any(name is None for chain in self.roles.chains for name in chain.measured)
 
 
 @dataclass(frozen=True)
@@ -143,6 +147,15 @@ class ByLikelihood:
         motion = replace(motion, records=(), cuts=())
         task = replace(task, series=(), recent=[])
         return cls(tuple(extents), motion, task, replace(state, paths=()))
+
+    @property
+    def reach(self) -> int:
+        """None: of the rows beside a unit nothing is known."""
+        return 0
+
+    def on(self, extents: Sequence[Extent]) -> ByLikelihood:
+        """The same of the same rows, kept elsewhere."""
+        return replace(self, extents=tuple(extents))
 
     def __call__(self, unit: Unit) -> Block:
         record, roles = self.extents[unit.extent].read(unit.start, unit.stop), self.motion.roles

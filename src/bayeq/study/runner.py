@@ -1,7 +1,8 @@
 """All realisations of a study, in parallel, continued where an earlier run was stopped.
 
 Workers compute, the parent alone writes. A realisation depends on nothing but the configuration, its system and
-its index, so that neither the number of workers, nor the batches, nor a kill changes a result.
+its index, so that neither the number of workers, nor the batches, nor a kill changes a result. Several runs on one
+store share what is missing: each claims a batch before it computes it.
 """
 
 from __future__ import annotations
@@ -12,9 +13,12 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 from bayeq.resumable.workers import AHEAD, MAX_JOBS, compute, one_thread
+from bayeq.streaming.cluster import Cluster
 from bayeq.study.algorithms import ALGORITHMS
+from bayeq.study.claims import Claims
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose, whole
 from bayeq.study.realise import Task, realise
 from bayeq.study.result import Result
@@ -27,6 +31,9 @@ Batch = tuple[Task, ...]
 # Work that is sent to a worker at a time [s], and realisations at most: a kill loses no more than this.
 BATCH_SECONDS = 0.25
 LARGEST_BATCH = 64
+
+# How often it is looked whether others have done what they claimed [s].
+LOOK = 0.5
 
 # More is a mistake of typing.
 MAX_REALISATIONS = 100_000
@@ -61,6 +68,7 @@ def run_study(
     config: StudyConfig | None = None,
     progress: Callable[[int, int], None] | None = None,
     batch: int | None = None,
+    client: Any = None,
 ) -> Outcome:
     """Run a Monte Carlo study, or what is missing of it.
 
@@ -77,9 +85,11 @@ def run_study(
     config : StudyConfig, optional
         By default the paper's protocol with seed 0.
     progress : callable, optional
-        Called with (realisations done, realisations missing at the start).
+        Called with (realisations done, these and the missing ones).
     batch : int, optional
         Realisations that a worker does at a time; by default as many as take a quarter of a second.
+    client : dask.distributed.Client, optional
+        A cluster whose workers compute, instead of `jobs` processes.
 
     Raises
     ------
@@ -97,22 +107,31 @@ def run_study(
     whole("realisations", realisations, 1, MAX_REALISATIONS)
     whole("jobs", jobs, 1, MAX_JOBS)
     started = time.monotonic()
-    with Store.create(store, config) as file:
+    cluster = None if client is None else Cluster(client)
+    with Store.create(store, config) as file, Claims(Path(store)) as claims, one_thread():
         file.plan(systems, algorithms, realisations)
-        tasks = _missing(file, systems, algorithms, realisations)
         done = failures = 0
-        if tasks:
-            with one_thread():
-                size = whole("batch", batch, 1) if batch is not None else _batch_size(config, tasks, jobs)
-                batches = [tuple(tasks[k : k + size]) for k in range(0, len(tasks), size)]
-                work = partial(_work, config)
-                with closing(compute(work, batches, min(jobs, len(batches)), Path(store))) as answers:
-                    for results in answers:
-                        file.add(results)
-                        done += len({(r.system, r.index) for r in results})
-                        failures += sum(r.failure is not None for r in results)
-                        if progress is not None:
-                            progress(done, len(tasks))
+        size = None if batch is None else whole("batch", batch, 1)
+        work = partial(_work, config)
+        while tasks := _missing(file, systems, algorithms, realisations):
+            if size is None:
+                size = _batch_size(config, tasks, jobs if cluster is None else cluster.threads)
+            total, before = done + len(tasks), done
+            batches = claims.batches(tasks, size)
+            answers = (
+                compute(work, batches, min(jobs, -(-len(tasks) // size)), Path(store))
+                if cluster is None
+                else cluster.unordered(work, ((batch,) for batch in batches))
+            )
+            with closing(answers):
+                for results in answers:
+                    file.add(results)
+                    done += len({(r.system, r.index) for r in results})
+                    failures += sum(r.failure is not None for r in results)
+                    if progress is not None:
+                        progress(done, total)
+            if done == before:  # others have claimed all of it
+                time.sleep(LOOK)
     return Outcome(done, failures, time.monotonic() - started)
 
 

@@ -1,13 +1,14 @@
 """Results of a study in an SQLite file, a row per (system, index, algorithm).
 
-Only the process that runs the study writes, each batch in one transaction.
+Only processes that run the study write, each batch in one transaction. What a process works at is noted in the table of
+claims (`bayeq.study.claims`), so that several share one study.
 """
 
 from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,10 @@ from bayeq.resumable.database import Database
 from bayeq.study.config import StudyConfig
 from bayeq.study.result import METRICS, Metrics, Result
 
-__all__ = ["Plan", "Store"]
+__all__ = ["Key", "Plan", "Store"]
+
+# (system, index, algorithm) of a row.
+Key = tuple[str, int, str]
 
 # (system, algorithm) -> how many realisations were asked for.
 Plan = dict[tuple[str, str], int]
@@ -32,6 +36,11 @@ SCHEMA = (
         seconds REAL, selected TEXT NOT NULL, converged INTEGER, extras TEXT NOT NULL, failure TEXT,
         PRIMARY KEY (system, algorithm, idx)) WITHOUT ROWID""",
 )
+# Not in files of earlier versions, which are read all the same.
+CLAIMS = """CREATE TABLE IF NOT EXISTS claims (
+    system TEXT NOT NULL, idx INTEGER NOT NULL, algorithm TEXT NOT NULL,
+    owner TEXT NOT NULL, until REAL NOT NULL,
+    PRIMARY KEY (system, algorithm, idx)) WITHOUT ROWID"""
 COLUMNS = ("system", "idx", "algorithm", *METRICS, "seconds", "selected", "converged", "extras", "failure")
 
 
@@ -68,6 +77,8 @@ class Store(Database):
         store = cls._made(path)
         try:
             store._configure(config)
+            with store._guard(), store._transaction():
+                store._connection.execute(CLAIMS)
         except BaseException:
             store.close()
             raise
@@ -87,15 +98,15 @@ class Store(Database):
             )
 
     @classmethod
-    def open(cls, path: str | Path) -> Store:
-        """Open an existing store.
+    def open(cls, path: str | Path, any_thread: bool = False) -> Store:
+        """Open an existing store; for `any_thread`, where they take turns.
 
         Raises
         ------
         FileFormatError
             There is no such file, it is not a store, or it is damaged.
         """
-        store = cls._existing(path)
+        store = cls._existing(path, any_thread)
         try:
             store._load()
         except BaseException:
@@ -137,12 +148,52 @@ class Store(Database):
         return found
 
     def add(self, results: Iterable[Result]) -> None:
-        """Write rows in one transaction; a row that is there already stays."""
+        """Write rows in one transaction, and drop the claims on them; a row that is there already stays."""
         marks = ", ".join("?" * len(COLUMNS))
+        rows = [_row(result) for result in results]
         with self._guard(), self._transaction():
+            self._connection.executemany(f"INSERT OR IGNORE INTO results ({', '.join(COLUMNS)}) VALUES ({marks})", rows)
             self._connection.executemany(
-                f"INSERT OR IGNORE INTO results ({', '.join(COLUMNS)}) VALUES ({marks})", map(_row, results)
+                "DELETE FROM claims WHERE system = ? AND idx = ? AND algorithm = ?", [row[:3] for row in rows]
             )
+
+    def claimed(self, wanted: Sequence[Key], owner: str, until: float, dead: Callable[[str, float], bool]) -> list[Key]:
+        """Claim those of some rows that are neither there nor claimed by another process, in one transaction.
+
+        Parameters
+        ----------
+        wanted : sequence of (system, index, algorithm)
+            The rows.
+        owner : str
+            Who claims.
+        until : float
+            When the claim ends [s since 1970].
+        dead : callable
+            Whether the claim of an owner with such an end counts for nothing.
+        """
+        where = "WHERE system = ? AND idx = ? AND algorithm = ?"
+        free = []
+        with self._guard(), self._transaction():
+            for key in wanted:
+                if self._connection.execute(f"SELECT 1 FROM results {where}", key).fetchone() is not None:
+                    continue
+                other = self._connection.execute(f"SELECT owner, until FROM claims {where}", key).fetchone()
+                if other is None or other[0] == owner or dead(*other):
+                    free.append(key)
+            self._connection.executemany(
+                "INSERT OR REPLACE INTO claims VALUES (?, ?, ?, ?, ?)", [(*key, owner, until) for key in free]
+            )
+        return free
+
+    def prolong(self, owner: str, until: float) -> None:
+        """Let the claims of an owner end later."""
+        with self._guard(), self._transaction():
+            self._connection.execute("UPDATE claims SET until = ? WHERE owner = ?", (until, owner))
+
+    def release(self, owner: str) -> None:
+        """Drop the claims of an owner."""
+        with self._guard(), self._transaction():
+            self._connection.execute("DELETE FROM claims WHERE owner = ?", (owner,))
 
     def results(self) -> Iterator[Result]:
         """All rows, by system, algorithm and index."""

@@ -95,8 +95,10 @@ class RecordStream:
         return grid(self.record.n)
 
     def of(self, channels: Sequence[str]) -> RecordStream:
-        """Itself: what is not asked for costs nothing."""
-        return self
+        """The stream of these channels, and of time; without what is known of a simulated record."""
+        record = self.record
+        units = {name: unit for name, unit in record.units.items() if name in {*channels, "t"}}
+        return RecordStream(Record({name: record[name] for name in channels}, record.time, units, record.name))
 
     def read(self, start: int, stop: int) -> Record:
         """Rows `start` to `stop`."""

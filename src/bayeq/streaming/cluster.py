@@ -1,0 +1,366 @@
+"""``Cluster``: units of rows summed by the workers of a Dask cluster.
+
+Each unit is a task, and eight consecutive ones are added by another, whichever workers have them; the caller adds these
+sums in order. The order does not depend on the workers, and nor does a digit of the result.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import socket
+import threading
+import time as clock
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import reduce
+from importlib.metadata import PackageNotFoundError, version
+from operator import add
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import urlsplit
+from weakref import WeakValueDictionary
+
+from threadpoolctl import threadpool_limits
+
+from bayeq.errors import BayeqError, InputError, MissingExtraError
+from bayeq.records import Record
+from bayeq.records.stream import FileStream
+from bayeq.streaming.extent import Extent, Unit
+from bayeq.streaming.fold import Work
+from bayeq.streaming.partitions import DaskStream, Parts, parts_between
+
+__all__ = ["Cluster", "connected"]
+
+T = TypeVar("T")
+
+# Units whose results the workers add before they are sent.
+TOGETHER = 8
+
+# Tasks that wait for each thread of a worker, so that none is idle.
+AHEAD = 3
+
+# How long an address may take to answer, the first worker to join, and the last one that has gone to come back [s].
+ANSWER, JOIN, COME_BACK = 5.0, 30.0, 120.0
+
+# How often it is looked whether there is a worker [s].
+LOOK = 5.0
+
+
+class Cluster:
+    """The workers of a cluster.
+
+    Parameters
+    ----------
+    client : dask.distributed.Client
+        The way to them.
+
+    Raises
+    ------
+    InputError
+        Something else, no worker, or workers with another version of bayeq.
+    """
+
+    def __init__(self, client: Any) -> None:
+        if not all(hasattr(client, name) for name in ("submit", "compute", "nthreads", "run")):
+            raise InputError(
+                f"client is a dask.distributed.Client, not {type(client).__name__}: bayeq.discover(...,"
+                " client=Client('tcp://host:8786'))"
+            )
+        if getattr(client, "asynchronous", False):
+            raise InputError("client is asynchronous: give a dask.distributed.Client(..., asynchronous=False)")
+        self.client = client
+        _require_workers(client)
+
+    def map(self, work: Work[T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
+        """Sums over eight units, in order; not many more are under way than there are workers."""
+        parts: WeakValueDictionary[tuple[int, int], Any] = WeakValueDictionary()
+        sent = self._submit(_itself, work.on([_without_rows(one) for one in work.extents]))
+
+        def summed(chunk: Sequence[Unit]) -> tuple[Any, list[Any]]:
+            needed: list[Any] = []
+            found = []
+            for unit in chunk:
+                numbers, held = self._parts(work, unit, parts)
+                needed += held
+                found.append(self._submit(_of_unit, sent, unit, numbers, held))
+            return self._submit(_sum, found), needed
+
+        chunks = [units[k : k + TOGETHER] for k in range(0, len(units), TOGETHER)]
+        waiting: deque[tuple[int, Any, list[Any]]] = deque()
+        try:
+            for chunk in chunks:
+                waiting.append((len(chunk), *summed(chunk)))
+                if sum(count for count, _, _ in waiting) > AHEAD * self.threads + TOGETHER:
+                    count, future, _ = waiting.popleft()
+                    yield count, self._result(future)
+            while waiting:
+                count, future, _ = waiting.popleft()
+                yield count, self._result(future)
+        finally:
+            for _, future, _ in waiting:
+                future.release()
+
+    def unordered(self, function: Callable[..., T], batches: Iterable[tuple[Any, ...]]) -> Generator[T, None, None]:
+        """What a function returns for each of some arguments, as it is ready; they are taken as workers become free."""
+        waiting: list[Any] = []
+        left = iter(batches)
+        try:
+            while True:
+                while len(waiting) < AHEAD * self.threads and (batch := next(left, None)) is not None:
+                    waiting.append(self._submit(_on_one_thread, function, batch))
+                if not waiting:
+                    return
+                done = self._first(waiting)
+                waiting.remove(done)
+                yield self._result(done)
+        finally:
+            for future in waiting:
+                future.release()
+
+    def _submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """A task that is done once, even where another has the same arguments."""
+        return self.client.submit(function, *arguments, pure=False)
+
+    def _sent(self, record: Record) -> Any:
+        """Rows in memory as a task's result: unlike data that are scattered, they survive the worker that has them."""
+        import dask
+
+        with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):
+            return self._submit(_itself, record)
+
+    def _parts(
+        self, work: Work[Any], unit: Unit, known: WeakValueDictionary[tuple[int, int], Any]
+    ) -> tuple[list[int], list[Any]]:
+        """Which parts of a record a unit needs, and the tasks that have them; none of a file, which workers read."""
+        stream = work.extents[unit.extent].stream
+        if isinstance(stream, FileStream):
+            return [], []
+        numbers = parts_between(stream.bounds, unit.start - work.reach, unit.stop + work.reach)
+        held = []
+        for k in numbers:
+            found = known.get((unit.extent, k))
+            if found is None:
+                if isinstance(stream, DaskStream):
+                    found = self.client.compute(stream.partitions[k])
+                else:
+                    found = self._sent(stream.read(stream.bounds[k], stream.bounds[k + 1]))
+                known[unit.extent, k] = found
+            held.append(found)
+        return numbers, held
+
+    @property
+    def threads(self) -> int:
+        """Threads of all workers now, at least 1."""
+        with _clear_errors():
+            return max(1, sum(self.client.nthreads().values()))
+
+    def _first(self, futures: Sequence[Any]) -> Any:
+        """The first of some tasks that is done."""
+        from distributed import wait
+
+        def look(timeout: float) -> Any:
+            with self.client.as_current():
+                return next(iter(wait(futures, timeout=timeout, return_when="FIRST_COMPLETED").done))
+
+        return self._patiently(look, lambda: any(one.done() for one in futures))
+
+    def _result(self, future: Any) -> Any:
+        return self._patiently(lambda timeout: future.result(timeout=timeout), future.done)
+
+    def _patiently(self, look: Callable[[float], Any], done: Callable[[], bool]) -> Any:
+        """What comes of looking for some time again and again, as long as there is a worker."""
+        gone = None
+        with _clear_errors():
+            while True:
+                try:
+                    return look(LOOK)
+                except TimeoutError:
+                    if done():  # by now, or with this error
+                        return look(LOOK)
+                gone = None if self.client.nthreads() else gone or clock.monotonic()
+                if gone is not None and clock.monotonic() - gone > COME_BACK:
+                    raise BayeqError(
+                        "all workers of the cluster have gone; start some, and the same command: of files it goes on"
+                        " where it was"
+                    )
+
+
+def _without_rows(extent: Extent) -> Extent:
+    """What is sent to every worker of a record: rows in memory are sent by parts, to those who need them."""
+    stream = extent.stream
+    return (
+        extent if isinstance(stream, FileStream) else replace(extent, stream=Parts(stream.name, tuple(stream.bounds)))
+    )
+
+
+def _itself(value: T) -> T:
+    """A task with a given result: where the worker that has it is lost, another has it."""
+    return value
+
+
+def _of_unit(work: Work[T], unit: Unit, numbers: Sequence[int], held: Sequence[Any]) -> T:
+    """On a worker: what is computed of a unit."""
+    extents = list(work.extents)
+    own = extents[unit.extent]
+    if numbers:
+        stream = own.stream
+        parts = Parts(stream.name, tuple(stream.bounds), dict(zip(numbers, held, strict=True)))
+        extents[unit.extent] = replace(own, stream=parts)
+        work = work.on(extents)
+    try:
+        return _on_one_thread(work, (unit,))
+    except OSError as error:
+        file = error.filename or getattr(getattr(own.stream, "rows", None), "path", own.stream.name)
+        reason = os.strerror(error.errno) if error.errno else type(error).__name__
+        raise InputError(
+            f"{file}: a worker cannot read it ({reason}): put the files where all workers find them by the same path"
+        ) from None
+
+
+def _sum(parts: Sequence[T]) -> T:
+    """On a worker: the sum of what is computed of consecutive units."""
+    return reduce(add, parts)
+
+
+class _OneThread:
+    """Linear algebra on one thread while any task of this process runs, so that sums are rounded alike."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.users = 0
+        self.limits: Any = None
+
+    def __enter__(self) -> None:
+        with self.lock:
+            if not self.users:
+                self.limits = threadpool_limits(1)
+            self.users += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self.lock:
+            self.users -= 1
+            if not self.users:
+                self.limits.restore_original_limits()
+
+
+_ONE_THREAD = _OneThread()
+
+
+def _on_one_thread(function: Callable[..., T], arguments: tuple[Any, ...]) -> T:
+    with _ONE_THREAD:
+        return function(*arguments)
+
+
+@contextmanager
+def _clear_errors() -> Iterator[None]:
+    """What Dask raises of workers and schedulers that are lost, in one line."""
+    from asyncio import CancelledError as Cancelled
+    from concurrent.futures import CancelledError
+
+    from distributed import KilledWorker
+    from distributed.comm import CommClosedError
+
+    try:
+        yield
+    except KilledWorker:
+        raise BayeqError(
+            "several workers died one after the other at the same rows (out of memory?): give each more memory or fewer"
+            " threads, and the same command: of files it goes on where it was"
+        ) from None
+    except (CancelledError, Cancelled, CommClosedError):
+        raise BayeqError(
+            "the scheduler of the cluster has gone or was restarted; start it, and the same command: of files it goes"
+            " on where it was"
+        ) from None
+
+
+def _require_workers(client: Any) -> None:
+    """Wait for a worker, and refuse those with another version of bayeq, whose sums might be others."""
+    try:
+        client.wait_for_workers(1, timeout=JOIN)
+    except TimeoutError:
+        raise InputError(
+            f"no worker has joined the cluster in {JOIN:g} s: start some, `dask worker {client.scheduler.address}`"
+        ) from None
+    here = version("bayeq")
+    try:
+        found = client.run(version, "bayeq")
+    except PackageNotFoundError:
+        raise InputError("a worker of the cluster has no bayeq: install it there, as here") from None
+    for address, there in found.items():
+        if there != here:
+            raise InputError(f"the worker {address} has bayeq {there}, here it is {here}: install the same version")
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """The client of a cluster.
+
+    Parameters
+    ----------
+    address : str
+        Of its scheduler, tcp://host:8786, or the file that it wrote (``dask scheduler --scheduler-file``).
+
+    Raises
+    ------
+    InputError
+        Nobody answers.
+    MissingExtraError
+        Dask is not installed.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingExtraError("distributed", "dask", "work on a cluster") from None
+    found = _in_file(address)
+    try:
+        _require_answer(found)
+        client = Client(found, timeout=ANSWER)
+    except (OSError, ValueError) as error:
+        reason = str(error).splitlines()[:1] or [type(error).__name__]
+        raise InputError(
+            f"{address}: no Dask scheduler answers ({reason[0]}); start one, `dask scheduler`, and give the address"
+            " that it prints, such as tcp://host:8786"
+        ) from None
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "distributed.core")]
+    levels = [one.level for one in loggers]
+    for one in loggers:  # what goes wrong is said in one line, see `_clear_errors`
+        one.setLevel(logging.CRITICAL)
+    try:
+        yield client
+    finally:
+        client.close()
+        for one, level in zip(loggers, levels, strict=True):
+            one.setLevel(level)
+
+
+def _in_file(address: str) -> str:
+    """The address in a scheduler's file, or the address itself."""
+    path = Path(address)
+    if "://" in address or not (path.is_file() or path.suffix == ".json"):
+        return address
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))["address"]
+    except FileNotFoundError:
+        raise InputError(
+            f"{address}: no such file; it is written by `dask scheduler --scheduler-file {address}`"
+        ) from None
+    except (ValueError, KeyError, TypeError):
+        raise InputError(
+            f"{address}: holds no address of a scheduler; give the file that `dask scheduler --scheduler-file` wrote"
+        ) from None
+    return str(found)
+
+
+def _require_answer(address: str) -> None:
+    """Refuse an address where nobody is, or somebody else: a client would wait for them."""
+    parts = urlsplit(address if "://" in address else f"tcp://{address}")
+    if parts.scheme not in ("tcp", "tls", "ws", "wss") or not parts.hostname or parts.port is None:
+        raise ValueError("it is no address of one")
+    with socket.create_connection((parts.hostname, parts.port), timeout=ANSWER) as connection:
+        if parts.scheme == "tcp" and not connection.recv(1):  # where a scheduler speaks first
+            raise OSError("somebody else is there")
