@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol, TypeVar
 
-from joblib import cpu_count
 from threadpoolctl import threadpool_limits
 
 from bayeq.streaming.extent import Extent, Unit
@@ -53,17 +52,20 @@ class Threads:
     """Threads of this process, as many as there are cores; few units are in memory at a time."""
 
     def __init__(self, workers: int | None = None) -> None:
-        self.workers = workers or cpu_count()
+        self.workers = workers
 
     def map(self, work: Work[T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
         """One unit after the other."""
+        from joblib import cpu_count  # which takes a while to import
+
+        workers = self.workers or cpu_count()
         waiting: deque[Any] = deque()
         left = iter(units)
-        with threadpool_limits(1), ThreadPoolExecutor(self.workers) as pool:
+        with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
             try:
                 for unit in left:
                     waiting.append(pool.submit(work, unit))
-                    if len(waiting) > self.workers:
+                    if len(waiting) > workers:
                         yield 1, waiting.popleft().result()
                 while waiting:
                     yield 1, waiting.popleft().result()
