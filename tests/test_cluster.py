@@ -265,7 +265,7 @@ def test_workers_of_another_version_are_refused(client, monkeypatch):
 def test_a_cluster_without_workers_is_not_waited_for_for_ever(folder, monkeypatch):
     with local(0, folder) as client:
         monkeypatch.setattr("bayeq.streaming.cluster.JOIN", 0.2)
-        with pytest.raises(InputError, match="no worker has joined the cluster in 0.2 s: start some"):
+        with pytest.raises(InputError, match=r"no worker has joined the cluster in 0\.2 s: start some"):
             Cluster(client)
         monkeypatch.setattr("bayeq.streaming.cluster._require_workers", lambda _: None)
         monkeypatch.setattr("bayeq.streaming.cluster.LOOK", 0.1)

@@ -268,8 +268,8 @@ def _clear_errors() -> Iterator[None]:
         ) from None
     except (CancelledError, Cancelled, CommClosedError):
         raise BayeqError(
-            "the scheduler of the cluster has gone or was restarted; start it, and the same command goes on from what was"
-            " kept"
+            "the scheduler of the cluster has gone or was restarted; start it, and the same command goes on from what"
+            " was kept"
         ) from None
 
 
