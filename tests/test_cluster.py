@@ -24,7 +24,8 @@ from bayeq.errors import BayeqError, InputError, MissingExtraError, RecordError,
 from bayeq.expressions import parse
 from bayeq.records.stream import RecordStream, open_streams
 from bayeq.states import Roles
-from bayeq.streaming.cluster import Cluster, connected
+from bayeq.streaming.cluster import Cluster
+from bayeq.streaming.connect import connected
 from bayeq.streaming.extent import Extent, units_of
 from bayeq.streaming.fold import Threads, fold
 from bayeq.streaming.work import AsMeasured
@@ -261,8 +262,20 @@ def test_workers_of_another_version_are_refused(client, monkeypatch):
         Cluster(client)
 
 
+def test_a_cluster_without_workers_is_not_waited_for_for_ever(folder, monkeypatch):
+    with local(0, folder) as client:
+        monkeypatch.setattr("bayeq.streaming.cluster.JOIN", 0.2)
+        with pytest.raises(InputError, match=r"no worker has joined the cluster in 0\.2 s: start some"):
+            Cluster(client)
+        monkeypatch.setattr("bayeq.streaming.cluster._require_workers", lambda _: None)
+        monkeypatch.setattr("bayeq.streaming.cluster.LOOK", 0.1)
+        monkeypatch.setattr("bayeq.streaming.cluster.COME_BACK", 0.3)
+        with pytest.raises(BayeqError, match="all workers of the cluster have gone"):
+            list(Cluster(client).unordered(abs, [(1,)]))
+
+
 def test_addresses_where_nobody_answers_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.cluster.ANSWER", 0.5)
+    monkeypatch.setattr("bayeq.streaming.connect.ANSWER", 0.5)
     (tmp_path / "odd.json").write_text("[1]")
     for address, message in (
         ("tcp://127.0.0.1:9", "no Dask scheduler answers"),
