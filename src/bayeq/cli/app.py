@@ -23,9 +23,8 @@ from bayeq.cli.memory import address_space, no_memory
 from bayeq.cli.options import FILE, Command, option
 from bayeq.cli.plan import plan
 from bayeq.cli.predict import predict
-from bayeq.cli.process import INTERRUPTED
 from bayeq.cli.show import show
-from bayeq.cli.streams import prepare_streams, say
+from bayeq.cli.streams import INTERRUPTED, prepare_streams, say
 from bayeq.cli.study import study
 from bayeq.errors import BayeqError, BayeqWarning, InputError, InterruptedRun, MissingExtraError
 

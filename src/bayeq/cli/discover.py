@@ -204,6 +204,9 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, **options: A
     outputs.check(files, options, as_json)
     options = _cleaned(options)
     announce_compiling(lambda: say(COMPILING))
+    from bayeq.records.unchanged import state_of
+
+    read = {file: state_of(file) for file in files}
     with Progress(verbose) as progress:
         records, source = _read(reading, files, _used(options), paths, outputs.refine, progress)
         if not options["chains"]:  # which may be badly written
@@ -212,7 +215,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, **options: A
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
         answer = run(source, **options, progress=progress)
-        outputs.write(answer, records, files, options["holdout"], as_json, progress)
+        outputs.write(answer, records, read, options["holdout"], as_json, progress)
 
 
 def _read(

@@ -9,10 +9,9 @@ import signal
 import sys
 from types import FrameType
 
-__all__ = ["INTERRUPTED", "run"]
+from bayeq.cli.streams import INTERRUPTED, say
 
-# Exit code of an interrupted command, as shells count it.
-INTERRUPTED = 130
+__all__ = ["run"]
 
 # Frames of an import have this file name.
 IMPORTING = "<frozen importlib._bootstrap>"
@@ -83,7 +82,7 @@ def run() -> int:
         # Libraries wrap an interrupt, or fail of what it left behind.
         if not interrupts.arrived and not isinstance(error, KeyboardInterrupt):
             raise
-        print("bayeq: interrupted", file=sys.stderr)
+        say("bayeq: interrupted")
         return INTERRUPTED
     finally:
         interrupts.finish()
