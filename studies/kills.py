@@ -141,13 +141,16 @@ def _rows(opened: sqlite3.Connection) -> Iterator[tuple[object, ...]]:
 UNEQUAL = ("seconds",)
 
 JOBS = {
-    "discover --checkpoint": Job(f"discover long.csv {CHANNELS} --stream --checkpoint sums --save eq.json", ["eq.json"]),
+    "discover --checkpoint": Job(
+        f"discover long.csv {CHANNELS} --stream --checkpoint sums --save eq.json", ["eq.json"]
+    ),
     "discover --report": Job(
         f"discover run0.csv {CHANNELS} --save eq.json --report page.html", ["eq.json", "page.html"]
     ),
-    "study": Job("study table2 --realisations 12 --systems linear,coulomb --algorithms rvm,vb --store study.db",
-                 store="study.db"),
-}  # fmt: skip
+    "study": Job(
+        "study table2 --realisations 12 --systems linear,coulomb --algorithms rvm,vb --store study.db", store="study.db"
+    ),
+}
 if "batch" in app.commands:
     NAMES = " ".join(f"run{k}.csv" for k in range(FILES))
     JOBS["batch"] = Job(
