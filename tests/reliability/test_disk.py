@@ -20,9 +20,6 @@ def test_a_full_disk_names_the_file(folder, full_disk):
     assert "\na = " in out
     code, _, said = bayeq("simulate", "linear", "-o", full_disk / "new.csv", cwd=folder)
     assert (code, said) == (2, [f"bayeq: error: {full_disk}/new.csv: cannot be written (No space left on device)"])
-    code, _, said = bayeq("study", "figures", full_disk / "figures", "--systems", "linear", cwd=folder)
-    assert (code, len(said)) == (2, 1)
-    assert f"{full_disk}/figures/fig4_inclusion" in said[0]
     assert [path for path in full_disk.rglob("*") if path.is_file()] == []
 
 
@@ -45,7 +42,6 @@ def test_read_only_folders_are_refused_before_the_work(folder, read_only):
         ["discover", "run.csv", *QUICK, "--stream", "--checkpoint", read_only / "sums"],
         ["simulate", "linear", "-o", read_only / "new.csv"],
         [*STUDY, "--store", read_only / "study.db"],
-        ["study", "figures", read_only / "figures", "--systems", "linear"],
     ):
         code, out, said = bayeq(*command, cwd=folder)
         assert (code, out, len(said)) == (2, "", 1)
