@@ -15,7 +15,7 @@ SOURCES := src tests perf examples studies docs/conf.py docs/_extensions
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
 RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths tracking
 
-.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery site lock arviz tutorials app-pictures fuzz audit clean
+.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery site lock arviz tutorials app-pictures fuzz audit reliability clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -37,6 +37,11 @@ tests: $(VENV)/.dev
 # Rates, coverage and calibration over the full number of records; `make tests` draws fewer.
 statistics: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto tests/statistical tests/test_saved_files.py --full-statistics
+
+# Faults at many random moments: 200 kills, which go on from kills.jsonl after a stop, and the long form of the tests.
+reliability: $(VENV)/.dev
+	$(BIN)/python -m studies.kills > docs/tables/reliability_kills.csv
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/reliability --full-statistics
 
 # Lines and branches that the tests run; kernels are compiled, and not counted.
 coverage: $(VENV)/.dev

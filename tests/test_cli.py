@@ -221,7 +221,7 @@ def test_an_interrupt_is_one_line_and_leaves_no_half_file(tmp_path):
 
 def test_inputs_are_not_overwritten_nor_counted_twice(duffing, tmp_path, capsys):
     assert main(["discover", str(duffing), *OSCILLATOR, "--save", str(duffing)]) == 2
-    assert "is a record that is read" in capsys.readouterr().err
+    assert "is a file that is read" in capsys.readouterr().err
     assert main(["discover", str(duffing), str(duffing), *OSCILLATOR]) == 2
     assert "named twice" in capsys.readouterr().err
     assert main(["discover", str(duffing), *OSCILLATOR, "--fs", "500"]) == 2

@@ -303,7 +303,7 @@ def test_derivatives_need_time(run: Run, folder: Path) -> None:
         (["--sensitivity", "."], [".: is a directory; name a file in it"]),
         (["--sensitivity", "nowhere/pip.csv"], ["nowhere/pip.csv: cannot be written", "no directory nowhere"]),
         (["--sensitivity", "pip.xls"], ["pip.xls: is to be written as a table or a figure", ".csv, .png"]),
-        (["--sensitivity", "run.csv"], ["run.csv: is a record that is read; name another file"]),
+        (["--sensitivity", "run.csv"], ["run.csv: is a file that is read; name another file"]),
         (["--sensitivity", "pip.csv", "--save", "pip.csv"], ["pip.csv: named twice"]),
         (["--sensitivity", "pip.csv", "--method", "rvm"], ["method 'rvm' has no v_s and p_0", "auto, vb, bma"]),
         (["--forze", "u"], ["No such option", "--forze", "--force"]),

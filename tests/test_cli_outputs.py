@@ -157,7 +157,7 @@ def test_what_cannot_be_written_is_refused_before_the_work(record, tmp_path, cap
     for arguments, message in (
         (["--forecast", tmp_path / "run.txt"], "end it in .csv"),
         (["--forecast", tmp_path / "no" / "run.csv"], "there is no directory"),
-        (["--forecast", record], "is a record that is read"),
+        (["--forecast", record], "is a file that is read"),
         (["--forecast", tmp_path / "a.csv", "--path", tmp_path / "a.csv"], "named twice"),
     ):
         code, out, err = run(capsys, record, *OSCILLATOR, *arguments)

@@ -163,7 +163,7 @@ def test_rows_and_several_records(folder, capsys):
         (["eq.json", "second.npz", "--seed", "-1"], "--seed -1: a seed is a whole number"),
         (["eq.json", "second.npz", "--forecast", "a.txt"], "a.txt: is to be written as a table or a figure"),
         (["eq.json", "second.npz", "--forecast", "no/a.csv"], "there is no directory no"),
-        (["eq.json", "second.npz", "--forecast", "second.npz"], "is a record that is read"),
+        (["eq.json", "second.npz", "--forecast", "second.npz"], "is a file that is read"),
     ],
 )
 def test_bad_input_is_one_line(folder, monkeypatch, capsys, arguments, part):

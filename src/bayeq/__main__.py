@@ -2,6 +2,7 @@
 
 import sys
 
-from bayeq.cli.app import main
+from bayeq.cli.process import run
 
-sys.exit(main())
+if __name__ == "__main__":  # worker processes import it under another name
+    sys.exit(run())

@@ -20,18 +20,16 @@ from bayeq.cli.completion import complete, completion
 from bayeq.cli.discover import discover
 from bayeq.cli.info import info
 from bayeq.cli.local_page import local_page
-from bayeq.cli.options import FILE, option
+from bayeq.cli.memory import address_space, no_memory
+from bayeq.cli.options import FILE, Command, option
 from bayeq.cli.plan import plan
 from bayeq.cli.predict import predict
 from bayeq.cli.show import show
-from bayeq.cli.streams import prepare_streams, say
+from bayeq.cli.streams import INTERRUPTED, prepare_streams, say
 from bayeq.cli.study import study
 from bayeq.errors import BayeqError, BayeqWarning, InputError, InterruptedRun, MissingExtraError
 
 __all__ = ["app", "main"]
-
-# Exit code of an interrupted command, as shells count it.
-INTERRUPTED = 130
 
 
 @click.group(invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
@@ -54,7 +52,7 @@ def app(context: click.Context, version: bool, cite: bool) -> None:
         raise InputError(f"no command given; there are: {', '.join(app.commands)} (see bayeq --help)")
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("system")
 @option("--output", "-o", type=FILE, required=True, help="File to write: .csv, .tsv, .parquet or .npz.")
 @option("--n", type=int, help="Samples (oscillators: 4000).")
@@ -75,7 +73,7 @@ def simulate(system: str, output: Path, **options: Any) -> None:
     say(f"{output}: {record.n} rows of {', '.join(record.names)}")
 
 
-@click.command()
+@click.command(cls=Command)
 @option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def systems(as_json: bool) -> None:
     """List the known systems and their equations."""
@@ -148,7 +146,11 @@ def main(arguments: list[str] | None = None) -> int:
         sys.stdout = None
         return 0
     except MemoryError:
-        return _fail("not enough memory; use fewer samples or fewer terms", 1)
+        return _fail(no_memory(), 1)
+    except ImportError:
+        if address_space() is None:
+            raise
+        return _fail(no_memory(), 1)  # a library that could not be loaded
     except UnsupportedOperation:
         return _fail("standard output is closed: the result cannot be printed", 1)
     except OSError as error:
@@ -160,7 +162,3 @@ def _fail(message: str, code: int) -> int:
     if message:
         say(f"bayeq: error: {_one_line(message)}")
     return code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,15 +7,13 @@ import os
 import click
 from click.shell_completion import get_completion_class, shell_complete
 
-from bayeq.cli.options import Command
-
 __all__ = ["complete", "completion"]
 
 #: The variable in which the script asks for completions, after click's rule.
 VARIABLE = "_BAYEQ_COMPLETE"
 
 
-@click.command(cls=Command)
+@click.command()
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 @click.pass_context
 def completion(context: click.Context, shell: str) -> None:

@@ -210,9 +210,12 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
     outputs.check(files, options, as_json)
     options = cleaned(options)
     announce_compiling(lambda: say(COMPILING))
+    from bayeq.records.unchanged import state_of
+
     if dask is not None:
         reading = reading.clustered()
         files = tuple(file if file == STANDARD_INPUT else file.absolute() for file in files)
+    read = {file: state_of(file) for file in files}
     with cluster_client(dask) as client, Progress(verbose) as progress:
         records, source = source_of(reading, files, used_channels(options), paths, outputs.refine, progress)
         if not options["chains"]:  # which may be badly written
@@ -221,7 +224,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
         answer = run(source, **options, progress=progress, client=client)
-        outputs.write(answer, records, files, options["holdout"], as_json, progress)
+        outputs.write(answer, records, read, options["holdout"], as_json, progress)
 
 
 def source_of(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayeq.cli.options import FILE, option
+from bayeq.cli.options import FILE, Command, option
 from bayeq.cli.progress import COMPILING
 from bayeq.cli.streams import say
 from bayeq.kernels import announce_compiling
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["info"]
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
 @option("--time", help="Time column [s].")
 @option("--fs", type=float, help="Sampling frequency [Hz], where there is no time column.")

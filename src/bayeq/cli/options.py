@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from bayeq.cli.memory import require_address_space
+
 __all__ = ["ALTERED", "FILE", "MEASURED", "SURE", "TERMS", "WRITTEN", "Command", "option", "pair_of_numbers"]
 
 #: Groups of options in the help.
@@ -49,7 +51,12 @@ option = partial(click.option, show_default=True, cls=_Option)
 
 
 class Command(click.Command):
-    """A command whose help lists its options in groups, and its examples at the end as they are written."""
+    """A command that needs numerical libraries; its help lists options in groups, and examples as they are written."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run it, if there is memory for it."""
+        require_address_space()
+        return super().invoke(ctx)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options by their groups."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from bayeq.equation.equations import Equations
     from bayeq.equation.physical import PhysicalParameters
     from bayeq.records import Record
+    from bayeq.records.unchanged import FileState
 
 __all__ = ["OUTPUTS", "Outputs", "require_place", "show_equations"]
 
@@ -70,7 +72,7 @@ class Outputs:
             output: Path | None = getattr(self, name)
             if output is None:
                 continue
-            require_place(output, files)
+            require_place(output, [*files, *_files_of_terms(options)])
             if output in seen:
                 raise InputError(f"{output}: named twice, {seen[output]} and {purpose}")
             seen[output] = purpose
@@ -112,14 +114,15 @@ class Outputs:
         self,
         found: Equations,
         records: Sequence[Record],
-        files: Sequence[Path],
+        files: Mapping[Path, FileState | None],
         holdout: float,
         as_json: bool,
         progress: Progress,
     ) -> None:
         """Print the equations, then write the files.
 
-        Each is done whatever becomes of the others: what was found is printed although a file cannot be written.
+        Each is done whatever becomes of the others: what was found is printed although a file cannot be written. The
+        files that were read come with their state before.
 
         Raises
         ------
@@ -140,7 +143,7 @@ class Outputs:
         found: Equations,
         answer: Equations,
         records: Sequence[Record],
-        files: Sequence[Path],
+        files: Mapping[Path, FileState | None],
         holdout: float,
         progress: Progress,
     ) -> None:
@@ -160,12 +163,20 @@ class Outputs:
                 write(path)
             except OSError as error:
                 failures.append(f"{path}: cannot be written: {error.strerror or error}")
+            except InputError as error:
+                failures.append(str(error))
         if failures:
             raise InputError("; ".join(failures))
 
 
-def _write_report(path: Path, answer: Equations, records: Sequence[Record], files: Sequence[Path]) -> None:
+def _write_report(
+    path: Path, answer: Equations, records: Sequence[Record], files: Mapping[Path, FileState | None]
+) -> None:
     """The report, with the command as it was typed where that is known; standard input has no file to be hashed."""
+    from bayeq.records.unchanged import require_unchanged
+
+    for file, before in files.items():
+        require_unchanged(file, before)  # a hash of other rows would be a lie
     given = click.get_current_context().obj
     command = None if given is None else shlex.join(["bayeq", *given])
     answer.report(path, records, files=[file for file in files if file.is_file()], command=command)
@@ -236,8 +247,24 @@ def require_place(path: Path, files: Sequence[Path]) -> None:
         raise InputError(f"{path}: is a directory; name a file in it")
     if not path.parent.is_dir():
         raise InputError(f"{path}: cannot be written: there is no directory {path.parent}")
-    if path.exists() and any(file.exists() and path.samefile(file) for file in files):
-        raise InputError(f"{path}: is a record that is read; name another file to write to")
+    if not path.exists() or path.is_file():  # others, as pipes, are not replaced
+        target = path.resolve()
+        if not os.access(target.parent, os.W_OK):
+            raise InputError(f"{path}: cannot be written: {target.parent} is read-only; name a file elsewhere")
+    if path.exists() and any(file.exists() and path.samefile(file) for file in _with_contents(files)):
+        raise InputError(f"{path}: is a file that is read; name another file to write to")
+
+
+def _with_contents(paths: Sequence[Path]) -> Iterator[Path]:
+    """Files, and those in folders."""
+    for path in paths:
+        yield from path.iterdir() if path.is_dir() else (path,)
+
+
+def _files_of_terms(options: Mapping[str, Any]) -> list[Path]:
+    """Files among what dictionaries name."""
+    parts = (part.strip() for text in options["dictionaries"] for part in (text, text.partition(":")[2]))
+    return [Path(part) for part in parts if part and os.path.isfile(part)]
 
 
 def _physical(answer: Equations) -> dict[str, PhysicalParameters]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from bayeq.cli.options import FILE, option, pair_of_numbers
+from bayeq.cli.options import FILE, Command, option, pair_of_numbers
 from bayeq.cli.outputs import require_place
 from bayeq.cli.progress import COMPILING, Progress
 from bayeq.cli.streams import say
@@ -18,7 +18,7 @@ from bayeq.kernels import announce_compiling
 __all__ = ["plan"]
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("file", metavar="EQ.json", type=FILE)
 @option(
     "--amplitude",

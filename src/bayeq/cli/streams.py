@@ -7,7 +7,10 @@ import sys
 from contextlib import suppress
 from io import TextIOWrapper
 
-__all__ = ["prepare_streams", "say"]
+__all__ = ["INTERRUPTED", "prepare_streams", "say"]
+
+# Exit code of an interrupted command, as shells count it.
+INTERRUPTED = 130
 
 
 def prepare_streams() -> None:

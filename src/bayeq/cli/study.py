@@ -12,7 +12,7 @@ from typing import Literal, cast
 import click
 
 from bayeq.cli.cluster import cluster_client, dask_option
-from bayeq.cli.options import FILE, option
+from bayeq.cli.options import FILE, Command, option
 from bayeq.cli.streams import say
 from bayeq.errors import InputError, InterruptedRun
 
@@ -29,7 +29,7 @@ def study(context: click.Context) -> None:
         raise InputError(f"no command given; there are: {', '.join(study.commands)} (see bayeq study --help)")
 
 
-@study.command()
+@study.command(cls=Command)
 @option("--realisations", type=int, default=1000, help="Realisations of each system.")
 @option("--jobs", type=int, default=2, help="Worker processes; the results do not depend on it.")
 @dask_option("Workers of a Dask cluster instead of --jobs: the address of its scheduler, or its file.")
@@ -95,7 +95,7 @@ def table2(
         click.echo(render(file))
 
 
-@study.command()
+@study.command(cls=Command)
 @click.argument("store", type=FILE)
 @option(
     "--format", "form", type=click.Choice(["text", "markdown", "csv"]), default="text", help="How to write the table."
@@ -134,7 +134,7 @@ def _interrupts_held() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-@study.command()
+@study.command(cls=Command)
 @click.argument("folder", type=FILE, default=Path("figures"))
 @option("--seed", type=int, default=0, help="Seed of the realisation that is drawn.")
 @option("--systems", default=SYSTEMS, help="Systems, separated by commas.")

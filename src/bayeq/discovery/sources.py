@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -90,5 +91,20 @@ def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, 
             " some rows (--rows), or leave these options out"
         )
     place = cache_folder() if folder is None else Path(folder)
-    kept = Checkpoints.of(extents, None if place is None else place / "checkpoints" if folder is None else place)
+    if folder is None:
+        place = None if place is None else place / "checkpoints"
+    else:
+        _require_folder(Path(folder))
+    kept = Checkpoints.of(extents, place)
     return Whole(extents, executor, question.step, kept)
+
+
+def _require_folder(folder: Path) -> None:
+    """Make a folder for checkpoints, which somebody counts on."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise InputError(
+            f"{folder}: no checkpoints can be kept there ({error.strerror or error}); name another folder"
+        ) from None

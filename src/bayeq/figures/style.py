@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 
 from bayeq.errors import BayeqError, InputError, MissingExtraError
 from bayeq.expressions import parse, to_sympy
+from bayeq.records.atomic import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,6 +103,9 @@ def require_matplotlib() -> None:
     MissingExtraError
         matplotlib is not installed.
     """
+    logger = logging.getLogger("matplotlib")
+    if not logger.level:  # its remarks, as on a home that cannot be written, are not about the figure
+        logger.setLevel(logging.ERROR)
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError as error:
@@ -199,7 +204,8 @@ def save(figure: Figure, stem: Path) -> list[Path]:
         stem.parent.mkdir(parents=True, exist_ok=True)
         for suffix in ("png", "svg"):
             path = stem.with_name(f"{stem.name}.{suffix}")
-            figure.savefig(path, format=suffix, dpi=DPI, metadata=UNSIGNED[suffix])
+            with replacing(path) as part:
+                figure.savefig(part, format=suffix, dpi=DPI, metadata=UNSIGNED[suffix])
             paths.append(path)
     except OSError as error:
         raise InputError(f"{error.filename or stem}: cannot write the figure: {error.strerror or error}") from error

@@ -16,6 +16,7 @@ from bayeq.records.formats import format_of, gz, text, writers
 from bayeq.records.formats.nested import read_pieces
 from bayeq.records.record import Record
 from bayeq.records.request import STAR, Request
+from bayeq.records.unchanged import unchanged
 
 __all__ = ["read", "write"]
 
@@ -93,7 +94,7 @@ def read(
     Raises
     ------
     FileFormatError
-        The file is missing, cannot be read, or does not hold what its format promises.
+        The file is missing, cannot be read, changes meanwhile, or does not hold what its format promises.
     RecordError
         Time does not increase strictly, or no channel is left.
     UnknownNameError
@@ -117,7 +118,8 @@ def read(
     path = as_path(path)
     request = Request(columns, dict(channels or {}), time, group, fs)
     try:
-        pieces = _pieces(path, request, names if names is None or isinstance(names, str) else list(names), skip)
+        with unchanged(path):
+            pieces = _pieces(path, request, names if names is None or isinstance(names, str) else list(names), skip)
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or type(error).__name__
         raise FileFormatError(f"{path}: cannot be read ({reason})") from None

@@ -16,6 +16,7 @@ from bayeq.records.stream.npy import NpyRows
 from bayeq.records.stream.parquet import ParquetRows
 from bayeq.records.stream.rows import FileStream, Rows
 from bayeq.records.stream.text import TextRows
+from bayeq.records.unchanged import state_of
 
 __all__ = ["LARGE", "in_order", "open_streams", "streamed_unasked"]
 
@@ -93,13 +94,14 @@ def open_streams(
     streams = []
     for path in files_of(paths):
         try:
+            state = state_of(path)
             row = format_of(path)
             opened = STREAMED.get(row.flat) or STREAMED.get(row.nested)
             if opened is None:
                 raise FileFormatError(
                     f"{path}: {row.title} is not read some rows at a time; write it as Parquet, HDF5, NPY or text"
                 )
-            stream = FileStream(opened(path, request), request, path.name, dict(units or {}))
+            stream = FileStream(opened(path, request), request, path.name, dict(units or {}), path, state)
             if not stream.bounds[-1]:
                 raise FileFormatError(f"{path}: no rows")
         except OSError as error:

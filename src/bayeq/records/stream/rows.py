@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Protocol
 
 from bayeq.errors import RecordError
@@ -12,6 +13,7 @@ from bayeq.records.assemble import assemble
 from bayeq.records.columns import Columns
 from bayeq.records.record import Record
 from bayeq.records.request import Request
+from bayeq.records.unchanged import FileState, require_unchanged
 
 __all__ = ["UNIT_ROWS", "FileStream", "RecordStream", "Rows", "Stream", "grid", "units_between"]
 
@@ -119,12 +121,16 @@ class FileStream:
         Of the record.
     units : mapping of str to str
         Of columns, instead of those in the file.
+    path, state : Path, FileState, optional
+        Of the file, when it was opened: it has to stay so.
     """
 
     rows: Rows
     request: Request = field(default_factory=Request)
     name: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
+    path: Path | None = None
+    state: FileState | None = None
 
     @property
     def bounds(self) -> Sequence[int]:
@@ -146,7 +152,7 @@ class FileStream:
             As `bayeq.read`; the message says between which rows.
         """
         request = self.request
-        data = request.renamed(self.rows.read(start, stop, request))
+        data = request.renamed(self._columns(start, stop))
         if data.step is not None:
             data = replace(data, start=data.start + start * data.step)
         known = {*data.names, *data.headers.texts}
@@ -161,3 +167,11 @@ class FileStream:
         if request.fs is not None and time is not None and start:
             time = time + start / request.fs
         return Record(trial.channels, time, trial.units, trial.name)
+
+    def _columns(self, start: int, stop: int) -> Columns:
+        """The columns of some rows, of the file as it was opened."""
+        try:
+            return self.rows.read(start, stop, self.request)
+        finally:
+            if self.path is not None:
+                require_unchanged(self.path, self.state)

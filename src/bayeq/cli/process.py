@@ -1,0 +1,92 @@
+"""The command as a process of its own: Ctrl-C at any moment is one line, whatever it falls into.
+
+`bayeq.cli.app.main` may be called by other programs, whose handling of signals is theirs; `run` is the process.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from types import FrameType
+
+from bayeq.cli.streams import INTERRUPTED, say
+
+__all__ = ["run"]
+
+# Frames of an import have this file name.
+IMPORTING = "<frozen importlib._bootstrap>"
+
+# An interrupt that falls into an import is tried again after this time [s].
+PAUSE = 0.02
+
+
+class _Interrupts:
+    """Turns the signal of Ctrl-C into `KeyboardInterrupt`, where that does no harm.
+
+    Within an import it waits for its end: libraries take an interrupted import for one that is missing. Where Python
+    can raise nothing, in a callback from C, it is tried again.
+    """
+
+    def __init__(self) -> None:
+        self.arrived = False
+
+    def install(self) -> None:
+        """Take the place of Python's own handlers; a process that was started to ignore Ctrl-C goes on ignoring it."""
+        if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+            return
+        signal.signal(signal.SIGINT, self.interrupt)
+        if hasattr(signal, "setitimer"):
+            signal.signal(signal.SIGALRM, self.interrupt)
+        sys.unraisablehook = self.not_raised
+
+    def interrupt(self, number: int, frame: FrameType | None) -> None:
+        """What runs when the signal arrives, or when it is tried again."""
+        self.arrived = True
+        if hasattr(signal, "setitimer") and _imports(frame):
+            signal.setitimer(signal.ITIMER_REAL, PAUSE)
+            return
+        raise KeyboardInterrupt
+
+    def not_raised(self, error: sys.UnraisableHookArgs) -> None:
+        """What Python calls with an exception that it can raise nowhere."""
+        if not issubclass(error.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(error)
+        elif hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, PAUSE)
+
+    def finish(self) -> None:
+        """From here on Ctrl-C ends the process without a word."""
+        if signal.getsignal(signal.SIGINT) == self.interrupt:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def _imports(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename == IMPORTING:
+            return True
+        frame = frame.f_back
+    return False
+
+
+def run() -> int:
+    """Run the command of this process; returns the exit code."""
+    interrupts = _Interrupts()
+    try:
+        interrupts.install()
+        from bayeq.cli.app import main
+
+        return main()
+    except BaseException as error:
+        # Libraries wrap an interrupt, or fail of what it left behind.
+        if not interrupts.arrived and not isinstance(error, KeyboardInterrupt):
+            raise
+        say("bayeq: interrupted")
+        return INTERRUPTED
+    finally:
+        interrupts.finish()
+
+
+if __name__ == "__main__":
+    sys.exit(run())

@@ -1,0 +1,90 @@
+"""Disks that are full, folders that are read-only, no home, and nowhere to keep compiled kernels."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from tests.reliability.commands import QUICK, bayeq, environment, mounted
+
+STUDY = ["study", "table2", "--systems", "linear", "--algorithms", "sindy", "--jobs", "1"]
+
+
+def test_a_full_disk_names_the_file(folder, full_disk):
+    page = full_disk / "page.html"
+    code, out, said = bayeq("discover", "run.csv", *QUICK, "--report", page, cwd=folder)
+    assert (code, said) == (2, [f"bayeq: error: {page}: No space left on device"])
+    assert "\na = " in out
+    code, _, said = bayeq("simulate", "linear", "-o", full_disk / "new.csv", cwd=folder)
+    assert (code, said) == (2, [f"bayeq: error: {full_disk}/new.csv: cannot be written (No space left on device)"])
+    assert [path for path in full_disk.rglob("*") if path.is_file()] == []
+
+
+def test_a_study_on_a_full_disk_goes_on_when_there_is_room(folder, full_disk):
+    store, size = full_disk / "study.db", ["--realisations", "60"]
+    code, _, said = bayeq(*STUDY, *size, "--store", store, cwd=folder)
+    assert (code, said) == (2, [f"bayeq: error: {store}: database or disk is full"])
+    kept = json.loads(bayeq("study", "show", store, "--json", cwd=folder)[1])
+    assert all(row["n"] < 60 for row in kept["rows"])
+    subprocess.run(["mount", "-o", "remount,size=1m", str(full_disk)], check=True)
+    assert bayeq(*STUDY, *size, "--store", store, cwd=folder)[0] == 0
+    (row,) = json.loads(bayeq("study", "show", store, "--json", cwd=folder)[1])["rows"]
+    assert row["n"] == 60
+
+
+def test_read_only_folders_are_refused_before_the_work(folder, read_only):
+    for command in (
+        ["discover", "run.csv", *QUICK, "--save", read_only / "eq.json"],
+        ["discover", "run.csv", *QUICK, "--report", read_only / "page.html"],
+        ["discover", "run.csv", *QUICK, "--stream", "--checkpoint", read_only / "sums"],
+        ["simulate", "linear", "-o", read_only / "new.csv"],
+        [*STUDY, "--store", read_only / "study.db"],
+    ):
+        code, out, said = bayeq(*command, cwd=folder)
+        assert (code, out, len(said)) == (2, "", 1)
+        assert said[0].startswith(f"bayeq: error: {read_only}/")
+
+
+@pytest.mark.parametrize("home", ["none", "read-only"])
+def test_without_a_home_everything_works_in_silence(home, folder, read_only):
+    homes = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR"))
+    homes["HOME"] = None if home == "none" else read_only
+    code, out, said = bayeq("discover", "run.csv", *QUICK, "--stream", "--forecast", "run.png", cwd=folder, **homes)
+    assert (code, said) == (0, [])
+    assert "\na = " in out
+    assert (folder / "run.png").stat().st_size > 5000
+
+
+KERNEL = """
+from bayeq.kernels import kernel
+
+@kernel
+def double(x):
+    return 2 * x
+
+print(double(21))
+"""
+
+
+def test_an_installation_that_cannot_be_written_compiles_in_memory(tmp_path):
+    place, home = tmp_path / "installed", tmp_path / "home"
+    place.mkdir()
+    home.mkdir()
+    with mounted(place, "size=1m"):
+        (place / "caller.py").write_text(KERNEL)
+        subprocess.run(["mount", "-o", "remount,ro", str(place)], check=True)
+
+        def run(home):
+            done = subprocess.run(
+                [sys.executable, str(place / "caller.py")],
+                env=environment(HOME=home, XDG_CACHE_HOME=None), capture_output=True, text=True, check=True,
+            )  # fmt: skip
+            return done.stdout, done.stderr
+
+        # the user's cache, or none
+        assert run(home) == ("42\n", "")
+        assert list(home.rglob("*.nbi"))
+        assert run(place) == ("42\n", "")

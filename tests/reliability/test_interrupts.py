@@ -1,0 +1,108 @@
+"""Ctrl-C at any moment: one line, exit code 130."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tests.reliability.commands import QUICK, bayeq, environment, remarks, start
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+COMMANDS = {
+    "discover": ["discover", "run.csv", *QUICK],
+    "report": ["discover", "run.csv", *QUICK, "--report", "page.html"],
+    "study": ["study", "table2", "--realisations", "400", "--systems", "linear", "--algorithms", "vb"],
+}
+
+
+@pytest.mark.statistical(short=3, full=40)
+@pytest.mark.parametrize("name", COMMANDS)
+def test_an_interrupt_at_any_moment_is_one_line(name, folder, number):
+    command = COMMANDS[name]
+    began = time.monotonic()
+    if name != "study":  # which runs for longer
+        assert bayeq(*command, cwd=folder)[0] == 0
+    span = min(time.monotonic() - began, 4.0) if name != "study" else 3.0
+    for k in range(number):
+        process = start(*command, cwd=folder)
+        time.sleep(span * (k + random.random()) / number)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+        said = remarks(err)
+        if any("KeyboardInterrupt" in line for line in said):  # Python itself is still starting
+            assert k <= number // 3
+            assert "cli/app.py" not in err
+            continue
+        # -2: within the end of the process, or its very beginning
+        assert process.returncode in (130, -signal.SIGINT, 0), err
+        assert len(said) == (process.returncode == 130), err
+        assert all(line.startswith("bayeq: interrupted") for line in said)
+        assert process.returncode == 130 or out or process.returncode == -signal.SIGINT
+    assert [path.name for path in folder.iterdir() if ".part" in path.name] == []
+
+
+SLOW_IMPORT = "import time\nfor _ in range(40): time.sleep(0.01)\nDONE = True\n"
+AT = """
+import os, signal, sys
+from bayeq.cli import app, process
+
+def main():
+    {body}
+    return 0
+
+app.main = main
+sys.exit(process.run())
+"""
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "raise_in = os.kill(os.getpid(), signal.SIGINT); import time; time.sleep(5)",
+        # a library that takes an interrupted import for one that is missing
+        """try:
+        import threading
+        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+        import slow
+    except BaseException:
+        raise SystemError("the import failed")
+    import time; assert slow.DONE; time.sleep(5)""",
+        # where Python can raise nothing
+        """class Closed:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            for _ in range(1000): pass
+    Closed(); import time; time.sleep(5)""",
+        # a library that makes something else of it
+        """try:
+        os.kill(os.getpid(), signal.SIGINT); import time; time.sleep(5)
+    except KeyboardInterrupt as stop:
+        raise RuntimeError("failed in nopython mode") from stop""",
+    ],
+)
+def test_an_interrupt_is_one_line_whatever_it_falls_into(body, tmp_path):
+    (tmp_path / "slow.py").write_text(SLOW_IMPORT)
+    began = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", AT.format(body=body)],
+        cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (130, "bayeq: interrupted\n")
+    assert time.monotonic() - began < 5
+
+
+def test_a_command_that_was_started_to_ignore_interrupts_ignores_them(tmp_path):
+    body = "os.kill(os.getpid(), signal.SIGINT); print('still here')"
+    done = subprocess.run(
+        [sys.executable, "-c", AT.format(body=body)],
+        cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, "still here\n", "")
