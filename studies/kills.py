@@ -126,7 +126,9 @@ class Job:
 def _rows(opened: sqlite3.Connection) -> Iterator[tuple[object, ...]]:
     """Rows of all tables, each once."""
     seen = set()
-    for (table,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall():
+    for (table,) in opened.execute(
+        "SELECT name FROM sqlite_master WHERE type = 'table' AND name != ?", (PASSING,)
+    ).fetchall():
         read = opened.execute(f'SELECT * FROM "{table}"')  # names of our own tables
         names = [column[0] for column in read.description]
         for values in read:
@@ -137,8 +139,11 @@ def _rows(opened: sqlite3.Connection) -> Iterator[tuple[object, ...]]:
             yield row
 
 
-# Columns that differ between runs of the same study: how long it took.
-UNEQUAL = ("seconds",)
+# Columns that differ between runs in two folders: how long it took, and where.
+UNEQUAL = ("seconds", "path")
+
+# What a process is working at, which is no result.
+PASSING = "claims"
 
 JOBS = {
     "discover --checkpoint": Job(

@@ -231,7 +231,7 @@ def test_no_file_that_can_be_used(tmp_path, capsys, monkeypatch):
         ([*WORDS, "--table", "drift.png"], "end it in .csv"),
         ([*WORDS, "--figure", "drift.csv"], "a figure ends in .png"),
         ([*WORDS, "--store", "nowhere/batch.db"], "no directory"),
-        ([*WORDS, "--store", "run.csv"], "is a record that is read"),
+        ([*WORDS, "--store", "run.csv"], "is a file that is read"),
         ([*WORDS, "--jobs", "0"], "jobs is a number of processes"),
         ([*WORDS, "--dictionary", "sine(x)"], "more than once"),
         (["--chain", "x:x"], "x"),
@@ -476,4 +476,4 @@ def test_an_output_is_no_record(folder, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     (folder / "drift.csv").write_text("order,file\n")
     assert main(["batch", ".", *WORDS, "--table", "drift.csv"]) == 2
-    assert "drift.csv: is a record that is read; name another file" in capsys.readouterr().err
+    assert "drift.csv: is a file that is read; name another file" in capsys.readouterr().err

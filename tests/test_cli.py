@@ -141,16 +141,13 @@ def test_simulate_is_reproducible_and_systems_are_listed(tmp_path, capsys):
     assert [s["name"] for s in json.loads(capsys.readouterr().out)["systems"]] == list(bq.SYSTEMS)
 
 
-def test_version_help_and_what_is_not_built_is_absent(capsys):
+def test_version_and_help(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.strip() == bq.__version__
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
     assert "discover" in text
     assert "study" in text
-    assert main(["discover", "--help"]) == 0
-    text = capsys.readouterr().out
-    assert "--dask" not in text
 
 
 def test_colour_on_a_terminal_only(duffing):

@@ -79,7 +79,7 @@ def scores(exchange, sweeps):
     return (batches.mean(axis=0) - expected) / (batches.std(axis=0, ddof=1) / math.sqrt(50))
 
 
-@pytest.mark.statistical(short=10_000, full=200_000)
+@pytest.mark.statistical(short=4_000, full=200_000)
 @pytest.mark.parametrize("exchange", [False, True], ids=["paper", "exchange"])
 def test_the_joint_distribution_is_visited(exchange, number):
     # eleven tests of a t-distribution of 49 degrees of freedom: 4.2 is a family-wise error of one in a thousand
