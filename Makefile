@@ -15,7 +15,7 @@ SOURCES := src tests perf examples studies docs/conf.py docs/_extensions
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
 RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths tracking
 
-.PHONY: demo test lint types tests statistics coverage matrix bench study examples gallery site lock arviz tutorials app-pictures fuzz audit reliability clean
+.PHONY: demo test lint types tests slow statistics coverage matrix bench study examples gallery site lock arviz tutorials app-pictures fuzz audit reliability clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -33,6 +33,10 @@ types: $(VENV)/.dev
 
 tests: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+
+# What takes long: the page in a browser, clusters, kills and interrupts, all blocks of the documents.
+slow: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --slow -m slow
 
 # Rates, coverage and calibration over the full number of records; `make tests` draws fewer.
 statistics: $(VENV)/.dev

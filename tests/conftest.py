@@ -1,7 +1,8 @@
 """Options of the tests.
 
 Continuous integration draws the same examples every time; at a desk hypothesis looks for new ones. Statistical tests
-run on few records unless `--full-statistics` asks for all.
+run on few records unless `--full-statistics` asks for all, and those marked `slow`, in browsers, on clusters and under
+kills, only with `--slow`.
 """
 
 from __future__ import annotations
@@ -27,6 +28,16 @@ RAN_AT_COLLECTION = pytest.StashKey[list[str]]()
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--full-statistics", action="store_true", help="statistical tests with the full number of records")
+    parser.addoption("--slow", action="store_true", help="also the tests that take long: browsers, clusters, kills")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Skip what takes long, unless it is asked for."""
+    if not config.getoption("--slow"):
+        skip = pytest.mark.skip(reason="takes long: make slow, or pytest --slow")
+        for item in items:
+            if item.get_closest_marker("slow"):
+                item.add_marker(skip)
 
 
 @pytest.fixture

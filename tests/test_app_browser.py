@@ -17,7 +17,7 @@ from bayeq.app.workspace import LARGEST
 from tests.app_driver import Page, browser, missing_browser
 from tests.app_process import running_app
 
-pytestmark = pytest.mark.skipif(bool(missing_browser()), reason=missing_browser())
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(missing_browser()), reason=missing_browser())]
 
 # Units that would like to be run, and a name that would like to be elsewhere.
 UNITS = {"x": "<img src=x onerror=alert(2)>", "v": "{{7*7}}", "a": '"><script>alert(3)</script>', "u": "N&<"}

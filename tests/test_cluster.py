@@ -149,6 +149,7 @@ def test_derivatives_by_differences_see_the_rows_of_other_partitions(record, fra
         compare(found, bq.discover(record, **options), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_long_lists_of_records_are_sent_and_short_ones_are_not(record, client, expected, monkeypatch):
     parts = [record.take(slice(0, 20_000)), record.take(slice(20_000, 40_000))]
     sent = []
@@ -163,6 +164,7 @@ def test_long_lists_of_records_are_sent_and_short_ones_are_not(record, client, e
     assert len(sent) > 28
 
 
+@pytest.mark.slow
 def test_the_likelihood_of_all_rows_is_that_of_threads(path, client, monkeypatch):
     monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 300)
     monkeypatch.setattr("bayeq.streaming.whole.BLOCK_ROWS", 3000)
@@ -218,6 +220,7 @@ def test_files_that_workers_do_not_find_are_named(frame, client, folder):
         quietly(path, client=client, progress=remove)
 
 
+@pytest.mark.slow
 def test_workers_that_die_one_after_the_other_end_the_work(folder):
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), local(1, folder) as client:
         with pytest.raises(BayeqError, match="memory") as error:
@@ -262,6 +265,7 @@ def test_workers_of_another_version_are_refused(client, monkeypatch):
         Cluster(client)
 
 
+@pytest.mark.slow
 def test_a_cluster_without_workers_is_not_waited_for_for_ever(folder, monkeypatch):
     with local(0, folder) as client:
         monkeypatch.setattr("bayeq.streaming.cluster.JOIN", 0.2)
@@ -363,6 +367,7 @@ def command(*arguments, **options):
     return done.stdout
 
 
+@pytest.mark.slow
 def test_the_commands_on_workers_from_the_shell(shell, path, expected, tmp_path):
     terms = ["--dictionary", ",".join(FEW["dictionary"])]
     found = json.loads(command("discover", path.name, *OPTIONS, *terms, "--dask", shell.file, cwd=path.parent))
@@ -382,6 +387,7 @@ def test_the_commands_on_workers_from_the_shell(shell, path, expected, tmp_path)
     assert rows[0] == rows[1]
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_costs_time_only(shell, path):
     with connected(str(shell.file)) as client:
         client.wait_for_workers(2, timeout=60)
@@ -399,6 +405,7 @@ def test_a_worker_that_is_killed_costs_time_only(shell, path):
         shell.workers[0] = shell.worker()
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_goes_ends_the_work_with_a_line(tmp_path, capfd):
     with Shell(tmp_path) as own, connected(str(own.file)) as client:
         threading.Timer(2.0, own.started[0].kill).start()

@@ -23,7 +23,7 @@ COMMANDS = {
 
 
 @pytest.mark.statistical(short=3, full=40)
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", ["discover", "study", pytest.param("report", marks=pytest.mark.slow)])
 def test_an_interrupt_at_any_moment_is_one_line(name, folder, number):
     command = COMMANDS[name]
     began = time.monotonic()

@@ -10,7 +10,7 @@ from studies.kills import JOBS, disturbed
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs process groups")
 
 
-@pytest.mark.parametrize("name", ["discover --checkpoint", "batch"])
+@pytest.mark.parametrize("name", ["discover --checkpoint", pytest.param("batch", marks=pytest.mark.slow)])
 def test_a_command_that_is_killed_ends_as_if_undisturbed(name):
     if name not in JOBS:
         pytest.skip(f"this version has no command {name}")

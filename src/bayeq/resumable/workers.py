@@ -109,6 +109,26 @@ def _born_quiet() -> Iterator[None]:
     """Processes started here inherit that Ctrl-C is for the parent alone, and say nothing of what a stop leaves."""
     warned = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (warned, "ignore:resource_tracker")))
+    try:
+        with _interrupts_later():
+            yield
+    finally:
+        if warned is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = warned
+
+
+@contextmanager
+def _interrupts_later() -> Iterator[None]:
+    """Interrupts wait until the end, and processes that are started meanwhile get none."""
+    if hasattr(signal, "pthread_sigmask"):
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        return
     main = threading.current_thread() is threading.main_thread()
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
     try:
@@ -116,10 +136,6 @@ def _born_quiet() -> Iterator[None]:
     finally:
         if main:
             signal.signal(signal.SIGINT, handler)
-        if warned is None:
-            del os.environ["PYTHONWARNINGS"]
-        else:
-            os.environ["PYTHONWARNINGS"] = warned
 
 
 @lru_cache(maxsize=1)
