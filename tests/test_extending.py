@@ -71,6 +71,7 @@ def test_what_the_page_adds_passes_the_conformance_tests(copy):
     assert " passed" in report
 
 
+@pytest.mark.slow
 def test_what_the_page_adds_works_together(copy):
     code = "from pathlib import Path; from examples.run_page import run_page; run_page(Path('docs/extending.md'))"
     run(copy, "-c", code)

@@ -216,12 +216,18 @@ def test_uneven_times_have_no_spectrum(eq, record):
         figures.spectra(eq, record.take(keep))
 
 
-@pytest.mark.parametrize("name", figures.__all__)
-def test_rows_without_time_are_counted(name, record):
-    untimed = bq.Record(dict(record.channels))
+@pytest.fixture(scope="module")
+def untimed(record):
+    """An answer to a record without time, and the record."""
+    record = bq.Record(dict(record.channels))
     with pytest.warns(bq.errors.DataWarning):
-        eq = bq.discover(untimed, displacement="x", velocity="v", acceleration="a", force="u", dictionary="x, v, u")
-    made = getattr(figures, name)(eq, untimed)
+        eq = bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", dictionary="x, v, u")
+    return eq, record
+
+
+@pytest.mark.parametrize("name", figures.__all__)
+def test_rows_without_time_are_counted(name, untimed):
+    made = getattr(figures, name)(*untimed)
     labels = [ax.get_xlabel() for ax in np.ravel(np.array(made, dtype=object))]
     assert not any("[s]" in label or "[Hz]" in label for label in labels)
 

@@ -44,6 +44,8 @@ ATTRIBUTES = {
     "subprocess": {"getoutput", "getstatusoutput"},
     "ctypes": {"CDLL"},
 }
+# The local page, the address of a cluster that the user names, and the name of this machine.
+LISTENS = {"app/server.py", "streaming/connect.py", "study/claims.py"}
 ANYWHERE = {"sympify", "parse_expr", "lambdify", "eval", "read_pickle"}
 
 
@@ -65,6 +67,7 @@ def unsafe_calls(tree: ast.AST) -> list[str]:
         for keyword in node.keywords:
             value = getattr(keyword.value, "value", None)
             bad |= keyword.arg in ("shell", "allow_pickle") and value is not False
+            bad &= not (called == "np.load" and keyword.arg == "allow_pickle" and value is False)
         if bad:
             out.append(f"{called or '?'} in line {node.lineno}")
     return out
@@ -77,14 +80,8 @@ def test_no_source_file_runs_text(path):
     imported = {a.name for node in ast.walk(tree) if isinstance(node, ast.Import) for a in node.names}
     imported |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     assert not imported & {"pickle", "shelve", "dill", "cloudpickle", "yaml", "xmlrpc", "telnetlib", "code", "imp"}
-    assert not imported & {
-        "socket",
-        "urllib.request",
-        "http.client",
-        "requests",
-        "ftplib",
-        "smtplib",
-    }
+    assert not imported & {"urllib.request", "http.client", "requests", "ftplib", "smtplib"}
+    assert "socket" not in imported or str(path.relative_to(SOURCE)) in LISTENS
 
 
 @pytest.mark.parametrize(

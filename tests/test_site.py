@@ -144,7 +144,7 @@ def test_every_public_name_has_one_entry(pages):
     entries = Counter(entry for content in pages.values() for entry in content.ids)
     names = {f"bayeq.{name}" for name in bq.__all__}
     names |= {f"bayeq.figures.{name}" for name in figures.__all__}
-    names |= {f"bayeq.errors.{name}" for name in errors.__all__}
+    names |= {f"bayeq.errors.{name}" for name in errors.__all__ if isinstance(getattr(errors, name), type)}
     modules = [path for path in ADAPTERS.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()]
     names |= {f"module-bayeq.adapters.{path.stem}" for path in modules if path.stem != "__init__"}
     assert {name: entries[name] for name in names} == dict.fromkeys(names, 1)

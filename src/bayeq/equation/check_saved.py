@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.equation.equation import Equation
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import LARGEST, Posterior
+from bayeq.numerics.normal import Z95
 from bayeq.states import Chain
 
 __all__ = ["check_content", "check_restored"]
@@ -82,14 +83,16 @@ def check_restored(equation: Equation) -> None:
     posteriors += [] if equation.full_posterior is None else [equation.full_posterior]
     with np.errstate(all="ignore"):
         finite = all(map(_is_finite, posteriors))
-        finite = finite and bool(np.isfinite([*equation.intercept_ci95, *equation.printed_intercept_ci95]).all())
+        ends = np.array([*equation.intercept_ci95, *equation.printed_intercept_ci95])
+        finite = finite and bool((np.abs(ends) <= LARGEST).all())
     if not finite:
         raise ValueError(f"the equation of {equation.target} has numbers too large or too small to compute with")
     assert len(equation.coef_units) == len(equation.terms)
 
 
 def _is_finite(p: Posterior) -> bool:
-    return bool(np.isfinite([*p.coef, *p.sd, p.intercept, p.intercept_sd, p.noise_variance]).all())
+    ends = np.abs([*p.coef, p.intercept]) + Z95 * np.array([*p.sd, p.intercept_sd])
+    return bool((ends <= LARGEST).all()) and bool(np.isfinite(p.noise_variance))
 
 
 def _same_length(place: str, one: Sequence[Any], other_place: str, other: Sequence[Any]) -> None:
