@@ -35,6 +35,7 @@ def pyplot():
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
+    pyplot.close("all")  # what pages of the documents have left open
     yield pyplot
     pyplot.close("all")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -144,6 +145,12 @@ def test_copies_are_left_out_and_named(whole, noise):
     assert answer[0].included == tuple(TERMS)
 
 
+@lru_cache(maxsize=1)
+def base():
+    """A record, simulated when the first test asks for it."""
+    return bq.simulate("duffing", n=160, seed=1)
+
+
 class Tortured:
     """Draws of channels that are no measurement."""
 
@@ -154,11 +161,11 @@ class Tortured:
     @classmethod
     @st.composite
     @staticmethod
-    def record(draw: st.DrawFn, base: bq.Record) -> bq.Record:
+    def record(draw: st.DrawFn) -> bq.Record:
         rows = draw(st.sampled_from([1, 2, 3, 19, 20, 41, 160]))
         rng = np.random.default_rng(draw(st.integers(0, 1000)))
         length, time = 10.0 ** draw(st.integers(-55, 55)), 10.0 ** draw(st.integers(-22, 22))
-        record = in_units(base, *((length, time) if draw(st.booleans()) else (1.0, 1.0)))
+        record = in_units(base(), *((length, time) if draw(st.booleans()) else (1.0, 1.0)))
         channels = {name: np.array(values[:rows]) for name, values in record.channels.items()}
         with np.errstate(all="ignore"):
             for name in channels:
@@ -183,13 +190,10 @@ class Tortured:
         return bq.Record.from_arrays(channels, time=np.asarray(record.time)[:rows])
 
 
-BASE = bq.simulate("duffing", n=160, seed=1)
-
-
 @quiet
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
-    record=Tortured.record(BASE),
+    record=Tortured.record(),
     chain=st.sampled_from(["x:v:a", "x::", "x:v:", "x:v", "::a"]),
     dictionary=st.sampled_from(["polynomial:3", "oscillator", "x, x**3, exp(x), 1/x, sin(x)"]),
     smooth=st.sampled_from(SMOOTH),

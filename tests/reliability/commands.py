@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ import pytest
 from bayeq.cli.progress import COMPILING, PROGRESS
 from tests.uncovered import uncovered
 
-__all__ = ["QUICK", "bayeq", "environment", "mounted", "remarks", "start"]
+__all__ = ["QUICK", "bayeq", "environment", "heeding", "mounted", "remarks", "start"]
 
 #: A discovery of a second.
 QUICK = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x, v, u", "--smooth", "none"]
@@ -25,11 +26,22 @@ def environment(**changes):
     return {name: str(value) for name, value in merged.items() if value is not None}
 
 
+def heeding(before=None):
+    """What a process does first: interrupts count, also where these tests were started in the background."""
+
+    def first():
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if before is not None:
+            before()
+
+    return first
+
+
 def start(*arguments, cwd, before=None, **changes):
     """A command that runs."""
     return subprocess.Popen(
         [sys.executable, "-m", "bayeq", *map(str, arguments)], cwd=cwd, env=environment(**changes), text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, preexec_fn=before,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, preexec_fn=heeding(before),
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from tests.reliability.commands import QUICK, bayeq, environment, remarks, start
+from tests.reliability.commands import QUICK, bayeq, environment, heeding, remarks, start
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
@@ -93,6 +93,7 @@ def test_an_interrupt_is_one_line_whatever_it_falls_into(body, tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", AT.format(body=body)],
         cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False, timeout=60,
+        preexec_fn=heeding(),
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (130, "bayeq: interrupted\n")
     assert time.monotonic() - began < 5

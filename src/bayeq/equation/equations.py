@@ -768,7 +768,7 @@ class Equations:
                 part.write_text(text, encoding="utf-8")
         except (OSError, UnicodeError) as error:
             reason = getattr(error, "strerror", None) or type(error).__name__
-            raise FileFormatError(f"{str(place)!r}: cannot be written ({reason})") from None
+            raise FileFormatError(f"{place}: cannot be written: {reason}") from None
 
     def report(
         self,

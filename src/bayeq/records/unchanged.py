@@ -31,7 +31,8 @@ def require_unchanged(path: Path, before: FileState | None) -> None:
     FileFormatError
         It names the file.
     """
-    if state_of(path) != before:
+    now = state_of(path)
+    if now is not None and now != before:  # one that has gone cannot be read, which is said elsewhere
         raise FileFormatError(
             f"{path}: has changed while it was read; start once more, with a copy if it is still being written"
         )
