@@ -4,7 +4,7 @@
     python -m perf.streaming FOLDER --rows 1e5 1e6 1e7 --smooth auto
 
 FOLDER keeps the files, 36 bytes a row. `syrk` is the time that BLAS takes for the products of the dictionary's columns
-and the target alone (36 + 1, `dsyrk` on blocks of 2,048 rows that are in the cache), on as many threads, measured
+and the target alone (36 + 1, `dsyrk` on blocks of 2,048 rows that are in the cache), in as many processes, measured
 before and after each pass over the file in the same process. Every line is a process of its own: `peak_mb` is all of
 its memory.
 """
@@ -19,7 +19,7 @@ import subprocess
 import sys
 import time as clock
 import warnings
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +31,8 @@ CHANNELS = ("x", "v", "a", "u")
 COLUMNS, BLOCK = 37, 2048
 PIECE = 1_000_000
 
-# Products of blocks that are timed, per thread.
-PRODUCTS = 2000
+# Products of blocks that are timed, per process.
+PRODUCTS = 5000
 
 
 def write_file(rows: int, folder: Path) -> Path:
@@ -59,20 +59,22 @@ def write_file(rows: int, folder: Path) -> Path:
     return path
 
 
-def syrk_rate(threads: int) -> float:
-    """Rows per second of the products alone."""
+def _products(_: int) -> float:
+    """Rows per second of the products in this process."""
     rng = np.random.default_rng(0)
-    blocks = [np.asfortranarray(rng.normal(size=(COLUMNS, BLOCK))) for _ in range(threads)]
-    sums = [np.zeros((COLUMNS, COLUMNS), order="F") for _ in range(threads)]
-
-    def products(k: int) -> None:
-        for _ in range(PRODUCTS):
-            dsyrk(1.0, blocks[k], beta=1.0, c=sums[k], overwrite_c=1)
-
-    with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
+    block, total = np.asfortranarray(rng.normal(size=(COLUMNS, BLOCK))), np.zeros((COLUMNS, COLUMNS), order="F")
+    with threadpool_limits(1):
         began = clock.perf_counter()
-        list(pool.map(products, range(threads)))
-        return threads * PRODUCTS * BLOCK / (clock.perf_counter() - began)
+        for _ in range(PRODUCTS):
+            dsyrk(1.0, block, beta=1.0, c=total, overwrite_c=1)
+        return PRODUCTS * BLOCK / (clock.perf_counter() - began)
+
+
+def syrk_rate(workers: int) -> float:
+    """Rows per second of the products alone, in processes: of one process `dsyrk` lets only one thread work."""
+    with ProcessPoolExecutor(workers) as pool:
+        list(pool.map(_products, range(workers)))  # starts them
+        return sum(pool.map(_products, range(workers)))
 
 
 def measure(path: Path, smooth: str, workers: int) -> dict[str, object]:
