@@ -49,6 +49,7 @@ def test_an_interrupt_at_any_moment_is_one_line(name, folder, number):
 
 
 SLOW_IMPORT = "import time\nfor _ in range(40): time.sleep(0.01)\nDONE = True\n"
+KERNEL = "from numba import njit\n@njit(cache=True)\ndef add(x): return x + 1\n"
 AT = """
 import os, signal, sys
 from bayeq.cli import app, process
@@ -80,6 +81,17 @@ sys.exit(process.run())
             os.kill(os.getpid(), signal.SIGINT)
             for _ in range(1000): pass
     Closed(); import time; time.sleep(5)""",
+        # where LLVM asks for a kernel that was compiled before: without the answer it would have none
+        """import subprocess
+    subprocess.run([sys.executable, "-c", "import kernel; kernel.add(1)"], check=True)
+    from numba.core.codegen import JITCodeLibrary
+    ask = JITCodeLibrary._object_getbuffer_hook.__func__
+    def interrupted(library, module):
+        compiled = ask(library, module)
+        if compiled is not None: os.kill(os.getpid(), signal.SIGINT)
+        return compiled
+    JITCodeLibrary._object_getbuffer_hook = classmethod(interrupted)
+    import kernel; assert kernel.add(1) == 2; import time; time.sleep(5)""",
         # a library that makes something else of it
         """try:
         os.kill(os.getpid(), signal.SIGINT); import time; time.sleep(5)
@@ -89,6 +101,7 @@ sys.exit(process.run())
 )
 def test_an_interrupt_is_one_line_whatever_it_falls_into(body, tmp_path):
     (tmp_path / "slow.py").write_text(SLOW_IMPORT)
+    (tmp_path / "kernel.py").write_text(KERNEL)
     began = time.monotonic()
     done = subprocess.run(
         [sys.executable, "-c", AT.format(body=body)],

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from types import FrameType
@@ -16,15 +17,19 @@ __all__ = ["run"]
 # Frames of an import have this file name.
 IMPORTING = "<frozen importlib._bootstrap>"
 
-# An interrupt that falls into an import is tried again after this time [s].
+# Frames of the packages that compile and load kernels.
+COMPILERS = ("numba", "llvmlite")
+
+# An interrupt that has to wait is tried again after this time [s].
 PAUSE = 0.02
 
 
 class _Interrupts:
     """Turns the signal of Ctrl-C into `KeyboardInterrupt`, where that does no harm.
 
-    Within an import it waits for its end: libraries take an interrupted import for one that is missing. Where Python
-    can raise nothing, in a callback from C, it is tried again.
+    Within an import it waits for its end: libraries take an interrupted import for one that is missing. So it does
+    while a kernel is compiled or loaded: LLVM calls back into Python, goes on where a callback was interrupted, and the
+    kernel that it then has crashes. Where Python can raise nothing, in other callbacks from C, it is tried again.
     """
 
     def __init__(self) -> None:
@@ -42,7 +47,7 @@ class _Interrupts:
     def interrupt(self, number: int, frame: FrameType | None) -> None:
         """What runs when the signal arrives, or when it is tried again."""
         self.arrived = True
-        if hasattr(signal, "setitimer") and _imports(frame):
+        if hasattr(signal, "setitimer") and _has_to_end(frame):
             signal.setitimer(signal.ITIMER_REAL, PAUSE)
             return
         raise KeyboardInterrupt
@@ -62,9 +67,13 @@ class _Interrupts:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
-def _imports(frame: FrameType | None) -> bool:
+def _has_to_end(frame: FrameType | None) -> bool:
+    """Whether an import or a compilation is under way."""
+    compilers = tuple(
+        os.path.dirname(file) + os.sep for name in COMPILERS if (file := getattr(sys.modules.get(name), "__file__", None))
+    )
     while frame is not None:
-        if frame.f_code.co_filename == IMPORTING:
+        if frame.f_code.co_filename == IMPORTING or frame.f_code.co_filename.startswith(compilers):
             return True
         frame = frame.f_back
     return False
