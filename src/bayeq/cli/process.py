@@ -70,7 +70,9 @@ class _Interrupts:
 def _has_to_end(frame: FrameType | None) -> bool:
     """Whether an import or a compilation is under way."""
     compilers = tuple(
-        os.path.dirname(file) + os.sep for name in COMPILERS if (file := getattr(sys.modules.get(name), "__file__", None))
+        os.path.dirname(file) + os.sep
+        for name in COMPILERS
+        if (file := getattr(sys.modules.get(name), "__file__", None))
     )
     while frame is not None:
         if frame.f_code.co_filename == IMPORTING or frame.f_code.co_filename.startswith(compilers):

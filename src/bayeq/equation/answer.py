@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict
@@ -13,7 +13,11 @@ from bayeq.plan.measured import Measured
 from bayeq.records import Record, counts_rows
 from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
-from bayeq.states import Chain, Motion, Sensors, Smooth
+from bayeq.states import Chain, Motion, Roles, Sensors, Smooth
+
+if TYPE_CHECKING:
+    from bayeq.forecast.dynamics import Dynamics
+    from bayeq.regression.constraints import Constraints
 
 __all__ = ["Answer", "DataSummary"]
 
@@ -108,7 +112,7 @@ class DataSummary:
 
 
 class Answer(Protocol):
-    """The fields of `bayeq.Equations`."""
+    """What other parts need of `bayeq.Equations`."""
 
     @property
     def equations(self) -> tuple[Equation, ...]: ...
@@ -135,4 +139,8 @@ class Answer(Protocol):
     @property
     def chains(self) -> tuple[Chain, ...]: ...
     @property
+    def roles(self) -> Roles: ...
+    @property
     def verdict(self) -> Verdict: ...
+    def known(self) -> tuple[Constraints, ...]: ...
+    def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics: ...

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.equation import along
 from bayeq.equation.equations import Equations
 from bayeq.equation.prepare import prepared
 from bayeq.equation.verdict import AS_THE_MEAN, window_errors
@@ -239,8 +240,8 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     notes += _out_of_range(equations, pieces)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)  # what was left out has been said
-        scores = equations.score(pieces, start=0)
-        runs = tuple((piece.name, equations.simulate(piece, draws=draws, seed=seed)) for piece in pieces)
+        scores = along.scores(equations, pieces, start=0)
+        runs = tuple((piece.name, along.free_run(equations, piece, draws=draws, seed=seed)) for piece in pieces)
         one_step = {
             target: _single_step(equations, k, pieces, error)
             for k, (target, error) in enumerate(scores.one_step.items())
@@ -296,7 +297,7 @@ def _single_step(equations: Equations, k: int, pieces: Sequence[Record], nrmse: 
     samples = np.concatenate([piece[target] for piece in pieces])
     inside, known = 0, 0
     for piece in pieces:
-        mean, sd = equations.predict(piece, return_std=True)
+        mean, sd = along.predictions(equations, piece, return_std=True)
         mean, sd = (values if values.ndim == 1 else values[:, k] for values in (mean, sd))
         there = np.isfinite(piece[target])
         inside += int(np.count_nonzero(np.abs(piece[target] - mean)[there] <= Z95 * sd[there]))

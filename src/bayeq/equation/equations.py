@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.equation.answer import DataSummary
 from bayeq.equation.equation import Equation
-from bayeq.equation.prepare import prepared, rows_of_record
+from bayeq.equation.prepare import prepared
 from bayeq.equation.several import EquationTuple, coefficients
 from bayeq.equation.verdict import Verdict, worst
-from bayeq.errors import ConvergenceWarning, DataWarning, FileFormatError, InputError, UnknownNameError, as_path
+from bayeq.errors import DataWarning, FileFormatError, InputError, as_path
 from bayeq.export.latex import Uncertainty
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
@@ -46,9 +46,6 @@ if TYPE_CHECKING:
 __all__ = ["DataSummary", "Equations"]
 
 Floats = NDArray[np.float64]
-
-# Share of the rows that is scored where none were held out.
-LAST = 0.2
 
 
 @dataclass(frozen=True)
@@ -333,16 +330,10 @@ class Equations:
         DataWarning
             Samples that are missing or left out, if `discover` has not said so.
         """
-        if not isinstance(record, Record):
-            raise InputError(f"predict needs a Record (bayeq.read reads a file), not {type(record).__name__}")
-        (record,) = prepared(self._timed([record]), self.roles, self.smooth, self.warnings)
-        columns = rows_of_record(record, self.roles, self.smooth, self.data.sensors)
-        parts = [equation.predict(columns, return_std) for equation in self.equations]
-        if len(parts) == 1:
-            return parts[0]
-        if return_std:
-            return tuple(np.column_stack(pieces) for pieces in zip(*parts, strict=True))
-        return np.column_stack(parts)
+        from bayeq.equation.along import predictions
+
+        (record,) = prepared(self._timed([record], "predict"), self.roles, self.smooth, self.warnings)
+        return predictions(self, record, return_std)
 
     def motion(self, record: Record) -> MotionRows:
         """States, targets and inputs of a record as `discover` makes them: smoothed, bridged, estimated.
@@ -368,9 +359,7 @@ class Equations:
         DataWarning
             As `predict`.
         """
-        if not isinstance(record, Record):
-            raise InputError(f"motion needs a Record (bayeq.read reads a file), not {type(record).__name__}")
-        (record,) = prepared(self._timed([record]), self.roles, self.smooth, self.warnings)
+        (record,) = prepared(self._timed([record], "motion"), self.roles, self.smooth, self.warnings)
         return estimate_motion([record], self.roles, self.smooth, sensors=self.data.sensors).records[0]
 
     def simulate(
@@ -419,24 +408,13 @@ class Equations:
             As `predict`, where all channels of the chains are in the record: without them nobody can tell a blow of an
             input from a spike.
         """
-        from bayeq.forecast.run import forecast
+        from bayeq.equation.along import free_run
 
-        if isinstance(record, Record):
-            (record,) = self._timed([record])
-        if isinstance(record, Record) and all(name in record.channels for name in self.roles.channels):
+        (record,) = self._timed([record], "simulate")
+        if all(name in record.channels for name in self.roles.channels):
             (record,) = prepared([record], self.roles, self.smooth, self.warnings)
-        return forecast(
-            self.dynamics(),
-            record,
-            self.smooth,
-            self.data.sensors,
-            initial=initial,
-            draws=draws,
-            seed=seed,
-            start=start,
-            rows=rows,
-            interpolation=_between(self, interpolation),
-            units={name: unit for equation in self.equations for name, unit in equation.units.items()},
+        return free_run(
+            self, record, initial=initial, draws=draws, seed=seed, start=start, rows=rows, interpolation=interpolation
         )
 
     def score(
@@ -474,21 +452,12 @@ class Equations:
         DataWarning
             As `predict`.
         """
-        from bayeq.forecast.score import score_records
+        from bayeq.equation.along import scores
 
-        pieces = self._timed(_as_list(records, "score"))
         # rows that are named are counted in whole records
+        pieces = self._timed(_as_list(records, "score"), "score")
         pieces = prepared(pieces, self.roles, self.smooth, self.warnings, divide=start is None)
-        return score_records(
-            self.dynamics(),
-            pieces,
-            self.smooth,
-            self.data.sensors,
-            start=start,
-            rows=rows,
-            share=self.data.holdout or LAST,
-            interpolation=_between(self, interpolation),
-        )
+        return scores(self, pieces, start=start, rows=rows, interpolation=interpolation)
 
     def refine(
         self,
@@ -543,47 +512,17 @@ class Equations:
         DataWarning
             As `predict`; runs contradict a known sign, or leave more of a channel than the noise given of it.
         """
-        from bayeq.forecast.rows import check_interpolation
-        from bayeq.refine.output_error import Unrefined
-        from bayeq.refine.refine import refine
+        from bayeq.equation.refinement import refinement
 
-        pieces = self._timed(_as_list(records, "refine"))
-        check_interpolation(interpolation)
-        if not 0 <= holdout < 1:
-            raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
-        for equation in self.equations:
-            if not equation.shown:
-                raise InputError(f"{equation.target}: there are no terms to refine")
-        constraints = self.known()
-        pieces = prepared(pieces, self.roles, self.smooth, self.warnings, divide=True)
-        found = refine(
-            self.dynamics(),
-            self.dynamics([equation.intercept_matters for equation in self.equations]),
-            pieces,
-            smooth=self.smooth,
-            holdout=holdout,
-            interpolation=interpolation,
-            constraints=constraints,
-            sensors=self.data.sensors,
-        )
-        if isinstance(found, Unrefined):
-            message = f"not refined: {found.reason}; the equations are returned as they were: {found.advice}"
-            warnings.warn(message, ConvergenceWarning, stacklevel=2)
-            return self
-        found.log.emit(stacklevel=3)
-        return replace(
-            self,
-            equations=EquationTuple(
-                old.with_posterior(new.posterior, train=new.train, held_out=new.held_out, residuals=new.residuals)
-                for old, new in zip(self.equations, found.equations, strict=True)
-            ),
-            warnings=(*self.warnings, *found.log.messages),
-            scores=found.scores,
-            refined=found.summary,
-        )
+        pieces = self._timed(_as_list(records, "refine"), "refine")
+        better = refinement(self, pieces, holdout, interpolation)
+        return replace(self, **better) if better else self
 
-    def _timed(self, records: Sequence[Record]) -> list[Record]:
+    def _timed(self, records: Sequence[Record], purpose: str) -> list[Record]:
         """Records with row numbers as time, if that of the equations is such and theirs is not known either."""
+        for record in records:
+            if not isinstance(record, Record):
+                raise InputError(f"{purpose} needs a Record (bayeq.read reads a file), not {type(record).__name__}")
         return with_row_numbers(records) if self.data.rows_as_time else list(records)
 
     def plan(
@@ -715,30 +654,9 @@ class Equations:
         InputError
             An equation that is not of second order, or without a restoring term; a record whose time is not known.
         """
-        from bayeq.equation.physical import physical_parameters
+        from bayeq.equation.oscillator import oscillator_parameters
 
-        if self.data.rows_as_time:
-            raise InputError(
-                "physical parameters are per second, and time is not known: give the sampling rate (fs=, --fs)"
-            )
-        equation = _oscillator(self, target)
-        span = self.data.measured.ranges.get(equation.chain.names[0])
-        if span and not span[0] <= 0.0 <= span[1] and equation.verdict.kind in ("none", "not determined"):
-            name = equation.chain.names[0]
-            raise InputError(
-                f"the stiffness cannot be told: the verdict is {equation.verdict.kind!r}, and {name} is nowhere zero;"
-                f" measure {name} from the position of rest (bayeq.remove_offset, --remove-offset {name})"
-            )
-        return physical_parameters(
-            equation.law,
-            self.inputs,
-            equation.units,
-            mass=mass,
-            force=force,
-            span=span,
-            draws=draws,
-            seed=seed,
-        )
+        return oscillator_parameters(self, mass, target=target, force=force, draws=draws, seed=seed)
 
     def to_dict(self) -> dict[str, Any]:
         """What ``bayeq discover --json`` prints."""
@@ -831,10 +749,6 @@ def _numbers(value: Any, what: str) -> Floats:
         raise InputError(f"{what} must be numbers, not {type(value).__name__}") from None
 
 
-def _between(equations: Equations, interpolation: Interpolation | None) -> Interpolation:
-    return interpolation or (equations.refined.interpolation if equations.refined else "cubic")
-
-
 def _white_noise(equation: Equation) -> float:
     """Standard deviation of white noise that hides as much as the residuals, which may be correlated in time."""
     residuals = equation.residuals
@@ -850,20 +764,3 @@ def _as_list(records: Record | Sequence[Record], purpose: str) -> list[Record]:
     if not pieces or not all(isinstance(piece, Record) for piece in pieces):
         raise InputError(f"{purpose} needs a Record or a list of Records")
     return pieces
-
-
-def _oscillator(equations: Equations, target: str | None) -> Equation:
-    """The equation meant, or the only one of second order."""
-    if target is not None:
-        if target not in {equation.target for equation in equations}:
-            raise UnknownNameError("equation", target, [equation.target for equation in equations])
-        return equations[target]
-    second = [equation for equation in equations if equation.chain.order == 2]
-    if not second:
-        raise InputError(
-            "physical parameters are those of a second-order equation, x'' = ...; here there are only"
-            f" {', '.join(f'{e.target} (order {e.chain.order})' for e in equations)}"
-        )
-    if len(second) > 1:
-        raise InputError(f"name one of the equations as target: {', '.join(e.target for e in second)}")
-    return second[0]

@@ -20,7 +20,12 @@ Floats = NDArray[np.float64]
 
 
 def prepared(
-    records: Sequence[Record], roles: Roles, smooth: Smooth, said: Collection[str], divide: bool = False
+    records: Sequence[Record],
+    roles: Roles,
+    smooth: Smooth,
+    said: Collection[str],
+    divide: bool = False,
+    level: int = 3,
 ) -> list[Record]:
     """Records without bad samples, and if wanted divided at gaps.
 
@@ -34,6 +39,8 @@ def prepared(
         Warnings that were given before, which are not given again.
     divide : bool
         Whether records are divided at long gaps; else they keep their rows.
+    level : int
+        Whose line the warnings name, as in `warnings.warn`; by default that of the caller's caller.
 
     Warns
     -----
@@ -47,7 +54,7 @@ def prepared(
     for message in dict.fromkeys(messages):
         named = f"{records[0].name or 'record'}: {message}"  # as it is said of several records
         if message not in said and (len(records) > 1 or named not in said):
-            warnings.warn(message, DataWarning, stacklevel=3)
+            warnings.warn(message, DataWarning, stacklevel=level)
     return found
 
 

@@ -1,0 +1,49 @@
+"""Which of several equations is an oscillator, and whether its stiffness can be told."""
+
+from __future__ import annotations
+
+from bayeq.equation.answer import Answer
+from bayeq.equation.equation import Equation
+from bayeq.equation.physical import PhysicalParameters, physical_parameters
+from bayeq.errors import InputError, UnknownNameError
+
+__all__ = ["oscillator_parameters"]
+
+
+def oscillator_parameters(
+    eq: Answer, mass: float | None, *, target: str | None, force: str | None, draws: int, seed: int
+) -> PhysicalParameters:
+    """See `Equations.physical`."""
+    if eq.data.rows_as_time:
+        raise InputError(
+            "physical parameters are per second, and time is not known: give the sampling rate (fs=, --fs)"
+        )
+    equation = _oscillator(eq, target)
+    name = equation.chain.names[0]
+    span = eq.data.measured.ranges.get(name)
+    if span and not span[0] <= 0.0 <= span[1] and equation.verdict.kind in ("none", "not determined"):
+        raise InputError(
+            f"the stiffness cannot be told: the verdict is {equation.verdict.kind!r}, and {name} is nowhere zero;"
+            f" measure {name} from the position of rest (bayeq.remove_offset, --remove-offset {name})"
+        )
+    return physical_parameters(
+        equation.law, eq.inputs, equation.units, mass=mass, force=force, span=span, draws=draws, seed=seed
+    )
+
+
+def _oscillator(eq: Answer, target: str | None) -> Equation:
+    """The equation meant, or the only one of second order."""
+    if target is not None:
+        by_target = {equation.target: equation for equation in eq.equations}
+        if target not in by_target:
+            raise UnknownNameError("equation", target, list(by_target))
+        return by_target[target]
+    second = [equation for equation in eq.equations if equation.chain.order == 2]
+    if not second:
+        raise InputError(
+            "physical parameters are those of a second-order equation, x'' = ...; here there are only"
+            f" {', '.join(f'{e.target} (order {e.chain.order})' for e in eq.equations)}"
+        )
+    if len(second) > 1:
+        raise InputError(f"name one of the equations as target: {', '.join(e.target for e in second)}")
+    return second[0]
