@@ -16,10 +16,27 @@ FloatArray = NDArray[np.float64]
 
 
 def frozen_array(values: Any) -> FloatArray:
-    """A read-only float64 copy."""
+    """A read-only float64 array: the one given if it is frozen, else a copy."""
+    if (
+        isinstance(values, np.ndarray)
+        and values.dtype == np.float64
+        and values.flags.c_contiguous
+        and _is_frozen(values)
+    ):
+        return values
     array = np.array(values, dtype=np.float64, order="C")
     array.setflags(write=False)
     return array
+
+
+def _is_frozen(values: FloatArray) -> bool:
+    """Whether an array, and whatever owns its samples, is read-only and no larger; what Arrow owns never changes."""
+    owner: Any = values
+    while isinstance(owner, np.ndarray):
+        if owner.flags.writeable or owner.size != values.size:
+            return False
+        owner = owner.base
+    return owner is None or type(owner).__module__.partition(".")[0] == "pyarrow"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

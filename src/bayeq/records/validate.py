@@ -82,7 +82,7 @@ def check_time(time: FloatArray, where: str = "", starts: NDArray[np.intp] | Non
             f"{_prefix(where)}time is {value} in row {bad[0] + 1} "
             f"({bad.size} such row{'s' * (bad.size > 1)}); leave these rows out"
         )
-    falls = np.diff(time) <= 0
+    falls = time[1:] <= time[:-1]
     if starts is not None:
         falls[starts[starts > 0] - 1] = False
     rows = np.flatnonzero(falls)

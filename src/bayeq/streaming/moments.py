@@ -53,7 +53,7 @@ class Folded:
 def _centred(
     code: NDArray[np.uint32], outputs: NDArray[np.uint32], registers: Floats, rows: int, shift: Floats, z: Floats
 ) -> None:
-    """The terms in the registers' variables, less `shift`, into the first rows of z (P + T, R)."""
+    """The terms in the registers' variables, less `shift`, into the first rows of z (P + T + 1, R)."""
     run_on_rows(code, registers, rows)
     for i in range(len(outputs)):
         value, out, centre = registers[outputs[i]], z[i], shift[i]
@@ -71,9 +71,7 @@ def _without_bad(z: Floats, rows: int, shift: Floats, bad: Counts) -> None:
                 z[i, j] = -shift[i]
 
 
-def fold_columns(
-    terms: Sequence[Expression], columns: Mapping[str, Floats], targets: Sequence[str], chosen: NDArray[np.bool_] | None
-) -> Folded:
+def fold_columns(terms: Sequence[Expression], columns: Mapping[str, Floats], targets: Sequence[str]) -> Folded:
     """Moments of terms and targets over some rows.
 
     Parameters
@@ -84,13 +82,9 @@ def fold_columns(
         States, inputs and targets.
     targets : sequence of str
         Those among the columns that are targets.
-    chosen : (n,) bool array, optional
-        The rows that count; by default all.
     """
     names = sorted({name for term in terms for name in term.names})
     tape = Tape.compile([*terms], [*names, *(t for t in targets if t not in names)])
-    if chosen is not None and not chosen.all():
-        columns = {name: np.ascontiguousarray(columns[name][chosen]) for name in tape.variables}
     bad = np.zeros(len(terms), dtype=np.int64)
     given = [columns[name] for name in tape.variables]
     n = len(given[0])
@@ -100,9 +94,9 @@ def fold_columns(
     outputs = np.concatenate([tape.outputs, np.array(place, dtype=np.uint32)])
     registers = registers_for(tape, min(ROWS, n))
     size = len(outputs)
-    z, shift = np.zeros((size, registers.shape[1])), np.zeros(size)
-    cross, rest = np.zeros((size, size)), np.zeros(size)
-    product = np.empty((size, size))
+    # a last row of ones, whose products are sums
+    z, shift = np.ones((size + 1, registers.shape[1])), np.zeros(size)
+    sums, product = np.zeros((size + 1, size + 1)), np.empty((size + 1, size + 1))
     with np.errstate(all="ignore"):
         for start in range(0, n, ROWS):
             rows = min(ROWS, n - start)
@@ -116,9 +110,9 @@ def fold_columns(
             if not (np.diagonal(product) <= LARGEST_SQUARE).all():
                 _without_bad(part, rows, shift, bad)
                 np.matmul(part, part.T, out=product)
-            cross += product
-            rest += part.sum(axis=1)
-        cross -= np.outer(rest, rest / n)
+            sums += product
+    cross, rest = sums[:size, :size], sums[size, :size]
+    cross = cross - np.outer(rest, rest / n)
     return Folded(Moments(n, shift + rest / n, cross), bad)
 
 

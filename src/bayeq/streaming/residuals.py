@@ -104,8 +104,7 @@ class LaggedResiduals:
         return replace(self, rows=self.rows.on(extents))
 
     def __call__(self, unit: Unit) -> Lagged:
-        columns, train, _ = self.rows.columns(unit)
-        columns = {name: values[train] for name, values in columns.items()}
+        columns, _, _ = self.rows.columns(unit)
         evaluate = Evaluator(columns)
         e = columns[self.target] - self.constant
         for term, theta in zip(self.terms, self.coef.tolist(), strict=True):

@@ -14,7 +14,7 @@ from bayeq.likelihood.block import Block, block_of
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.search import Task
 from bayeq.states import Motion, Roles
-from bayeq.states.derive import derive_states, require_usable
+from bayeq.states.derive import derive_states
 from bayeq.states.missing import complete_rows, has_all
 from bayeq.states.motion import further_rows
 from bayeq.states.prepare import cleaned, divided_at_gaps
@@ -24,7 +24,6 @@ from bayeq.streaming.moments import Folded, fold_columns
 __all__ = ["BLOCK_ROWS", "AsMeasured", "ByLikelihood", "OfRows"]
 
 Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 #: Rows whose likelihood is computed together: of the state before them nothing is known, which costs what some hundred
 #: rows tell; and the memory of 1 kB a row.
@@ -95,31 +94,27 @@ class AsMeasured:
         return replace(self, extents=tuple(extents))
 
     def __call__(self, unit: Unit) -> OfRows:
-        columns, train, (first, last) = self.columns(unit)
-        parts = [fold_columns(self.terms, columns, self.roles.targets, chosen) for chosen in (train, ~train)]
+        train, held_out, (first, last) = self.columns(unit)
+        parts = [fold_columns(self.terms, columns, self.roles.targets) for columns in (train, held_out)]
         return OfRows(parts[0], parts[1], unit.extent, first, last)
 
-    def columns(self, unit: Unit) -> tuple[dict[str, Floats], Bools, tuple[float, float]]:
-        """States, inputs and targets of the rows, which of them are for training, and the first and the last time."""
+    def columns(self, unit: Unit) -> tuple[dict[str, Floats], dict[str, Floats], tuple[float, float]]:
+        """States, inputs and targets of rows for training and of rows held out, and the first and the last time."""
         extent = self.extents[unit.extent]
         start, stop = max(unit.start - self.reach, extent.start), min(unit.stop + self.reach, extent.stop)
         record = extent.read(start, stop)
         own = slice(unit.start - start, unit.stop - start)
         between = (np.nan, np.nan) if record.time is None else (float(record.time[own][0]), float(record.time[own][-1]))
-        rows = np.arange(start, stop)
+        bounds = np.array([unit.start, max(unit.start, min(unit.stop, extent.cut(self.share))), unit.stop]) - start
         if self.clean:
             (record,), _ = cleaned([record], self.roles, "auto")
-            record, rows = complete_rows(record, self.roles), rows[has_all(record, self.roles)]
-        else:
-            require_usable(record, self._channels)
-        found = derive_states(record, self.roles.chains, self.roles.inputs, "none").columns
-        inner = (rows >= unit.start) & (rows < unit.stop)
-        columns = {name: values if inner.all() else values[inner] for name, values in found.items()}
-        return columns, rows[inner] < extent.cut(self.share), between
-
-    @property
-    def _channels(self) -> tuple[str, ...]:
-        return (*self.roles.measured, *self.roles.inputs)
+            kept = np.flatnonzero(has_all(record, self.roles))
+            bounds, record = np.searchsorted(kept, bounds), complete_rows(record, self.roles)
+        columns = derive_states(record, self.roles.chains, self.roles.inputs, "none").columns
+        begin, cut, end = bounds.tolist()
+        train = {name: values[begin:cut] for name, values in columns.items()}
+        held_out = {name: values[cut:end] for name, values in columns.items()}
+        return train, held_out, between
 
 
 @dataclass(frozen=True)

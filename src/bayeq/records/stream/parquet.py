@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -60,7 +60,9 @@ class ParquetRows:
             columns = sorted({*request.rows(headers)})
             names = [file.schema_arrow.names[i] for i in columns]
             table = file.read_row_groups(wanted, columns=names, use_threads=False)
-            first = self.groups[wanted[0]]
-            table = table.slice(start - first, stop - start)
             place = {i: k for k, i in enumerate(columns)}
-            return Columns.build(headers, lambda i: values_of(pa, table.column(place[i])), lambda _: columns)
+            data = Columns.build(headers, lambda i: values_of(pa, table.column(place[i])), lambda _: columns)
+            first = self.groups[wanted[0]]
+            if stop - start < table.num_rows:  # copies, so that the rest is let go
+                data = replace(data, values=[values[start - first : stop - first].copy() for values in data.values])
+            return data

@@ -169,9 +169,12 @@ class FileStream:
         return Record(trial.channels, time, trial.units, trial.name)
 
     def _columns(self, start: int, stop: int) -> Columns:
-        """The columns of some rows, of the file as it was opened."""
+        """The columns of some rows, of the file as it was opened, read-only: records then need no copy."""
         try:
-            return self.rows.read(start, stop, self.request)
+            columns = self.rows.read(start, stop, self.request)
         finally:
             if self.path is not None:
                 require_unchanged(self.path, self.state)
+        for values in columns.values:
+            values.setflags(write=False)
+        return columns
