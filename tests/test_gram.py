@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from bayeq.errors import InputError
 from bayeq.gram.gram import BLOCK_ROWS, SMALL, Gram, dense, grams_from_blocks, grams_from_data
+from bayeq.gram.products import add_products, block_for, shifted_products
 from bayeq.inference.posterior import Posterior
 from tests.reference import centred
 
@@ -52,6 +53,42 @@ def test_narrow_and_wide_products(n, P):
     np.testing.assert_allclose(gram.DtD, Z.T @ Z, atol=1e-11)
     np.testing.assert_allclose(gram.Dty, Z.T @ t, atol=1e-11)
     np.testing.assert_array_equal(gram.DtD, gram.DtD.T)
+
+
+@pytest.mark.parametrize("n", [1, 3, 255, 256, 257, 1030])
+@pytest.mark.parametrize("columns", [1, 3, 4, 37])
+def test_products_of_a_block(n, columns):
+    rng = np.random.default_rng(n + columns)
+    values, block = rng.normal(size=(columns, n)), block_for(columns, n)
+    block[:columns, :n] = values
+    block[:columns, n:] = np.nan  # beyond the rows
+    sums = np.zeros((len(block), len(block)))
+    add_products(block, n, sums)
+    add_products(block, n, sums)
+    filled = np.vstack([values, np.ones(n), np.zeros((len(block) - columns - 1, n))])
+    np.testing.assert_allclose(np.tril(sums), np.tril(2.0 * filled @ filled.T), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_products_keep_what_is_not_finite(bad):
+    D = np.random.default_rng(0).normal(size=(300, 5))
+    D[280, 2] = bad
+    _, sums, products = shifted_products(D, D[:, :1])
+    wrong = ~np.isfinite(products)
+    assert wrong[2].all()
+    assert wrong[:, 2].all()
+    assert wrong.sum() == 11
+    assert np.flatnonzero(~np.isfinite(sums)).tolist() == [2]
+
+
+@pytest.mark.parametrize("value", [0.1, -3e7, 1e-30])
+def test_a_constant_column_has_no_products(value):
+    D = np.column_stack([np.full(1000, value), np.arange(1000.0)])
+    shift, sums, products = shifted_products(D, D[:, :1])
+    assert shift[0] == shift[2] == value
+    assert not sums[0]
+    assert not products[0].any()
+    assert not products[2].any()
 
 
 def test_many_blocks_equal_one():

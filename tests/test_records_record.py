@@ -249,3 +249,38 @@ def test_dataframe_there_and_back() -> None:
         Record.from_dataframe(gaps)
     dated = pd.DataFrame({"x": [1.0, 2.0]}, index=pd.date_range("2024", periods=2, freq="s", tz="CET", name="time"))
     assert Record.from_dataframe(dated).dt == 1.0
+
+
+def frozen(values):
+    values.setflags(write=False)
+    return values
+
+
+def test_arrays_that_nobody_can_change_are_not_copied():
+    values = frozen(np.arange(5.0))
+    assert Record({"x": values})["x"] is values
+    assert Record({"x": values[:]})["x"].base is values
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.arange(5.0),
+        frozen(np.arange(10.0)[:5]),  # a part keeps all alive
+        frozen(np.arange(5.0)[:]),  # whose owner can be written to
+        frozen(np.arange(10.0)[::2]),
+        frozen(np.arange(5)),
+        frozen(np.frombuffer(bytearray(40), dtype=np.float64)),
+    ],
+)
+def test_other_arrays_are_copied(values):
+    kept = Record({"x": values})["x"]
+    assert kept.base is None
+    assert not kept.flags.writeable
+    assert not np.shares_memory(kept, values)
+
+
+def test_columns_of_arrow_are_not_copied():
+    pa = pytest.importorskip("pyarrow")
+    column = pa.array([1.0, 2.0, 3.0]).to_numpy()
+    assert np.shares_memory(Record({"x": column})["x"], column)

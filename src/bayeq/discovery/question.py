@@ -41,6 +41,7 @@ from bayeq.states import (
     require_steps,
     require_varying,
 )
+from bayeq.states.bad_samples import Learned
 from bayeq.states.missing import bridged_record, require_enough
 from bayeq.states.motion import held_out_share
 from bayeq.states.prepare import cleaned, divided_at_gaps
@@ -163,7 +164,8 @@ class Question:
     def _motion(self, records: list[Record], log: WarningLog, whole: Whole | None) -> tuple[Motion, list[Record]]:
         """States, and the records that they are of."""
         try:
-            pieces, roles, share = _prepared(records, self.roles, self.smooth, self.holdout, log)
+            learned = None if whole is None else whole.learned
+            pieces, roles, share = _prepared(records, self.roles, self.smooth, self.holdout, log, learned)
         except RecordError as error:
             if whole is None:
                 raise
@@ -227,14 +229,14 @@ def _require_likelihood(motion: Motion, record: RecordFit | None, whole: Whole |
 
 
 def _prepared(
-    records: list[Record], roles: Roles, smooth: Smooth, holdout: float, log: WarningLog
+    records: list[Record], roles: Roles, smooth: Smooth, holdout: float, log: WarningLog, learned: Learned | None
 ) -> tuple[list[Record], Roles, float]:
     """Records without bad samples, divided at gaps that cannot be bridged, chains without channels that were computed
     from others, and the share of the rows to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
     require_varying(records, [*roles.measured, *roles.inputs])
     require_steps(records)
-    records, messages = cleaned(records, roles, smooth)
+    records, messages = cleaned(records, roles, smooth, learned)
     log.extend(messages, DataWarning)
     require_enough(records, roles)
     records, messages = divided_at_gaps(records, roles, smooth)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError
+from bayeq.gram.products import shifted_products
 from bayeq.kernels import kernel
 
 __all__ = [
@@ -40,10 +41,8 @@ BLOCK_ROWS = 8192
 # A sum of squares below this has lost digits.
 LEAST_SQUARES = 1e-280
 
-# Up to this many columns the product Z'Z is our own kernel, above it is BLAS. The kernel centres this many
-# rows at a time, few enough for the cache; a multiple of 4.
-SMALL = 96
-CACHED_ROWS = 64
+# Up to this many columns the products are those of our own kernel, above BLAS is as fast.
+SMALL = 160
 
 
 class GramLike(Protocol):
@@ -386,73 +385,24 @@ def _centre(D: Floats, y: Floats, mean: Floats, z: Floats, rest: Floats) -> None
             rest[p + j] += value
 
 
-@kernel
-def _add_cross(z: Floats, cross: Floats) -> None:
-    """Add the lower triangle of z'z to that of `cross`, four rows and two columns at a time."""
-    n, p = z.shape
-    whole, even = n - n % 4, p - p % 2
-    for i in range(0, whole, 4):
-        r0, r1, r2, r3 = z[i], z[i + 1], z[i + 2], z[i + 3]
-        for a in range(0, even, 2):
-            row, next_row = cross[a], cross[a + 1]
-            a0, a1, a2, a3 = r0[a], r1[a], r2[a], r3[a]
-            b0, b1, b2, b3 = r0[a + 1], r1[a + 1], r2[a + 1], r3[a + 1]
-            for b in range(a + 2):
-                x0, x1, x2, x3 = r0[b], r1[b], r2[b], r3[b]
-                row[b] += (a0 * x0 + a1 * x1) + (a2 * x2 + a3 * x3)
-                next_row[b] += (b0 * x0 + b1 * x1) + (b2 * x2 + b3 * x3)
-        for a in range(even, p):
-            row = cross[a]
-            for b in range(p):
-                row[b] += (r0[a] * r0[b] + r1[a] * r1[b]) + (r2[a] * r2[b] + r3[a] * r3[b])
-    for i in range(whole, n):
-        for a in range(p):
-            for b in range(a + 1):
-                cross[a, b] += z[i, a] * z[i, b]
-
-
-@kernel
-def _narrow_cross(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """The mean of [D y], and z'z and the sums of z = [D y] - mean.
-
-    z is formed a few rows at a time and so never leaves the cache.
-
-    For narrow matrices faster than BLAS, and unlike it the same to the last bit for any number of threads (and
-    not slowed down when other processes hold the cores that a threaded BLAS waits for).
-    """
-    mean = _column_means(D, y)
-    n, columns = len(D), len(mean)
-    rest, cross = np.zeros(columns), np.zeros((columns, columns))
-    z = np.empty((CACHED_ROWS, columns))
-    for start in range(0, n, CACHED_ROWS):
-        stop = min(start + CACHED_ROWS, n)
-        part = z[: stop - start]
-        _centre(D[start:stop], y[start:stop], mean, part, rest)
-        _add_cross(part, cross)
-    for a in range(columns):
-        for b in range(a):
-            cross[b, a] = cross[a, b]
-    return mean, cross, rest
-
-
-def _wide_cross(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """`_narrow_cross` of many columns, by BLAS."""
+def _wide_products(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """`shifted_products` of many columns, by BLAS."""
     mean = _column_means(D, y)
     z, rest = np.empty((len(D), len(mean))), np.zeros(len(mean))
     _centre(D, y, mean, z, rest)
-    return mean, z.T @ z, rest
+    return mean, rest, z.T @ z
 
 
 def _block_moments(D: Floats, Y: Floats) -> Moments:
-    """Two-pass centred co-moments of a block, corrected for the rounding of its mean."""
+    """Centred co-moments of a block: products of deviations from about the mean, corrected for what that is off."""
     n = len(D)
     D = np.ascontiguousarray(D)
     Y = np.ascontiguousarray(Y)
     columns = D.shape[1] + Y.shape[1]
     with np.errstate(over="ignore", invalid="ignore"):
-        mean, cross, rest = (_narrow_cross if columns <= SMALL else _wide_cross)(D, Y)
-        cross -= rest[:, None] * (rest / n)
-    return Moments(n, mean + rest / n, cross)
+        shift, sums, cross = (shifted_products if columns <= SMALL else _wide_products)(D, Y)
+        cross -= sums[:, None] * (sums / n)
+    return Moments(n, shift + sums / n, cross)
 
 
 def _weighted_moments(D: Floats, Y: Floats, weights: Floats) -> Moments:
@@ -480,8 +430,9 @@ def from_moments(moments: Moments, names: tuple[str, ...], targets: int) -> tupl
     InputError
         Values that are not finite, or overflow when squared.
     """
-    bad = np.flatnonzero(~np.isfinite(np.diagonal(moments.cross)))
-    if bad.size:
+    squares = np.diagonal(moments.cross)
+    if not np.isfinite(squares).all():
+        bad = np.flatnonzero(~np.isfinite(squares))
         labels = [*names, *(["the target"] * targets)]
         raise InputError(f"non-finite values (or squares that overflow) in {', '.join(labels[j] for j in bad[:8])}")
     p = len(names)
@@ -590,6 +541,8 @@ def require_squares(D: Floats, Y: Floats, diagonal: Floats, yty: Floats, names: 
     InputError
         Naming the columns.
     """
+    if min(diagonal.min(initial=np.inf), yty.min(initial=np.inf)) >= LEAST_SQUARES:
+        return
     small = [names[int(j)] for j in np.flatnonzero(diagonal < LEAST_SQUARES) if np.ptp(D[:, j]) > 0.0]
     small += ["the target" for k in np.flatnonzero(yty < LEAST_SQUARES) if np.ptp(Y[:, k]) > 0.0]
     if small:

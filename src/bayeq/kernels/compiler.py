@@ -15,7 +15,7 @@ import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
-__all__ = ["entry_dispatcher", "inner_dispatcher"]
+__all__ = ["entry_dispatcher", "inner_dispatcher", "is_reordered"]
 
 OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -72,14 +72,26 @@ class _InnerCompiler(_EntryCompiler):
     library = _InnerLibrary
 
 
+def is_reordered(function: Callable[..., Any]) -> bool:
+    """Whether sums of a kernel may be taken in another order."""
+    return bool(getattr(function, "reordered", False))
+
+
 def entry_dispatcher(function: Callable[..., Any]) -> Any:
     """numba's dispatcher of a function that Python calls.
 
-    The GIL is released while it runs; floating-point semantics stay strict (no ``fastmath``: NaN checks must work).
+    The GIL is released while it runs; NaN and infinities stay what they are (no ``fastmath=True``: checks for them must
+    work), and sums are in the order in which they are written, if the kernel does not allow another.
     """
-    return numba.njit(**OPTIONS, pipeline_class=_EntryCompiler)(function)
+    return numba.njit(**OPTIONS, fastmath=_allowed(function), pipeline_class=_EntryCompiler)(function)
 
 
 def inner_dispatcher(function: Callable[..., Any]) -> Any:
     """numba's dispatcher of a function that kernels call."""
-    return numba.njit(**OPTIONS, no_cpython_wrapper=True, pipeline_class=_InnerCompiler)(function)
+    allowed = _allowed(function)
+    return numba.njit(**OPTIONS, fastmath=allowed, no_cpython_wrapper=True, pipeline_class=_InnerCompiler)(function)
+
+
+def _allowed(function: Callable[..., Any]) -> set[str] | bool:
+    """LLVM's flags."""
+    return {"reassoc", "contract"} if is_reordered(function) else False

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property, update_wrapper
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, overload
 
 __all__ = ["Kernel", "announce_compiling", "kernel"]
 
@@ -72,9 +72,22 @@ class Kernel:
         return getattr(self.dispatcher, name)
 
 
-def kernel(function: F) -> F:
+@overload
+def kernel(function: F) -> F: ...
+@overload
+def kernel(*, reordered: bool) -> Callable[[F], F]: ...
+def kernel(function: F | None = None, *, reordered: bool = False) -> F | Callable[[F], F]:
     """Have numba compile `function` in nopython mode when it is first called, and cache it on disk.
 
-    See `bayeq.kernels.cache.cached_dispatcher`.
+    With `reordered` its sums may be taken in another order and fused with products, which makes long sums many times
+    as fast; NaN and infinities stay what they are. See `bayeq.kernels.cache.cached_dispatcher`.
     """
-    return cast(F, Kernel(function))
+    if function is None:
+        return lambda one: _kernel(one, reordered)
+    return _kernel(function, reordered)
+
+
+def _kernel(function: F, reordered: bool) -> F:
+    made = Kernel(function)
+    made.py_func.__dict__["reordered"] = reordered
+    return cast(F, made)

@@ -30,7 +30,7 @@ from bayeq.states.kinematic.smoother import (
 from bayeq.states.roles import Roles
 from bayeq.states.unit_gains import unit_gains
 
-__all__ = ["BAD", "BadSamples", "find_bad_samples", "without_bad_samples"]
+__all__ = ["BAD", "BadSamples", "Learned", "find_bad_samples", "without_bad_samples"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -122,7 +122,29 @@ class BadSamples:
         return np.any(list(self.kinds.values()), axis=0)
 
 
-def find_bad_samples(records: Sequence[Record], roles: Roles) -> list[dict[str, BadSamples]]:
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """What channels were judged by, so that further records of the same system are judged by the same.
+
+    Attributes
+    ----------
+    models : dict of tuple of channels to KinematicModel
+        Motion and noise levels of an input, of a channel alone, and of a chain.
+    gains : dict of tuple of channels to (K+1,) array
+        Unit gains of chains.
+    """
+
+    models: dict[tuple[str | None, ...], KinematicModel] = field(default_factory=dict)
+    gains: dict[tuple[str | None, ...], Floats] = field(default_factory=dict)
+
+    def copy(self) -> Learned:
+        """The same, to which others may be added."""
+        return Learned(dict(self.models), dict(self.gains))
+
+
+def find_bad_samples(
+    records: Sequence[Record], roles: Roles, learned: Learned | None = None
+) -> list[dict[str, BadSamples]]:
     """Bad samples of every channel that is used.
 
     Parameters
@@ -131,6 +153,8 @@ def find_bad_samples(records: Sequence[Record], roles: Roles) -> list[dict[str, 
         Of one system; NaN is a missing sample. Records without time, or of fewer than 40 rows, are not looked at.
     roles : Roles
         Chains and inputs.
+    learned : Learned, optional
+        What is in it is not learned again; what is learned is added.
 
     Returns
     -------
@@ -142,8 +166,9 @@ def find_bad_samples(records: Sequence[Record], roles: Roles) -> list[dict[str, 
     if not timed:
         return out
     chosen = [records[i] for i in timed]
-    inputs = [_Group.of_input(chosen, name).searched() for name in roles.inputs]
-    chains = [_Group.of_chain(chosen, chain).searched() for chain in roles.chains]
+    learned = learned or Learned()
+    inputs = [_Group.of_input(chosen, name).searched(learned) for name in roles.inputs]
+    chains = [_Group.of_chain(chosen, chain, learned).searched(learned) for chain in roles.chains]
     _keep_answered(inputs, chains)
     for group in (*inputs, *chains):
         for i, name, found in group.found():
@@ -151,7 +176,9 @@ def find_bad_samples(records: Sequence[Record], roles: Roles) -> list[dict[str, 
     return out
 
 
-def without_bad_samples(records: Sequence[Record], roles: Roles) -> tuple[list[Record], list[str]]:
+def without_bad_samples(
+    records: Sequence[Record], roles: Roles, learned: Learned | None = None
+) -> tuple[list[Record], list[str]]:
     """The records with NaN in place of bad samples, and a message for each channel and kind.
 
     Parameters
@@ -160,8 +187,10 @@ def without_bad_samples(records: Sequence[Record], roles: Roles) -> tuple[list[R
         Of one system.
     roles : Roles
         Chains and inputs.
+    learned : Learned, optional
+        As for `find_bad_samples`.
     """
-    found = find_bad_samples(records, roles)
+    found = find_bad_samples(records, roles, learned)
     out, messages = [], []
     for record, channels in zip(records, found, strict=True):
         changed = {name: np.where(bad.any, np.nan, record[name]) for name, bad in channels.items()}
@@ -200,7 +229,7 @@ class _Group:
     """Channels that are judged by one smoother: a chain's, or one input."""
 
     def __init__(self, names: Sequence[str | None], series: Sequence[ChainSeries]) -> None:
-        self.names, self.series = names, list(series)
+        self.names, self.series = tuple(names), list(series)
         self.spikes = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
         self.stuck = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
         self.clipped = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
@@ -212,7 +241,7 @@ class _Group:
         return cls((name,), [ChainSeries(_time(record), (record[name],)) for record in records])
 
     @classmethod
-    def of_chain(cls, records: Sequence[Record], chain: Chain) -> _Group:
+    def of_chain(cls, records: Sequence[Record], chain: Chain, learned: Learned) -> _Group:
         """A chain from its lowest measured derivative on, in units that belong together.
 
         These are estimated without the spikes that each channel shows alone.
@@ -220,8 +249,10 @@ class _Group:
         names = chain.measured[chain.lowest :]
         if sum(name is not None for name in names) == 1:
             gains = np.ones(len(names))
+        elif names in learned.gains:
+            gains = learned.gains[names]
         else:
-            alone = {name: cls.of_input(records, name).searched() for name in names if name is not None}
+            alone = {name: cls.of_input(records, name).searched(learned) for name in names if name is not None}
             calm = [
                 record.with_channels(
                     {name: np.where(group.spikes[i][:, 0], np.nan, record[name]) for name, group in alone.items()},
@@ -229,7 +260,7 @@ class _Group:
                 )
                 for i, record in enumerate(records)
             ]
-            gains = unit_gains(calm, chain)[chain.lowest :]
+            gains = learned.gains[names] = unit_gains(calm, chain)[chain.lowest :]
         series = [
             ChainSeries(
                 _time(record),
@@ -239,12 +270,13 @@ class _Group:
         ]
         return cls(names, series)
 
-    def searched(self) -> _Group:
+    def searched(self, learned: Learned) -> _Group:
         """The group itself, with what was found in it; nothing where there is no noise level to judge by."""
         doubtful = [_long_runs(s) for s in self.series]
-        model = self._search_spikes(doubtful)
+        model = self._search_spikes(doubtful, learned.models.get(self.names))
         if model is None:
             return self
+        learned.models[self.names] = model
         for i, (s, runs) in enumerate(zip(self.series, doubtful, strict=True)):
             calm = _without(s, np.logical_or(self.spikes[i], runs))
             self.clipped[i] = _clipped(_without(s, self.spikes[i]))
@@ -253,17 +285,13 @@ class _Group:
             self.missed[i] = np.any(_standard(errors) > SPIKE * _factor(errors), axis=1)
         return self
 
-    def _search_spikes(self, doubtful: Sequence[Bools]) -> KinematicModel | None:
-        """Find spikes outside of doubtful stretches, until there are no more; the model without them."""
-        least, model = _least(self.series), None
+    def _search_spikes(self, doubtful: Sequence[Bools], known: KinematicModel | None) -> KinematicModel | None:
+        """Find spikes outside of doubtful stretches, until there are no more; the model without them, if not known."""
+        least, model = _least(self.series), known
         for _ in range(PASSES):
             used = [_without(s, spikes | d) for s, spikes, d in zip(self.series, self.spikes, doubtful, strict=True)]
-            try:
-                with warnings.catch_warnings():
-                    # noise levels that are not quite the likeliest do as well
-                    warnings.simplefilter("ignore", ConvergenceWarning)
-                    model = fit_kinematic(used)
-            except InputError:  # too few samples, or a constant channel
+            model = known or _fitted(used)
+            if model is None:
                 return None
             found = _standing_out([_judged(s, model, least) for s in used])
             for i, (row, k) in found:
@@ -292,6 +320,17 @@ class _Group:
                 kinds = {kind: mask for kind, mask in masks.items() if mask.any()}
                 if name is not None and kinds:
                     yield i, name, BadSamples(kinds)
+
+
+def _fitted(series: Sequence[ChainSeries]) -> KinematicModel | None:
+    """The model of some samples; None of too few, or of a constant channel."""
+    try:
+        with warnings.catch_warnings():
+            # noise levels that are not quite the likeliest do as well
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            return fit_kinematic(series)
+    except InputError:
+        return None
 
 
 def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:

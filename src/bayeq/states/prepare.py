@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bayeq.records import Record, split_at_gaps
-from bayeq.states.bad_samples import without_bad_samples
+from bayeq.states.bad_samples import Learned, without_bad_samples
 from bayeq.states.derive import Smooth, require_usable
 from bayeq.states.missing import bridged_record, missing_messages, without_empty_rows
 from bayeq.states.roles import Roles
@@ -13,7 +13,9 @@ from bayeq.states.roles import Roles
 __all__ = ["cleaned", "divided_at_gaps"]
 
 
-def cleaned(records: Sequence[Record], roles: Roles, smooth: Smooth) -> tuple[list[Record], list[str]]:
+def cleaned(
+    records: Sequence[Record], roles: Roles, smooth: Smooth, learned: Learned | None = None
+) -> tuple[list[Record], list[str]]:
     """The records, row by row, with NaN in place of bad samples; with "none" as they are.
 
     Parameters
@@ -24,6 +26,8 @@ def cleaned(records: Sequence[Record], roles: Roles, smooth: Smooth) -> tuple[li
         Chains and inputs.
     smooth : "auto", "band" or "none"
         As `discover` takes it.
+    learned : Learned, optional
+        By what bad samples are judged, of other records of the system; what is missing there is added.
 
     Returns
     -------
@@ -40,7 +44,7 @@ def cleaned(records: Sequence[Record], roles: Roles, smooth: Smooth) -> tuple[li
     missing = missing_messages(records, roles)
     for record in records:
         require_usable(bridged_record(record, roles), [*roles.measured, *roles.inputs])
-    found, bad = without_bad_samples(records, roles)
+    found, bad = without_bad_samples(records, roles, learned)
     return found, [*missing, *bad]
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bayeq.expressions import Expression, Tape
 from bayeq.expressions.on_rows import registers_for, run_on_rows
 from bayeq.gram.gram import Moments
+from bayeq.gram.products import add_products, block_for
 from bayeq.kernels import kernel
 
 __all__ = ["Folded", "fold_columns"]
@@ -53,7 +54,7 @@ class Folded:
 def _centred(
     code: NDArray[np.uint32], outputs: NDArray[np.uint32], registers: Floats, rows: int, shift: Floats, z: Floats
 ) -> None:
-    """The terms in the registers' variables, less `shift`, into the first rows of z (P + T + 1, R)."""
+    """The terms in the registers' variables, less `shift`, into the first rows of z (C, R)."""
     run_on_rows(code, registers, rows)
     for i in range(len(outputs)):
         value, out, centre = registers[outputs[i]], z[i], shift[i]
@@ -94,9 +95,8 @@ def fold_columns(terms: Sequence[Expression], columns: Mapping[str, Floats], tar
     outputs = np.concatenate([tape.outputs, np.array(place, dtype=np.uint32)])
     registers = registers_for(tape, min(ROWS, n))
     size = len(outputs)
-    # a last row of ones, whose products are sums
-    z, shift = np.ones((size + 1, registers.shape[1])), np.zeros(size)
-    sums, product = np.zeros((size + 1, size + 1)), np.empty((size + 1, size + 1))
+    z, shift = block_for(size, registers.shape[1]), np.zeros(size)
+    sums = np.zeros((len(z), len(z)))
     with np.errstate(all="ignore"):
         for start in range(0, n, ROWS):
             rows = min(ROWS, n - start)
@@ -105,14 +105,16 @@ def fold_columns(terms: Sequence[Expression], columns: Mapping[str, Floats], tar
             if not start:
                 shift = _first_means(tape, outputs, registers, rows)
             _centred(tape.code, outputs, registers, rows, shift, z)
-            part = z if rows == z.shape[1] else np.ascontiguousarray(z[:, :rows])
-            np.matmul(part, part.T, out=product)
-            if not (np.diagonal(product) <= LARGEST_SQUARE).all():
-                _without_bad(part, rows, shift, bad)
-                np.matmul(part, part.T, out=product)
-            sums += product
-    cross, rest = sums[:size, :size], sums[size, :size]
-    cross = cross - np.outer(rest, rest / n)
+            products = np.zeros_like(sums)
+            add_products(z, rows, products)
+            if not (np.diagonal(products) <= LARGEST_SQUARE).all():
+                _without_bad(z, rows, shift, bad)
+                products[:] = 0.0
+                add_products(z, rows, products)
+            sums += products
+    rest = sums[size, :size]
+    cross = np.tril(sums[:size, :size])
+    cross += np.tril(cross, -1).T - np.outer(rest, rest / n)
     return Folded(Moments(n, shift + rest / n, cross), bad)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -18,6 +18,7 @@ from bayeq.likelihood.record_fit import RecordFit
 from bayeq.regression.design import Design, usable_terms
 from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion
+from bayeq.states.bad_samples import Learned
 from bayeq.streaming.checkpoint import Checkpoints
 from bayeq.streaming.extent import Extent, Unit, units_of
 from bayeq.streaming.fold import Executor, fold
@@ -50,12 +51,15 @@ class Whole:
         Called with (stage, rows done, rows in all).
     checkpoints : Checkpoints
         Where sums are kept on the way.
+    learned : Learned
+        What bad samples of the stretches were judged by, for all rows.
     """
 
     extents: tuple[Extent, ...]
     executor: Executor
     progress: Progress
     checkpoints: Checkpoints
+    learned: Learned = field(default_factory=Learned)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -92,7 +96,7 @@ class Whole:
             No candidate can be used; missing samples.
         """
         roles, terms = motion.roles, tuple(terms)
-        work = AsMeasured(self.extents, roles, terms, share, clean)
+        work = AsMeasured(self.extents, roles, terms, share, clean, self.learned)
         names, targets = tuple(term.text for term in terms), len(roles.targets)
         found = self._fold(work, units_of(self.extents), "rows", (names, roles, share, clean))
         if found.train.moments is None:
@@ -128,7 +132,7 @@ class Whole:
     ) -> tuple[RecordFit, int]:
         """The likelihood of some units about where a fit stands, and the rows that it is not of."""
         state = at.fitted.state
-        work = ByLikelihood.of(self.extents, motion, former.task, state)
+        work = ByLikelihood.of(self.extents, motion, former.task, state, self.learned)
         about = (motion.roles, state.chosen.term.tolist(), state.theta.tolist(), state.levels.free.tolist())
         block = self._fold(work, units, stage, about)
         return RecordFit.of_more(former, block.quadratic, block.samples), block.lost

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from bayeq.likelihood.block import Block, block_of
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.search import Task
 from bayeq.states import Motion, Roles
+from bayeq.states.bad_samples import Learned
 from bayeq.states.derive import derive_states
 from bayeq.states.missing import complete_rows, has_all
 from bayeq.states.motion import further_rows
@@ -75,6 +76,8 @@ class AsMeasured:
         Of the rows of each extent, the last, held out.
     clean : bool
         Whether bad samples and rows with missing ones are left out; otherwise the latter are an error.
+    learned : Learned
+        What bad samples are judged by.
     """
 
     extents: tuple[Extent, ...]
@@ -82,6 +85,7 @@ class AsMeasured:
     terms: tuple[Expression, ...]
     share: float
     clean: bool
+    learned: Learned = field(default_factory=Learned)
 
     @property
     def reach(self) -> int:
@@ -107,7 +111,7 @@ class AsMeasured:
         between = (np.nan, np.nan) if record.time is None else (float(record.time[own][0]), float(record.time[own][-1]))
         bounds = np.array([unit.start, max(unit.start, min(unit.stop, extent.cut(self.share))), unit.stop]) - start
         if self.clean:
-            (record,), _ = cleaned([record], self.roles, "auto")
+            (record,), _ = cleaned([record], self.roles, "auto", self.learned.copy())
             kept = np.flatnonzero(has_all(record, self.roles))
             bounds, record = np.searchsorted(kept, bounds), complete_rows(record, self.roles)
         columns = derive_states(record, self.roles.chains, self.roles.inputs, "none").columns
@@ -129,19 +133,22 @@ class ByLikelihood:
         How rows are smoothed; its own rows are not needed.
     task, state : Task, State
         The fit.
+    learned : Learned
+        What bad samples are judged by.
     """
 
     extents: tuple[Extent, ...]
     motion: Motion
     task: Task
     state: State
+    learned: Learned
 
     @classmethod
-    def of(cls, extents: Sequence[Extent], motion: Motion, task: Task, state: State) -> ByLikelihood:
+    def of(cls, extents: Sequence[Extent], motion: Motion, task: Task, state: State, learned: Learned) -> ByLikelihood:
         """Without the rows and paths of the fit, so that it is small."""
         motion = replace(motion, records=(), cuts=())
         task = replace(task, series=(), recent=[])
-        return cls(tuple(extents), motion, task, replace(state, paths=()))
+        return cls(tuple(extents), motion, task, replace(state, paths=()), learned)
 
     @property
     def reach(self) -> int:
@@ -154,5 +161,6 @@ class ByLikelihood:
 
     def __call__(self, unit: Unit) -> Block:
         record, roles = self.extents[unit.extent].read(unit.start, unit.stop), self.motion.roles
-        pieces, _ = divided_at_gaps(cleaned([record], roles, "auto")[0], roles, "auto")
+        records, _ = cleaned([record], roles, "auto", self.learned.copy())
+        pieces, _ = divided_at_gaps(records, roles, "auto")
         return block_of(self.task, self.state, [further_rows(piece, self.motion) for piece in pieces if piece.n > 1])
