@@ -257,6 +257,28 @@ def test_the_likelihood_of_all_rows_is_that_in_memory(record, tmp_path, monkeypa
     assert found.verdict.kind == expected.verdict.kind == "found"
 
 
+def test_bad_samples_outside_of_the_stretches_are_counted(record, tmp_path, monkeypatch):
+    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 150)
+    record = record.take(slice(0, 14_000))
+    x, u = np.array(record["x"]), np.array(record["u"])
+    # 20 stretches of 150 rows begin every 728.9 rows
+    x[[400, 1200, 5000]] += 20.0 * x.std()
+    u[[2700, 2701]] = np.nan
+    path = written(record.with_channels({"x": x, "u": u}), tmp_path / "r.parquet")
+    found = quietly(path, stream=True, dictionary="x, v, x**2, x**3, u")
+    assert found[0].included == ("x", "v", "x**3", "u")
+    said = [line for line in found.warnings if "all 14,000 rows" in line]
+    assert said == [
+        "of all 14,000 rows these samples are missing: 2 of u; check the sensors and the acquisition",
+        "of all 14,000 rows these samples were left out as bad: 3 of x; check the sensors and the acquisition",
+    ]
+    untouched = quietly(written(record, tmp_path / "o.parquet"), stream=True, dictionary="x, v, x**2, x**3, u")
+    assert not any("all 14,000 rows" in line for line in untouched.warnings)
+    for name in found[0].included:
+        sd = untouched.table().set_index("term").sd[name]
+        assert abs(found[0].coef[name] - untouched[0].coef[name]) < 0.1 * sd
+
+
 def test_any_number_of_threads_gives_the_same_bytes(record):
     extents = (Extent(RecordStream(record), 0, record.n),)
     from bayeq.states import Roles

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from bayeq.states import MotionRows
 __all__ = ["Block", "block_of"]
 
 Floats = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
 # Steps of the path at most, and the deviation, in standard deviations of a state, that ends them.
 STEPS, NEAR = 6, 3e-3
@@ -36,16 +37,19 @@ class Block:
         Number of samples.
     lost : int
         Rows of which it could not be evaluated.
+    absent : (2, C) int array
+        Samples of each channel that are missing, and that were left out as bad; empty where nobody counted them.
     """
 
     quadratic: Quadratic
     samples: float
     lost: int = 0
+    absent: Counts = field(default_factory=lambda: np.zeros((2, 0), dtype=np.int64))
 
     def __add__(self, other: Block) -> Block:
         a, b = self.quadratic, other.quadratic
         q = Quadratic(a.level + b.level, a.slope + b.slope, a.information + b.information)
-        return Block(q, self.samples + other.samples, self.lost + other.lost)
+        return Block(q, self.samples + other.samples, self.lost + other.lost, self.absent + other.absent)
 
 
 def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:

@@ -15,7 +15,7 @@ from bayeq.states.motion import cut_at
 __all__ = ["Extent", "Unit", "of_channels", "stretches", "units_of"]
 
 #: Stretches that are looked at first, and rows of each.
-STRETCHES, ROWS_EACH = 20, 2500
+STRETCHES, ROWS_EACH = 20, 5000
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,11 @@ from bayeq.errors import DataWarning, RecordError, WarningLog
 from bayeq.expressions import Expression
 from bayeq.gram.gram import from_moments
 from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.block import Block
 from bayeq.likelihood.record_fit import RecordFit
 from bayeq.regression.design import Design, usable_terms
 from bayeq.regression.residuals import Residuals
-from bayeq.states import Motion
+from bayeq.states import Motion, Roles
 from bayeq.states.bad_samples import Learned
 from bayeq.streaming.checkpoint import Checkpoints
 from bayeq.streaming.extent import Extent, Unit, units_of
@@ -116,26 +117,39 @@ class Whole:
             found, _ = self._about(found, former, motion, some, "likelihood of some rows")
         for _ in range(PASSES):
             before = found
-            found, lost = self._about(before, former, motion, units, "likelihood of all rows")
+            found, block = self._about(before, former, motion, units, "likelihood of all rows")
             if (found.posterior.support == before.posterior.support).all():
                 break
-        if lost:
-            log.warn(
-                f"of {lost:,} of {self.n:,} rows the likelihood could not be evaluated near their motion: the answer is"
-                " about the others; look at these rows, or leave them out (--rows)",
-                DataWarning,
-            )
+        self._warn(block, motion.roles, log)
         return found
 
     def _about(
         self, at: RecordFit, former: RecordFit, motion: Motion, units: Sequence[Unit], stage: str
-    ) -> tuple[RecordFit, int]:
-        """The likelihood of some units about where a fit stands, and the rows that it is not of."""
+    ) -> tuple[RecordFit, Block]:
+        """The likelihood of some units about where a fit stands."""
         state = at.fitted.state
         work = ByLikelihood.of(self.extents, motion, former.task, state, self.learned)
         about = (motion.roles, state.chosen.term.tolist(), state.theta.tolist(), state.levels.free.tolist())
         block = self._fold(work, units, stage, about)
-        return RecordFit.of_more(former, block.quadratic, block.samples), block.lost
+        return RecordFit.of_more(former, block.quadratic, block.samples), block
+
+    def _warn(self, block: Block, roles: Roles, log: WarningLog) -> None:
+        """Warn of rows and samples that the likelihood of all rows is not about."""
+        if block.lost:
+            log.warn(
+                f"of {block.lost:,} of {self.n:,} rows the likelihood could not be evaluated near their motion: the"
+                " answer is about the others; look at these rows, or leave them out (--rows)",
+                DataWarning,
+            )
+        names = (*roles.measured, *roles.inputs)
+        for counts, what in zip(block.absent.tolist(), ("are missing", "were left out as bad"), strict=True):
+            listed = [f"{count:,} of {name}" for name, count in zip(names, counts, strict=False) if count]
+            if listed:
+                log.warn(
+                    f"of all {self.n:,} rows these samples {what}: {', '.join(listed)}; check the sensors and the"
+                    " acquisition",
+                    DataWarning,
+                )
 
     def residuals(self, work: AsMeasured, design: Design, k: int, posterior: Posterior, found: Residuals) -> Residuals:
         """What was found of residuals of stretches, with the correlation of those of all training rows."""

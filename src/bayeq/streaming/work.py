@@ -13,6 +13,7 @@ from bayeq.expressions import Expression
 from bayeq.likelihood.block import Block, block_of
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.search import Task
+from bayeq.records import Record
 from bayeq.states import Motion, Roles
 from bayeq.states.bad_samples import Learned
 from bayeq.states.derive import derive_states
@@ -25,6 +26,7 @@ from bayeq.streaming.moments import Folded, fold_columns
 __all__ = ["BLOCK_ROWS", "AsMeasured", "ByLikelihood", "OfRows"]
 
 Floats = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
 #: Rows whose likelihood is computed together: of the state before them nothing is known, which costs what some hundred
 #: rows tell; and the memory of 1 kB a row.
@@ -161,6 +163,14 @@ class ByLikelihood:
 
     def __call__(self, unit: Unit) -> Block:
         record, roles = self.extents[unit.extent].read(unit.start, unit.stop), self.motion.roles
-        records, _ = cleaned([record], roles, "auto", self.learned.copy())
-        pieces, _ = divided_at_gaps(records, roles, "auto")
-        return block_of(self.task, self.state, [further_rows(piece, self.motion) for piece in pieces if piece.n > 1])
+        (clean,), _ = cleaned([record], roles, "auto", self.learned.copy())
+        pieces, _ = divided_at_gaps([clean], roles, "auto")
+        block = block_of(self.task, self.state, [further_rows(piece, self.motion) for piece in pieces if piece.n > 1])
+        return replace(block, absent=_absent(record, clean, roles))
+
+
+def _absent(record: Record, clean: Record, roles: Roles) -> Counts:
+    """Samples of each channel that are missing, and that were left out, (2, C)."""
+    used = (*roles.measured, *roles.inputs)
+    missing, all_absent = ([int(np.isnan(one[name]).sum()) for name in used] for one in (record, clean))
+    return np.array([missing, np.subtract(all_absent, missing)])
