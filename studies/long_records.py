@@ -19,7 +19,7 @@ from bayeq.equation.equations import Equations
 from bayeq.likelihood import record_fit
 
 SYSTEMS = ("linear", "duffing", "quadratic", "coulomb")
-SEED = 50_000
+SEED = 60_000
 
 
 def answer(record: bq.Record, most: int) -> tuple[Equations, float]:

@@ -40,6 +40,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(skip)
 
 
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands of tests say nothing of progress, however slow the machine, but where a test asks for it."""
+    monkeypatch.setattr("bayeq.cli.progress.PATIENCE", 600.0)
+
+
 @pytest.fixture
 def number(request: pytest.FixtureRequest) -> int:
     """How many records, problems or sweeps a test marked `statistical(short=..., full=...)` is to draw."""

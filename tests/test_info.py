@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.errors import InputError, RecordError
+from bayeq.errors import FileFormatError, InputError, RecordError
 from bayeq.inspection.roles import INPUT, clue_of
 from bayeq.inspection.spectrum import bars, spectrum
 from tests.data import measured, pendulum_record
@@ -425,3 +425,47 @@ def test_the_measured_pendulum():
     path = measured("multiarm_single_pendulum/SinglePendulumDataForParameterEstimation.mat")
     for record in pendulum_record(path):
         assert bq.info(record).guess.chains == (("th", "w", None),)
+
+
+# --- columns of words ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "xlsx"])
+@pytest.mark.parametrize("place", [0, 3, 5])
+def test_columns_of_words_are_left_out(suffix, place, tmp_path, capsys):
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip({"parquet": "pyarrow", "xlsx": "openpyxl", "csv": "numpy"}[suffix])
+    record = bq.simulate("duffing", n=400, seed=1)
+    frame = pd.DataFrame({"t": record.time, **record.channels})
+    frame.insert(place, "remark", ["ok", "rough", "ok", "stopped"] * 100)
+    frame.insert(1, "operator", ["A. B."] * 400)
+    path = tmp_path / f"run.{suffix}"
+    {"csv": frame.to_csv, "parquet": frame.to_parquet, "xlsx": frame.to_excel}[suffix](path, index=False)
+    found = bq.info(path)
+    assert sorted(found.channels) == ["a", "u", "v", "x"]
+    assert {line for line in found.findings if "words" in line} == {
+        "remark holds words, not numbers: left out", "operator holds words, not numbers: left out",
+    }  # fmt: skip
+    assert found_terms(found.proposal.command, capsys) == {"a": {"x", "v", "x**3", "u"}}
+
+
+def test_a_cell_that_is_no_number_is_no_column_of_words(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t,x,v\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(50)) + "50,oops,1\n")
+    with pytest.raises(FileFormatError, match="line 52, column 'x': 'oops' is not a number"):
+        bq.info(path)
+
+
+@pytest.mark.parametrize("text", ["a,b\none,two\nthree,four\n", "remark\nok\nrough\n"])
+def test_words_alone_are_refused(text, tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(text)
+    with pytest.raises(FileFormatError, match="is not a number"):
+        bq.info(path)
+
+
+def test_time_that_is_named_may_not_be_words(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("when,x,v\n" + "".join(f"morning,{k % 7},{k % 5}\n" for k in range(50)))
+    with pytest.raises(FileFormatError, match="'morning' is not a number"):
+        bq.info(path, time="when")

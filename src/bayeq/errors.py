@@ -5,6 +5,7 @@
     BayeqError
     ├── InputError (ValueError)       the input or an argument is wrong; the command line exits with 2
     │   ├── FileFormatError           a file is missing, unreadable or not what its name says
+    │   │   └── WordsError            a column that holds words instead of numbers
     │   ├── RecordError               samples that cannot be used: NaN, unordered time, zero rows ...
     │   ├── UnknownNameError          no such channel, system, dictionary ...; near names are offered
     │   ├── ChainError                a kinematic chain that cannot be read or differentiated
@@ -25,7 +26,7 @@ from __future__ import annotations
 import difflib
 import os
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,7 @@ __all__ = [
     "RecordError",
     "TermWarning",
     "UnknownNameError",
+    "WordsError",
     "WarningLog",
     "as_path",
     "require_kind",
@@ -76,6 +78,24 @@ class InputError(BayeqError, ValueError):
 
 class FileFormatError(InputError):
     """A file is missing, cannot be read, or does not hold what its format promises."""
+
+
+class WordsError(FileFormatError):
+    """A column of a file holds words instead of numbers.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong, and where.
+    column : str
+        Its name.
+    others : sequence of str
+        Names of the columns that may be read without it.
+    """
+
+    def __init__(self, message: str, column: str = "", others: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.column, self.others = column, tuple(others)
 
 
 class RecordError(InputError):

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import InputError, RecordError
+from bayeq.errors import InputError, RecordError, WordsError
 from bayeq.inspection.channels import ChannelInfo, describe_channels
 from bayeq.inspection.contents import Contents
 from bayeq.inspection.dynamics import drivers, first_order
@@ -162,28 +162,38 @@ def info(
     path = Path(source)
     listed = names if names is None or isinstance(names, str) else ",".join(names)
     reading = Reading((str(path),), time, fs, listed, group)
-    return _described(_opened(path, time, fs, names, units, group), path.name, reading)
+    experiments, words = _numbers(path, time, fs, group, {"names": names, "units": units})
+    found = _described(experiments, path.name, reading)
+    return replace(found, findings=(*(f"{name} holds words, not numbers: left out" for name in words), *found.findings))
 
 
-def _opened(
-    path: Path,
-    time: str | None,
-    fs: float | None,
-    names: Sequence[str] | str | None,
-    units: Mapping[str, str] | None,
-    group: str | None,
-) -> Experiments:
+def _numbers(
+    path: Path, time: str | None, fs: float | None, group: str | None, how: Mapping[str, Any]
+) -> tuple[Experiments, list[str]]:
+    """A file by experiment without its columns of words, and their names."""
+    words: list[str] = []
+    how = dict(how)
+    while True:
+        try:
+            return _opened(path, time, fs, group, how), words
+        except WordsError as error:
+            how["columns"] = [name for name in error.others if name not in words]
+            if how["names"] is not None or not how["columns"] or error.column in (time, group):
+                raise
+            words.append(error.column)
+
+
+def _opened(path: Path, time: str | None, fs: float | None, group: str | None, how: Mapping[str, Any]) -> Experiments:
     """A file by experiment, also one in which time starts over, which `read` refuses."""
     if group is not None:
-        records = read(path, time=time, fs=fs, names=names, units=units, group=group)
-        return Experiments(tuple(records), column=group)
+        return Experiments(tuple(read(path, time=time, fs=fs, group=group, **how)), column=group)
     try:
-        return sort_rows(read(path, time=time, fs=fs, names=names, units=units))
+        return sort_rows(read(path, time=time, fs=fs, **how))
     except RecordError as error:
         if fs is not None:
             raise
         # with a rate, any will do, the column of time is a channel as the others
-        record = read(path, fs=1.0, names=names, units=units)
+        record = read(path, fs=1.0, **how)
         column = next((name for name in record.names if name == time or (time is None and is_time_name(name))), None)
         if column is None:
             raise

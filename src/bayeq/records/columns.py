@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayeq.errors import FileFormatError, RecordError, UnknownNameError
+from bayeq.errors import FileFormatError, RecordError, UnknownNameError, WordsError
 from bayeq.records.names import clean_name, clean_names, is_time_name
 from bayeq.records.truth import FloatArray
 from bayeq.records.validate import as_column, as_time
@@ -155,8 +155,12 @@ class Columns:
                 else:
                     arrays.append(as_column(raw, what))
             except RecordError as error:
-                hint = "; name the columns to read if this one is not needed" if raw.dtype.kind not in "biufc" else ""
-                raise FileFormatError(f"{headers.where}: {error}{hint}") from None
+                message = f"{headers.where}: {error}"
+                if raw.dtype.kind in "biufc":
+                    raise FileFormatError(message) from None
+                others = [headers.names[j] for j in rows if j != i]
+                hint = "; name the columns to read if this one is not needed"
+                raise WordsError(message + hint, headers.names[i], others) from None
         parts = [[column[i] for i in rows] for column in (headers.texts, headers.names)]
         kept = Headers(parts[0], parts[1], [units[i] for i in rows], headers.where)
         return cls(kept, arrays, tuple(headers.clashes(rows)))

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import FileFormatError
+from bayeq.errors import FileFormatError, WordsError
 from bayeq.records.columns import Columns, Headers, Select
 from bayeq.records.formats.cells import MISSING, is_blank, is_comment, split
 from bayeq.records.formats.layout import Layout, comment_header, encodings, looks_like_text, sniff
@@ -121,6 +121,7 @@ class _Lines:
         self.path, self.layout, self.headers, self.skipped = path, layout, headers, skipped
         self.where = where or str(path)
         self.trailing = True  # whether the last cell of every row is empty
+        self.start = 0  # line of the first row
         self.first: dict[int, Stamp] = {}  # the first time stamp of each column that has them
 
     def read(self) -> FloatArray:
@@ -136,6 +137,7 @@ class _Lines:
                 if len(cells) != layout.width:
                     cells = self._fit(cells, number)
                 rows += 1
+                self.start = self.start or number
                 for column in layout.stamps:
                     cells[column] = self._seconds(cells[column], number, column)
                 try:
@@ -204,7 +206,11 @@ class _Lines:
             hint = "; correct it, or leave out the row"
         elif self.layout.header is not None:
             hint = "; if the column is not needed, name the columns to read"
-        return FileFormatError(f"{self.where}, line {number}, column {name!r}: {shown} is not a number{hint}")
+        message = f"{self.where}, line {number}, column {name!r}: {shown} is not a number{hint}"
+        if self.layout.header is None or number > self.start or any(map(str.isdigit, cell)):
+            return FileFormatError(message)
+        names = self.headers.names
+        return WordsError(message, name, [n for k, n in enumerate(names) if k not in {column, *self.skipped}])
 
 
 def write_text(record: Record, path: Path) -> None:
