@@ -42,7 +42,7 @@ def measure(system: str, threads: int) -> dict[str, object]:
         "gibbs_2000_fit": lambda: bq.SpikeSlabGibbs(chains=1, samples=2000, burn_in=200).fit(D, y),
     }
     with threadpool_limits(threads):
-        seconds = medians(contestants, rounds=100)
+        seconds = medians(contestants, rounds=20, calls=10)
     line: dict[str, object] = {"system": system, "blas_threads": threads}
     line |= {f"{name}_us": round(1e6 * value) for name, value in seconds.items()}
     line |= {f"{name}_over_lstsq": round(seconds[name] / seconds["lstsq"], 2) for name in ("fit", "bma_fit")}
@@ -55,7 +55,7 @@ def main() -> None:
     RESULTS.parent.mkdir(exist_ok=True)
     with RESULTS.open("w", newline="") as file:
         file.write(f"# python -m perf.fit_against_lstsq; {platform.machine()}, {os.cpu_count()} cores,")
-        file.write(f" Python {platform.python_version()}, NumPy {np.__version__}; medians of 100 turns\n")
+        file.write(f" Python {platform.python_version()}, NumPy {np.__version__}; medians of 20 turns of 10 calls\n")
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
         writer.writerows(rows)
