@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import warnings
 
 import numpy as np
@@ -379,6 +380,54 @@ def test_a_sum_that_is_kept_goes_on_where_it_was(record, tmp_path, monkeypatch):
     again = fold(counted, units, Threads(1), lambda *_: None, "rows", Checkpoint(path))
     assert seen == units[count:]
     assert again.train.moments.cross.tobytes() == whole.train.moments.cross.tobytes()
+
+
+def test_units_that_are_counted_are_in_the_sum_wherever_an_interrupt_falls(record, tmp_path):
+    extents = (Extent(RecordStream(record), 0, record.n),)
+    units = units_of(extents)
+    assert len(units) > 3
+
+    def rows_of(unit):
+        return np.array([unit.n])
+
+    def interrupted_at(step):
+        """Stopped before the instruction of this number within `fold`; False if it has fewer."""
+        seen = 0
+
+        def trace(frame, event, argument):
+            nonlocal seen
+            if frame.f_code is not fold.__code__:
+                return None
+            frame.f_trace_opcodes = True
+            if event == "opcode":
+                seen += 1
+                if seen == step:
+                    raise KeyboardInterrupt
+            return trace
+
+        kept = Checkpoint(tmp_path / f"{step}.npz", every=True)
+        before = sys.gettrace()
+        sys.settrace(trace)
+        try:
+            fold(rows_of, units[:4], _InOrder(), lambda *_: None, "rows", kept)
+        except KeyboardInterrupt:
+            done, total = kept.load()
+            assert (0 if total is None else int(total[0])) == sum(unit.n for unit in units[:done])
+            return True
+        finally:
+            sys.settrace(before)
+        return False
+
+    step = 1
+    while interrupted_at(step):
+        step += 1
+    assert step > 100
+
+
+class _InOrder:
+    def map(self, work, units):
+        for unit in units:
+            yield 1, work(unit)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 damaged", b"\x93NUMPY"])
