@@ -28,7 +28,7 @@ import numpy as np
 import bayeq as bq
 from studies.resumable import Cell, Outcome, run_study
 
-__all__ = ["JOBS", "Job", "disturbed", "main"]
+__all__ = ["JOBS", "Job", "disturbed", "main", "prepare", "undisturbed"]
 
 RECORDS = 12
 
@@ -75,8 +75,8 @@ class Job:
     store: str = ""
     within: float = 1.0
 
-    def start(self, folder: Path) -> subprocess.Popen[bytes]:
-        """Start it in a process group of its own."""
+    def start(self, folder: Path, first: Callable[[], None] | None = None) -> subprocess.Popen[bytes]:
+        """Start it in a process group of its own; `first` is what the process does first."""
         return subprocess.Popen(
             [sys.executable, "-c", BAYEQ, *self.words.split()],
             cwd=folder,
@@ -84,6 +84,7 @@ class Job:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             start_new_session=True,
+            preexec_fn=first,
         )
 
     def finish(self, folder: Path) -> float:
@@ -172,7 +173,7 @@ JOBS = {
 }
 
 
-def _prepare(folder: Path) -> None:
+def prepare(folder: Path) -> None:
     """Write the measured files, the same in every folder, times of change too."""
     for name, n, seed in (("long.csv", ROWS, 1), *((f"run{k}.csv", 800, k) for k in range(FILES))):
         path = folder / name
@@ -189,12 +190,12 @@ def _content(n: int, seed: int) -> bytes:
 
 
 @lru_cache(maxsize=16)
-def _undisturbed(name: str) -> tuple[float, dict[str, bytes], Rows]:
+def undisturbed(name: str) -> tuple[float, dict[str, bytes], Rows]:
     """Time [s] and results of a run that nobody disturbs."""
     job = JOBS[name]
     with tempfile.TemporaryDirectory() as first, tempfile.TemporaryDirectory() as second:
         for folder in map(Path, (first, second)):  # the first may compile
-            _prepare(folder)
+            prepare(folder)
             seconds = job.finish(folder)
         return seconds, job.files(folder), job.rows(folder)
 
@@ -209,11 +210,11 @@ def disturbed(name: str, seed: int, kills: int = KILLS) -> Outcome:
         is not one of the undisturbed run; ``same``, whether the results are the same at the end.
     """
     job, rng = JOBS[name], np.random.default_rng(seed)
-    seconds, files, rows = _undisturbed(name)
+    seconds, files, rows = undisturbed(name)
     hits = wrong = 0
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        _prepare(folder)
+        prepare(folder)
         for _ in range(kills):
             hits += job.kill(folder, float(rng.uniform(0.0, job.within * seconds)))
             whole = all(content == files[name] for name, content in job.files(folder).items())
