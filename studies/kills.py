@@ -30,7 +30,7 @@ from studies.resumable import Cell, Outcome, run_study
 
 __all__ = ["JOBS", "Job", "disturbed", "main", "prepare", "undisturbed"]
 
-RECORDS = 12
+RECORDS = 10
 
 # Kills of one job, at most: one that comes after its end is none.
 KILLS = 5
