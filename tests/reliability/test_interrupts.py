@@ -104,6 +104,29 @@ def sweep(name, place, number):
     assert (job.files(folder), job.rows(folder)) == (files, rows)
 
 
+WORKERS = """
+import signal
+from pathlib import Path
+from bayeq.resumable.workers import compute
+
+def heeded(task):
+    blocked = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    return not blocked, signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+
+print(set(compute(heeded, range(4), 2, Path("store"))))
+print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+"""
+
+
+def test_workers_leave_interrupts_to_their_parent_from_their_birth(tmp_path):
+    """A terminal sends Ctrl-C to all processes; one that comes while a kernel is loaded would crash the worker."""
+    done = subprocess.run(
+        [sys.executable, "-c", WORKERS],
+        cwd=tmp_path, env=environment(), capture_output=True, text=True, check=True, preexec_fn=heeding(),
+    )  # fmt: skip
+    assert done.stdout.split("\n") == ["{(False, False)}", "False", ""]
+
+
 SLOW_IMPORT = "import time\nfor _ in range(40): time.sleep(0.01)\nDONE = True\n"
 KERNEL = "from numba import njit\n@njit(cache=True)\ndef add(x): return x + 1\n"
 AT = """
