@@ -1,10 +1,11 @@
 """Commands that are killed (SIGKILL, the whole process group) at random moments, and go on until they end.
 
-Each record is one job: a command is started, killed at a moment drawn from 0 to the time that it takes, started again
-and so on, at last left alone; then its result is compared byte by byte with that of a run that nobody disturbed. After
-every kill its files are looked at: each is not there yet, or whole, and a store holds rows of the undisturbed run only.
+Each record is one job: a command is started, killed at a moment drawn from 0 to the time that it takes (to part of it
+where it goes on from what it kept), started again and so on, at last left alone; then its result is compared byte by
+byte with that of a run that nobody disturbed. After every kill its files are looked at: each is not there yet, or
+whole, and a store holds rows of the undisturbed run only.
 
-    python -m studies.kills > docs/tables/reliability_kills.csv
+    python -m studies.kills --first-seed 20000 > docs/tables/reliability_kills.csv
 """
 
 from __future__ import annotations
@@ -25,18 +26,17 @@ from pathlib import Path
 import numpy as np
 
 import bayeq as bq
-from bayeq.cli.app import app
 from studies.resumable import Cell, Outcome, run_study
 
-__all__ = ["JOBS", "Job", "disturbed", "main"]
+__all__ = ["JOBS", "Job", "disturbed", "main", "prepare", "undisturbed"]
 
-RECORDS = 14
+RECORDS = 10
 
 # Kills of one job, at most: one that comes after its end is none.
 KILLS = 5
 
 ROWS = 60_000
-FILES = 4
+FILES = 8
 
 CHANNELS = "--disp x --vel v --acc a --force u --dictionary x,v,x**3,u --smooth none"
 
@@ -65,14 +65,18 @@ class Job:
         Files that are there whole, or not at all.
     store : str
         An SQLite file, if there is one.
+    within : float
+        Kills come within this part of its time: less than all of it where the command goes on from what it kept, for it
+        ends sooner each time.
     """
 
     words: str
     written: Sequence[str] = ()
     store: str = ""
+    within: float = 1.0
 
-    def start(self, folder: Path) -> subprocess.Popen[bytes]:
-        """Start it in a process group of its own."""
+    def start(self, folder: Path, first: Callable[[], None] | None = None) -> subprocess.Popen[bytes]:
+        """Start it in a process group of its own; `first` is what the process does first."""
         return subprocess.Popen(
             [sys.executable, "-c", BAYEQ, *self.words.split()],
             cwd=folder,
@@ -80,6 +84,7 @@ class Job:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             start_new_session=True,
+            preexec_fn=first,
         )
 
     def finish(self, folder: Path) -> float:
@@ -145,6 +150,8 @@ UNEQUAL = ("seconds", "path")
 # What a process is working at, which is no result.
 PASSING = "claims"
 
+NAMES = " ".join(f"run{k}.csv" for k in range(FILES))
+
 JOBS = {
     "discover --checkpoint": Job(
         f"discover long.csv {CHANNELS} --stream --checkpoint sums --save eq.json", ["eq.json"]
@@ -153,17 +160,20 @@ JOBS = {
         f"discover run0.csv {CHANNELS} --save eq.json --report page.html", ["eq.json", "page.html"]
     ),
     "study": Job(
-        "study table2 --realisations 12 --systems linear,coulomb --algorithms rvm,vb --store study.db", store="study.db"
+        "study table2 --realisations 120 --systems linear,coulomb --algorithms rvm,vb --store study.db",
+        store="study.db",
+        within=0.4,
+    ),
+    "batch": Job(
+        f"batch {NAMES} {CHANNELS} --jobs 2 --store batch.db --table drift.csv", ["drift.csv"], "batch.db", within=0.6
+    ),
+    "batch --common": Job(
+        f"batch {NAMES} {CHANNELS} --common --store common.db --table drift.csv", ["drift.csv"], "common.db", within=0.6
     ),
 }
-if "batch" in app.commands:
-    NAMES = " ".join(f"run{k}.csv" for k in range(FILES))
-    JOBS["batch"] = Job(
-        f"batch {NAMES} {CHANNELS} --jobs 2 --store batch.db --table drift.csv", ["drift.csv"], "batch.db"
-    )
 
 
-def _prepare(folder: Path) -> None:
+def prepare(folder: Path) -> None:
     """Write the measured files, the same in every folder, times of change too."""
     for name, n, seed in (("long.csv", ROWS, 1), *((f"run{k}.csv", 800, k) for k in range(FILES))):
         path = folder / name
@@ -180,12 +190,12 @@ def _content(n: int, seed: int) -> bytes:
 
 
 @lru_cache(maxsize=16)
-def _undisturbed(name: str) -> tuple[float, dict[str, bytes], Rows]:
+def undisturbed(name: str) -> tuple[float, dict[str, bytes], Rows]:
     """Time [s] and results of a run that nobody disturbs."""
     job = JOBS[name]
     with tempfile.TemporaryDirectory() as first, tempfile.TemporaryDirectory() as second:
         for folder in map(Path, (first, second)):  # the first may compile
-            _prepare(folder)
+            prepare(folder)
             seconds = job.finish(folder)
         return seconds, job.files(folder), job.rows(folder)
 
@@ -200,13 +210,13 @@ def disturbed(name: str, seed: int, kills: int = KILLS) -> Outcome:
         is not one of the undisturbed run; ``same``, whether the results are the same at the end.
     """
     job, rng = JOBS[name], np.random.default_rng(seed)
-    seconds, files, rows = _undisturbed(name)
+    seconds, files, rows = undisturbed(name)
     hits = wrong = 0
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        _prepare(folder)
+        prepare(folder)
         for _ in range(kills):
-            hits += job.kill(folder, float(rng.uniform(0.0, seconds)))
+            hits += job.kill(folder, float(rng.uniform(0.0, job.within * seconds)))
             whole = all(content == files[name] for name, content in job.files(folder).items())
             wrong += not (whole and job.rows(folder) <= rows)
         job.finish(folder)

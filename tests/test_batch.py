@@ -362,6 +362,41 @@ def test_coefficients_of_a_common_equation(folder, tmp_path, capsys, monkeypatch
     assert json.loads(capsys.readouterr().out)["table"] == answer["table"]
 
 
+def test_a_batch_that_is_killed_goes_on_with_the_common_equation_that_it_had_found(days, folder, tmp_path, monkeypatch):
+    """No file is read for it again; a file that changes, or other options, ask for another one."""
+    store, options = tmp_path / "batch.db", {**OPTIONS, "common": True}
+    expected = bq.batch(days, store=tmp_path / "undisturbed.db", **options).table()
+    program = KILLED.format(options=options)
+    process = subprocess.Popen([sys.executable, "-c", program, str(days), str(store), "1"])
+    while process.poll() is None and rows_in(store) < 1:
+        time.sleep(0.001)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    kept = rows_in(store)
+    asked = []
+
+    def counted(source, **options):
+        asked.append(source)
+        return bq.discover(source, **options)
+
+    monkeypatch.setattr("bayeq.batches.run.discover", counted)
+    monkeypatch.setattr("bayeq.batches.run.as_records", None)
+    rest = bq.batch(days, store=store, **options)
+    assert [type(source) for source in asked] == [type(days)] * (4 - kept) == [type(days)] * rest.done
+    pd.testing.assert_frame_equal(rest.table(), expected)
+    monkeypatch.undo()
+    monkeypatch.setattr("bayeq.batches.run.discover", counted)
+    for changed in ({**options, "seed": 1}, {**options, "read": {"fs": 1000.0}}):
+        asked.clear()
+        bq.batch(days, store=store, **changed)
+        assert isinstance(asked[0], list)
+    day = folder / "day9.csv"
+    day.write_text("".join(day.read_text().splitlines(keepends=True)[:-1]))
+    asked.clear()
+    bq.batch(folder, store=store, **options)
+    assert isinstance(asked[0], list)
+
+
 def test_files_that_are_read_some_rows_at_a_time(days, tmp_path, capsys):
     files = [str(days / "day8.csv"), str(days / "day9.csv")]
     for extra in ([], ["--common"]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import warnings
 
 import numpy as np
@@ -131,7 +132,7 @@ def test_a_file_that_cannot_be_streamed_says_why(name, text, message, tmp_path):
 
 
 def test_a_file_that_changes_while_it_is_read_is_refused(record, tmp_path):
-    path = written(record, tmp_path / "r.npy")
+    path = written(record, tmp_path / "r.csv")
     (stream,) = open_streams([path])
     assert stream.bounds[-1] == record.n
     written(record.take(slice(0, 500)), path)
@@ -381,6 +382,54 @@ def test_a_sum_that_is_kept_goes_on_where_it_was(record, tmp_path, monkeypatch):
     assert again.train.moments.cross.tobytes() == whole.train.moments.cross.tobytes()
 
 
+def test_units_that_are_counted_are_in_the_sum_wherever_an_interrupt_falls(record, tmp_path):
+    extents = (Extent(RecordStream(record), 0, record.n),)
+    units = units_of(extents)
+    assert len(units) > 3
+
+    def rows_of(unit):
+        return np.array([unit.n])
+
+    def interrupted_at(step):
+        """Stopped before the instruction of this number within `fold`; False if it has fewer."""
+        seen = 0
+
+        def trace(frame, event, argument):
+            nonlocal seen
+            if frame.f_code is not fold.__code__:
+                return None
+            frame.f_trace_opcodes = True
+            if event == "opcode":
+                seen += 1
+                if seen == step:
+                    raise KeyboardInterrupt
+            return trace
+
+        kept = Checkpoint(tmp_path / f"{step}.npz", every=True)
+        before = sys.gettrace()
+        sys.settrace(trace)
+        try:
+            fold(rows_of, units[:4], _InOrder(), lambda *_: None, "rows", kept)
+        except KeyboardInterrupt:
+            done, total = kept.load()
+            assert (0 if total is None else int(total[0])) == sum(unit.n for unit in units[:done])
+            return True
+        finally:
+            sys.settrace(before)
+        return False
+
+    step = 1
+    while interrupted_at(step):
+        step += 1
+    assert step > 100
+
+
+class _InOrder:
+    def map(self, work, units):
+        for unit in units:
+            yield 1, work(unit)
+
+
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 damaged", b"\x93NUMPY"])
 def test_a_damaged_sum_is_no_sum(content, tmp_path):
     path = tmp_path / "sum.npz"
@@ -396,6 +445,46 @@ def test_sums_of_a_run_that_is_through_are_removed(record, tmp_path, monkeypatch
 
 
 # --- the command -----------------------------------------------------------------------------------------------------
+
+
+def test_an_interrupted_command_says_where_its_sums_are_and_goes_on_to_the_same_answer(
+    record, tmp_path, capsys, monkeypatch
+):
+    """Without a folder that was asked for, nothing is kept of a short run, and nothing said."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr("bayeq.cli.progress.PATIENCE", 100.0)
+    path = written(record, tmp_path / "r.csv")
+    channels = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
+    command = ["discover", path.name, *channels, "--smooth", "none", "--stream"]
+    assert main(command) == 0
+    expected, _ = capsys.readouterr()
+    whole, seen = Threads.map, []
+
+    def stopped(self, work, units):
+        for done in whole(self, work, units):
+            yield done
+            seen.append(units)
+            if len(seen) == 2:
+                raise KeyboardInterrupt
+
+    for extra, line in (
+        ([], "bayeq: interrupted\n"),
+        (
+            ["--checkpoint", "sums"],
+            "bayeq: interrupted: sums over the rows are kept in sums; the same command continues\n",
+        ),
+    ):
+        seen.clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(Threads, "map", stopped)
+            assert main([*command, *extra]) == 130
+        assert capsys.readouterr() == ("", line)
+    assert len(list((tmp_path / "sums").iterdir())) == 1
+    assert not (tmp_path / "cache").exists()
+    assert main([*command, "--checkpoint", "sums"]) == 0
+    assert capsys.readouterr() == (expected, "")
+    assert list((tmp_path / "sums").iterdir()) == []
 
 
 def test_the_command_streams_what_it_is_asked_to(record, tmp_path, capsys):

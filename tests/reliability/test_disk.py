@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
 
-from tests.reliability.commands import QUICK, bayeq, environment, mounted
+from tests.reliability.commands import QUICK, bayeq, environment, mounted, remarks, start
 
 STUDY = ["study", "table2", "--systems", "linear", "--algorithms", "sindy", "--jobs", "1"]
 
@@ -33,6 +34,43 @@ def test_a_study_on_a_full_disk_goes_on_when_there_is_room(folder, full_disk):
     assert bayeq(*STUDY, *size, "--store", store, cwd=folder)[0] == 0
     (row,) = json.loads(bayeq("study", "show", store, "--json", cwd=folder)[1])["rows"]
     assert row["n"] == 60
+
+
+def test_a_full_disk_keeps_no_sums_and_the_run_goes_on(folder, full_disk):
+    def run(place):
+        process = start("discover", "run.csv", *QUICK, "--stream", "--checkpoint", place, cwd=folder)
+        out, err = process.communicate(timeout=300)
+        assert process.returncode == 0, err
+        return out, [line for line in err.splitlines() if "sums" in line]
+
+    expected, said = run(folder / "room")
+    assert said == []
+    sums = full_disk / "sums"
+    sums.mkdir()
+    with suppress(OSError):
+        (full_disk / "other").write_bytes(bytes(80_000))
+    out, said = run(sums)
+    assert out == expected
+    (line,) = said
+    assert line.startswith(f"bayeq: warning: {sums}/")
+    assert "npz: No space left on device: sums are not kept, the run goes on without; make room or" in line
+    assert list(sums.iterdir()) == []
+
+
+def test_a_full_cache_is_done_without_in_silence(folder, full_disk):
+    """What nobody asked for is missed by nobody."""
+    cache = full_disk / "bayeq"
+    with suppress(OSError):
+        (full_disk / "other").write_bytes(bytes(80_000))
+    program = "from bayeq.streaming import checkpoint; checkpoint.EVERY = 0.0; from bayeq.cli.process import run; run()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, "discover", "run.csv", *QUICK, "--stream"],
+        cwd=folder, env=environment(XDG_CACHE_HOME=full_disk), capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert "\na = " in done.stdout
+    assert remarks(done.stderr) == []
+    assert "sums" not in done.stderr
+    assert [path for path in cache.rglob("*") if path.is_file()] == []
 
 
 def test_read_only_folders_are_refused_before_the_work(folder, read_only):

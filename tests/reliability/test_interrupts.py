@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
 import time
 
 import pytest
+from studies.kills import JOBS, prepare, undisturbed
 
 from tests.reliability.commands import QUICK, bayeq, environment, heeding, remarks, start
 
@@ -46,6 +48,83 @@ def test_an_interrupt_at_any_moment_is_one_line(name, folder, number):
         assert all(line.startswith("bayeq: interrupted") for line in said)
         assert process.returncode == 130 or out or process.returncode == -signal.SIGINT
     assert [path.name for path in folder.iterdir() if ".part" in path.name] == []
+
+
+@pytest.mark.statistical(short=3, full=40)
+@pytest.mark.parametrize(
+    "name",
+    ["discover --checkpoint", *(pytest.param(name, marks=pytest.mark.slow) for name in ("study", "batch"))],
+)
+def test_an_interrupted_command_goes_on_and_ends_as_if_undisturbed(name, tmp_path, number):
+    sweep(name, tmp_path, number)
+
+
+# How far a study or a batch is.
+RATE = re.compile(r"\d+ of \d+ (realisations|files), ")
+
+
+def sweep(name, place, number):
+    """Interrupt a command that keeps what it has done, start it again and so on; each time that it ends, from the
+    beginning."""
+    job, (seconds, files, rows) = JOBS[name], undisturbed(name)
+    ended = 0
+    for k in range(number):
+        folder = place / f"{name.split()[0]}{ended}"
+        fresh = not folder.exists()
+        if fresh:
+            folder.mkdir()
+            prepare(folder)
+        process = job.start(folder, heeding())
+        time.sleep(seconds * (k + random.random()) / number)
+        if random.random() < 0.5:  # a terminal sends it to workers as well
+            os.killpg(process.pid, signal.SIGINT)
+        else:
+            process.send_signal(signal.SIGINT)
+        err = process.communicate(timeout=60)[1].decode()
+        said = [line for line in remarks(err) if not RATE.match(line)]
+        if any("KeyboardInterrupt" in line for line in said):  # Python itself is still starting
+            assert k <= number // 3
+            assert "cli/app.py" not in err
+            continue
+        assert process.returncode in (130, -signal.SIGINT, 0), err
+        assert [line.startswith("bayeq: interrupted") for line in said].count(True) == (process.returncode == 130), err
+        assert len(said) <= 1, err
+        assert all(content == files[name] for name, content in job.files(folder).items())
+        assert job.rows(folder) <= rows
+        if process.returncode == 130:
+            assert said[0].startswith("bayeq: interrupted")
+            kept = list(folder.glob("sums/*.npz"))
+            assert kept or "sums over" not in err
+            assert not (fresh and kept) or "; the same command continues" in err
+        assert not list(folder.rglob("*.part*"))
+        if process.returncode == 0:
+            assert (job.files(folder), job.rows(folder)) == (files, rows)
+            ended += 1
+    job.finish(folder)
+    assert (job.files(folder), job.rows(folder)) == (files, rows)
+
+
+WORKERS = """
+import signal
+from pathlib import Path
+from bayeq.resumable.workers import compute
+
+def heeded(task):
+    blocked = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    return not blocked, signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+
+print(set(compute(heeded, range(4), 2, Path("store"))))
+print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+"""
+
+
+def test_workers_leave_interrupts_to_their_parent_from_their_birth(tmp_path):
+    """A terminal sends Ctrl-C to all processes; one that comes while a kernel is loaded would crash the worker."""
+    done = subprocess.run(
+        [sys.executable, "-c", WORKERS],
+        cwd=tmp_path, env=environment(), capture_output=True, text=True, check=True, preexec_fn=heeding(),
+    )  # fmt: skip
+    assert done.stdout.split("\n") == ["{(False, False)}", "False", ""]
 
 
 SLOW_IMPORT = "import time\nfor _ in range(40): time.sleep(0.01)\nDONE = True\n"

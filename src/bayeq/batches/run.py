@@ -7,8 +7,8 @@ import inspect
 import json
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -206,39 +206,61 @@ def _common(
     store: BatchStore, paths: Sequence[Path], options: Mapping[str, Any], read: Read, step: Progress
 ) -> Mapping[str, Any]:
     """The equation of all files that can be read, together; from the store where these have not changed."""
-    asked = question(options)
-    channels = [*asked.roles.measured, *asked.roles.inputs]
+    asked = digest(options, read)
+    known: dict[Path, Identity] = {}
+    for path in paths:
+        with suppress(OSError):  # which is found again where it is read
+            known[path] = Identity.of(path)
+    if (found := store.common(asked, _contents(known.values()))) is not None:
+        return found  # all were used then, and none has to be read
+    sources, used = _sources(paths, known, options, read, step)
+    contents = _contents(used)
+    if (found := store.common(asked, contents)) is not None:
+        return found
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", BayeqWarning)
+            without_time = {name: value for name, value in options.items() if name not in ("t", "stream")}
+            store.add_common(asked, contents, to_saved(discover(sources, **without_time, progress=step)))
+    except InputError as error:
+        raise InputError(f"no common equation: {error}") from None
+    found = store.common(asked, contents)
+    assert found is not None
+    return found
+
+
+def _contents(identities: Iterable[Identity]) -> str:
+    """A text that differs where the contents of files do."""
+    return hashlib.sha256("".join(one.sha256 for one in identities).encode()).hexdigest()
+
+
+def _sources(
+    paths: Sequence[Path], known: Mapping[Path, Identity], options: Mapping[str, Any], read: Read, step: Progress
+) -> tuple[list[Any], list[Identity]]:
+    """What is in the files that can be used, and what these were when they were read; of some that is `known`."""
+    roles = question(options).roles
     sources: list[Any] = []
+    used: list[Identity] = []
     why: list[str] = []
-    contents = hashlib.sha256()
     for k, path in enumerate(paths):
         step(COMMON, k, len(paths))
         try:
-            identity = Identity.of(path)
+            identity = known.get(path)
+            if identity is None or not identity.holds(path):
+                identity = Identity.of(path)
             source = read(path)
             parts = list(source) if isinstance(source, (list, tuple)) else as_records(source, options.get("t"))
             for part in parts:
-                for name in channels if isinstance(part, Record) else ():
+                for name in (*roles.measured, *roles.inputs) if isinstance(part, Record) else ():
                     _ = part[name]
         except (BayeqError, OSError) as error:
             why.append(_one_line(error))  # it is refused again, with its message, where each file is done
             continue
         sources += parts
-        contents.update(identity.sha256.encode())
+        used.append(identity)
     if not sources:
         raise InputError(f"no common equation: none of the {len(paths)} files can be used; the first: {why[0]}")
-    key = digest(options, read), contents.hexdigest()
-    if store.common(*key) is None:
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", BayeqWarning)
-                without_time = {name: value for name, value in options.items() if name not in ("t", "stream")}
-                store.add_common(*key, to_saved(discover(sources, **without_time, progress=step)))
-        except InputError as error:
-            raise InputError(f"no common equation: {error}") from None
-    found = store.common(*key)
-    assert found is not None
-    return found
+    return sources, used
 
 
 def _silent(stage: str, done: int, total: int) -> None:

@@ -138,8 +138,9 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail(error.format_message(), error.exit_code)
     except click.exceptions.Exit as stop:
         return stop.exit_code
-    except (KeyboardInterrupt, click.Abort):
-        say("bayeq: interrupted")
+    except (KeyboardInterrupt, click.Abort) as stop:
+        said = ("interrupted", *getattr(stop, "__notes__", ()))  # what was kept, and where
+        say(f"bayeq: {_one_line(': '.join(said))}")
         return INTERRUPTED
     except BrokenPipeError:
         # The reader of the pipe has gone (`bayeq ... | head`): nothing is left to say to it, now or at the exit.

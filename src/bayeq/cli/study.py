@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal, cast
 
@@ -63,11 +59,11 @@ def table2(
 
     progress = StudyProgress()
     try:
-        with _interrupts_held():  # an import that is interrupted fails in ways of its own
-            from bayeq.study.config import StudyConfig
-            from bayeq.study.runner import run_study
-            from bayeq.study.show import show as render
-            from bayeq.study.store import Store
+        from bayeq.study.config import StudyConfig
+        from bayeq.study.runner import run_study
+        from bayeq.study.show import show as render
+        from bayeq.study.store import Store
+
         with cluster_client(dask) as client:
             outcome = run_study(
                 store,
@@ -116,22 +112,6 @@ def show(store: Path, form: Literal["text", "markdown", "csv"], as_json: bool, t
         raise InputError(f"--json and --format {form} exclude each other; give one of them")
     with Store.open(store) as file:
         click.echo(render(file, "json" if as_json else form, cast(Literal[2, 3], table)))
-
-
-@contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C takes effect at the end of the block."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    arrived = []
-    handler = signal.signal(signal.SIGINT, lambda *_: arrived.append(True))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-    if arrived:
-        raise KeyboardInterrupt
 
 
 @study.command(cls=Command)

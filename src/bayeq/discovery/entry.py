@@ -147,7 +147,8 @@ def discover(
         A cluster that reads the files and sums over the rows; see docs/cluster.md.
     checkpoint : path, optional
         Folder in which sums over the rows are kept on the way, so that a run that is killed goes on where it was. By
-        default one in the user's cache. They are removed at the end.
+        default one in the user's cache. They are removed at the end. Where they cannot be kept the run goes on without,
+        with a warning if the folder is given.
 
     Returns
     -------
@@ -163,6 +164,8 @@ def discover(
     -----
     TermWarning, DataWarning, AmbiguityWarning, CorrelatedResidualsWarning, ConvergenceWarning
         What makes the answer less than it seems; also kept in ``warnings`` of the result.
+    BayeqWarning
+        Sums cannot be kept in ``checkpoint``.
 
     Examples
     --------

@@ -43,8 +43,13 @@ def answer_of(
     if extents is not None:
         extents = of_channels(extents, channels)
         whole = _whole(question, extents, executor, checkpoint)
-        found = question.answer(stretches(extents), whole)
-        whole.checkpoints.clear()
+        try:
+            found = question.answer(stretches(extents), whole)
+            whole.checkpoints.clear()
+        except KeyboardInterrupt as stop:
+            if (folder := whole.checkpoints.kept) is not None:
+                stop.add_note(f"sums over the rows are kept in {folder}; the same command continues")
+            raise
         return found
     measured = with_row_numbers(as_records(records, t))
     long = sum(record.n for record in measured) > MOST_ROWS
@@ -95,7 +100,7 @@ def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, 
         place = None if place is None else place / "checkpoints"
     else:
         _require_folder(Path(folder))
-    kept = Checkpoints.of(extents, place)
+    kept = Checkpoints.of(extents, place, asked=folder is not None)
     return Whole(extents, executor, question.step, kept)
 
 

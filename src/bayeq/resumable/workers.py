@@ -93,7 +93,7 @@ def compute(
 
 
 def _in_worker(work: Callable[[Task], Answer], task: Task, parent: int) -> Answer:
-    _watch(parent)
+    _stop_with(parent)
     return work(task)
 
 
@@ -107,9 +107,13 @@ def _thread_failed(hook: Callable[[threading.ExceptHookArgs], object], failure: 
 @contextmanager
 def _born_quiet() -> Iterator[None]:
     """Processes started here inherit that Ctrl-C is for the parent alone, and say nothing of what a stop leaves."""
+    from multiprocessing.resource_tracker import ensure_running
+
     warned = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (warned, "ignore:resource_tracker")))
     try:
+        if hasattr(signal, "pthread_sigmask"):
+            ensure_running()  # which lets interrupts through at its end, in Python 3.11
         with _interrupts_later():
             yield
     finally:
@@ -139,8 +143,10 @@ def _interrupts_later() -> Iterator[None]:
 
 
 @lru_cache(maxsize=1)
-def _watch(parent: int) -> None:
-    """End this worker soon after its parent has been killed, instead of waiting for work for minutes."""
+def _stop_with(parent: int) -> None:
+    """Leave Ctrl-C, which a terminal sends to all, to the parent; end soon after it has been killed, instead of waiting
+    for work for minutes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def look() -> None:
         while os.getppid() == parent:

@@ -9,8 +9,9 @@ import hashlib
 import json
 import os
 import time as clock
+import warnings
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.metadata import version
@@ -19,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from bayeq.errors import BayeqWarning
 from bayeq.gram.gram import Moments
 from bayeq.likelihood.block import Block
 from bayeq.likelihood.fit import Quadratic
@@ -57,11 +59,17 @@ class Checkpoint:
     ----------
     path : Path or None
         The file; None keeps nothing.
+    every : bool
+        Whether the last sum, or that of a run that is stopped, is kept however short the run was.
+    failed : callable
+        Called with the error where it cannot be kept.
     saved : float
         When it was kept last.
     """
 
     path: Path | None
+    every: bool = False
+    failed: Callable[[OSError], None] = lambda error: None
     saved: float = field(default_factory=clock.monotonic)
 
     def load(self) -> tuple[int, Any]:
@@ -76,16 +84,18 @@ class Checkpoint:
             return 0, None
 
     def save(self, done: int, total: Any, last: bool) -> None:
-        """Keep a sum, if it is time, or the last one of a long run; a folder that cannot be written keeps nothing."""
+        """Keep a sum, if it is time, or the last one of a long run; where that fails, the one before stays."""
         now = clock.monotonic()
-        if self.path is None or (now - self.saved < EVERY and not (last and self.path.exists())):
+        if self.path is None or (now - self.saved < EVERY and not (last and (self.every or self.path.exists()))):
             return
         arrays: dict[str, Any] = {}
         about = {"done": done, "sum": _taken_apart(total, arrays)}
-        with suppress(OSError):
+        try:
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             with replacing(self.path) as part, part.open("wb") as file:
                 np.savez(file, about=np.frombuffer(json.dumps(about).encode(), dtype=np.uint8), **arrays)
+        except OSError as error:  # the run goes on without
+            self.failed(error)
         self.saved = now
 
 
@@ -99,14 +109,18 @@ class Checkpoints:
         Where they are kept; None keeps nothing.
     about : str
         What tells this run from others: the files, their sizes and times of change.
+    asked : bool
+        Whether the user named the folder: then the first sum that cannot be kept gives a warning.
     """
 
     folder: Path | None
     about: str = ""
+    asked: bool = False
     used: list[Checkpoint] = field(default_factory=list)
+    warned: bool = False
 
     @classmethod
-    def of(cls, extents: Sequence[Extent], folder: Path | None) -> Checkpoints:
+    def of(cls, extents: Sequence[Extent], folder: Path | None, asked: bool = False) -> Checkpoints:
         """Of rows of files; of records in memory nothing is kept."""
         about = []
         for one in extents:
@@ -115,16 +129,32 @@ class Checkpoints:
                 return cls(None)
             stat = path.stat()
             about.append((str(path.resolve()), stat.st_size, stat.st_mtime_ns, one.start, one.stop, repr(one.stream)))
-        return cls(folder, repr((version("bayeq"), about)))
+        return cls(folder, repr((version("bayeq"), about)), asked)
 
     def of_stage(self, stage: str, about: object) -> Checkpoint:
         """The sum of a stage that depends on what `about` says."""
         if self.folder is None:
             return Checkpoint(None)
         key = hashlib.sha256(f"{self.about}|{stage}|{about!r}".encode()).hexdigest()[:32]
-        found = Checkpoint(self.folder / f"{key}.npz")
+        found = Checkpoint(self.folder / f"{key}.npz", every=self.asked, failed=self._warn)
         self.used.append(found)
         return found
+
+    def _warn(self, error: OSError) -> None:
+        """Say that a sum cannot be kept, once and where somebody counts on it."""
+        if self.asked and not self.warned:
+            self.warned = True
+            warnings.warn(
+                f"{error.filename or self.folder}: {error.strerror or error}: sums are not kept, the run goes on"
+                " without; make room or give another folder, or it starts over if it is stopped",
+                BayeqWarning,
+                stacklevel=2,
+            )
+
+    @property
+    def kept(self) -> Path | None:
+        """The folder, if a sum of this run is in it."""
+        return self.folder if any(one.path is not None and one.path.is_file() for one in self.used) else None
 
     def clear(self) -> None:
         """Forget the sums: the run is through."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import accumulate
 from typing import Any, Protocol, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -99,20 +100,20 @@ def fold(
     kept : Checkpoint, optional
         Where the sum so far is kept, and taken from.
     """
-    done, total = (0, None) if kept is None else kept.load()
-    rows, every = sum(unit.n for unit in units[:done]), sum(unit.n for unit in units)
-    progress(stage, rows, every)
+    # One name for both: wherever an interrupt falls, they belong together.
+    so_far: tuple[int, Any] = (0, None) if kept is None else kept.load()
+    rows = [0, *accumulate(unit.n for unit in units)]
+    progress(stage, rows[so_far[0]], rows[-1])
     try:
-        for count, part in executor.map(work, units[done:]):
-            total = part if total is None else total + part
-            rows += sum(unit.n for unit in units[done : done + count])
-            done += count
-            progress(stage, rows, every)
+        for count, part in executor.map(work, units[so_far[0] :]):
+            done, total = so_far
+            so_far = done + count, part if total is None else total + part
+            progress(stage, rows[so_far[0]], rows[-1])
             if kept is not None:
-                kept.save(done, total, last=done == len(units))
+                kept.save(*so_far, last=so_far[0] == len(units))
     except BaseException:
-        if kept is not None and total is not None:
-            kept.save(done, total, last=True)
+        if kept is not None and so_far[0]:
+            kept.save(*so_far, last=True)
         raise
-    assert total is not None
-    return total
+    assert so_far[1] is not None
+    return so_far[1]
