@@ -89,17 +89,19 @@ def test_found_typed_and_limited_are_the_same():
 
 def test_the_constant_is_judged(tmp_path):
     record = bq.simulate("linear", n=2000, seed=1)
-    (without,) = quietly(record, **OSCILLATOR)
+    balanced = quietly(record, **OSCILLATOR)
+    (without,) = balanced
     assert without.posterior.intercept_pip < 0.5
     assert not without.intercept_matters
     value, sd = without.intercept_estimate
     assert abs(value) < 4 * sd
     assert without.posterior.intercept == 0.0
     pushed = record.with_channels({"a": record["a"] + 0.0, "u": record["u"] - 20.0})
-    (with_it,) = quietly(pushed, **OSCILLATOR)
+    loaded = quietly(pushed, **OSCILLATOR)
+    (with_it,) = loaded
     assert with_it.posterior.intercept_pip > 0.5
     assert with_it.intercept_estimate[0] == pytest.approx(20.0, abs=4 * with_it.intercept_estimate[1])
-    for one, eq in ((without, quietly(record, **OSCILLATOR)), (with_it, quietly(pushed, **OSCILLATOR))):
+    for one, eq in ((without, balanced), (with_it, loaded)):
         path = tmp_path / "eq.json"
         eq.save(path)
         (again,) = bq.load(path)
