@@ -31,8 +31,9 @@ lint: $(VENV)/.dev
 types: $(VENV)/.dev
 	$(BIN)/mypy
 
+# Every worker takes a half of the files, and what other workers have left: fixtures of a file are made once.
 tests: $(VENV)/.dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 # What takes long: the page in a browser, clusters, kills and interrupts, all blocks of the documents.
 slow: $(VENV)/.dev

@@ -16,6 +16,9 @@ from hypothesis import settings
 
 from bayeq.kernels import Kernel
 
+# The tests start Python some hundred times: without bytecode on disk each process compiles the sources again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 settings.register_profile("ci", derandomize=True, deadline=None)
 if os.environ.get("CI"):
     settings.load_profile("ci")

@@ -34,8 +34,11 @@ def _messages() -> list[tuple[str, str]]:
     """Messages that are written where they are given, with their file and line."""
     out = []
     for path in modules():
+        source = path.read_text(encoding="utf-8")
+        if ".warn(" not in source:
+            continue
         constants: dict[str, str] = {}
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = ast.parse(source)
         for node in ast.walk(tree):
             if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
                 constants[node.targets[0].id] = _text(node.value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from functools import partial
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -62,8 +63,9 @@ def test_files_of_both_figures(written):
             assert width_in_mm(path) == pytest.approx(FULL_WIDTH, abs=0.2)
 
 
-def test_same_seed_same_bytes_whatever_the_caller_has_set(tmp_path):
+def test_same_seed_same_bytes_whatever_the_caller_has_set(tmp_path, monkeypatch):
     matplotlib = pytest.importorskip("matplotlib")
+    monkeypatch.setattr("bayeq.study.figures.StudyConfig", partial(StudyConfig, samples=600, burn_in=100))
 
     def written(name, seed):
         return [path.read_bytes() for path in write_figures(tmp_path / name, seed=seed, systems=["quadratic"])]

@@ -55,7 +55,7 @@ def found_terms(command, capsys):
 @pytest.mark.parametrize("system", ["linear", "duffing", "quadratic", "coulomb", "lorenz"])
 def test_the_proposed_command_finds_the_equation(system, units, tmp_path, capsys):
     path = tmp_path / f"a file of {system}.csv"
-    record = bq.simulate(system, seed=1)
+    record = bq.simulate(system, n=2000, seed=1)
     if not units and not record.units:
         pytest.skip("has no units")
     bq.write(record if units else bq.Record(record.channels, record.time), path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,6 +25,13 @@ def quietly(*arguments, **options):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return bq.discover(*arguments, **options)
+
+
+@cache
+def duffing():
+    """A record, what is found among 36 terms, and what is found among the true ones."""
+    record = bq.simulate("duffing", n=1500, seed=5)
+    return record, quietly(record, **OSCILLATOR), quietly(record, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
 
 
 def states_only(system, noise, seed, n=1000):
@@ -75,9 +83,7 @@ def test_intervals_of_the_paper_s_oscillators():
 
 
 def test_found_typed_and_limited_are_the_same():
-    record = bq.simulate("duffing", n=2000, seed=5)
-    (found,) = quietly(record, **OSCILLATOR)
-    (typed,) = quietly(record, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
+    record, (found,), (typed,) = duffing()
     for name in found.included:
         i, j = found.posterior.names.index(name), typed.posterior.names.index(name)
         assert abs(found.posterior.coef[i] - typed.posterior.coef[j]) < 0.2 * typed.posterior.sd[j]
@@ -89,17 +95,19 @@ def test_found_typed_and_limited_are_the_same():
 
 def test_the_constant_is_judged(tmp_path):
     record = bq.simulate("linear", n=2000, seed=1)
-    (without,) = quietly(record, **OSCILLATOR)
+    balanced = quietly(record, **OSCILLATOR)
+    (without,) = balanced
     assert without.posterior.intercept_pip < 0.5
     assert not without.intercept_matters
     value, sd = without.intercept_estimate
     assert abs(value) < 4 * sd
     assert without.posterior.intercept == 0.0
     pushed = record.with_channels({"a": record["a"] + 0.0, "u": record["u"] - 20.0})
-    (with_it,) = quietly(pushed, **OSCILLATOR)
+    loaded = quietly(pushed, **OSCILLATOR)
+    (with_it,) = loaded
     assert with_it.posterior.intercept_pip > 0.5
     assert with_it.intercept_estimate[0] == pytest.approx(20.0, abs=4 * with_it.intercept_estimate[1])
-    for one, eq in ((without, quietly(record, **OSCILLATOR)), (with_it, quietly(pushed, **OSCILLATOR))):
+    for one, eq in ((without, balanced), (with_it, loaded)):
         path = tmp_path / "eq.json"
         eq.save(path)
         (again,) = bq.load(path)
@@ -175,8 +183,7 @@ def test_where_it_is_not_used():
 
 
 def test_an_equation_is_scored_and_then_found_from_all_rows():
-    record = bq.simulate("duffing", n=1500, seed=4)
-    eq = quietly(record, **OSCILLATOR)
+    record, eq, _ = duffing()
     whole = quietly(record, **OSCILLATOR, holdout=0.0)
     assert eq.data.refitted
     assert not whole.data.refitted
@@ -193,10 +200,8 @@ def test_an_equation_is_scored_and_then_found_from_all_rows():
 
 
 def test_terms_have_the_same_coefficients_found_typed_or_reached_by_a_limit():
-    record = bq.simulate("duffing", n=1500, seed=5)
+    record, (found,), (typed,) = duffing()
     true = ["x", "v", "x**3", "u"]
-    found = quietly(record, **OSCILLATOR)[0]
-    typed = quietly(record, **OSCILLATOR, dictionary=true)[0]
     assert set(found.shown) == set(typed.shown) == set(true)
     sd = dict(zip(typed.posterior.names, typed.posterior.sd, strict=True))
     assert all(abs(found.coef[name] - typed.coef[name]) < 0.2 * sd[name] for name in true)

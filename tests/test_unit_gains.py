@@ -37,6 +37,10 @@ def in_units(x_size=1.0, v_size=1.0, a_size=1.0, /, noise=0.02, **units):
     return bq.Record.from_arrays(channels, time=record.time, units=units)
 
 
+def si():
+    return in_units(**SI)
+
+
 def mm():
     return in_units(1e3, x="mm", v="m/s", a="m/s^2", u="N")
 
@@ -49,6 +53,12 @@ def discover(record, chain="x:v:a", **options):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)
         return bq.discover(record, chains=chain, inputs=["u"], dictionary=["x", "v", "x**3", "u"], **options)
+
+
+@cache
+def answer(make, chain="x:v:a"):
+    """What is found in a record that several tests ask about."""
+    return discover(make(), chain)
 
 
 # --- the factors -----------------------------------------------------------------------------------------------------
@@ -161,7 +171,7 @@ def test_the_estimate_is_as_far_off_as_it_says(noise, n):
 
 @pytest.fixture(scope="module")
 def plain():
-    return discover(in_units(**SI))
+    return answer(si)
 
 
 @pytest.mark.parametrize("stated", [True, False])
@@ -170,12 +180,12 @@ def plain():
 def test_free_runs_are_those_of_the_same_motion_in_one_unit(plain, make, smooth, stated):
     record = make()
     record = record if stated else bq.Record.from_arrays(dict(record.channels), time=record.time)
-    twin = plain if smooth == "auto" else discover(in_units(**SI), smooth="none")
-    eq = discover(record, smooth=smooth)
+    twin = plain if smooth == "auto" else discover(si(), smooth="none")
+    eq = answer(make) if stated and smooth == "auto" else discover(record, smooth=smooth)
     assert eq[0].included == twin[0].included
     assert twin.scores.free_run["x"] < 0.1
     assert eq.scores.free_run == pytest.approx(twin.scores.free_run, rel=1e-3)
-    run, same = (one.simulate(record if one is eq else in_units(**SI), draws=20) for one in (eq, twin))
+    run, same = (one.simulate(record if one is eq else si(), draws=20) for one in (eq, twin))
     for name, size in (("x", 1e3), ("v", 1.0)):
         scale = size * same.mean[name].std()
         np.testing.assert_allclose(run.mean[name], size * same.mean[name], atol=1e-3 * scale)
@@ -183,7 +193,7 @@ def test_free_runs_are_those_of_the_same_motion_in_one_unit(plain, make, smooth,
 
 
 def test_the_right_hand_side_is_in_the_units_of_the_states(plain):
-    eq = discover(mm_g())
+    eq = answer(mm_g)
     np.testing.assert_allclose(eq.rhs(0.0, [20.0, 0.3], 5.0), plain.rhs(0.0, [0.02, 0.3], 5.0) * [1e3, 1.0], rtol=1e-5)
     assert "units of the channels: dx/dt = 1000 v, dv/dt = 9.80665 a" in str(eq)
     assert "units of the channels" not in str(plain)
@@ -191,7 +201,7 @@ def test_the_right_hand_side_is_in_the_units_of_the_states(plain):
 
 def test_the_period_is_that_of_the_motion():
     record = mm()
-    eq = discover(record)
+    eq = answer(mm)
     rows = Rows(record.time, record.channels, {}, interpolant(record.time, record["u"][:, None], "cubic"))
     period = typical_period(eq.dynamics(), [rows])
     assert period == pytest.approx(2 * np.pi * duffing()["x"].std() / duffing()["v"].std())
@@ -215,7 +225,7 @@ def test_states_that_are_taken_as_measured_have_their_factors():
 
 
 def test_saved_and_loaded(tmp_path):
-    eq = discover(mm_g())
+    eq = answer(mm_g)
     eq.save(tmp_path / "eq.json")
     loaded = bq.load(tmp_path / "eq.json")
     assert loaded[0].unit_gains == eq[0].unit_gains != (1.0, 1.0, 1.0)
@@ -228,8 +238,8 @@ def test_saved_and_loaded(tmp_path):
 
 @pytest.mark.parametrize(("make", "chain"), [(mm, "x:v:a"), (mm_g, "x:v:a"), (mm, "x:v:"), (mm_g, "x:~v:a")])
 def test_physical_parameters_are_right_in_stated_units(make, chain):
-    found = discover(make(), chain).physical()
-    twin = discover(in_units(**SI), chain).physical()
+    found = answer(make, chain).physical()
+    twin = answer(si, chain).physical()
     for symbol, true in {"m": 1.0, "c": 2.0, "k": 1000.0, "k3": 1e5}.items():
         assert found[symbol].mean == pytest.approx(twin[symbol].mean, rel=1e-3)
         assert abs(found[symbol].mean - true) < 4 * found[symbol].sd
