@@ -18,7 +18,7 @@ CATEGORIES = {name for name in errors.__all__ if name.endswith("Warning")}
 
 # What a user can do, in the words of the messages.
 DOES = re.compile(
-    r"\b(add|check|compare|drop|give|keep|[Ll]eave|look|measure|rename|resample|reverse|shift|use)\b"
+    r"\b(add|check|compare|drop|give|keep|[Ll]eave|look|show|measure|rename|resample|reverse|shift|use)\b"
     r"|would (decide|tell)|asks for|refine the result|takes (it out|them as they are)|shifts it back|do not rely"
 )
 
@@ -38,10 +38,13 @@ def _messages() -> list[tuple[str, str]]:
         if ".warn(" not in source:
             continue
         constants: dict[str, str] = {}
+        advised: set[str] = set()
         tree = ast.parse(source)
         for node in ast.walk(tree):
             if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
                 constants[node.targets[0].id] = _text(node.value)
+                if any(getattr(part, "attr", "") == "advice" for part in ast.walk(node.value)):
+                    advised.add(node.targets[0].id)
         for node in ast.walk(tree):
             if not (isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "warn" and len(node.args) > 1):
                 continue
@@ -50,6 +53,8 @@ def _messages() -> list[tuple[str, str]]:
                 continue
             names = [part.id for part in ast.walk(message) if isinstance(part, ast.Name)]
             whole = _text(message) + "".join(constants.get(name, "") for name in names)
+            if any(name in advised for name in names):
+                continue  # its advice is looked at where it is written
             if not isinstance(message, ast.Name) or names[0] in constants:
                 out.append((f"{path.relative_to(SOURCE)}:{node.lineno}", whole))
     return out
@@ -70,6 +75,19 @@ def test_messages_are_found():
 @pytest.mark.parametrize(("where", "message"), MESSAGES, ids=[where for where, _ in MESSAGES])
 def test_a_warning_says_what_to_do(where, message):
     assert DOES.search(message), f"{where}: {message}"
+
+
+def test_what_is_not_refined_comes_with_advice():
+    calls = [
+        node
+        for path in modules()
+        if "Unrefined(" in (source := path.read_text(encoding="utf-8"))
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Unrefined"
+    ]
+    assert len(calls) >= 4
+    for call in calls:
+        assert DOES.search(_text(call.args[1]))
 
 
 def test_bad_samples_come_with_advice():
