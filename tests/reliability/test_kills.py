@@ -11,7 +11,6 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs process groups
 
 
 @pytest.mark.parametrize("name", ["discover --checkpoint", pytest.param("batch", marks=pytest.mark.slow)])
-def test_a_command_that_is_killed_ends_as_if_undisturbed(name, monkeypatch):
-    monkeypatch.setattr("studies.kills.ROWS", 24_000)  # six units, of which any may be the last that is kept
+def test_a_command_that_is_killed_ends_as_if_undisturbed(name):
     found = disturbed(name, seed=int.from_bytes(os.urandom(4)), kills=2)
     assert (found["partial"], found["same"]) == (0, True)

@@ -8,14 +8,13 @@ acceleration agrees with one side, and in a burst the samples around the one tha
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import ConvergenceWarning, InputError
+from bayeq.errors import InputError
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
 from bayeq.states.chain import Chain
@@ -325,10 +324,8 @@ class _Group:
 def _fitted(series: Sequence[ChainSeries]) -> KinematicModel | None:
     """The model of some samples; None of too few, or of a constant channel."""
     try:
-        with warnings.catch_warnings():
-            # noise levels that are not quite the likeliest do as well
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            return fit_kinematic(series)
+        # noise levels that are not quite the likeliest do as well
+        return fit_kinematic(series, doubts=False)
     except InputError:
         return None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -84,7 +85,10 @@ def plain(values: Any, where: str, what: str) -> np.ndarray[Any, np.dtype[Any]]:
 
 @contextmanager
 def reading(where: str, kind: str) -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into one line; its warnings are dropped.
+    """Turn whatever a library raises on a damaged file into one line; its warnings are dropped in the main thread.
+
+    Filters of warnings belong to all threads: of several that change them and put them back, one leaves behind what it
+    found of another, and warnings of ours would be lost.
 
     Raises
     ------
@@ -92,8 +96,11 @@ def reading(where: str, kind: str) -> Iterator[None]:
         With the first line of the library's message.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        if threading.current_thread() is threading.main_thread():
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                yield
+        else:
             yield
     except (BayeqError, FileNotFoundError, PermissionError, IsADirectoryError):
         raise

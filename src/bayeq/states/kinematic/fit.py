@@ -53,6 +53,7 @@ def fit_kinematic(
     order: int | None = None,
     noise_sd: Sequence[float | None] | None = None,
     spectral_density: float | None = None,
+    doubts: bool = True,
 ) -> KinematicModel:
     """Noise levels and spectral density of maximum likelihood, shared by some records of one chain.
 
@@ -74,6 +75,8 @@ def fit_kinematic(
         Known standard deviations of the noise of each derivative, None where to be estimated.
     spectral_density : float, optional
         Known Q, which needs `order`.
+    doubts : bool
+        Whether to warn of noise levels that may be off.
 
     Returns
     -------
@@ -109,7 +112,7 @@ def fit_kinematic(
     floors = _floors(used, sizes)
 
     def fitted(m: int) -> KinematicModel:
-        return _Likelihood(used, sizes, m, known, spectral_density).maximise(floors)
+        return _Likelihood(used, sizes, m, known, spectral_density).maximise(floors, doubts)
 
     if order is not None:
         return fitted(order)
@@ -296,7 +299,7 @@ class _Likelihood:
             best, highest = parameters, value
         return best
 
-    def maximise(self, floors: Floats) -> KinematicModel:
+    def maximise(self, floors: Floats, doubts: bool) -> KinematicModel:
         """The model at the maximum next to the floors."""
         parameters, stopped = self.start(floors), False
         if len(parameters):
@@ -308,7 +311,7 @@ class _Likelihood:
             found = minimise(loss, parameters, *np.transpose(self.bounds), gradient_tolerance=STATIONARY)
             parameters, stopped = found.x, not found.converged
         value, gradient, left_out = self.scored(parameters)
-        if stopped:
+        if stopped and doubts:
             self._warn_of(parameters, gradient / self.count)
         density, noise_sd = self.unpack(parameters)
         return KinematicModel(
