@@ -532,6 +532,11 @@ def test_the_command_refuses_what_takes_whole_records(option, record, tmp_path, 
     assert error.count("\n") == 1
 
 
+def test_a_name_that_is_too_long_is_one_line():
+    with pytest.raises(FileFormatError, match="File name too long"):
+        quietly("x" * 300)
+
+
 def test_data_in_memory_is_not_streamed(record):
     assert extents_of(record, None, None) is None
     with pytest.raises(InputError, match="in memory"):

@@ -61,9 +61,10 @@ def in_order(path: Path) -> list[tuple[int, int | str]]:
 def streamed_unasked(paths: Sequence[str | os.PathLike[str]]) -> bool:
     """Whether paths are streamed without being asked to: folders, and files of more than 256 MB together."""
     files = [Path(path) for path in paths]
-    if any(path.is_dir() for path in files):
-        return True
-    return sum(path.stat().st_size for path in files if path.is_file()) > LARGE
+    try:
+        return any(path.is_dir() for path in files) or sum(p.stat().st_size for p in files if p.is_file()) > LARGE
+    except OSError:  # a name that is too long, say: `bayeq.read` says what is wrong with it
+        return False
 
 
 def open_streams(
