@@ -18,7 +18,7 @@ from bayeq.records import Record, read, write
 from bayeq.records.columns import Headers
 from bayeq.records.formats import parquet
 from bayeq.records.formats.layout import sniff
-from bayeq.records.formats.text import _Lines
+from bayeq.records.formats.text import _Lines, read_columns
 
 DATA = Path(os.environ.get("BAYEQ_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured records in {DATA}; set BAYEQ_DATA")
@@ -303,3 +303,16 @@ def test_measured_records() -> None:
     assert tanks.names == ("uEst", "uVal", "yEst", "yVal", "Ts")
     hares = read(DATA / "lynx_hare" / "hudson-bay-lynx-hare.csv", time="Year", units={"Year": "year"})
     assert (hares.n, hares.names, hares.dt) == (21, ("Lynx", "Hare"), 1.0)
+
+
+def test_an_increment_with_an_exponent_of_fortran_is_read(tmp_path: Path) -> None:
+    rows = "\n".join(f"{k},{k / 10}" for k in range(6))
+    path = put(tmp_path, f"X,CH1,Start,Increment\nSequence,Volt,0.0,2.0d-03\n{rows}\n")
+    rec = read(path)
+    assert rec.dt == pytest.approx(2e-3)
+
+
+def test_a_comment_names_trial_and_time_only_of_columns_that_are_there(tmp_path: Path) -> None:
+    path = put(tmp_path, "%DI-x [m,v\n0,1,\n,1,\n")
+    found = read_columns(path)
+    assert len(found.names) == len(found.values) == 2

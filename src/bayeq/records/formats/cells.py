@@ -6,7 +6,18 @@ import csv
 import re
 from collections.abc import Sequence
 
-__all__ = ["MISSING", "delimiter_of", "is_blank", "is_comment", "is_number", "is_words", "split", "unit_cell", "words"]
+__all__ = [
+    "MISSING",
+    "delimiter_of",
+    "is_blank",
+    "is_comment",
+    "is_number",
+    "is_words",
+    "number_of",
+    "split",
+    "unit_cell",
+    "words",
+]
 
 #: Cells that stand for a missing sample, in lower case.
 MISSING = frozenset({"", "na", "n/a", "#n/a", "nan", "+nan", "-nan", "null", "none"})
@@ -88,10 +99,25 @@ def unquoted(line: str) -> str:
 def is_number(cell: str, comma: bool = True) -> bool:
     """Whether a cell is a finite number, perhaps with a decimal comma or an exponent of Fortran's."""
     try:
-        float(cell.replace("D", "E").replace("d", "e"))
+        float(_with_e(cell))
     except ValueError:
         return comma and bool(_COMMA_NUMBER.fullmatch(cell))
     return cell.strip("+-").lower() not in ("nan", "inf", "infinity")
+
+
+def number_of(cell: str) -> float:
+    """The number in a cell that `is_number`.
+
+    Examples
+    --------
+    >>> number_of("1,5"), number_of("2.0d-3")
+    (1.5, 0.002)
+    """
+    return float(_with_e(cell).replace(",", "."))
+
+
+def _with_e(cell: str) -> str:
+    return cell.replace("D", "E").replace("d", "e")
 
 
 def is_words(cells: list[str]) -> bool:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from bayeq.records.formats.cells import MISSING, delimiter_of, is_number, is_words, split, unit_cell, words
+from bayeq.records.formats.cells import MISSING, delimiter_of, is_number, is_words, number_of, split, unit_cell, words
 from bayeq.records.formats.stamps import parse_stamp
 
 __all__ = ["Table", "find_table", "stated_step", "with_units"]
@@ -157,7 +157,7 @@ def _rigol(rows: Sequence[str], start: int, delimiter: str | None) -> Table | No
     lower = [name.casefold() for name in names]
     if "increment" not in lower or len(below) < len(names) or not is_number(below[lower.index("increment")]):
         return None
-    step = float(below[lower.index("increment")].replace(",", "."))
+    step = number_of(below[lower.index("increment")])
     units = ["" if is_number(cell) else unit_cell(cell) or "" for cell in below[: len(names)]]
     width = len(split(rows[start], delimiter))
     header = with_units(names, units)[:width]

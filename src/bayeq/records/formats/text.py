@@ -97,7 +97,8 @@ def _read(
         if lines.trailing and not headers.texts[-1] and layout.width > 1 and len(given or ()) != layout.width:
             data = data[:, :-1]
             headers = Headers.parse(headers.texts[:-1], where)
-    if texts is None and readings and given is None and _is_trial_and_time(data):
+    trials = bool(readings) and len(readings[0]) + 2 == data.shape[1]
+    if texts is None and trials and given is None and _is_trial_and_time(data):
         headers = Headers.parse(["trial", "t", *readings[0]], where)
     if layout.stamps:
         kept = range(len(headers))
