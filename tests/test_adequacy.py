@@ -14,7 +14,7 @@ from scipy.stats import kstest
 import bayeq as bq
 from bayeq.equation.verdict import KINDS, Verdict, doubted, worst
 from bayeq.likelihood.adequacy import Adequacy, Discrepancy, Octave, chance_of, octaves_of, turn_of
-from bayeq.likelihood.low_pass import feedback, spectrum_of, step_variance
+from bayeq.likelihood.low_pass import feedback, mean_spectrum, spectrum_of, step_variance
 from bayeq.numerics.beta import incomplete_beta
 from bayeq.selection.alternatives import Alternatives, alternatives_to
 
@@ -143,6 +143,6 @@ def test_the_spectrum_of_low_passed_noise_is_read():
         state[-1] += change
         values.append(state[0])
     samples = np.array(values) + np.sqrt(noise) * rng.standard_normal(len(values))
-    found = spectrum_of([samples - samples.mean()], order, step)
+    found = spectrum_of(mean_spectrum([samples - samples.mean()]), order, step, samples.var())
     # aliasing of the sequence of steps is not in Butterworth's formula
     np.testing.assert_allclose(found, (corner, level, noise), rtol=0.1)

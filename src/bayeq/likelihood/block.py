@@ -8,15 +8,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.likelihood.filter import run_filter
+from bayeq.likelihood.filter import Adjoint, run_filter
 from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, corrections, information
 from bayeq.likelihood.layout import Candidates
+from bayeq.likelihood.linear import Linear
+from bayeq.likelihood.low_pass import SEGMENT, periodograms
 from bayeq.likelihood.search import Task, with_mean_signs
 from bayeq.likelihood.signs import jumps_of
 from bayeq.likelihood.start import series_and_paths
 from bayeq.states import MotionRows
 
-__all__ = ["Block", "block_of"]
+__all__ = ["Block", "adjoints_of", "block_of", "statistics"]
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -33,6 +35,12 @@ class Block:
     ----------
     quadratic : Quadratic
         The log likelihood of all candidates about zero.
+    score : (F,) array
+        Its derivatives by the levels, at the coefficients that it is taken about.
+    power : (L, B) array
+        Sums of the periodograms of the noisy inputs.
+    segments : int
+        Number of these.
     samples : float
         Number of samples.
     lost : int
@@ -42,14 +50,24 @@ class Block:
     """
 
     quadratic: Quadratic
+    score: Floats
+    power: Floats
+    segments: int
     samples: float
     lost: int = 0
     absent: Counts = field(default_factory=lambda: np.zeros((2, 0), dtype=np.int64))
 
     def __add__(self, other: Block) -> Block:
         a, b = self.quadratic, other.quadratic
-        q = Quadratic(a.level + b.level, a.slope + b.slope, a.information + b.information)
-        return Block(q, self.samples + other.samples, self.lost + other.lost, self.absent + other.absent)
+        return Block(
+            Quadratic(a.level + b.level, a.slope + b.slope, a.information + b.information),
+            self.score + other.score,
+            self.power + other.power,
+            self.segments + other.segments,
+            self.samples + other.samples,
+            self.lost + other.lost,
+            self.absent + other.absent,
+        )
 
 
 def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
@@ -62,20 +80,42 @@ def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
     pieces : sequence of MotionRows
         Rows, smoothed.
     """
+    power, segments = _power(task, pieces)
     size, rows = len(task.precision), sum(piece.n for piece in pieces)
-    nothing = Block(Quadratic(0.0, np.zeros(size), np.zeros((size, size))), 0.0, rows)
+    nothing = Block(
+        Quadratic(0.0, np.zeros(size), np.zeros((size, size))),
+        np.zeros(len(state.levels.free)),
+        np.zeros_like(power),
+        0,
+        0.0,
+        rows,
+    )
     if not pieces:
         return nothing
     try:
         series, paths = series_and_paths(task.layout, pieces)
         own, here = replace(task, series=series, recent=[]), replace(state, paths=paths)
         # jumps of other terms are averaged as they were in the fit
-        found = _at_its_path(with_mean_signs(own, here) if _jumps(task, state) else own, here)
+        own = with_mean_signs(own, here) if _jumps(task, state) else own
+        found, score = _at_its_path(own, here)
     except np.linalg.LinAlgError:
-        found = None
-    if found is None or not (np.isfinite(found.slope).all() and np.isfinite(found.information).all()):
         return nothing
-    return Block(found, own.rows)
+    if not all(np.isfinite(values).all() for values in (found.slope, found.information, score)):
+        return nothing
+    return Block(found, score, power, segments, own.rows)
+
+
+def _power(task: Task, pieces: Sequence[MotionRows]) -> tuple[Floats, int]:
+    """Sums of the periodograms of the noisy inputs, and their number."""
+    layout, segments = task.layout, 0
+    power = np.zeros((len(layout.noisy), (SEGMENT - 1) // 2))
+    for k, (name, centre) in enumerate(zip(layout.noisy, layout.centres, strict=True)):
+        segments = 0
+        for piece in pieces:
+            part, count = periodograms(piece.columns[name] - centre, SEGMENT)
+            power[k] += part
+            segments += count
+    return power, segments
 
 
 def _jumps(task: Task, state: State) -> bool:
@@ -84,19 +124,32 @@ def _jumps(task: Task, state: State) -> bool:
     return any(next(jumps_of(terms[j].tree), None) is not None for j in state.chosen.term if j < len(terms))
 
 
-def _at_its_path(task: Task, state: State) -> Quadratic:
+def _at_its_path(task: Task, state: State) -> tuple[Quadratic, Floats]:
     """The likelihood linearised about the path that the coefficients and the samples make likeliest."""
-    none = np.zeros(0)
-    nothing = Candidates(none.astype(np.int64), none.astype(np.int64))
     spread = np.sqrt(state.levels.scales.variance)
     for _ in range(STEPS):
         linears = task.linearised(state)
-        filtered = tuple(run_filter(linear, nothing, state.levels.noise) for linear in linears)
-        about = Statistics(0.0, none, np.zeros((0, 0)), filtered)
-        found = adjoints(linears, state.levels, about, none, curved=True)
+        found = adjoints_of(state, linears)
         if max(float(np.abs(one.deviation / spread).max()) for one in found) < NEAR:
             break
         state = replace(state, paths=tuple(path + one.deviation for path, one in zip(state.paths, found, strict=True)))
         task.recent.clear()
+    return statistics(task, state, linears, found)
+
+
+def adjoints_of(state: State, linears: Sequence[Linear]) -> list[Adjoint]:
+    """The adjoints of records at the coefficients that they are linearised about."""
+    none = np.zeros(0)
+    nothing = Candidates(none.astype(np.int64), none.astype(np.int64))
+    filtered = tuple(run_filter(linear, nothing, state.levels.noise) for linear in linears)
+    about = Statistics(0.0, none, np.zeros((0, 0)), filtered)
+    return adjoints(linears, state.levels, about, none, np.zeros((0, 0)), curved=True)
+
+
+def statistics(
+    task: Task, state: State, linears: Sequence[Linear], found: Sequence[Adjoint]
+) -> tuple[Quadratic, Floats]:
+    """The log likelihood of all candidates about zero, and its derivatives by the levels, from `adjoints_of`."""
     curved = corrections(task.layout, task.series, linears, found)
-    return information(task.layout, task.series, linears, state, curved)
+    score = np.sum([state.levels.slopes(one) for one in found], axis=0)
+    return information(task.layout, task.series, linears, state, curved), score

@@ -10,15 +10,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.numerics.minimise import minimise
 
-__all__ = ["feedback", "spectrum_of", "step_variance"]
+__all__ = [
+    "SEGMENT",
+    "Spectrum",
+    "feedback",
+    "mean_spectrum",
+    "of_segments",
+    "periodograms",
+    "spectrum_of",
+    "step_variance",
+]
 
 Floats = NDArray[np.float64]
+
+#: Rows of a segment of which a periodogram is taken.
+SEGMENT = 2000
 
 # Bounds of a spectrum: corner as a share of half the sampling rate, level and noise as shares of the variance.
 CORNERS = (1e-3, 0.9)
@@ -75,30 +88,76 @@ def step_variance(order: int, corner: float, interval: float, level: float) -> f
     return level / gain**2 / interval ** (2 * (order - 1))
 
 
-def spectrum_of(pieces: Sequence[Floats], order: int, interval: float) -> tuple[float, float, float]:
+class Spectrum(NamedTuple):
+    """Means of periodograms, Hann's window taken of every segment (Welch 1967).
+
+    Attributes
+    ----------
+    omega : (B,) array
+        Frequencies [rad/sample].
+    power : (B,) array
+        Mean over the segments; the mean over all frequencies is the variance.
+    segments : (B,) array
+        Their number.
+    """
+
+    omega: Floats
+    power: Floats
+    segments: Floats
+
+
+def mean_spectrum(pieces: Sequence[Floats]) -> Spectrum:
+    """The spectrum of some samples, their mean taken off: of segments of each piece, or of one that is shorter."""
+    sums: dict[int, tuple[Floats, int]] = {}
+    for values in pieces:
+        length = min(SEGMENT, len(values))
+        power, count = periodograms(values, length)
+        before = sums.get(length, (0.0, 0))
+        sums[length] = before[0] + power, before[1] + count
+    parts = [of_segments(power, count, length) for length, (power, count) in sums.items()]
+    return Spectrum(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def of_segments(power: Floats, count: int, length: int) -> Spectrum:
+    """The spectrum that sums of periodograms of some segments make."""
+    bins = len(power)
+    omega = 2.0 * math.pi * np.arange(1, bins + 1) / length
+    return Spectrum(omega, power / max(count, 1), np.full(bins, float(count)))
+
+
+def periodograms(values: Floats, length: int) -> tuple[Floats, int]:
+    """Sum of the periodograms of segments that overlap by half, and their number."""
+    bins = (length + 1) // 2 - 1
+    total, count, window = np.zeros(max(bins, 0)), 0, np.hanning(length)
+    if bins > 0:
+        for first in range(0, len(values) - length + 1, (length + 1) // 2):
+            segment = values[first : first + length] * window
+            total += np.abs(np.fft.rfft(segment))[1 : bins + 1] ** 2
+            count += 1
+    return total / (0.375 * length), count
+
+
+def spectrum_of(found: Spectrum, order: int, interval: float, variance: float) -> tuple[float, float, float]:
     """Corner [rad/s], level at zero, and noise of samples, at the maximum of Whittle's likelihood (Whittle 1953).
 
     Parameters
     ----------
-    pieces : sequence of (n,) arrays
-        Samples, their mean taken off.
+    found : Spectrum
+        Of the samples.
     order : int
         Of the process.
     interval : float
         Between samples [s].
+    variance : float
+        Of the samples.
     """
-    power, omega = [], []
-    for values in pieces:
-        n = len(values)
-        bins = np.abs(np.fft.rfft(values * np.hanning(n)))[1 : (n + 1) // 2] ** 2 / (0.375 * n)
-        power.append(bins)
-        omega.append(2.0 * math.pi * np.arange(1, len(bins) + 1) / n)
-    P, w = np.concatenate(power), np.concatenate(omega)
-    if not len(P):
-        return math.pi / interval, 1.0, NOISES[0]
-    P = P / P.mean()
+    w, P, count = found
+    if not float(count @ P) > 0.0:
+        return math.pi / interval, variance, NOISES[0] * variance
+    share = count / count.sum()
+    P = P / float(share @ P)
     by_frequency = np.argsort(w, kind="stable")
-    below = np.cumsum(P[by_frequency]) <= POWER * P.sum()
+    below = np.cumsum((share * P)[by_frequency]) <= POWER
     first = w[by_frequency][min(int(below.sum()), len(w) - 1)]
     noise = P[by_frequency][-max(1, int(HIGHEST * len(P))) :].mean()
     start = np.log([first, math.pi / first, noise])
@@ -109,17 +168,16 @@ def spectrum_of(pieces: Sequence[Floats], order: int, interval: float) -> tuple[
         beyond = np.exp(2.0 * order * (np.log(w) - x[0]))
         signal = np.exp(x[1]) / (1.0 + beyond)
         total = signal + np.exp(x[2])
-        by_total = 1.0 / total - P / total**2
+        by_total = count * (1.0 / total - P / total**2)
         by_corner = 2.0 * order * signal * beyond / (1.0 + beyond)
         slopes = [float(by_total @ by_corner), float(by_total @ signal), float(by_total.sum() * np.exp(x[2]))]
-        return float(np.sum(np.log(total) + P / total)), np.array(slopes)
+        return float(count @ (np.log(total) + P / total)), np.array(slopes)
 
-    unit = 1.0 / math.sqrt(len(P))
-    found = minimise(
+    unit = 1.0 / math.sqrt(float(count.sum()))
+    least = minimise(
         lambda x: _scaled(negative(x * unit), unit), np.clip(start, low, high) / unit, low / unit, high / unit
     )
-    corner, level, noise = np.exp(found.x * unit).tolist()
-    variance = float(np.concatenate([np.asarray(values) for values in pieces]).var())
+    corner, level, noise = np.exp(least.x * unit).tolist()
     return corner / interval, level * variance, noise * variance
 
 

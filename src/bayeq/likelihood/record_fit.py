@@ -15,7 +15,7 @@ from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
-from bayeq.likelihood.fit import Quadratic, marginal, solved
+from bayeq.likelihood.fit import Quadratic, State, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.search import ADEQUATE, Fitted, Task, fit, resumed, search, with_mean_signs, with_model
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
@@ -75,22 +75,24 @@ class RecordFit:
         found = cls(task, fitted, _averaged(task, fitted, fitted_only=True))
         return found.about(found.posterior.support)
 
-    @classmethod
-    def of_more(cls, former: RecordFit, quadratic: Quadratic, samples: float) -> RecordFit:
+    def of_more(self, task: Task, state: State, quadratic: Quadratic, samples: float) -> RecordFit:
         """What the likelihood of more rows, about a fit to some of them, tells.
 
         Parameters
         ----------
-        former : RecordFit
-            The fit to some of the rows.
+        task, state : Task, State
+            The fit, with levels of all rows.
         quadratic : Quadratic
-            The likelihood of all of them about it.
+            The likelihood of all of them there.
         samples : float
             Their number.
         """
-        task = replace(former.task, counted=samples)
-        fitted = replace(former.fitted, quadratic=quadratic, tried={})
-        found = cls(task, fitted, _averaged(task, fitted))
+        task = replace(task, series=self.task.series, counted=samples)
+        fitted = replace(
+            self.fitted, quadratic=quadratic, state=replace(state, paths=self.fitted.state.paths), tried={}
+        )
+        found = replace(self, task=task, fitted=fitted)
+        found = replace(found, posterior=_averaged(task, fitted))
         return found.about(found.posterior.support)
 
     def about(self, model: Bools) -> RecordFit:

@@ -20,12 +20,12 @@ from bayeq.likelihood.fit import State, adjoints, linearised, marginal, maximise
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.levels import LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.linear import Series
-from bayeq.likelihood.low_pass import spectrum_of, step_variance
+from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.ode.rk4 import Interpolation, interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
-__all__ = ["Start", "carried_over", "series_and_paths", "start_from", "with_exact_inputs"]
+__all__ = ["Start", "carried_over", "series_and_paths", "start_from", "with_exact_inputs", "with_spectra"]
 
 Floats = NDArray[np.float64]
 
@@ -192,7 +192,8 @@ def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tu
     series, paths = series_and_paths(task.layout, motion.train)
     for path, (record, first) in zip(fitted.state.paths, places, strict=True):
         paths[record][first : first + len(path)] = path
-    return replace(task, series=series), replace(fitted.state, paths=paths)
+    spectra = [_spectrum(name, motion.train, task.layout.centres[k]) for k, name in enumerate(task.layout.noisy)]
+    return with_spectra(replace(task, series=series), replace(fitted.state, paths=paths), spectra)
 
 
 def series_and_paths(layout: Layout, pieces: Sequence[MotionRows]) -> tuple[tuple[Series, ...], tuple[Floats, ...]]:
@@ -255,13 +256,41 @@ def _targets(roles: Roles, pieces: Sequence[MotionRows]) -> Floats:
 
 def _input(name: str, pieces: Sequence[MotionRows], known: float | None = None) -> tuple[Levels, tuple[Floats, ...]]:
     """The smoothness of an input that makes its own samples likeliest, as levels of it alone, and its paths."""
-    found = [_alone(name, pieces, smoothness, known) for smoothness in SMOOTHNESS]
+    mean = float(np.concatenate([rows.columns[name] for rows in pieces]).mean())
+    spectrum = _spectrum(name, pieces, mean)
+    found = [_alone(name, pieces, smoothness, spectrum, known) for smoothness in SMOOTHNESS]
     _, state, series = max(found, key=lambda one: one[0])
     return state.levels, _smoothed(series, state)
 
 
+def _spectrum(name: str, pieces: Sequence[MotionRows], mean: float) -> Spectrum:
+    """Of an input."""
+    return mean_spectrum([rows.columns[name] - mean for rows in pieces])
+
+
+def _interval(series: Sequence[Series]) -> float:
+    """Between samples, mostly [s]."""
+    return float(np.median(np.concatenate([one.intervals for one in series])))
+
+
+def with_spectra(task: Task, state: State, spectra: Sequence[Spectrum]) -> tuple[Task, State]:
+    """A task and a fit with the corners of the noisy inputs, and the variances of their steps, as spectra have them."""
+    old, levels, corners, slope = task.layout, state.levels, [], []
+    interval = _interval(task.series)
+    for k, spectrum in enumerate(spectra):
+        corner, change, order = old.corners[k], 1.0, int(old.widths[k])
+        if old.smoothness[k] and spectrum.segments.any():
+            corner, _, _ = spectrum_of(spectrum, order, interval, 1.0)
+            change = step_variance(order, corner, interval, 1.0) / step_variance(order, old.corners[k], interval, 1.0)
+        corners.append(corner)
+        slope.append(change * levels.slope[k])
+    layout = replace(old, corners=tuple(corners))
+    levels = replace(levels, layout=layout, slope=np.array(slope))
+    return replace(task, layout=layout, recent=[]), replace(state, levels=levels)
+
+
 def _alone(
-    name: str, pieces: Sequence[MotionRows], smoothness: int, known: float | None = None
+    name: str, pieces: Sequence[MotionRows], smoothness: int, spectrum: Spectrum, known: float | None = None
 ) -> tuple[float, State, list[Series]]:
     """Levels of an input by the likelihood of its own samples, nothing else in the model; that likelihood first."""
     values = np.concatenate([rows.columns[name] for rows in pieces])
@@ -271,8 +300,8 @@ def _alone(
     noise, corner, slope = INPUT_NOISE * variance, 0.0, variance / step**2
     sizes = [variance, slope]
     if smoothness:
-        order, few = smoothness + 1, [rows.columns[name][:INPUT_ROWS] - mean for rows in pieces]
-        corner, level, noise = spectrum_of(few, order, step)
+        order = smoothness + 1
+        corner, level, noise = spectrum_of(spectrum, order, step, variance)
         slope = step_variance(order, corner, step, level)
         sizes = [variance * corner ** (2 * k) for k in range(order)]
     if known is not None:

@@ -16,6 +16,7 @@ from bayeq.gram.gram import from_moments
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.block import Block
 from bayeq.likelihood.record_fit import RecordFit
+from bayeq.likelihood.relearn import Curvature, curvature, relearned
 from bayeq.regression.design import Design, usable_terms
 from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion
@@ -37,10 +38,8 @@ SPREAD = 16
 # Passes over all rows until the included terms stay.
 PASSES = 3
 
-
-# From this many times the rows of the stretches on, what these leave uncertain of the noise levels counts: at ten times
-# the coefficient of a noisy force was up to 0.3 of its standard deviation off (docs/tables/long_records.csv).
-UNCERTAIN = 10
+# A level that a pass moves by less, in its logarithm, is where all rows have it: what a step leaves is its square.
+NEAR = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,40 +113,37 @@ class Whole:
         return replace(whole, scan=partial(self.residuals, work, whole))
 
     def record(self, former: RecordFit, motion: Motion, log: WarningLog) -> RecordFit:
-        """The likelihood of all rows about the fit to some of them."""
+        """The likelihood of all rows about the fit to some of them, with levels of all rows."""
         units = units_of(self.extents, BLOCK_ROWS)
-        found = former
+        self.progress("likelihood beside the fit", 0, self.n)
+        found, curve = former, curvature(former.task, former.fitted.state)
         if len(units) > 2 * SPREAD:
             some = [units[k] for k in np.linspace(0, len(units) - 1, SPREAD).round().astype(int).tolist()]
-            found, _ = self._about(found, former, motion, some, "likelihood of some rows")
+            found, _, _ = self._about(found, curve, motion, some, "likelihood of some rows")
         for _ in range(PASSES):
             before = found
-            found, block = self._about(before, former, motion, units, "likelihood of all rows")
-            if (found.posterior.support == before.posterior.support).all():
+            found, block, moved = self._about(before, curve, motion, units, "likelihood of all rows")
+            if moved < NEAR and (found.posterior.support == before.posterior.support).all():
                 break
         self._warn(block, motion, log)
         return found
 
     def _about(
-        self, at: RecordFit, former: RecordFit, motion: Motion, units: Sequence[Unit], stage: str
-    ) -> tuple[RecordFit, Block]:
-        """The likelihood of some units about where a fit stands."""
-        state = at.fitted.state
-        work = ByLikelihood.of(self.extents, motion, former.task, state, self.learned)
-        about = (motion.roles, state.chosen.term.tolist(), state.theta.tolist(), state.levels.free.tolist())
+        self, at: RecordFit, curve: Curvature, motion: Motion, units: Sequence[Unit], stage: str
+    ) -> tuple[RecordFit, Block, float]:
+        """The likelihood of some units about where a fit stands, and how far its levels were from theirs."""
+        task, state = at.task, at.fitted.state
+        work = ByLikelihood.of(self.extents, motion, task, state, self.learned)
+        levels = (*state.levels.free.tolist(), *task.layout.corners)
+        about = (motion.roles, state.chosen.term.tolist(), state.theta.tolist(), levels)
         block = self._fold(work, units, stage, about)
-        return RecordFit.of_more(former, block.quadratic, block.samples), block
+        if not block.samples:  # nothing that moves anything
+            return at.of_more(task, state, block.quadratic, block.samples), block, 0.0
+        found = relearned(task, state, block, curve)
+        return at.of_more(found.task, found.state, found.quadratic, block.samples), block, found.moved
 
     def _warn(self, block: Block, motion: Motion, log: WarningLog) -> None:
-        """Warn of what the likelihood of all rows does not hold: uncertain noise levels, rows and samples."""
-        seen = sum(rows.n for rows in motion.records)
-        if self.n >= UNCERTAIN * seen:
-            log.warn(
-                f"noise levels are those of {seen:,} of {self.n:,} rows, and their uncertainty is not in the intervals,"
-                " which are too narrow for coefficients of noisy inputs above all; where the last digits matter compare"
-                " parts of the record (--rows)",
-                DataWarning,
-            )
+        """Warn of rows and samples that the likelihood of all rows does not hold."""
         if block.lost:
             log.warn(
                 f"of {block.lost:,} of {self.n:,} rows the likelihood could not be evaluated near their motion: the"
