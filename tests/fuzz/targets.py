@@ -122,11 +122,19 @@ def _working_folder() -> Path:
 
 def _command(data: bytes) -> None:
     """Lines are arguments. Commands that read are run on a short record, of others the arguments are read."""
-    from bayeq.cli.app import app
-
     _working_folder()
     given = [line.replace("\0", "") for line in data.decode("utf-8", "replace").split("\n")]
     quiet = io.StringIO()
+    try:
+        _invoked(given, quiet)
+    except OSError as error:
+        if error.filename is None:  # with a name it is one line, `bayeq.cli.app.main`
+            raise
+
+
+def _invoked(given: list[str], quiet: io.StringIO) -> None:
+    from bayeq.cli.app import app
+
     with (
         contextlib.suppress(BayeqError, click.ClickException, click.exceptions.Exit),
         contextlib.redirect_stdout(quiet),
