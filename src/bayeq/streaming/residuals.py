@@ -104,7 +104,7 @@ class LaggedResiduals:
         return replace(self, rows=self.rows.on(extents))
 
     def __call__(self, unit: Unit) -> Lagged:
-        columns, _, _ = self.rows.columns(unit)
+        columns = self.rows.columns(unit).train
         evaluate = Evaluator(columns)
         e = columns[self.target] - self.constant
         for term, theta in zip(self.terms, self.coef.tolist(), strict=True):

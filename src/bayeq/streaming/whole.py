@@ -81,7 +81,9 @@ class Whole:
         used = sum(one.cut(share) - one.start for one in self.extents)
         return used, self.n - used
 
-    def design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, share: float, clean: bool) -> Design:
+    def design(
+        self, motion: Motion, terms: Sequence[Expression], allowed: Bools, share: float, clean: bool, log: WarningLog
+    ) -> Design:
         """A dictionary on the motion of stretches, with the statistics of all rows as they are.
 
         Parameters
@@ -94,6 +96,8 @@ class Whole:
             Of the rows of each record, the last, that are held out.
         clean : bool
             Whether bad samples and rows with missing ones are left out; otherwise the latter are an error.
+        log : WarningLog
+            Receives how many of them there are.
 
         Raises
         ------
@@ -106,6 +110,7 @@ class Whole:
         found = self._fold(work, units_of(self.extents), "rows", (names, roles, share, clean))
         if found.train.moments is None:
             raise RecordError("no row can be used for training: each has a missing sample")
+        self._warn_of_absent(found.absent, motion, log)
         train = from_moments(found.train.moments, names, targets)
         held = () if found.held_out.moments is None else from_moments(found.held_out.moments, names, targets)
         whole = Design(motion, terms, train, held, (), (), allowed)
@@ -125,7 +130,8 @@ class Whole:
             found, block, moved = self._about(before, curve, motion, units, "likelihood of all rows")
             if moved < NEAR and (found.posterior.support == before.posterior.support).all():
                 break
-        self._warn(block, motion, log)
+        self._warn_of_lost(block, log)
+        self._warn_of_absent(block.absent, motion, log)
         return found
 
     def _about(
@@ -142,16 +148,19 @@ class Whole:
         found = relearned(task, state, block, curve)
         return at.of_more(found.task, found.state, found.quadratic, block.samples), block, found.moved
 
-    def _warn(self, block: Block, motion: Motion, log: WarningLog) -> None:
-        """Warn of rows and samples that the likelihood of all rows does not hold."""
+    def _warn_of_lost(self, block: Block, log: WarningLog) -> None:
+        """Warn of rows that the likelihood of all rows does not hold."""
         if block.lost:
             log.warn(
                 f"of {block.lost:,} of {self.n:,} rows the likelihood could not be evaluated near their motion: the"
                 " answer is about the others; look at these rows, or leave them out (--rows)",
                 DataWarning,
             )
+
+    def _warn_of_absent(self, absent: NDArray[np.int64], motion: Motion, log: WarningLog) -> None:
+        """Warn of samples of all rows that are missing, or were left out as bad."""
         names = (*motion.roles.measured, *motion.roles.inputs)
-        for counts, what in zip(block.absent.tolist(), ("are missing", "were left out as bad"), strict=True):
+        for counts, what in zip(absent.tolist(), ("are missing", "were left out as bad"), strict=True):
             listed = [f"{count:,} of {name}" for name, count in zip(names, counts, strict=False) if count]
             if listed:
                 log.warn(

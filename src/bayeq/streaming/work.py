@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,8 @@ class OfRows:
         The extent of the last row.
     first, last : float
         Times of the first row and of the last one; NaN where they are not known.
+    absent : (2, C) int array
+        Samples of each channel that are missing, and that were left out as bad.
     """
 
     train: Folded
@@ -52,6 +55,7 @@ class OfRows:
     extent: int
     first: float
     last: float
+    absent: Counts
 
     def __add__(self, other: OfRows) -> OfRows:
         if self.extent == other.extent and other.first <= self.last:
@@ -59,7 +63,26 @@ class OfRows:
                 f"record {other.extent + 1}: time goes back from {self.last:.9g} to {other.first:.9g} s; sort the"
                 " rows by time"
             )
-        return OfRows(self.train + other.train, self.held_out + other.held_out, other.extent, self.first, other.last)
+        train, held_out = self.train + other.train, self.held_out + other.held_out
+        return OfRows(train, held_out, other.extent, self.first, other.last, self.absent + other.absent)
+
+
+class UnitColumns(NamedTuple):
+    """States, inputs and targets of a unit of rows.
+
+    Attributes
+    ----------
+    train, held_out : mapping of str to (n,) array
+        Of rows for training, and held out.
+    first, last, absent
+        As in `OfRows`.
+    """
+
+    train: dict[str, Floats]
+    held_out: dict[str, Floats]
+    first: float
+    last: float
+    absent: Counts
 
 
 @dataclass(frozen=True)
@@ -100,27 +123,30 @@ class AsMeasured:
         return replace(self, extents=tuple(extents))
 
     def __call__(self, unit: Unit) -> OfRows:
-        train, held_out, (first, last) = self.columns(unit)
-        parts = [fold_columns(self.terms, columns, self.roles.targets) for columns in (train, held_out)]
-        return OfRows(parts[0], parts[1], unit.extent, first, last)
+        rows = self.columns(unit)
+        parts = [fold_columns(self.terms, columns, self.roles.targets) for columns in (rows.train, rows.held_out)]
+        return OfRows(parts[0], parts[1], unit.extent, rows.first, rows.last, rows.absent)
 
-    def columns(self, unit: Unit) -> tuple[dict[str, Floats], dict[str, Floats], tuple[float, float]]:
-        """States, inputs and targets of rows for training and of rows held out, and the first and the last time."""
+    def columns(self, unit: Unit) -> UnitColumns:
+        """The columns of a unit."""
         extent = self.extents[unit.extent]
         start, stop = max(unit.start - self.reach, extent.start), min(unit.stop + self.reach, extent.stop)
         record = extent.read(start, stop)
         own = slice(unit.start - start, unit.stop - start)
-        between = (np.nan, np.nan) if record.time is None else (float(record.time[own][0]), float(record.time[own][-1]))
+        first, last = (np.nan, np.nan) if record.time is None else map(float, record.time[own][[0, -1]])
         bounds = np.array([unit.start, max(unit.start, min(unit.stop, extent.cut(self.share))), unit.stop]) - start
+        measured = record
         if self.clean:
             (record,), _ = cleaned([record], self.roles, "auto", self.learned.copy())
+        absent = _absent(measured, record, self.roles, own)
+        if self.clean:
             kept = np.flatnonzero(has_all(record, self.roles))
             bounds, record = np.searchsorted(kept, bounds), complete_rows(record, self.roles)
         columns = derive_states(record, self.roles.chains, self.roles.inputs, "none").columns
         begin, cut, end = bounds.tolist()
         train = {name: values[begin:cut] for name, values in columns.items()}
         held_out = {name: values[cut:end] for name, values in columns.items()}
-        return train, held_out, between
+        return UnitColumns(train, held_out, first, last, absent)
 
 
 @dataclass(frozen=True)
@@ -169,8 +195,8 @@ class ByLikelihood:
         return replace(block, absent=_absent(record, clean, roles))
 
 
-def _absent(record: Record, clean: Record, roles: Roles) -> Counts:
-    """Samples of each channel that are missing, and that were left out, (2, C)."""
+def _absent(record: Record, clean: Record, roles: Roles, rows: slice = slice(None)) -> Counts:
+    """Samples of each channel that are missing, and that were left out as bad, (2, C)."""
     used = (*roles.measured, *roles.inputs)
-    missing, all_absent = ([int(np.isnan(one[name]).sum()) for name in used] for one in (record, clean))
-    return np.array([missing, np.subtract(all_absent, missing)])
+    missing, absent = ([int(np.isnan(one[name][rows]).sum()) for name in used] for one in (record, clean))
+    return np.array([missing, np.subtract(absent, missing)])
