@@ -85,6 +85,10 @@ ROUGH = 1
 # An input of which this share of the samples repeats the one before is a command that is held, and has no noise.
 HELD = 0.1
 
+# In a discrepancy that is hardly there the likelihood is flat, and a search does not leave it: of many samples a fit is
+# compared with one that starts from a discrepancy of this share of its target, and this memory.
+NOTICED, ITS_MEMORY = 0.01, 0.7
+
 # A discrepancy below this share of its target leaves nothing for another start to explain.
 ADEQUATE = 0.05
 
@@ -239,6 +243,31 @@ def calmed(state: State) -> State:
     target = levels.discrepancy / levels.kappa**2
     kappa = np.where(levels.kappa > EXPLAINS_MUCH, HARDLY_ANY, levels.kappa / CALMED)
     return replace(state, levels=replace(levels, discrepancy=kappa**2 * target))
+
+
+def roused(state: State) -> State:
+    """The state with discrepancies that a search moves, where there are hardly any."""
+    levels = state.levels
+    hardly = levels.kappa < NOTICED
+    target = levels.discrepancy / levels.kappa**2
+    discrepancy = np.where(hardly, NOTICED**2 * target, levels.discrepancy)
+    memory = np.where(hardly, ITS_MEMORY, levels.memory)
+    return replace(state, levels=replace(levels, discrepancy=discrepancy, memory=memory, hessian=None))
+
+
+def with_small_discrepancy(task: Task, best: Fitted) -> Fitted:
+    """The fit, or a likelier one of the same model with some discrepancy."""
+    if not (best.state.levels.kappa < NOTICED).any():
+        return best
+    precision = task.precision[task.number(best.state.chosen)]
+
+    def value(state: State) -> float:
+        return marginal(task.linearised(state), state, state.levels, precision, keep=False).value
+
+    state = fit(task, roused(best.state), coarse=True).state
+    if value(state) < value(best.state) + SETTLED:
+        return best
+    return max(best, fit(task, state), key=lambda one: one.evidence)
 
 
 def likeliest(task: Task, fitted: Fitted) -> State:
@@ -485,6 +514,7 @@ def resumed(task: Task, state: State, log: Callable[..., None] = _no_log) -> Fit
             best = now
     if task.rows <= MOST_TO_MOVE:
         return among_neighbours(task, best, log)
+    best = with_small_discrepancy(task, best)
     task.recent.clear()
     return best
 
