@@ -427,6 +427,14 @@ def test_the_measured_pendulum():
         assert bq.info(record).guess.chains == (("th", "w", None),)
 
 
+@pytest.mark.parametrize("names", ["t,x,v,a", "t,p,q,r"])
+def test_experiments_of_one_row_each_are_described(names, tmp_path, capsys):
+    path = tmp_path / "r.csv"
+    path.write_text(f"{names}\n0,1,2,3\n1,2,4,1\n2,5,1,0\n")
+    assert main(["info", str(path), "--group", "t"]) == 0
+    assert "3 experiments" in capsys.readouterr().out
+
+
 # --- columns of words ------------------------------------------------------------------------------------------------
 
 

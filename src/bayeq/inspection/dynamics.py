@@ -44,7 +44,7 @@ def first_order(record: Record, names: Sequence[str], others: Sequence[str]) -> 
     """
     scaled = _scaled(record, (*names, *others))
     states = [name for name in names if name in scaled]
-    if not states or record.time is None or len(scaled) > MOST_STATES:
+    if not states or record.time is None or record.n < LEAST_ROWS or len(scaled) > MOST_STATES:
         return {}
     width = _width(scaled, states)
     terms = _products(list(scaled.values()))
@@ -77,7 +77,9 @@ def drivers(record: Record, chain: Sequence[str | None], candidates: Sequence[st
     states = [name for name in (displacement, velocity) if name is not None]
     scaled = _scaled(record, [*states, *filter(None, [acceleration]), *candidates])
     target = acceleration or velocity
-    if record.time is None or target is None or any(name not in scaled for name in (*states, target)) or not states:
+    if record.time is None or record.n < LEAST_ROWS or target is None or not states:
+        return {}
+    if any(name not in scaled for name in (*states, target)):
         return {}
     width = _width(scaled, states)
     terms = _products([scaled[name] for name in states]) + [scaled[name] ** 3 for name in states]

@@ -49,7 +49,7 @@ def _experiments(found: Contents) -> list[str]:
     if count == 1:
         return [f"{one.column} numbers the experiments: there is one"] if one.column else []
     least, most = min(record.n for record in one.records), max(record.n for record in one.records)
-    rows = f"{least} rows each" if least == most else f"{least} to {most} rows each"
+    rows = f"{least} row{'s' * (least != 1)} each" if least == most else f"{least} to {most} rows each"
     if one.column is not None:
         return [f"{count} experiments, {rows}, numbered by {one.column}"]
     first = 1 + one.records[0].n
