@@ -6,6 +6,7 @@ were fitted, by differences; its slopes are those of all rows.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -31,8 +32,8 @@ STEP = 1e-3
 # A level as near to its bound as this stays there.
 AT_BOUND = 1e-2
 
-# Levels move by no more than this in a step: variances by a factor of 2.7.
-LONGEST = 1.0
+# Levels move by no more than this in a step: variances of noise by a factor of 2.7.
+LONGEST, TINY = 1.0, 1e-300
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,19 +43,22 @@ class Curvature:
     Attributes
     ----------
     moving : (K,) int array
-        The noise of channels and the steps of inputs among `Levels.free`, those at bounds left out.
+        The levels, as entries of `Levels.free`, that are neither known nor at a bound.
     turning : (L,) int array
         The noisy inputs whose spectrum has a corner.
     slopes : (C (P + 1), K + L) array
         Derivatives of the slopes by all candidates, by these levels and by the logarithms of these corners.
     scores : (K, K + L) array
         Derivatives of the slopes by the levels.
+    spreads : (K + L,) array
+        How far the logarithms of the standard deviations of coefficients in the model follow them, at most.
     """
 
     moving: Ints
     turning: Ints
     slopes: Floats
     scores: Floats
+    spreads: Floats
 
 
 def curvature(task: Task, state: State) -> Curvature:
@@ -67,7 +71,6 @@ def curvature(task: Task, state: State) -> Curvature:
     inside = (free > low + AT_BOUND) & (free < high - AT_BOUND)
     channels = len(levels.channels)
     inside[:channels] &= levels.learned
-    inside[channels : channels + 2 * len(levels.discrepancy)] = False
     moving = np.flatnonzero(inside)
     moved = [replace(state, levels=levels.moved(free + STEP * (np.arange(len(free)) == k))) for k in moving]
     layout = task.layout
@@ -77,19 +80,37 @@ def curvature(task: Task, state: State) -> Curvature:
     states = [state, *moved, *[state] * len(turning)]
     with threadpool_limits(1), ThreadPoolExecutor(cpu_count()) as pool:
         try:
-            (slope, score), *others = pool.map(_slopes, tasks, states)
+            base, *others = pool.map(_slopes, tasks, states)
         finally:
             pool.shutdown(cancel_futures=True)
-    scale = STEP * task.rows
-    slopes = np.array([other[0] - slope for other in others]).reshape(-1, len(slope)).T / scale
-    scores = np.array([other[1] - score for other in others]).reshape(-1, len(score)).T / scale
-    return Curvature(moving, turning, slopes, scores[moving])
+
+    def by_levels(values: Sequence[Floats], count: float) -> Floats:
+        return np.array([value - values[0] for value in values[1:]]).reshape(-1, len(values[0])).T / (STEP * count)
+
+    found = [base, *others]
+    spreads = by_levels([one.log_sd for one in found], 1.0)
+    return Curvature(
+        moving,
+        turning,
+        by_levels([one.by_candidates for one in found], task.rows),
+        by_levels([one.by_levels for one in found], task.rows)[moving],
+        np.abs(spreads).max(axis=0, initial=0.0),
+    )
 
 
-def _slopes(task: Task, state: State) -> tuple[Floats, Floats]:
-    """Of the log likelihood, by all candidates and by the levels; record by record, which takes little memory."""
-    theta = _coefficients(task, state)
+class _Slopes(NamedTuple):
+    """Of the log likelihood, by all candidates and by the levels; logarithms of standard deviations of the included."""
+
+    by_candidates: Floats
+    by_levels: Floats
+    log_sd: Floats
+
+
+def _slopes(task: Task, state: State) -> _Slopes:
+    """Record by record, which takes little memory."""
+    theta, included = _coefficients(task, state), task.number(state.chosen)
     by_candidates, by_levels = np.zeros(len(theta)), np.zeros(len(state.levels.free))
+    H = np.diag(task.precision[included])
     for one, path in zip(task.series, state.paths, strict=True):
         own, here = replace(task, series=(one,), recent=[]), replace(state, paths=(path,))
         linears = own.linearised(here)
@@ -99,7 +120,8 @@ def _slopes(task: Task, state: State) -> tuple[Floats, Floats]:
         found, score = statistics(own, here, linears, adjoints_of(here, linears))
         by_candidates += found.slope - found.information @ theta
         by_levels += score
-    return by_candidates, by_levels
+        H += found.information[np.ix_(included, included)]
+    return _Slopes(by_candidates, by_levels, 0.5 * np.log(np.diagonal(np.linalg.inv(H))))
 
 
 def _coefficients(task: Task, state: State) -> Floats:
@@ -118,7 +140,7 @@ class Relearned(NamedTuple):
     quadratic : Quadratic
         The likelihood of all candidates there.
     moved : float
-        How far the logarithm of a level or a corner has moved at most.
+        How far the logarithm of a noise level, a corner or a standard deviation has moved, at most.
     """
 
     task: Task
@@ -156,11 +178,18 @@ def relearned(task: Task, state: State, block: Block, curve: Curvature) -> Relea
     A = -S[:, :count] - B[included, :count].T @ carried[:, :-1]
     step = _uphill(0.5 * (A + A.T), score + B[included, :count].T @ carried[:, -1])
     moved[:count] += step
-    free = levels.free
-    free[curve.moving] += moved[:count]
-    levels = replace(state.levels.moved(np.clip(free, *levels.bounds)), hessian=levels.hessian)
     quadratic = replace(q, slope=q.slope + B @ moved)
-    return Relearned(task, replace(state, levels=levels), quadratic, float(np.abs(moved).max(initial=0.0)))
+    free, channels = levels.free, len(levels.channels)
+    free[curve.moving] += moved[:count]
+    # the likelihood is smooth in a discrepancy's variance, which may be nothing, rather than in its logarithm
+    sizes = slice(channels, channels + len(levels.discrepancy))
+    free[sizes] = levels.free[sizes] + np.log(np.maximum(1.0 + free[sizes] - levels.free[sizes], TINY))
+    levels = replace(state.levels.moved(np.clip(free, *levels.bounds)), hessian=levels.hessian)
+    # those of discrepancies count by what they do
+    others = (curve.moving < channels) | (curve.moving >= channels + 2 * len(levels.discrepancy))
+    by_levels = np.abs(np.append(moved[:count][others], by_corners)).max(initial=0.0)
+    farthest = max(float(by_levels), float(curve.spreads @ np.abs(moved)))
+    return Relearned(task, replace(state, levels=levels), quadratic, farthest)
 
 
 def _uphill(A: Floats, slope: Floats) -> Floats:
