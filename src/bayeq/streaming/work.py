@@ -47,7 +47,7 @@ class OfRows:
     first, last : float
         Times of the first row and of the last one; NaN where they are not known.
     absent : (2, C) int array
-        Samples of each channel that are missing, and that were left out as bad.
+        Samples of each channel that are missing, and that were left out as bad; empty where nobody counted them.
     """
 
     train: Folded
@@ -55,7 +55,7 @@ class OfRows:
     extent: int
     first: float
     last: float
-    absent: Counts
+    absent: Counts = field(default_factory=lambda: np.zeros((2, 0), dtype=np.int64))
 
     def __add__(self, other: OfRows) -> OfRows:
         if self.extent == other.extent and other.first <= self.last:
