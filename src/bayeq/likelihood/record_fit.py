@@ -340,11 +340,21 @@ def _stretches(motion: Motion) -> tuple[Motion, list[tuple[int, int]]]:
     if total <= ROWS_AT_FIRST:
         return motion, [(record, 0) for record in range(len(motion.train))]
     places, pieces = [], []
-    for record, rows in enumerate(motion.train):
-        count = max(1, round(STRETCHES * rows.n / total))
-        length = min(ROWS_AT_FIRST // STRETCHES, rows.n // count)
+    longest = ROWS_AT_FIRST // STRETCHES
+    for record, count in _counts([rows.n for rows in motion.train], longest).items():
+        rows = motion.train[record]
+        length = min(longest, rows.n // count)
         for first in np.linspace(0, rows.n - length, count).round().astype(int).tolist():
             places.append((record, first))
             pieces.append(rows.part(slice(first, first + length)))
     cuts = tuple(rows.n for rows in pieces)
     return replace(motion, records=tuple(pieces), cuts=cuts, holdout=0.0), places
+
+
+def _counts(rows: Sequence[int], longest: int) -> dict[int, int]:
+    """How many stretches of each record are taken: of many records one of some of them, evenly chosen."""
+    if len(rows) <= STRETCHES:
+        return {k: max(1, round(STRETCHES * n / sum(rows))) for k, n in enumerate(rows)}
+    typical = min(longest, int(np.median(rows)))
+    chosen = np.linspace(0, len(rows) - 1, min(len(rows), -(-ROWS_AT_FIRST // typical))).round().astype(int)
+    return dict.fromkeys(chosen.tolist(), 1)
