@@ -23,7 +23,7 @@ from bayeq.equation.equations import Equations
 from bayeq.likelihood import record_fit
 
 SYSTEMS = ("linear", "duffing", "quadratic", "coulomb")
-SEED = 90_000
+SEED = 100_000
 FINER = 10
 NOISE = 0.05
 

@@ -32,8 +32,9 @@ STEP = 1e-3
 # A level as near to its bound as this stays there.
 AT_BOUND = 1e-2
 
-# Levels move by no more than this in a step: variances of noise by a factor of 2.7.
-LONGEST, TINY = 1.0, 1e-300
+# Levels move by no more than this in a step: variances of noise by a factor of 2.7, those of discrepancies, whose
+# memory goes with them, by a half.
+LONGEST, OF_DISCREPANCIES = 1.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,23 +177,34 @@ def relearned(task: Task, state: State, block: Block, curve: Curvature) -> Relea
     H = q.information[np.ix_(included, included)] + np.diag(known)
     carried = np.linalg.solve(H, np.column_stack([B[included, :count], slope[included] - known * theta[included]]))
     A = -S[:, :count] - B[included, :count].T @ carried[:, :-1]
-    step = _uphill(0.5 * (A + A.T), score + B[included, :count].T @ carried[:, -1])
-    moved[:count] += step
+    channels = len(levels.channels)
+    others = (curve.moving < channels) | (curve.moving >= channels + 2 * len(levels.discrepancy))
+    longest = np.where(others, LONGEST, OF_DISCREPANCIES)
+    moved[:count] += _uphill(0.5 * (A + A.T), score + B[included, :count].T @ carried[:, -1], longest)
     quadratic = replace(q, slope=q.slope + B @ moved)
-    free, channels = levels.free, len(levels.channels)
+    free = levels.free
     free[curve.moving] += moved[:count]
     # the likelihood is smooth in a discrepancy's variance, which may be nothing, rather than in its logarithm
     sizes = slice(channels, channels + len(levels.discrepancy))
-    free[sizes] = levels.free[sizes] + np.log(np.maximum(1.0 + free[sizes] - levels.free[sizes], TINY))
+    free[sizes] = levels.free[sizes] + np.log1p(free[sizes] - levels.free[sizes])
     levels = replace(state.levels.moved(np.clip(free, *levels.bounds)), hessian=levels.hessian)
     # those of discrepancies count by what they do
-    others = (curve.moving < channels) | (curve.moving >= channels + 2 * len(levels.discrepancy))
     by_levels = np.abs(np.append(moved[:count][others], by_corners)).max(initial=0.0)
     farthest = max(float(by_levels), float(curve.spreads @ np.abs(moved)))
     return Relearned(task, replace(state, levels=levels), quadratic, farthest)
 
 
-def _uphill(A: Floats, slope: Floats) -> Floats:
-    """A Newton step to a maximum; where the likelihood hardly curves it is that of a unit of information."""
+def _uphill(A: Floats, slope: Floats, longest: Floats) -> Floats:
+    """A Newton step to a maximum; steps that would be too long are cut, and the others solved again for these."""
+    step = _newton(A, slope)
+    cut = np.clip(step, -longest, longest)
+    short, rest = np.flatnonzero(cut != step), np.flatnonzero(cut == step)
+    again = _newton(A[np.ix_(rest, rest)], slope[rest] - A[np.ix_(rest, short)] @ cut[short])
+    cut[rest] = np.clip(again, -longest[rest], longest[rest])
+    return cut
+
+
+def _newton(A: Floats, slope: Floats) -> Floats:
+    """Where the likelihood hardly curves the step is that of a unit of information."""
     values, vectors = np.linalg.eigh(A)
-    return np.clip(vectors @ ((vectors.T @ slope) / np.maximum(np.abs(values), 1.0)), -LONGEST, LONGEST)
+    return np.asarray(vectors @ ((vectors.T @ slope) / np.maximum(np.abs(values), 1.0)))

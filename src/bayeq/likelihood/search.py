@@ -86,8 +86,10 @@ ROUGH = 1
 HELD = 0.1
 
 # In a discrepancy that is hardly there the likelihood is flat, and a search does not leave it: of many samples a fit is
-# compared with one that starts from a discrepancy of this share of its target, and this memory.
+# compared with one that starts from a discrepancy of this share of its target, and this memory. If that is as likely it
+# is taken: from there more rows lead to less of it as well as to more. One that begins worse by FLAT nats is left.
 NOTICED, ITS_MEMORY = 0.01, 0.7
+FLAT = 0.5
 
 # A discrepancy below this share of its target leaves nothing for another start to explain.
 ADEQUATE = 0.05
@@ -256,7 +258,7 @@ def roused(state: State) -> State:
 
 
 def with_small_discrepancy(task: Task, best: Fitted) -> Fitted:
-    """The fit, or a likelier one of the same model with some discrepancy."""
+    """The fit, or one of the same model with some discrepancy that is as likely or likelier."""
     if not (best.state.levels.kappa < NOTICED).any():
         return best
     precision = task.precision[task.number(best.state.chosen)]
@@ -264,10 +266,11 @@ def with_small_discrepancy(task: Task, best: Fitted) -> Fitted:
     def value(state: State) -> float:
         return marginal(task.linearised(state), state, state.levels, precision, keep=False).value
 
-    state = fit(task, roused(best.state), coarse=True).state
-    if value(state) < value(best.state) + SETTLED:
+    before, state = value(best.state), fit(task, roused(best.state), coarse=True).state
+    if value(state) < before - FLAT:
         return best
-    return max(best, fit(task, state), key=lambda one: one.evidence)
+    again = fit(task, state)
+    return again if value(again.state) > before - SETTLED else best
 
 
 def likeliest(task: Task, fitted: Fitted) -> State:
