@@ -172,6 +172,22 @@ def test_links_out_of_an_hdf5_file_are_refused(tmp_path):
     assert read(tmp_path / "soft.h5").names == ("x",)
 
 
+def test_an_hdf5_file_whose_strings_have_no_end(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["x"] = np.arange(9.0)
+        file["x"].attrs["unit"] = "m"
+    whole = path.read_bytes()
+    assert read(path).units == {"x": "m"}
+    heap = whole.index(b"GCOL")
+    # as of a run that was cut off: HDF5 2.0 reads this for ever
+    path.write_bytes(whole[: heap + 16] + bytes(4080) + whole[heap + 4096 :])
+    assert refused(path).endswith(f"damaged: the strings at byte {heap} have no end; write the file again")
+    path.write_bytes(whole[: heap + 20])
+    assert "HDF5" in refused(path)
+
+
 def test_an_hdf5_file_that_claims_what_was_never_written_or_goes_round(tmp_path, bounded):
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "empty.h5", "w") as file:

@@ -12,6 +12,7 @@ import numpy as np
 
 from bayeq.errors import FileFormatError, MissingExtraError
 from bayeq.records.assemble import RATE_NAMES, STEP_NAMES
+from bayeq.records.formats.hdf5_heaps import require_sound_heaps
 from bayeq.records.formats.limits import check_array, reading
 from bayeq.records.formats.nested import DEEPEST, MOST_ARRAYS, Channel, channels_of, step_of
 from bayeq.records.record import Record
@@ -81,8 +82,10 @@ def channels(path: Path) -> list[Channel]:
         h5py is not installed.
     """
     h5py = _h5py()
-    with reading(str(path), _KIND), h5py.File(path, "r") as file:
-        tree = _Tree(h5py, file, path).group(file["/"], 0)
+    with reading(str(path), _KIND):
+        require_sound_heaps(path)
+        with h5py.File(path, "r") as file:
+            tree = _Tree(h5py, file, path).group(file["/"], 0)
     return channels_of(tree, str(path))
 
 
