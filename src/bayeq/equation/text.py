@@ -75,7 +75,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
     used = f"{eq.data.n_train} used"
     if eq.data.stretches:
-        judged = "noise levels, fits" if eq.data.refitted else "residuals"
+        judged = "fits" if eq.data.refitted else "residuals"
         used = "all used" if eq.data.refitted else used
         used += f"; {judged}, free runs and verdict are those of {eq.data.stretches} stretches of them"
     elif eq.data.refitted:
