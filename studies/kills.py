@@ -5,7 +5,7 @@ where it goes on from what it kept), started again and so on, at last left alone
 byte with that of a run that nobody disturbed. After every kill its files are looked at: each is not there yet, or
 whole, and a store holds rows of the undisturbed run only.
 
-    python -m studies.kills --first-seed 20000 > docs/tables/reliability_kills.csv
+    python -m studies.kills --first-seed 30000 > docs/tables/reliability_kills.csv
 """
 
 from __future__ import annotations
