@@ -182,8 +182,10 @@ def test_an_hdf5_file_whose_strings_have_no_end(tmp_path):
     assert read(path).units == {"x": "m"}
     heap = whole.index(b"GCOL")
     # as of a run that was cut off: HDF5 2.0 reads this for ever
-    path.write_bytes(whole[: heap + 16] + bytes(4080) + whole[heap + 4096 :])
-    assert refused(path).endswith(f"damaged: the strings at byte {heap} have no end; write the file again")
+    for reserved in (b"\0\0\0", b"\0\0\x10"):
+        start = whole[: heap + 5] + reserved + whole[heap + 8 : heap + 16]
+        path.write_bytes(start + bytes(4080) + whole[heap + 4096 :])
+        assert refused(path).endswith(f"damaged: the strings at byte {heap} have no end; write the file again")
     path.write_bytes(whole[: heap + 20])
     assert "HDF5" in refused(path)
 

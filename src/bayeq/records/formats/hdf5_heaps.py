@@ -17,7 +17,8 @@ __all__ = ["require_sound_heaps"]
 # Larger files are not looked through.
 LARGEST = 2**30
 
-_SIGNATURE = b"GCOL\x01\x00\x00\x00"
+# With the version; the three bytes that follow are reserved, and HDF5 does not look at them.
+_SIGNATURE = b"GCOL\x01"
 _OBJECT = struct.Struct("<HHIQ")
 
 
