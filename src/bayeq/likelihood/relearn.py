@@ -86,7 +86,8 @@ def curvature(task: Task, state: State) -> Curvature:
             pool.shutdown(cancel_futures=True)
 
     def by_levels(values: Sequence[Floats], count: float) -> Floats:
-        return np.array([value - values[0] for value in values[1:]]).reshape(-1, len(values[0])).T / (STEP * count)
+        moves = np.array([value - values[0] for value in values[1:]]).reshape(len(values) - 1, len(values[0]))
+        return np.asarray(moves.T / (STEP * count))
 
     found = [base, *others]
     spreads = by_levels([one.log_sd for one in found], 1.0)
