@@ -14,7 +14,17 @@ from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.linear import Linear, Series, derivatives_along, linearise
 from bayeq.numerics.minimise import minimise
 
-__all__ = ["Quadratic", "State", "Statistics", "improved", "information", "marginal", "maximised", "solved"]
+__all__ = [
+    "Quadratic",
+    "State",
+    "Statistics",
+    "coefficients",
+    "improved",
+    "information",
+    "marginal",
+    "maximised",
+    "solved",
+]
 
 Floats = NDArray[np.float64]
 
@@ -192,9 +202,7 @@ def maximised(
     levels = state.levels
     low, high = levels.bounds
     start = np.clip(levels.free, low, high)
-    known = np.zeros(len(start), dtype=np.bool_)
-    known[: len(levels.channels)] = ~levels.learned
-    held = known if held is None else held | known
+    held = levels.known if held is None else held | levels.known
     if held.any():
         low, high = np.where(held, start, low), np.where(held, start, high)
     unit = 1.0 / np.sqrt(np.maximum(levels.curvature(linears), 1.0))
@@ -262,6 +270,11 @@ def information(
     every = layout.everything
     filtered = [run_filter(linear, every, state.levels.noise, keep=False) for linear in linears]
     q = quadratic(filtered)
-    theta = np.zeros(len(every.chain))
+    return Quadratic(q.level, q.information @ coefficients(layout, state) + q.slope + curved.ravel(), q.information)
+
+
+def coefficients(layout: Layout, state: State) -> Floats:
+    """Of all candidates of all equations, (C (P + 1),): 0 for those that are not chosen."""
+    theta = np.zeros(len(layout.everything.chain))
     theta[state.chosen.chain * (len(layout.terms) + 1) + state.chosen.term] = state.theta
-    return Quadratic(q.level, q.information @ theta + q.slope + curved.ravel(), q.information)
+    return theta

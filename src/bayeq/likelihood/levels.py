@@ -94,20 +94,38 @@ class Levels:
         return Noise(self.channels, memory, steps, self.scales.mean, start)
 
     @property
+    def target(self) -> Floats:
+        """Variance of the target of each equation, (C,)."""
+        return np.asarray(self.scales.variance[self.layout.discrepancy])
+
+    @property
     def kappa(self) -> Floats:
         """Standard deviation of each discrepancy as a share of its target's, (C,)."""
-        return np.sqrt(self.discrepancy / self.scales.variance[self.layout.discrepancy])
+        return np.sqrt(self.discrepancy / self.target)
 
     @property
     def sizes(self) -> tuple[Floats, Floats]:
         """Least and most variance of a discrepancy that is taken to be possible, (C,)."""
-        target = self.scales.variance[self.layout.discrepancy]
-        return LEAST_DISCREPANCY * target, MOST_POSSIBLE * target
+        return LEAST_DISCREPANCY * self.target, MOST_POSSIBLE * self.target
 
     @property
     def learned(self) -> NDArray[np.bool_]:
         """Channels whose noise is not known, (M,)."""
         return np.ones(len(self.channels), dtype=np.bool_) if self.held is None else ~self.held
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Those of `free` that are known and stay, (F,)."""
+        out = np.zeros(len(self.free), dtype=np.bool_)
+        out[: len(self.channels)] = ~self.learned
+        return out
+
+    @property
+    def of_discrepancies(self) -> NDArray[np.bool_]:
+        """Those of `free` that are sizes and memories of discrepancies, (F,)."""
+        out = np.zeros(len(self.free), dtype=np.bool_)
+        out[len(self.channels) : len(self.free) - len(self.slope)] = True
+        return out
 
     @property
     def free(self) -> Floats:
@@ -139,7 +157,7 @@ class Levels:
     @property
     def bounds(self) -> tuple[Floats, Floats]:
         """Least and most of `free`."""
-        target = self.scales.variance[self.layout.discrepancy]
+        target = self.target
         slope = self.scales.variance[self.layout.slope]
         low = [
             np.log(LEAST_NOISE * self.scales.channels),

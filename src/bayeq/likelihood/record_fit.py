@@ -91,8 +91,7 @@ class RecordFit:
         fitted = replace(
             self.fitted, quadratic=quadratic, state=replace(state, paths=self.fitted.state.paths), tried={}
         )
-        found = replace(self, task=task, fitted=fitted)
-        found = replace(found, posterior=_averaged(task, fitted))
+        found = replace(self, task=task, fitted=fitted, posterior=_averaged(task, fitted))
         return found.about(found.posterior.support)
 
     def about(self, model: Bools) -> RecordFit:
@@ -238,7 +237,6 @@ def suits(motion: Motion, terms: int) -> bool:
         motion.timed
         and bool(motion.smoothing)
         and all(chain.lowest == 0 for chain in motion.roles.chains)
-        and rows <= MOST_ROWS
         and rows <= MOST_ROWS
         and (terms + 1) * len(motion.roles.chains) <= MOST_CANDIDATES
     )

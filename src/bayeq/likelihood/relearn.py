@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from bayeq.likelihood.block import Block, adjoints_of, statistics
-from bayeq.likelihood.fit import Quadratic, State
+from bayeq.likelihood.fit import Quadratic, State, coefficients
 from bayeq.likelihood.low_pass import SEGMENT, of_segments
 from bayeq.likelihood.search import Task
 from bayeq.likelihood.start import with_spectra
@@ -69,10 +69,7 @@ def curvature(task: Task, state: State) -> Curvature:
     levels = state.levels
     low, high = levels.bounds
     free = levels.free
-    inside = (free > low + AT_BOUND) & (free < high - AT_BOUND)
-    channels = len(levels.channels)
-    inside[:channels] &= levels.learned
-    moving = np.flatnonzero(inside)
+    moving = np.flatnonzero((free > low + AT_BOUND) & (free < high - AT_BOUND) & ~levels.known)
     moved = [replace(state, levels=levels.moved(free + STEP * (np.arange(len(free)) == k))) for k in moving]
     layout = task.layout
     turning, corners = np.flatnonzero(layout.smoothness), np.array(layout.corners)
@@ -81,7 +78,7 @@ def curvature(task: Task, state: State) -> Curvature:
     states = [state, *moved, *[state] * len(turning)]
     with threadpool_limits(1), ThreadPoolExecutor(cpu_count()) as pool:
         try:
-            base, *others = pool.map(_slopes, tasks, states)
+            found = list(pool.map(_slopes, tasks, states))
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -89,7 +86,6 @@ def curvature(task: Task, state: State) -> Curvature:
         moves = np.array([value - values[0] for value in values[1:]]).reshape(len(values) - 1, len(values[0]))
         return np.asarray(moves.T / (STEP * count))
 
-    found = [base, *others]
     spreads = by_levels([one.log_sd for one in found], 1.0)
     return Curvature(
         moving,
@@ -110,7 +106,7 @@ class _Slopes(NamedTuple):
 
 def _slopes(task: Task, state: State) -> _Slopes:
     """Record by record, which takes little memory."""
-    theta, included = _coefficients(task, state), task.number(state.chosen)
+    theta, included = coefficients(task.layout, state), task.number(state.chosen)
     by_candidates, by_levels = np.zeros(len(theta)), np.zeros(len(state.levels.free))
     H = np.diag(task.precision[included])
     for one, path in zip(task.series, state.paths, strict=True):
@@ -124,12 +120,6 @@ def _slopes(task: Task, state: State) -> _Slopes:
         by_levels += score
         H += found.information[np.ix_(included, included)]
     return _Slopes(by_candidates, by_levels, 0.5 * np.log(np.diagonal(np.linalg.inv(H))))
-
-
-def _coefficients(task: Task, state: State) -> Floats:
-    theta = np.zeros(len(task.precision))
-    theta[task.number(state.chosen)] = state.theta
-    return theta
 
 
 class Relearned(NamedTuple):
@@ -163,7 +153,7 @@ def relearned(task: Task, state: State, block: Block, curve: Curvature) -> Relea
     curve : Curvature
         Of the rows that were fitted.
     """
-    layout, levels, theta = task.layout, state.levels, _coefficients(task, state)
+    layout, levels, theta = task.layout, state.levels, coefficients(task.layout, state)
     spectra = [of_segments(power, block.segments, SEGMENT) for power in block.power]
     task, state = with_spectra(task, state, spectra)
     by_corners = np.log([task.layout.corners[k] / layout.corners[k] for k in curve.turning])
@@ -178,15 +168,14 @@ def relearned(task: Task, state: State, block: Block, curve: Curvature) -> Relea
     H = q.information[np.ix_(included, included)] + np.diag(known)
     carried = np.linalg.solve(H, np.column_stack([B[included, :count], slope[included] - known * theta[included]]))
     A = -S[:, :count] - B[included, :count].T @ carried[:, :-1]
-    channels = len(levels.channels)
-    others = (curve.moving < channels) | (curve.moving >= channels + 2 * len(levels.discrepancy))
+    others = ~levels.of_discrepancies[curve.moving]
     longest = np.where(others, LONGEST, OF_DISCREPANCIES)
     moved[:count] += _uphill(0.5 * (A + A.T), score + B[included, :count].T @ carried[:, -1], longest)
     quadratic = replace(q, slope=q.slope + B @ moved)
     free = levels.free
     free[curve.moving] += moved[:count]
     # the likelihood is smooth in a discrepancy's variance, which may be nothing, rather than in its logarithm
-    sizes = slice(channels, channels + len(levels.discrepancy))
+    sizes = slice(len(levels.channels), len(levels.channels) + len(levels.discrepancy))
     free[sizes] = levels.free[sizes] + np.log1p(free[sizes] - levels.free[sizes])
     levels = replace(state.levels.moved(np.clip(free, *levels.bounds)), hessian=levels.hessian)
     # those of discrepancies count by what they do

@@ -242,17 +242,15 @@ def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
 def calmed(state: State) -> State:
     """The state with smaller discrepancies: with hardly any where they explain much of the motion."""
     levels = state.levels
-    target = levels.discrepancy / levels.kappa**2
     kappa = np.where(levels.kappa > EXPLAINS_MUCH, HARDLY_ANY, levels.kappa / CALMED)
-    return replace(state, levels=replace(levels, discrepancy=kappa**2 * target))
+    return replace(state, levels=replace(levels, discrepancy=kappa**2 * levels.target))
 
 
 def roused(state: State) -> State:
     """The state with discrepancies that a search moves, where there are hardly any."""
     levels = state.levels
     hardly = levels.kappa < NOTICED
-    target = levels.discrepancy / levels.kappa**2
-    discrepancy = np.where(hardly, NOTICED**2 * target, levels.discrepancy)
+    discrepancy = np.where(hardly, NOTICED**2 * levels.target, levels.discrepancy)
     memory = np.where(hardly, ITS_MEMORY, levels.memory)
     return replace(state, levels=replace(levels, discrepancy=discrepancy, memory=memory, hessian=None))
 

@@ -268,15 +268,15 @@ def _spectrum(name: str, pieces: Sequence[MotionRows], mean: float) -> Spectrum:
     return mean_spectrum([rows.columns[name] - mean for rows in pieces])
 
 
-def _interval(series: Sequence[Series]) -> float:
+def _interval(intervals: Sequence[Floats]) -> float:
     """Between samples, mostly [s]."""
-    return float(np.median(np.concatenate([one.intervals for one in series])))
+    return float(np.median(np.concatenate(intervals)))
 
 
 def with_spectra(task: Task, state: State, spectra: Sequence[Spectrum]) -> tuple[Task, State]:
     """A task and a fit with the corners of the noisy inputs, and the variances of their steps, as spectra have them."""
     old, levels, corners, slope = task.layout, state.levels, [], []
-    interval = _interval(task.series)
+    interval = _interval([one.intervals for one in task.series])
     for k, spectrum in enumerate(spectra):
         corner, change, order = old.corners[k], 1.0, int(old.widths[k])
         if old.smoothness[k] and spectrum.segments.any():
@@ -295,8 +295,7 @@ def _alone(
     """Levels of an input by the likelihood of its own samples, nothing else in the model; that likelihood first."""
     values = np.concatenate([rows.columns[name] for rows in pieces])
     mean, variance = float(values.mean()), float(values.var()) or 1.0
-    intervals = [np.diff(rows.time) for rows in pieces if rows.time is not None]
-    step = float(np.median(np.concatenate(intervals)))
+    step = _interval([np.diff(rows.time) for rows in pieces if rows.time is not None])
     noise, corner, slope = INPUT_NOISE * variance, 0.0, variance / step**2
     sizes = [variance, slope]
     if smoothness:
