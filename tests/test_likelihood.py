@@ -173,7 +173,7 @@ def test_where_it_is_not_used():
     record = bq.simulate("duffing", n=4000, seed=1)
     assert suits(estimate_motion([record], Roles.parse(["x:v:a"], inputs=["u"])), 36)
     assert not suits(estimate_motion([record], Roles.parse(["x:v:a"], inputs=["u"])), 2000)
-    assert not suits(estimate_motion([record], Roles.parse(["::a"], inputs=["u"])), 36)
+    assert suits(estimate_motion([record], Roles.parse(["::a"], inputs=["u"])), 36)
     # smoothed rows or bins otherwise
     assert quietly(record, chains=["::a"], inputs=["u"])[0].fit.regression.record is None
     assert quietly(record, **OSCILLATOR, smooth="band")[0].fit.regression.record is None

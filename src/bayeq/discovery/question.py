@@ -58,7 +58,7 @@ NO_LIKELIHOOD = (
 
 NO_TAILS = (
     "tails='student' makes no difference: it is part of the likelihood of the record, which is not used here; use fewer"
-    " rows or terms, or measure every coordinate"
+    " rows or terms"
 )
 
 # With fewer training rows there is no regression.
@@ -226,7 +226,7 @@ def _require_likelihood(motion: Motion, record: RecordFit | None, whole: Whole |
     if whole is not None and motion.smoothing and record is None:
         raise NotStreamed(
             "these channels are fitted by the band regression, which takes all rows together, and not for records that"
-            " are read some rows at a time: measure every coordinate, give fewer terms, or use some rows (--rows)"
+            " are read some rows at a time: give fewer terms, or use some rows (--rows)"
         )
 
 

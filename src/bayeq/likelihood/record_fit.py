@@ -231,12 +231,11 @@ def _marginal(q: Quadratic, own: NDArray[np.intp], rest: NDArray[np.intp], preci
 
 
 def suits(motion: Motion, terms: int) -> bool:
-    """Whether the likelihood of the records is used: every coordinate measured, not too many rows and candidates."""
+    """Whether the likelihood of the records is used: not too many rows and candidates."""
     rows = sum(piece.n for piece in motion.train)
     return (
         motion.timed
         and bool(motion.smoothing)
-        and all(chain.lowest == 0 for chain in motion.roles.chains)
         and rows <= MOST_ROWS
         and (terms + 1) * len(motion.roles.chains) <= MOST_CANDIDATES
     )

@@ -77,7 +77,7 @@ def start_from(
     Parameters
     ----------
     motion : Motion
-        With time; every coordinate measured.
+        With time.
     terms : sequence of Expression
         The candidates.
     grams : sequence of Gram
