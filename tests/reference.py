@@ -9,6 +9,8 @@ import numpy as np
 from scipy import stats
 from scipy.special import expit, gammaln, logit, logsumexp, xlogy
 
+from bayeq.likelihood.linear import sources_of
+
 
 def centred(D, y):
     """Eq. (32) without the scaling."""
@@ -160,7 +162,8 @@ def random_problem(rng, n=None, P=None, rho=None, noise=None, active=None):
 def state_space_gaussian(linear, chosen, noise):
     """The joint Gaussian of all samples of a linearised record: level, slope and information of the coefficients.
 
-    Returned with them is the mean of the states' deviations from the path, given the samples and coefficients.
+    Returned with them are the mean of the states' deviations from the path, given the samples and coefficients, and the
+    covariance of each state.
     """
     n, size = linear.path.shape
     r = len(chosen.chain)
@@ -171,9 +174,8 @@ def state_space_gaussian(linear, chosen, noise):
         A = np.diag(noise.memory) @ linear.transition[k]
         mean[k + 1] = A @ mean[k]
         mean[k + 1, :, 0] += noise.memory * linear.end[k] - linear.path[k + 1]
-        for j, (c, t) in enumerate(zip(chosen.chain, chosen.term, strict=True)):
-            at = np.array([linear.terms[k, t], linear.middle[k, t], linear.terms[k + 1, t]])
-            mean[k + 1, :, 1 + j] += noise.memory * (at @ linear.weights[k, :, c])
+        [own] = sources_of(linear, chosen, k, k + 1)
+        mean[k + 1, : len(own), 1:] += own
         cov[k + 1] = np.tensordot(A, cov[k], 1)
         cov[: k + 1, :, k + 1] = cov[k + 1, :, : k + 1].transpose(1, 2, 0)
         cov[k + 1, :, k + 1] = A @ cov[k, :, k] @ A.T + np.diag(noise.steps)
@@ -199,4 +201,9 @@ def state_space_gaussian(linear, chosen, noise):
         ahead = mean[:, 0] + mean[:, 1:] @ delta
         return (ahead + cov @ H.T @ (solved[:, 0] - solved[:, 1:] @ delta)).reshape(n, size)
 
-    return level, design.T @ solved[:, 0], design.T @ solved[:, 1:], smoothed
+    across = (cov @ H.T).reshape(n, size, -1)
+    left_out = np.einsum(
+        "nia,nja->nij", across, np.linalg.solve(C, across.reshape(n * size, -1).T).T.reshape(across.shape)
+    )
+    own = np.einsum("ninj->nij", cov.reshape(n, size, n, size)) - left_out
+    return level, design.T @ solved[:, 0], design.T @ solved[:, 1:], smoothed, own

@@ -12,9 +12,12 @@ from scipy.special import erf
 from studies.adverse_records import CASES, draw_record
 
 import bayeq as bq
-from bayeq.expressions import Evaluator, Expression, parse
+from bayeq.expressions import Evaluator, Expression, number, parse
+from bayeq.likelihood.blur import blur_of
+from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.record_fit import suits
-from bayeq.likelihood.signs import error_where_it_changes, jumps_of, mean_of_jumps, variance_of_jumps
+from bayeq.likelihood.series import Series
+from bayeq.likelihood.signs import half_of_jump, jumps_of, mean_of_jumps, unresolved_share
 from bayeq.states import Roles, estimate_motion
 from bayeq.systems import get_system
 
@@ -173,9 +176,8 @@ def test_where_it_is_not_used():
     record = bq.simulate("duffing", n=4000, seed=1)
     assert suits(estimate_motion([record], Roles.parse(["x:v:a"], inputs=["u"])), 36)
     assert not suits(estimate_motion([record], Roles.parse(["x:v:a"], inputs=["u"])), 2000)
+    # displacement need not be measured
     assert suits(estimate_motion([record], Roles.parse(["::a"], inputs=["u"])), 36)
-    # smoothed rows or bins otherwise
-    assert quietly(record, chains=["::a"], inputs=["u"])[0].fit.regression.record is None
     assert quietly(record, **OSCILLATOR, smooth="band")[0].fit.regression.record is None
 
 
@@ -250,7 +252,7 @@ def test_the_mean_of_a_sign():
     assert mean_of_jumps(term, {}) == term
     rng = np.random.default_rng(0)
     x, v, width = rng.normal(size=200), rng.normal(size=200), 0.3
-    blurred = Evaluator({"x": x, "v": v})(Expression(mean_of_jumps(term, {jump: width})))
+    blurred = Evaluator({"x": x, "v": v})(Expression(mean_of_jumps(term, {jump: number(width)})))
     exact = v * erf((x - v) / (np.sqrt(2.0) * width))
     # tanh of the same slope differs from erf by less than 0.06
     np.testing.assert_allclose(blurred, exact, atol=0.06 * np.abs(v).max())
@@ -273,7 +275,7 @@ def test_the_mean_of_other_jumps(text, jump):
     assert mean_of_jumps(term, {}) == term
     rng = np.random.default_rng(0)
     x, v, width = rng.uniform(-2.0, 2.0, size=300), rng.uniform(-2.0, 2.0, size=300), 0.02
-    blurred = Evaluator({"x": x, "v": v})(Expression(mean_of_jumps(term, {jump: width})))
+    blurred = Evaluator({"x": x, "v": v})(Expression(mean_of_jumps(term, {jump: number(width)})))
     # the argument of the jump moves by draws of its error, and nothing else does
     scale = {"floor(3*x)": 1 / 3, "floor(-x)": 1.0, "floor((x+v)/2)": 2.0}.get(Expression(jump).text, 1.0)
     moved = x + scale * width * rng.standard_normal((4000, 1))
@@ -287,24 +289,46 @@ def test_the_mean_of_other_jumps(text, jump):
 def test_what_never_counts_may_be_undefined():
     term = parse("where(x>1,log(x),0)").tree
     x = np.array([-3.0, 0.99, 1.0, 1.01, 4.0])
-    blurred = Evaluator({"x": x})(Expression(mean_of_jumps(term, {next(jumps_of(term)): 0.01})))
+    blurred = Evaluator({"x": x})(Expression(mean_of_jumps(term, {next(jumps_of(term)): number(0.01)})))
     np.testing.assert_allclose(blurred, [0.0, 0.0, 0.0, np.log(1.01), np.log(4.0)], atol=2e-3)
 
 
-def test_the_error_of_an_argument_where_its_sign_changes():
+def blurred(texts, theta, columns, covariance, push=0.0, substeps=1):
+    """Widths of the jumps in terms of x and v, and what they leave out of the samples of a."""
+    roles = Roles.parse(chains=["x:v:a"])
+    layout = Layout(roles, tuple(map(parse, texts)), (np.ones(3),))
+    n = len(columns["x"])
+    path = np.column_stack([columns["x"], columns["v"], np.zeros(n)])
+    series = Series(np.full(n - 1, 0.01), np.zeros((n, 3)), np.zeros((n, 0, 4)), np.ones((n, 3)))
+    force = np.zeros((n - 1, 3, 1))
+    force[:, 1, 0] = push
+    whole = np.zeros((n, 3, 3))
+    whole[:, :2, :2] = covariance
+    chosen = layout.everything.take(np.arange(len(theta)))
+    found = blur_of(layout, series, path, whole, force, chosen, np.array(theta), np.full(n - 1, substeps))
+    return found.width[:, 0], found.unresolved[:, 2]
+
+
+def test_jumps_are_as_wide_as_their_argument_is_uncertain_at_each_sample():
     n, h = 4000, 0.01
     time = h * np.arange(n)
     columns = {"x": np.sin(time), "v": np.cos(time)}
-    covariance = np.tile(np.diag([0.02**2, 0.0]), (n, 1, 1))
+    covariance = np.zeros((n, 2, 2))
+    covariance[:, 0, 0] = np.linspace(0.02, 0.08, n) ** 2
+    sd = np.sqrt(covariance[:, 0, 0])
+    before = np.flatnonzero(np.diff(np.signbit(columns["x"])))
+    beside = np.isin(np.arange(n), [before, before + 1])
+    width, _ = blurred(["sign(x)"], [0.0], columns, covariance)
+    np.testing.assert_allclose(width[~beside], sd[~beside], rtol=1e-6)
     # beside zero x changes by h in a sample
-    assert error_where_it_changes(parse("sign(x)").tree, columns, covariance) == pytest.approx(
-        (0.02, np.sqrt(0.02**2 + h**2 / 12)), rel=1e-3
-    )
-    assert error_where_it_changes(parse("sign(x+3)").tree, columns, covariance) == (0.0, 0.0)
-    # where x rounds down to another number of halves: at zero and at 1/2, where it is slower
-    own, found = error_where_it_changes(parse("floor(2*x)").tree, columns, covariance)
-    assert own == pytest.approx(0.04, rel=0.01)
-    assert found == pytest.approx(np.sqrt(0.04**2 + (2 * h) ** 2 * (1.0 + 0.75) / 2 / 12), rel=0.01)
+    np.testing.assert_allclose(width[beside], np.sqrt(sd[beside] ** 2 + h**2 / 12), rtol=1e-3)
+    fine, _ = blurred(["sign(x)"], [0.0], columns, 1e-12 * covariance, substeps=4)
+    np.testing.assert_allclose(fine[beside], h / 4 / np.sqrt(12), rtol=1e-3)
+    twice, _ = blurred(["floor(2*x)"], [0.0], columns, covariance)
+    np.testing.assert_allclose(np.median(twice / sd), 2.0, rtol=0.01)
+    # what friction itself changes the velocity by in a step
+    held, _ = blurred(["sign(v)"], [-30.0], columns | {"v": np.zeros(n)}, 0.0 * covariance, push=0.01)
+    np.testing.assert_allclose(held, np.sqrt(2 / np.pi) * 0.3, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -323,13 +347,15 @@ def test_what_the_mean_of_jumps_leaves_out_is_the_mean_square_over_errors(text, 
     rng, v = np.random.default_rng(3), np.linspace(-0.4, 0.4, 9)
     columns = {"x": np.full(9, place), "v": v}
     error, width = 0.1, 0.15
-    found = variance_of_jumps(terms, coef, columns, {kind: width}, {kind: error})
+    evaluate = Evaluator(columns)
+    half = sum(c * half_of_jump(term, kind, evaluate) for c, term in zip(coef, terms, strict=True))
+    found = half**2 * unresolved_share(kind, evaluate, np.full(9, width), np.full(9, error))
     true = side(v + error * rng.normal(size=(200_000, 9)))
-    mean = Evaluator(columns)(Expression(mean_of_jumps(terms[0].tree, {kind: width}))) / place
+    mean = Evaluator(columns)(Expression(mean_of_jumps(terms[0].tree, {kind: number(width)}))) / place
     wanted = (3.0 * place) ** 2 * ((true - mean) ** 2).mean(axis=0)
     # tanh for erf, and the draws
     np.testing.assert_allclose(found, wanted, atol=0.06 * (3.0 * place * jump) ** 2)
-    assert (variance_of_jumps(terms[1:], coef[1:], columns, {kind: width}, {kind: error}) == 0.0).all()
+    assert half_of_jump(terms[1], kind, evaluate) == 0.0
 
 
 def test_samples_beside_a_jump_are_no_noise_and_no_discrepancy():

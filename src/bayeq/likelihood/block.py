@@ -13,8 +13,7 @@ from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, correct
 from bayeq.likelihood.layout import Candidates
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.low_pass import SEGMENT, periodograms
-from bayeq.likelihood.search import Task, with_mean_signs
-from bayeq.likelihood.signs import jumps_of
+from bayeq.likelihood.search import Task
 from bayeq.likelihood.start import series_and_paths
 from bayeq.states import MotionRows
 
@@ -94,9 +93,7 @@ def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
         return nothing
     try:
         series, paths = series_and_paths(task.layout, pieces)
-        own, here = replace(task, series=series, recent=[]), replace(state, paths=paths)
-        # jumps of other terms are averaged as they were in the fit
-        own = with_mean_signs(own, here) if _jumps(task, state) else own
+        own, here = replace(task, series=series, recent=[]), replace(state, paths=paths, blurs=())
         found, score = _at_its_path(own, here)
     except np.linalg.LinAlgError:
         return nothing
@@ -118,12 +115,6 @@ def _power(task: Task, pieces: Sequence[MotionRows]) -> tuple[Floats, int]:
     return power, segments
 
 
-def _jumps(task: Task, state: State) -> bool:
-    """Whether a term of the model jumps."""
-    terms = task.layout.terms
-    return any(next(jumps_of(terms[j].tree), None) is not None for j in state.chosen.term if j < len(terms))
-
-
 def _at_its_path(task: Task, state: State) -> tuple[Quadratic, Floats]:
     """The likelihood linearised about the path that the coefficients and the samples make likeliest."""
     spread = np.sqrt(state.levels.scales.variance)
@@ -132,7 +123,7 @@ def _at_its_path(task: Task, state: State) -> tuple[Quadratic, Floats]:
         found = adjoints_of(state, linears)
         if max(float(np.abs(one.deviation / spread).max()) for one in found) < NEAR:
             break
-        state = replace(state, paths=tuple(path + one.deviation for path, one in zip(state.paths, found, strict=True)))
+        state = state.moved(task.layout, task.series, linears, found)
         task.recent.clear()
     return statistics(task, state, linears, found)
 
@@ -143,13 +134,13 @@ def adjoints_of(state: State, linears: Sequence[Linear]) -> list[Adjoint]:
     nothing = Candidates(none.astype(np.int64), none.astype(np.int64))
     filtered = tuple(run_filter(linear, nothing, state.levels.noise) for linear in linears)
     about = Statistics(0.0, none, np.zeros((0, 0)), filtered)
-    return adjoints(linears, state.levels, about, none, np.zeros((0, 0)), curved=True)
+    return adjoints(linears, state.levels, about, none, np.zeros((0, 0)), True, bool(state.levels.layout.jumps))
 
 
 def statistics(
     task: Task, state: State, linears: Sequence[Linear], found: Sequence[Adjoint]
 ) -> tuple[Quadratic, Floats]:
     """The log likelihood of all candidates about zero, and its derivatives by the levels, from `adjoints_of`."""
-    curved = corrections(task.layout, task.series, linears, found)
+    curved = corrections(task.layout, linears, found)
     score = np.sum([state.levels.slopes(one) for one in found], axis=0)
-    return information(task.layout, task.series, linears, state, curved), score
+    return information(task.layout, linears, state, curved), score

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bayeq.kernels import kernel
 from bayeq.likelihood.arrays import arrays
 from bayeq.likelihood.layout import Candidates
-from bayeq.likelihood.linear import Linear
+from bayeq.likelihood.linear import Linear, sources_of
 
 __all__ = ["Adjoint", "Filtered", "Noise", "adjoint", "run_filter"]
 
@@ -95,10 +95,8 @@ class _Running(NamedTuple):
         ``work[0]``, at odd ones in ``work[1]``.
     step : (S, S) array
         Work space of a transition.
-    lines : (4, W) array
-        What is left of a sample; the coefficients' terms at the sample before, between, and at this one.
-    starts : (blocks + 1,) int array
-        Where coefficients of one equation follow each other: the first of each such block.
+    lines : (1, W) array
+        What is left of a sample.
     scaled, variance : (rows M, 1 + r) and (rows M,) arrays
         Innovations over their standard deviation, and their variances.
     """
@@ -106,7 +104,6 @@ class _Running(NamedTuple):
     work: Floats
     step: Floats
     lines: Floats
-    starts: Ints
     scaled: Floats
     variance: Floats
 
@@ -117,14 +114,9 @@ class _Running(NamedTuple):
         work = np.zeros((2, size, _padded(1 + r + size)))
         work[0, :, 0] = noise.mean - linear.path[0]
         work[0, :, 1 + r : 1 + r + size] = np.diag(noise.start)
-        lines = np.zeros((4, work.shape[2]))
-        lines[3, 1 : 1 + r] = linear.terms[0, chosen.term]
-        blocks = np.flatnonzero(np.diff(chosen.chain)) + 1
-        starts = np.concatenate([[0], blocks, [r]] if r else [[0]]).astype(np.int64)
+        lines = np.zeros((1, work.shape[2]))
         rows = _rows(channels, r)
-        return cls(
-            work, np.empty((size, size)), lines, starts, np.empty((rows * channels, 1 + r)), np.empty(rows * channels)
-        )
+        return cls(work, np.empty((size, size)), lines, np.empty((rows * channels, 1 + r)), np.empty(rows * channels))
 
 
 def _padded(width: int) -> int:
@@ -192,25 +184,11 @@ def _combine(factors: Floats, k: int, c: int, work: Floats, which: int, lines: F
 
 
 @kernel
-def _next_terms(terms: Floats, middle: Floats, k: int, term: Ints, lines: Floats) -> None:
-    """The coefficients' terms in the step to sample k."""
-    for j in range(len(term)):
-        lines[1, 1 + j] = lines[3, 1 + j]
-        lines[2, 1 + j] = middle[k - 1, term[j]]
-        lines[3, 1 + j] = terms[k, term[j]]
-
-
-@kernel
-def _add_sources(
-    weights: Floats, k: int, c: int, memory: Floats, lines: Floats, work: Floats, now: int, first: int, stop: int
-) -> None:
-    """What coefficients `first` to `stop`, of equation c, add to a step: to the derivatives of the means."""
-    for i in range(len(memory)):
-        before, middle, after = weights[k, 0, c, i], weights[k, 1, c, i], weights[k, 2, c, i]
-        if before != 0.0 or middle != 0.0 or after != 0.0:
-            before, middle, after = memory[i] * before, memory[i] * middle, memory[i] * after
-            for j in range(1 + first, 1 + stop):
-                work[now, i, j] += before * lines[1, j] + middle * lines[2, j] + after * lines[3, j]
+def _add_sources(sources: Floats, k: int, work: Floats, now: int) -> None:
+    """What coefficients add to a step: to the derivatives of the means."""
+    for i in range(sources.shape[1]):
+        for j in range(sources.shape[2]):
+            work[now, i, 1 + j] += sources[k, i, j]
 
 
 @kernel
@@ -249,16 +227,23 @@ def _keep_state(k: int, work: Floats, now: int, mean: Floats, covariance: Floats
 
 @kernel
 def _forward(
-    linear: Linear, chosen: Candidates, noise: Noise, first: int, stop: int, keep: bool, at: _Running, out: Filtered
+    linear: Linear,
+    chosen: Candidates,
+    sources: Floats,
+    noise: Noise,
+    first: int,
+    stop: int,
+    keep: bool,
+    at: _Running,
+    out: Filtered,
 ) -> int:
-    """Samples from `first` to `stop`; returns how many innovations now stand in ``at.scaled``."""
-    path, end, transition, gradient, residual = linear[:5]
-    terms, middle, weights, kinds, follows = linear[5:10]
+    """Samples from `first` to `stop`, with their `sources`; returns how many innovations now stand in ``at.scaled``."""
+    path, end, transition, gradient, residual, kinds, follows = linear[:7]
     added, memory, steps = noise.channels, noise.memory, noise.steps
-    spread, unresolved = linear.spread, linear.unresolved
-    work, step, lines, starts, scaled, variances = at
+    spread, unresolved, terms = linear.spread, linear.unresolved, linear.terms
+    work, step, lines, scaled, variances = at
     innovation, variance, gain, mean, covariance = out[:5]
-    size, start, blocks, used = path.shape[1], 1 + len(chosen.chain), len(starts) - 1, 0
+    size, start, used = path.shape[1], 1 + len(chosen.chain), 0
     chain, term = chosen
     for k in range(first, stop):
         now = k % 2
@@ -268,9 +253,7 @@ def _forward(
             for i in range(size):
                 work[now, i, 0] += memory[i] * end[k - 1, i] - path[k, i]
                 work[now, i, start + i] += steps[i]
-            _next_terms(terms, middle, k, term, lines)
-            for b in range(blocks):
-                _add_sources(weights, k - 1, chain[starts[b]], memory, lines, work, now, starts[b], starts[b + 1])
+            _add_sources(sources, k - max(first, 1), work, now)
         for channel in range(len(kinds)):
             S, kind = 0.0, kinds[channel]
             if not np.isnan(residual[k, channel]):
@@ -283,10 +266,9 @@ def _forward(
                     _combine(gradient, k, -1 - kind, work, now, lines)
                     for i in range(size):
                         S += gradient[k, -1 - kind, i] * lines[0, start + i]
-                    for b in range(blocks):
-                        if chain[starts[b]] == -1 - kind:
-                            for j in range(1 + starts[b], 1 + starts[b + 1]):
-                                lines[0, j] += lines[3, j]
+                    for j in range(len(chain)):
+                        if chain[j] == -1 - kind:
+                            lines[0, 1 + j] += terms[k, term[j]]
                 lines[0, 0] -= residual[k, channel]
                 unit = 1.0 / np.sqrt(S)
                 for j in range(start):
@@ -322,7 +304,9 @@ def run_filter(linear: Linear, chosen: Candidates, noise: Noise, keep: bool = Tr
     at, logs = _Running.at_start(linear, chosen, noise), 0.0
     together = _rows(channels, r)
     for first in range(0, n, together):
-        used = _forward(linear, chosen, noise, first, min(first + together, n), keep, at, out)
+        stop = min(first + together, n)
+        sources = sources_of(linear, chosen, max(first, 1) - 1, stop - 1)
+        used = _forward(linear, chosen, sources, noise, first, stop, keep, at, out)
         scaled = at.scaled[:used]
         out.product[:] += scaled.T @ scaled
         logs += float(np.log(2.0 * np.pi * at.variance[:used]).sum())
@@ -344,6 +328,8 @@ class Adjoint(NamedTuple):
         have neither memory nor steps.
     deviation : (n, S) array
         Smoothed path less that of the linearisation.
+    covariance : (n, S, S) array
+        Of the smoothed path, given the coefficients; empty where not asked for.
     at_samples, between : (n, C, S) and (n - 1, C, S) arrays
         Directions along which the derivatives of the candidates at the samples, and between them, give what the
         coefficients change in the determinant of the likelihood; empty where not asked for.
@@ -354,6 +340,7 @@ class Adjoint(NamedTuple):
     steps: Floats
     start: Floats
     deviation: Floats
+    covariance: Floats
     at_samples: Floats
     between: Floats
 
@@ -515,22 +502,39 @@ def _curve_at(
 
 
 @kernel
+def _smooth(covariance: Floats, k: int, work: Floats, now: int, lines: Floats, start: int, smoothed: Floats) -> None:
+    """P - P N P: the covariance of a state given all samples."""
+    size = work.shape[1]
+    for i in range(size):
+        for o in range(size):
+            lines[1, o] = 0.0
+            for m in range(size):
+                lines[1, o] += covariance[k, i, m] * work[now, m, start + o]
+        for j in range(size):
+            total = covariance[k, i, j]
+            for o in range(size):
+                total -= lines[1, o] * covariance[k, o, j]
+            smoothed[k, i, j] = total
+
+
+@kernel
 def _backward(
     linear: Linear, noise: Noise, found: Filtered, first: int, stop: int, at: _Returning, out: Adjoint
 ) -> None:
     """Samples from the one before `stop` back to `first`."""
-    path, transition, gradient, weights, kinds, leads = (
+    path, transition, gradient, kinds, leads, forces = (
         linear.path,
         linear.transition,
         linear.gradient,
-        linear.weights,
         linear.kinds,
         linear.leads,
+        linear.discrepancy,
     )
     memory, added = noise.memory, noise.channels
     variance, gain, covariance = found.variance, found.gain, found.covariance
     work, step, lines, innovation, lasting, mean = at
-    by_channels, by_memory, by_steps, _, deviation, at_samples, between = out
+    motion = linear.steps.motion
+    by_channels, by_memory, by_steps, _, deviation, smoothed, at_samples, between = out
     (n, size), start = path.shape, innovation.shape[2]
     for k in range(stop - 1, first - 1, -1):
         now = k % 2
@@ -553,9 +557,11 @@ def _backward(
             if len(between) > 0:
                 for c in range(between.shape[1]):
                     for i in range(size):
-                        lines[1, i] = memory[i] * (weights[k, 0, c, i] + weights[k, 1, c, i] + weights[k, 2, c, i])
+                        lines[1, i] = transition[k, i, forces[c]] if i < motion else 0.0
                     _curve_between(transition, covariance, k, c, work, now, lines, between, start)
             _close(leads, step, work, now, lines, start)
+        if len(smoothed) > 0:
+            _smooth(covariance, k, work, now, lines, start, smoothed)
         if len(at_samples) > 0:
             for channel in range(len(kinds)):
                 if kinds[channel] < 0 and variance[k, channel] > 0.0:
@@ -579,7 +585,13 @@ def _backward(
 
 
 def adjoint(
-    linear: Linear, noise: Noise, found: Filtered, delta: Floats, V: Floats | None = None, curved: bool = False
+    linear: Linear,
+    noise: Noise,
+    found: Filtered,
+    delta: Floats,
+    V: Floats | None = None,
+    curved: bool = False,
+    smoothed: bool = False,
 ) -> Adjoint:
     """The adjoint recursion of a filtered record.
 
@@ -594,6 +606,8 @@ def adjoint(
         left out, and 0.
     curved : bool
         Whether `at_samples` and `between` are wanted.
+    smoothed : bool
+        Whether `covariance` is.
     """
     (n, size), r = linear.path.shape, len(delta)
     chains, root = linear.gradient.shape[1], np.zeros((r, 0)) if V is None else _root(V)
@@ -603,6 +617,7 @@ def adjoint(
         steps=np.zeros(size),
         start=np.zeros(size),
         deviation=np.empty((n, size)),
+        covariance=np.empty((n if smoothed else 0, size, size)),
         at_samples=np.zeros((n if curved else 0, chains, size)),
         between=np.empty((n - 1 if curved else 0, chains, size)),
     )

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.likelihood.blur import Blur, blur_of
 from bayeq.likelihood.filter import Adjoint, Filtered, adjoint, run_filter
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.levels import Levels
-from bayeq.likelihood.linear import Linear, Series, derivatives_along, linearise
+from bayeq.likelihood.linear import Linear, derivatives_along, linearise
+from bayeq.likelihood.series import Series
 from bayeq.numerics.minimise import minimise
 
 __all__ = [
@@ -48,12 +50,36 @@ class State:
         States of each record.
     levels : Levels
         Noise and discrepancies.
+    blurs : tuple of Blur
+        Widths of the jumps in each record; empty where no error of the paths is known.
     """
 
     chosen: Candidates
     theta: Floats
     paths: tuple[Floats, ...]
     levels: Levels
+    blurs: tuple[Blur, ...] = ()
+
+    def moved(
+        self, layout: Layout, series: Sequence[Series], linears: Sequence[Linear], found: Sequence[Adjoint]
+    ) -> State:
+        """The state on smoothed paths, jumps as wide as these are uncertain."""
+        paths = tuple(path + adj.deviation for path, adj in zip(self.paths, found, strict=True))
+        blurs = tuple(
+            blur_of(
+                layout,
+                one,
+                path,
+                adj.covariance,
+                linear.transition[:, :, layout.discrepancy],
+                self.chosen,
+                self.theta,
+                linear.steps.substeps,
+            )
+            for one, path, adj, linear in zip(series, paths, found, linears, strict=True)
+            if layout.jumps
+        )
+        return replace(self, paths=paths, blurs=blurs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +113,10 @@ class Statistics:
 
 def linearised(layout: Layout, series: Sequence[Series], state: State, substeps: int = 1) -> list[Linear]:
     """Every record linearised where a fit stands."""
+    blurs = state.blurs or (None,) * len(series)
     return [
-        linearise(layout, one, path, state.chosen, state.theta, substeps)
-        for one, path in zip(series, state.paths, strict=True)
+        linearise(layout, one, path, state.chosen, state.theta, blur, substeps)
+        for one, path, blur in zip(series, state.paths, blurs, strict=True)
     ]
 
 
@@ -178,10 +205,11 @@ def adjoints(
     delta: Floats,
     covariance: Floats | None = None,
     curved: bool = False,
+    smoothed: bool = False,
 ) -> list[Adjoint]:
     """The adjoint of every record."""
     return [
-        adjoint(linear, levels.noise, filtered, delta, covariance, curved)
+        adjoint(linear, levels.noise, filtered, delta, covariance, curved, smoothed)
         for linear, filtered in zip(linears, found.filtered, strict=True)
     ]
 
@@ -239,15 +267,11 @@ def maximised(
     return levels, last[1] if last is not None and at_least else marginal(linears, state, levels, precision)
 
 
-def corrections(
-    layout: Layout, series: Sequence[Series], linears: Sequence[Linear], found: Sequence[Adjoint]
-) -> Floats:
+def corrections(layout: Layout, linears: Sequence[Linear], found: Sequence[Adjoint]) -> Floats:
     """Derivatives of the determinant's part of the likelihood by every coefficient, (C, P + 1)."""
     out = np.zeros((layout.chains, len(layout.terms) + 1))
-    for one, linear, adj in zip(series, linears, found, strict=True):
-        out += derivatives_along(layout, one, linear.path, adj.at_samples)
-        between = 0.5 * (linear.path[:-1] + linear.end)
-        out += derivatives_along(layout, one, between, adj.between, 0.5)
+    for linear, adj in zip(linears, found, strict=True):
+        out += derivatives_along(linear, adj.at_samples, adj.between)
     return out
 
 
@@ -256,16 +280,13 @@ def improved(
 ) -> tuple[State, Floats]:
     """One Gauss-Newton step of coefficients and paths from the likelihood there; the derivatives of the determinant."""
     first = adjoints(linears, state.levels, found, found.delta, curved=True)
-    curved = corrections(layout, series, linears, first)
+    curved = corrections(layout, linears, first)
     delta = found.delta + found.covariance @ curved[state.chosen.chain, state.chosen.term]
-    second = adjoints(linears, state.levels, found, delta)
-    paths = tuple(path + adj.deviation for path, adj in zip(state.paths, second, strict=True))
-    return replace(state, theta=state.theta + delta, paths=paths), curved
+    second = adjoints(linears, state.levels, found, delta, smoothed=bool(layout.jumps))
+    return replace(state, theta=state.theta + delta).moved(layout, series, linears, second), curved
 
 
-def information(
-    layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, curved: Floats
-) -> Quadratic:
+def information(layout: Layout, linears: Sequence[Linear], state: State, curved: Floats) -> Quadratic:
     """The likelihood of all candidates about zero: what models are compared on."""
     every = layout.everything
     filtered = [run_filter(linear, every, state.levels.noise, keep=False) for linear in linears]

@@ -7,18 +7,18 @@ inputs are constant.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
+from bayeq.expressions import Binary, Call, Expression, Node, Number, Symbol, Tape, number
 from bayeq.expressions.functions import TIME
 from bayeq.likelihood.low_pass import feedback
-from bayeq.likelihood.signs import mean_of_jumps
+from bayeq.likelihood.signs import jumps_of, mean_of_jumps
 from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Roles, rates
 
@@ -69,9 +69,6 @@ class Layout:
         Of the spectrum of each noisy input [rad/s]; not used of a random sequence.
     interpolation : "cubic", "band-limited", "linear" or "hold"
         The other inputs between their samples.
-    blur : mapping of Node to float
-        The jumps of the terms (`bayeq.likelihood.signs.jumps_of`), and the standard deviation with which the argument
-        of each is known along the path: there the jump is its mean.
     """
 
     roles: Roles
@@ -82,7 +79,6 @@ class Layout:
     centres: tuple[float, ...] = ()
     corners: tuple[float, ...] = ()
     interpolation: Interpolation = "cubic"
-    blur: Mapping[Node, float] = field(default_factory=dict)
 
     @cached_property
     def chains(self) -> int:
@@ -144,6 +140,22 @@ class Layout:
         return (*self.exact, TIME) if self.roles.timed else self.exact
 
     @cached_property
+    def jumps(self) -> tuple[Call, ...]:
+        """Where the terms jump, (J,), see `bayeq.likelihood.signs.jumps_of`."""
+        found = {jump for term in self.terms for jump in jumps_of(term.tree)}
+        return tuple(sorted(found, key=lambda jump: Expression(jump).text))
+
+    @cached_property
+    def jump_widths(self) -> tuple[str, ...]:
+        """Names of the inputs that hold the width of each jump (`bayeq.likelihood.blur`)."""
+        return tuple(f"w[{j}]" for j in range(len(self.jumps)))
+
+    def jumps_in(self, chosen: Candidates) -> NDArray[np.bool_]:
+        """Which of the jumps stand in some candidates, (J,)."""
+        own = {jump for j in chosen.term if j < len(self.terms) for jump in jumps_of(self.terms[j].tree)}
+        return np.array([jump in own for jump in self.jumps], dtype=np.bool_)
+
+    @cached_property
     def rates(self) -> tuple[tuple[float, ...], ...]:
         """Of each chain, the factors between each derivative's channel and the rate of the one below."""
         return tuple(tuple(rates(c, g.tolist())) for c, g in zip(self.roles.chains, self.gains, strict=True))
@@ -183,10 +195,11 @@ class Layout:
     @cached_property
     def blurred(self) -> tuple[Expression, ...]:
         """The terms with the mean of each jump in its place."""
-        return tuple(Expression(mean_of_jumps(term.tree, self.blur)) for term in self.terms)
+        widths: dict[Node, Node] = {jump: Symbol(name) for jump, name in zip(self.jumps, self.jump_widths, strict=True)}
+        return tuple(Expression(mean_of_jumps(term.tree, widths)) for term in self.terms)
 
     def tape(self, chosen: Candidates) -> Tape:
-        """Rates of the states, then the targets, in states, exact inputs and the chosen coefficients."""
+        """Rates of the states, then the targets, in states, exact inputs, widths and the chosen coefficients."""
         parameters = [f"theta[{j}]" for j in range(len(chosen.chain))]
         targets: list[Node] = [Symbol(f"d[{c}]") for c in range(self.chains)]
         for name, c, j in zip(parameters, chosen.chain, chosen.term, strict=True):
@@ -201,9 +214,12 @@ class Layout:
         out += [Number(0)] * self.chains
         for name, width in zip(self.noisy, self.widths, strict=True):
             out += [*(Symbol(f"{name}[{k}]") for k in range(1, width)), Number(0)]
-        return Tape.compile(map(Expression, [*out, *targets]), [*self.names, *self.given, *parameters])
+        return Tape.compile(
+            map(Expression, [*out, *targets]), [*self.names, *self.given, *self.jump_widths, *parameters]
+        )
 
+    @cached_property
     def terms_tape(self) -> Tape:
-        """The candidate terms and the constant, in states and exact inputs."""
+        """The candidate terms and the constant, in states, exact inputs and widths of jumps."""
         trees: Sequence[Node] = [*(term.tree for term in self.blurred), Number(1)]
-        return Tape.compile(map(Expression, trees), [*self.names, *self.given])
+        return Tape.compile(map(Expression, trees), [*self.names, *self.given, *self.jump_widths])

@@ -11,37 +11,56 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.expressions.tape import Program, run_tape
 from bayeq.kernels import kernel
 from bayeq.likelihood.arrays import arrays
+from bayeq.likelihood.blur import Blur, crossings, first_blur
 from bayeq.likelihood.layout import Candidates, Layout
-from bayeq.ode.rk4 import STAGES, advance, slope_at
+from bayeq.likelihood.series import Series
+from bayeq.ode.rk4 import STAGES
 
-__all__ = ["Linear", "Series", "derivatives_along", "linearise"]
+__all__ = ["Linear", "derivatives_along", "linearise", "sources_of"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+# Runge-Kutta steps, at least, of an interval in which a term of the model jumps: the jump is located among them.
+JUMP_STEPS = 8
 
-class Series(NamedTuple):
-    """The samples of one record.
+
+class Steps(NamedTuple):
+    """What is integrated from each sample to the next.
 
     Attributes
     ----------
+    program : Program
+        Rates of the states, then the targets, in states, inputs and the coefficients of the model.
+    basis : Program
+        The candidates and the constant, in states and inputs.
+    inputs : (n, m, 4) array
+        Those of the `Series`, then the widths of jumps.
     intervals : (n - 1,) array
         Between samples [s].
-    samples : (n, M) array
-        Of `Layout.channels`; NaN where there is none.
-    inputs : (n, m, 4) array
-        What `Layout.given` names, from `bayeq.ode.rk4.interpolant`.
-    spread : (n, M) array
-        Variance of the noise of each sample as a multiple of its channel's.
-    unresolved : (n, M) array
-        Variance that each sample has besides: of what the mean of jumps leaves out.
+    substeps : (n - 1,) int array
+        Runge-Kutta steps of each interval.
+    last : (C,) int array
+        See `Layout.last`.
+    factors : (C,) array
+        Rate of that state for a target of 1.
+    motion : int
+        Number of states that are derivatives of chains: the first ones, which alone depend on coefficients.
     """
 
-    intervals: Floats
-    samples: Floats
+    program: Program
+    basis: Program
     inputs: Floats
-    spread: Floats
-    unresolved: Floats
+    intervals: Floats
+    substeps: Ints
+    last: Ints
+    factors: Floats
+    motion: int
+
+    def fresh(self) -> Steps:
+        """The same with registers of its own."""
+        program, basis = (one._replace(registers=one.registers.copy()) for one in (self.program, self.basis))
+        return self._replace(program=program, basis=basis)
 
 
 class Linear(NamedTuple):
@@ -59,16 +78,24 @@ class Linear(NamedTuple):
         Derivatives of each target by the states.
     residual : (n, M) array
         Samples less what the path gives; NaN where there is none.
-    terms, middle : (n, P + 1) and (n - 1, P + 1) arrays
-        The candidates and the constant at the path, and between its samples.
-    weights : (n - 1, 3, C, S) array
-        What a term at the start, in the middle and at the end of a step, as part of each equation, adds to `end`.
     kinds : (M,) array
         See `Layout.channels`.
     follows, leads : (S, S) int arrays
         Of each state, how many others its next value may depend on, and which; and how many depend on it, and which.
-    spread, unresolved : (n, M) arrays
+    spread : (n, M) array
         As in `Series`.
+    unresolved : (n, M) array
+        As in `Blur`.
+    discrepancy : (C,) int array
+        See `Layout.discrepancy`.
+    terms : (n, P + 1) array
+        The candidates and the constant at the path.
+    chosen : Candidates
+        The coefficients of the model.
+    sources : (n - 1, motion, r) array
+        Derivatives of `end` by them, of the states of the chains.
+    steps : Steps
+        What `sources_of` other coefficients takes.
     """
 
     path: Floats
@@ -76,64 +103,126 @@ class Linear(NamedTuple):
     transition: Floats
     gradient: Floats
     residual: Floats
-    terms: Floats
-    middle: Floats
-    weights: Floats
     kinds: Ints
     follows: Ints
     leads: Ints
     spread: Floats
     unresolved: Floats
+    discrepancy: Ints
+    terms: Floats
+    chosen: Candidates
+    sources: Floats
+    steps: Steps
 
 
 @kernel
-def _steps(
-    program: Program,
-    inputs: Floats,
-    intervals: Floats,
-    substeps: int,
+def _set_variables(program: Program, inputs: Floats, states: Floats, row: int, fraction: float) -> None:
+    """States (S, ...) and inputs, a fraction of the interval after a sample, into the first registers."""
+    registers, rest, size = program.registers, 1.0 - fraction, states.shape[0]
+    for i in range(size):
+        registers[i] = states[i, 0]
+    for k in range(inputs.shape[1]):
+        p = inputs[row, k]
+        registers[size + k] = rest * p[0] + fraction * p[1] + fraction * rest * (p[2] + fraction * p[3])
+
+
+@kernel
+def _rates(
+    steps: Steps, chosen: Candidates, row: int, fraction: float, tangents: Floats, y: Floats, rate: Floats
+) -> None:
+    """Rates of the states (first column), of their derivatives by the states, and by the coefficients.
+
+    `tangents` are the derivatives of the registers by the states.
+    """
+    program, basis, motion = steps.program, steps.basis, steps.motion
+    size, width = y.shape
+    _set_variables(program, steps.inputs, y, row, fraction)
+    run_tape(program, tangents)
+    for i in range(size):
+        output = program.outputs[i]
+        rate[i, 0] = program.registers[output]
+        for j in range(1, width):
+            rate[i, j] = 0.0
+        for o in range(size):
+            factor = tangents[output, o]
+            if factor != 0.0:
+                for j in range(1, width if i < motion and o < motion else 1 + size):
+                    rate[i, j] += factor * y[o, j]
+    if width > 1 + size:
+        _set_variables(basis, steps.inputs, y, row, fraction)
+        run_tape(basis, None)
+        for j in range(width - 1 - size):
+            c = chosen.chain[j]
+            rate[steps.last[c], 1 + size + j] += steps.factors[c] * basis.registers[basis.outputs[chosen.term[j]]]
+
+
+@kernel
+def _integrate(
+    steps: Steps,
+    chosen: Candidates,
     path: Floats,
+    first: int,
+    stop: int,
     end: Floats,
     transition: Floats,
-    slowing: Floats,
+    sources: Floats,
     target: Floats,
     gradient: Floats,
 ) -> None:
-    """Runge-Kutta steps from every state of a path, with their derivatives by it.
+    """Runge-Kutta steps from samples `first` to `stop` of a path, with their derivatives by states and coefficients.
 
-    Receives `end`, `transition` (as in `Linear`), how much less the rates are at the end of a step than at its start
-    (n - 1, S), the targets (n, C) at the path and their `gradient`. At the next sample rates may be others again, for
-    discrepancies and slopes change there.
+    Receives, from its first row on, what `Linear` has; of empty arrays nothing.
     """
-    n, size = path.shape
-    tangents = np.zeros((program.registers.shape[0], size))
-    work = np.zeros((STAGES, size * (1 + size)))
-    for row in range(n):
+    (n, size), r = path.shape, len(chosen.chain)
+    tangents = np.zeros((steps.program.registers.shape[0], size))
+    for i in range(size):
+        tangents[i, i] = 1.0
+    work = np.zeros((STAGES, size, 1 + size + r))
+    x, y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4], work[5]
+    for row in range(first, stop):
         for i in range(size):
-            work[0, i] = path[row, i]
-            for j in range(size):
-                work[0, size + i * size + j] = 1.0 if i == j else 0.0
-        slope_at(program, inputs, work[0], row, 0.0, tangents, work[1])
-        for c in range(target.shape[1]):
-            output = program.outputs[size + c]
-            target[row, c] = program.registers[output]
-            for j in range(size):
-                gradient[row, c, j] = tangents[output, j]
+            for j in range(1 + size + r):
+                x[i, j] = 1.0 if j == 1 + i else 0.0
+            x[i, 0] = path[row, i]
+        count = steps.substeps[row] if row < n - 1 else 1
+        share = 1.0 / count
+        for step in range(count):
+            _rates(steps, chosen, row, step * share, tangents, x, k1)
+            if step == 0:
+                for c in range(target.shape[1]):
+                    output = steps.program.outputs[size + c]
+                    target[row, c] = steps.program.registers[output]
+                    for j in range(size):
+                        gradient[row, c, j] = tangents[output, j]
+            if row == n - 1:
+                break
+            h = steps.intervals[row] * share
+            y[:] = x + 0.5 * h * k1
+            _rates(steps, chosen, row, (step + 0.5) * share, tangents, y, k2)
+            y[:] = x + 0.5 * h * k2
+            _rates(steps, chosen, row, (step + 0.5) * share, tangents, y, k3)
+            y[:] = x + h * k3
+            _rates(steps, chosen, row, (step + 1.0) * share, tangents, y, k4)
+            x[:] += h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
         if row < n - 1:
-            for i in range(size):
-                slowing[row, i] = work[1, i]
-            advance(program, inputs, row, intervals[row], substeps, tangents, work)
-            for i in range(size):
-                end[row, i] = work[0, i]
+            at = row - first
+            for i in range(end.shape[1]):
+                end[at, i] = x[i, 0]
                 for j in range(size):
-                    transition[row, i, j] = work[0, size + i * size + j]
-            slope_at(program, inputs, work[0, :size], row, 1.0, None, work[1])
-            for i in range(size):
-                slowing[row, i] -= work[1, i]
+                    transition[at, i, j] = x[i, 1 + j]
+            for i in range(steps.motion):
+                for j in range(r):
+                    sources[at, i, j] = x[i, 1 + size + j]
 
 
 def linearise(
-    layout: Layout, series: Series, path: Floats, chosen: Candidates, theta: Floats, substeps: int = 1
+    layout: Layout,
+    series: Series,
+    path: Floats,
+    chosen: Candidates,
+    theta: Floats,
+    blur: Blur | None = None,
+    substeps: int = 1,
 ) -> Linear:
     """The model of a record about a path and the coefficients `theta` of the chosen candidates.
 
@@ -147,25 +236,36 @@ def linearise(
         States.
     chosen, theta : Candidates, (r,) array
         Coefficients that are not zero.
+    blur : Blur, optional
+        Widths of the jumps; by default those between samples.
     substeps : int
-        Runge-Kutta steps between two samples.
+        Runge-Kutta steps between two samples; more, `JUMP_STEPS`, where a term of the model jumps.
     """
     n, size, chains = len(path), layout.size, layout.chains
-    end, transition, slowing, target, gradient = arrays(
-        (n - 1, size), (n - 1, size, size), (n - 1, size), (n, chains), (n, chains, size)
-    )
-    program = layout.tape(chosen).program()
-    first = size + series.inputs.shape[1]
+    blur = first_blur(layout, series, path, substeps) if blur is None else blur
+    jumping = crossings(layout, series, path, layout.jumps_in(chosen)).any(axis=1)
+    program, basis = layout.tape(chosen).program(), layout.terms_tape.program()
+    inputs = blur.beside(series.inputs)
+    first = size + inputs.shape[1]
     program.registers[first : first + len(theta)] = theta
-    _steps(program, series.inputs, series.intervals, substeps, path, end, transition, slowing, target, gradient)
-    between = 0.5 * (path[:-1] + end) + 0.125 * series.intervals[:, None] * slowing
-
+    steps = Steps(
+        program,
+        basis,
+        inputs,
+        series.intervals,
+        np.where(jumping, max(substeps, JUMP_STEPS), substeps),
+        layout.last,
+        np.array([rates[-1] for rates in layout.rates]),
+        layout.motion,
+    )
+    end, transition, sources, target, gradient = arrays(
+        (n - 1, size), (n - 1, size, size), (n - 1, layout.motion, len(theta)), (n, chains), (n, chains, size)
+    )
+    _integrate(steps, chosen, path, 0, n, end, transition, sources, target, gradient)
     _to_mean(layout, series.intervals, end, transition)
     seen = path[:, np.maximum(layout.kinds, 0)]
     for channel in np.flatnonzero(layout.kinds < 0):
         seen[:, channel] = target[:, -1 - layout.kinds[channel]]
-    exact = series.inputs
-    halfway = 0.5 * (exact[:, :, 0] + exact[:, :, 1]) + 0.25 * (exact[:, :, 2] + 0.5 * exact[:, :, 3])
     related = (transition != 0.0).any(axis=0)
     return Linear(
         path=path,
@@ -173,15 +273,29 @@ def linearise(
         transition=transition,
         gradient=gradient,
         residual=series.samples - seen,
-        terms=_terms(layout, path, exact[:, :, 0]),
-        middle=_terms(layout, between, halfway[:-1]),
-        weights=_weights(layout, series.intervals, transition),
         kinds=layout.kinds,
         follows=_others(related),
         leads=_others(related.T),
         spread=series.spread,
-        unresolved=series.unresolved,
+        unresolved=blur.unresolved,
+        discrepancy=layout.discrepancy,
+        terms=_terms(layout, path, inputs[:, :, 0]),
+        chosen=chosen,
+        sources=sources,
+        steps=steps,
     )
+
+
+def sources_of(linear: Linear, chosen: Candidates, first: int, stop: int) -> Floats:
+    """Derivatives of the ends of steps `first` to `stop` by coefficients, (stop - first, motion, r)."""
+    r = len(chosen.chain)
+    if chosen is linear.chosen or r == 0:
+        return linear.sources[first:stop, :, :r]
+    out = np.empty((stop - first, linear.steps.motion, r))
+    no_ends, no_slopes = np.empty((0, 0)), np.empty((0, 0, 0))
+    steps = linear.steps.fresh()
+    _integrate(steps, chosen, linear.path, first, stop, no_ends, no_slopes, out, no_ends, no_slopes)
+    return out
 
 
 def _others(related: NDArray[np.bool_]) -> Ints:
@@ -210,54 +324,41 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
 def _terms(layout: Layout, states: Floats, inputs: Floats) -> Floats:
     """Candidates and the constant at some states, (n, P + 1)."""
     columns = dict(zip(layout.names, np.asfortranarray(states).T, strict=True))
-    columns |= dict(zip(layout.given, inputs.T, strict=True))
+    columns |= dict(zip((*layout.given, *layout.jump_widths), inputs.T, strict=True))
     out = np.ones((len(states), len(layout.terms) + 1))
     out[:, :-1] = evaluate_terms(layout.blurred, columns)
     return out
 
 
-def _weights(layout: Layout, intervals: Floats, transition: Floats) -> Floats:
-    """Simpson's rule along each step, made exact for what is constant: a discrepancy is such a term."""
-    out = np.zeros((len(intervals), 3, layout.chains, layout.size))
-    for c, (last, d) in enumerate(zip(layout.last, layout.discrepancy, strict=True)):
-        sixth = intervals * (layout.rates[c][-1] / 6.0)
-        whole = transition[:, :, d].copy()
-        whole[:, d] = 0.0
-        out[:, 0, c] = sixth[:, None] * transition[:, :, last]
-        out[:, 2, c, last] = sixth
-        out[:, 1, c] = whole - out[:, 0, c] - out[:, 2, c]
-    return out
-
-
 @kernel
-def _derivatives(
-    program: Program, inputs: Floats, fraction: float, states: Floats, directions: Floats, out: Floats
-) -> None:
-    """Adds to `out` (C, P + 1) the derivatives of the tape's outputs along directions (n, C, S), summed over rows."""
-    n, size = states.shape
-    chains = directions.shape[1]
+def _derivatives(steps: Steps, start: Floats, end: Floats, directions: Floats, between: bool, out: Floats) -> None:
+    """Adds to `out` (C, P + 1) the derivatives of the candidates along directions (n, C, S), summed over rows.
+
+    They are taken at the starts of steps, or, `between`, as the mean over the middles of the Runge-Kutta steps on the
+    straight lines to their ends.
+    """
+    program, (n, size), chains = steps.basis, start.shape, directions.shape[1]
     tangents = np.zeros((program.registers.shape[0], chains))
+    states = np.empty((size, 1))
     for row in range(n):
-        for i in range(size):
-            program.registers[i] = states[row, i]
+        count = steps.substeps[row] if between else 1
+        for node in range(count):
+            fraction = (node + 0.5) / count if between else 0.0
+            for i in range(size):
+                states[i, 0] = start[row, i] + fraction * (end[row, i] - start[row, i]) if between else start[row, i]
+                for c in range(chains):
+                    tangents[i, c] = directions[row, c, i] / count
+            _set_variables(program, steps.inputs, states, row, fraction)
+            run_tape(program, tangents)
             for c in range(chains):
-                tangents[i, c] = directions[row, c, i]
-        for k in range(inputs.shape[1]):
-            p = inputs[row, k]
-            program.registers[size + k] = (
-                (1.0 - fraction) * p[0] + fraction * p[1] + fraction * (1.0 - fraction) * (p[2] + fraction * p[3])
-            )
-        run_tape(program, tangents)
-        for c in range(chains):
-            for j in range(out.shape[1]):
-                out[c, j] += tangents[program.outputs[j], c]
+                for j in range(out.shape[1]):
+                    out[c, j] += tangents[program.outputs[j], c]
 
 
-def derivatives_along(
-    layout: Layout, series: Series, states: Floats, directions: Floats, fraction: float = 0.0
-) -> Floats:
-    """Derivatives of every candidate along directions (n, C, S) at states (n, S), summed over rows: (C, P + 1)."""
-    out = np.zeros((layout.chains, len(layout.terms) + 1))
-    program = layout.terms_tape().program()
-    _derivatives(program, series.inputs, fraction, np.ascontiguousarray(states), directions, out)
+def derivatives_along(linear: Linear, at_samples: Floats, between: Floats) -> Floats:
+    """Derivatives of all candidates along directions (n, C, S) at samples, and (n - 1, C, S) between: (C, P + 1)."""
+    out = np.zeros((at_samples.shape[1], linear.terms.shape[1]))
+    steps = linear.steps.fresh()
+    _derivatives(steps, linear.path, linear.end, at_samples, False, out)
+    _derivatives(steps, linear.path[:-1], linear.end, between, True, out)
     return out

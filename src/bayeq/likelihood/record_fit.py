@@ -17,7 +17,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.fit import Quadratic, State, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
-from bayeq.likelihood.search import ADEQUATE, Fitted, Task, fit, resumed, search, with_mean_signs, with_model
+from bayeq.likelihood.search import ADEQUATE, Fitted, Task, fit, resumed, search, with_model
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
 from bayeq.likelihood.student import with_heavy_tails
 from bayeq.ode.rk4 import Interpolation
@@ -320,7 +320,6 @@ def refit_record(
 
 def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> RecordFit:
     task, state = carried_over(motion, task, fitted, places)
-    task = with_mean_signs(task, state)
     if motion.sensors.tails == "student":
         task, state = with_heavy_tails(task, state)
     return _checked(RecordFit.of(task, resumed(task, state)))

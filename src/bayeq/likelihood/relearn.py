@@ -109,8 +109,8 @@ def _slopes(task: Task, state: State) -> _Slopes:
     theta, included = coefficients(task.layout, state), task.number(state.chosen)
     by_candidates, by_levels = np.zeros(len(theta)), np.zeros(len(state.levels.free))
     H = np.diag(task.precision[included])
-    for one, path in zip(task.series, state.paths, strict=True):
-        own, here = replace(task, series=(one,), recent=[]), replace(state, paths=(path,))
+    for k, (one, path) in enumerate(zip(task.series, state.paths, strict=True)):
+        own, here = replace(task, series=(one,), recent=[]), replace(state, paths=(path,), blurs=state.blurs[k : k + 1])
         linears = own.linearised(here)
         # slopes by coefficients are those along the path that these levels make likeliest
         here = replace(here, paths=(path + adjoints_of(here, linears)[0].deviation,))

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.expressions import Node
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
@@ -34,10 +33,10 @@ from bayeq.likelihood.fit import (
     solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout
-from bayeq.likelihood.linear import Linear, Series
-from bayeq.likelihood.signs import error_where_it_changes, jumps_of, variance_of_jumps
+from bayeq.likelihood.linear import Linear
+from bayeq.likelihood.series import Series
 
-__all__ = ["ADEQUATE", "Fitted", "Task", "fit", "resumed", "search", "with_mean_signs", "with_model"]
+__all__ = ["ADEQUATE", "Fitted", "Task", "fit", "resumed", "search", "with_model"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -131,7 +130,7 @@ class Task:
 
     def linearised(self, state: State) -> list[Linear]:
         """Every record linearised where a fit stands."""
-        about = (self.layout, self.series, self.substeps, state.chosen, state.theta, state.paths)
+        about = (self.layout, self.series, self.substeps, state.chosen, state.theta, state.paths, state.blurs)
         for other, linears in self.recent:
             if all(one is another for one, another in zip(other, about, strict=True)):
                 return linears
@@ -229,7 +228,7 @@ def fit(task: Task, state: State, coarse: bool = False) -> Fitted:
     if not coarse:
         value += over_sizes(linears, state, precision, value)
     model = task.model(state.chosen)
-    return Fitted(model, state, value + task.prior(model), information(layout, series, linears, state, curved))
+    return Fitted(model, state, value + task.prior(model), information(layout, linears, state, curved))
 
 
 def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
@@ -304,7 +303,7 @@ def steady(task: Task, state: State) -> bool:
 
 def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fitted]:
     """Rounds of selection and fit from one start, until the model stays; the task with steps as fine as they need."""
-    task = suited(task, state)
+    task = finer(task, state)
     best = now = fit(task, state, coarse=True)
     seen = {now.model.tobytes()}
     log("start", now)
@@ -314,7 +313,7 @@ def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fi
         if model.tobytes() in seen:
             break
         seen.add(model.tobytes())
-        task = suited(task, state)
+        task = finer(task, state)
         now = fit(task, state, coarse=True)
         log("round", now)
         if now.evidence > best.evidence:
@@ -337,53 +336,15 @@ def all_together(task: Task, empty: State) -> State | None:
     return fit(task, state).state if steady(task, state) else None
 
 
-def suited(task: Task, state: State) -> Task:
-    """The task with signs averaged, and steps as fine, as the motion of a state needs."""
-    return finer(with_mean_signs(task, state), state)
-
-
-def with_mean_signs(task: Task, state: State) -> Task:
-    """The task with signs, and other jumps, averaged over the errors of what they are taken of."""
-    layout = task.layout
-    jumps = {jump for term in layout.terms for jump in jumps_of(term.tree)}
-    if not jumps:
-        return task
-    errors: dict[Node, float] = dict.fromkeys(jumps, 0.0)
-    blur: dict[Node, float] = dict.fromkeys(jumps, 0.0)
-    for one, linear in zip(task.series, task.linearised(state), strict=True):
-        columns = dict(zip(layout.names, linear.path.T, strict=True))
-        columns |= dict(zip(layout.given, one.inputs[:, :, 0].T, strict=True))
-        # the future determines a sample as well as the past does
-        covariance = 0.5 * run_filter(linear, state.chosen, state.levels.noise).covariance
-        for jump in jumps:
-            error, width = error_where_it_changes(jump, columns, covariance)
-            errors[jump], blur[jump] = max(errors[jump], error), max(blur[jump], width)
-    series = tuple(_with_variance_of_jumps(task, state, k, blur, errors) for k in range(len(task.series)))
-    return replace(task, layout=replace(layout, blur=blur), series=series)
-
-
-def _with_variance_of_jumps(
-    task: Task, state: State, k: int, blur: Mapping[Node, float], errors: Mapping[Node, float]
-) -> Series:
-    """A record whose targets have beside their noise what the mean of jumps leaves out."""
-    layout, one, chosen = task.layout, task.series[k], state.chosen
-    columns = dict(zip(layout.names, state.paths[k].T, strict=True))
-    columns |= dict(zip(layout.given, one.inputs[:, :, 0].T, strict=True))
-    unresolved = np.zeros(one.unresolved.shape)
-    for i in np.flatnonzero(layout.kinds < 0):
-        own = np.flatnonzero((chosen.chain == -1 - layout.kinds[i]) & (chosen.term < len(layout.terms)))
-        terms = [layout.terms[j] for j in chosen.term[own]]
-        unresolved[:, i] = variance_of_jumps(terms, state.theta[own], columns, blur, errors)
-    return one._replace(unresolved=unresolved)
-
-
 def finer(task: Task, state: State) -> Task:
-    """The task with as many Runge-Kutta steps between samples as its motion needs."""
+    """The task with as many Runge-Kutta steps between samples as its motion, and the columns of its terms, need."""
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
     while task.substeps < MOST_SUBSTEPS:
         twice = replace(task, substeps=2 * task.substeps)
-        pairs = zip(task.linearised(state), twice.linearised(state), strict=True)
-        missed = np.concatenate([np.abs(a.end - b.end)[:, : task.layout.motion] for a, b in pairs]) / spread
+        pairs = list(zip(task.linearised(state), twice.linearised(state), strict=True))
+        ends = [np.abs(a.end - b.end)[:, : task.layout.motion] for a, b in pairs]
+        parts = [np.abs((a.sources - b.sources) * state.theta).max(axis=2, initial=0.0) for a, b in pairs]
+        missed = np.maximum(np.concatenate(ends), np.concatenate(parts)) / spread
         if np.quantile(np.where(np.isfinite(missed), missed, np.inf), SMOOTH_STEPS) <= STEP_ERROR:
             break
         task = twice

@@ -10,7 +10,7 @@ derivative on both sides, and stay.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +18,9 @@ from numpy.typing import NDArray
 from bayeq.expressions import Binary, Call, Evaluator, Expression, Negate, Node, Number, number
 from bayeq.expressions.nodes import arguments_of, is_comparison, with_arguments
 
-__all__ = ["error_where_it_changes", "jumps_of", "mean_of_jumps", "variance_of_jumps"]
+__all__ = ["SLOPE", "half_of_jump", "jumps_of", "mean_of_jumps", "unresolved_share"]
 
 Floats = NDArray[np.float64]
-
-# Variance of a uniform distribution over an interval of length 1.
-UNIFORM = 1.0 / 12.0
-
-# Errors along the path are no less than this share of those that means are taken over.
-LEAST = 1e-3
 
 # Slope of the mean of a sign at zero: sqrt(2 / pi) / w.
 SLOPE = math.sqrt(2.0 / math.pi)
@@ -57,20 +51,20 @@ def _jump(node: Node) -> Call | None:
     return None
 
 
-def mean_of_jumps(node: Node, blur: Mapping[Node, float]) -> Node:
+def mean_of_jumps(node: Node, blur: Mapping[Node, Node]) -> Node:
     """A term with the mean of each jump in `blur`, which has the error of the argument.
 
     Parameters
     ----------
     node : Node
         The term.
-    blur : mapping of Node to float
+    blur : mapping of Node to Node
         By what `jumps_of` gives.
     """
 
     def mean(jump: Call) -> Node | None:
-        width = blur.get(jump, 0.0)
-        return _mean(jump, mean_of_jumps(jump.arguments[0], blur), width) if width > 0.0 else None
+        width = blur.get(jump)
+        return None if width is None else _mean(jump, mean_of_jumps(jump.arguments[0], blur), width)
 
     return _with_values(node, mean)
 
@@ -96,13 +90,16 @@ def _with_values(node: Node, value_of: Callable[[Call], Node | None]) -> Node:
     return mean
 
 
-def _mean(jump: Call, argument: Node, width: float) -> Node:
+def _mean(jump: Call, argument: Node, width: Node) -> Node:
     """Mean of a sign or a floor."""
+
+    def sign(distance: Node) -> Node:
+        return Call("tanh", (Binary("/", Binary("*", distance, number(SLOPE)), width),))
+
     if jump.function == "sign":
-        return Call("tanh", (Binary("*", argument, number(SLOPE / width)),))
+        return sign(argument)
     nearest = _nearest(argument)
-    step = Call("tanh", (Binary("*", Binary("-", argument, nearest), number(SLOPE / width)),))
-    return Binary("-", nearest, _share(step, "-"))
+    return Binary("-", nearest, _share(sign(Binary("-", argument, nearest)), "-"))
 
 
 def _nearest(argument: Node) -> Node:
@@ -119,50 +116,28 @@ def _sides(jump: Call) -> tuple[Node, Node, Node]:
     return nearest, Binary("-", nearest, number(1.0)), Binary("-", argument, nearest)
 
 
-def variance_of_jumps(
-    terms: Sequence[Expression],
-    coef: Floats,
-    columns: Mapping[str, Floats],
-    blur: Mapping[Node, float],
-    errors: Mapping[Node, float],
-) -> Floats:
-    """What the mean of jumps leaves out of a sum of terms.
+def half_of_jump(term: Expression, jump: Call, evaluate: Evaluator) -> Floats | float:
+    """Half of what a term changes by where it jumps, (n,); 0 of one that does not jump there."""
+    above, below, _ = _sides(jump)
+    upper, lower = (_with_values(term.tree, {jump: side}.get) for side in (above, below))
+    return 0.5 * (evaluate(Expression(upper)) - evaluate(Expression(lower))) if upper != lower else 0.0
+
+
+def unresolved_share(jump: Call, evaluate: Evaluator, width: Floats, error: Floats) -> Floats:
+    """Mean square of what the mean of a jump is off, in units of the square of its half.
 
     Parameters
     ----------
-    terms : sequence of Expression
-        The terms.
-    coef : (r,) array
-        Their coefficients.
-    columns : mapping of str to (n,) array
-        States and inputs.
-    blur : mapping of Node to float
-        Errors of what jumps by which means were taken, by what `jumps_of` gives.
-    errors : mapping of Node to float
-        Errors along the path alone.
-
-    Returns
-    -------
-    (n,) array
-        The mean square of what the sum is off.
+    jump : Call
+        From `jumps_of`.
+    evaluate : Evaluator
+        Of states and inputs.
+    width, error : (n,) arrays
+        Over which the mean was taken, and of the path alone.
     """
-    evaluate = Evaluator(columns)
-    out = np.zeros(len(next(iter(columns.values()))))
-    present = {jump for term in terms for jump in jumps_of(term.tree)}
-    for jump in sorted(present, key=lambda jump: Expression(jump).text):
-        width = blur.get(jump, 0.0)
-        if width <= 0.0:
-            continue
-        above, below, distance = _sides(jump)
-        half = np.zeros(len(out))
-        for term, theta in zip(terms, coef.tolist(), strict=True):
-            upper, lower = (_with_values(term.tree, {jump: side}.get) for side in (above, below))
-            if upper != lower:
-                half += 0.5 * theta * (evaluate(Expression(upper)) - evaluate(Expression(lower)))
-        values = SLOPE * evaluate(Expression(distance))
-        taken, true = np.tanh(values / width), np.tanh(values / max(errors[jump], LEAST * width))
-        out += half**2 * (1.0 - 2.0 * taken * true + taken**2)
-    return out
+    values = SLOPE * evaluate(Expression(_sides(jump)[2]))
+    taken, true = np.tanh(values / width), np.tanh(values / error)
+    return np.asarray(1.0 - 2.0 * taken * true + taken**2)
 
 
 def _share(mean: Node, sign: str) -> Node:
@@ -178,35 +153,3 @@ def _mixed(condition: Node, first: Node, second: Node) -> Node:
     first = Call("where", (Binary("!=", condition, Number(0)), first, Number(0)))
     second = Call("where", (Binary("!=", rest, Number(0)), second, Number(0)))
     return Binary("+", Binary("*", condition, first), Binary("*", rest, second))
-
-
-def error_where_it_changes(jump: Call, columns: Mapping[str, Floats], covariance: Floats) -> tuple[float, float]:
-    """Standard deviation of what jumps at the samples between which it does, and next to them.
-
-    It has an error along the path, and changes from one sample to the next. Both are 0 if it does not jump.
-
-    Parameters
-    ----------
-    jump : Call
-        A sign or floor, from `jumps_of`.
-    columns : mapping of str to (n,) array
-        The states, first and in the order of `covariance`, and the exact inputs.
-    covariance : (n, S, S) array
-        Of the states.
-    """
-    expression = Expression(jump.arguments[0])
-    values = Evaluator(columns)(expression)
-    sides = np.signbit(values) if jump.function == "sign" else np.floor(values)
-    places = np.flatnonzero(np.diff(sides))
-    if not len(places):
-        return 0.0, 0.0
-    here = {name: column[places] for name, column in columns.items()}
-    gradient = np.zeros((len(places), covariance.shape[1]))
-    for i, name in enumerate(list(columns)[: covariance.shape[1]]):
-        if name in expression.names:
-            sd = np.sqrt(np.maximum(covariance[places, i, i], 0.0)) + np.finfo(float).tiny
-            gradient[:, i] = (Evaluator(here | {name: here[name] + sd})(expression) - values[places]) / sd
-    along = np.einsum("ni,nij,nj->n", gradient, covariance[places], gradient)
-    steps = np.diff(values)[places]
-    own = float(np.mean(along))
-    return math.sqrt(own), math.sqrt(own + UNIFORM * float(np.mean(steps**2)))

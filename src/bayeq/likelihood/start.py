@@ -19,9 +19,9 @@ from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, marginal, maximised
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.levels import LEAST_NOISE, Levels, Scales
-from bayeq.likelihood.linear import Series
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
 from bayeq.likelihood.search import Fitted, Task
+from bayeq.likelihood.series import Series
 from bayeq.ode.rk4 import Interpolation, interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
@@ -164,6 +164,7 @@ def with_exact_inputs(motion: Motion, task: Task, fitted: Fitted, kind: Interpol
         replace(
             state,
             paths=tuple(np.ascontiguousarray(path[:, kept]) for path in state.paths),
+            blurs=(),
             levels=Levels(
                 layout,
                 scales,
@@ -193,7 +194,7 @@ def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tu
     for path, (record, first) in zip(fitted.state.paths, places, strict=True):
         paths[record][first : first + len(path)] = path
     spectra = [_spectrum(name, motion.train, task.layout.centres[k]) for k, name in enumerate(task.layout.noisy)]
-    return with_spectra(replace(task, series=series), replace(fitted.state, paths=paths), spectra)
+    return with_spectra(replace(task, series=series), replace(fitted.state, paths=paths, blurs=()), spectra)
 
 
 def series_and_paths(layout: Layout, pieces: Sequence[MotionRows]) -> tuple[tuple[Series, ...], tuple[Floats, ...]]:
@@ -211,7 +212,7 @@ def _series(layout: Layout, rows: MotionRows) -> Series:
     inputs = interpolant(rows.time, exact, layout.interpolation)
     if layout.roles.timed:
         inputs = with_time(rows.time, inputs)
-    return Series(np.diff(rows.time), samples, inputs, np.ones(samples.shape), np.zeros(samples.shape))
+    return Series(np.diff(rows.time), samples, inputs, np.ones(samples.shape))
 
 
 def _path(layout: Layout, rows: MotionRows, inputs: Sequence[Floats]) -> Floats:

@@ -1,0 +1,150 @@
+"""`Blur`: how well it is known, sample by sample, on which side of its jumps a term is.
+
+The width of a jump at a sample is the standard deviation of its argument there: the smoothed covariance of the states,
+and beside a passage the change of the argument over a step of the integration. It is no less than what the jump itself
+changes the argument by in such a step, so that friction that holds a body at rest can be integrated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.expressions import Evaluator, Expression
+from bayeq.likelihood.layout import Candidates, Layout
+from bayeq.likelihood.series import Series
+from bayeq.likelihood.signs import SLOPE, half_of_jump, unresolved_share
+
+__all__ = ["Blur", "blur_of", "crossings", "first_blur"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# Variance of a uniform distribution over an interval of length 1.
+UNIFORM = 1.0 / 12.0
+
+# Widths are no less than this share of the largest argument, and errors than this share of the widths.
+LEAST, LEAST_ERROR = 1e-9, 1e-3
+
+
+class Blur(NamedTuple):
+    """Widths of the jumps along the path of a record.
+
+    Attributes
+    ----------
+    width : (n, J) array
+        Of `Layout.jumps`, in the unit of what jumps.
+    unresolved : (n, M) array
+        Variance that each sample has beside its noise: of what the mean of jumps leaves out.
+    """
+
+    width: Floats
+    unresolved: Floats
+
+    def beside(self, inputs: Floats) -> Floats:
+        """Inputs (n, m, 4) and the widths, straight between samples, (n, m + J, 4)."""
+        own = np.zeros((*self.width.shape, 4))
+        own[:, :, 0] = self.width
+        own[:, :, 1] = np.concatenate([self.width[1:], self.width[-1:]])
+        return np.concatenate([inputs, own], axis=1)
+
+
+def _columns(layout: Layout, series: Series, path: Floats) -> dict[str, Floats]:
+    columns = dict(zip(layout.names, path.T, strict=True))
+    return columns | dict(zip(layout.given, series.inputs[:, :, 0].T, strict=True))
+
+
+def crossings(layout: Layout, series: Series, path: Floats, wanted: Bools) -> Bools:
+    """Intervals between samples in which the wanted jumps happen, (n - 1, J)."""
+    out = np.zeros((len(path) - 1, len(layout.jumps)), dtype=np.bool_)
+    evaluate = Evaluator(_columns(layout, series, path)) if wanted.any() else None
+    for j in np.flatnonzero(wanted):
+        assert evaluate is not None
+        jump = layout.jumps[j]
+        values = evaluate(Expression(jump.arguments[0]))
+        out[:, j] = np.diff(np.signbit(values) if jump.function == "sign" else np.floor(values)) != 0
+    return out
+
+
+def first_blur(layout: Layout, series: Series, path: Floats, substeps: int = 1) -> Blur:
+    """Widths along a path of which no error is known: the change of the arguments between samples where they jump."""
+    (n, size), none = path.shape, Candidates(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+    covariance, push = np.zeros((n, size, size)), np.zeros((n - 1, size, layout.chains))
+    return blur_of(layout, series, path, covariance, push, none, np.zeros(0), np.full(n - 1, substeps))
+
+
+def blur_of(
+    layout: Layout,
+    series: Series,
+    path: Floats,
+    covariance: Floats,
+    push: Floats,
+    chosen: Candidates,
+    theta: Floats,
+    substeps: NDArray[np.int64],
+) -> Blur:
+    """Widths along a path.
+
+    Parameters
+    ----------
+    layout, series
+        States and samples.
+    path, covariance : (n, S) and (n, S, S) arrays
+        Smoothed states.
+    push : (n - 1, S, C) array
+        What a constant force of 1 in each equation changes the states by in a step.
+    chosen, theta : Candidates, (r,) array
+        The model.
+    substeps : (n - 1,) int array
+        Steps of the integration in each interval.
+    """
+    n, evaluate = len(path), Evaluator(_columns(layout, series, path))
+    width = np.zeros((n, len(layout.jumps)))
+    unresolved = np.zeros(series.samples.shape)
+    passing = crossings(layout, series, path, np.ones(len(layout.jumps), dtype=np.bool_))
+    inside = layout.jumps_in(chosen)
+    for j, jump in enumerate(layout.jumps):
+        expression = Expression(jump.arguments[0])
+        values = evaluate(expression)
+        gradient = _gradient(layout, series, path, covariance, expression, values)
+        error = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", gradient, covariance, gradient), 0.0))
+        steps = substeps if inside[j] else np.full(n - 1, substeps.min())
+        change = _at_both_ends(np.where(passing[:, j], np.abs(np.diff(values)), 0.0) / steps)
+        half = _halves(layout, chosen, theta, j, evaluate, n)
+        moved = np.abs(np.einsum("ni,nic->nc", gradient[:-1], push) * half[:-1]).sum(axis=1) / steps
+        floor = np.maximum(SLOPE * _at_both_ends(moved), LEAST * np.abs(values).max() + np.finfo(float).tiny ** 0.5)
+        width[:, j] = np.maximum(np.sqrt(error**2 + UNIFORM * change**2), floor)
+        share = unresolved_share(jump, evaluate, width[:, j], np.maximum(error, LEAST_ERROR * width[:, j]))
+        for i in np.flatnonzero(layout.kinds < 0):
+            unresolved[:, i] += half[:, -1 - layout.kinds[i]] ** 2 * share
+    return Blur(width, unresolved)
+
+
+def _at_both_ends(values: Floats) -> Floats:
+    """Of intervals, at each sample the larger one beside it."""
+    return np.maximum(np.append(values, 0.0), np.append(0.0, values))
+
+
+def _gradient(
+    layout: Layout, series: Series, path: Floats, covariance: Floats, expression: Expression, values: Floats
+) -> Floats:
+    """Derivatives of an argument by the states, (n, S), over their errors."""
+    columns: Mapping[str, Floats] = _columns(layout, series, path)
+    out = np.zeros(path.shape)
+    for i, name in enumerate(layout.names):
+        if name in expression.names:
+            sd = np.sqrt(np.maximum(covariance[:, i, i], 0.0)) + 1e-9 * np.abs(path[:, i]).max() + 1e-150
+            out[:, i] = (Evaluator({**columns, name: columns[name] + sd})(expression) - values) / sd
+    return out
+
+
+def _halves(layout: Layout, chosen: Candidates, theta: Floats, j: int, evaluate: Evaluator, n: int) -> Floats:
+    """Half of the jump of each equation, (n, C)."""
+    out = np.zeros((n, layout.chains))
+    for c, t, value in zip(chosen.chain, chosen.term, theta.tolist(), strict=True):
+        if t < len(layout.terms):
+            out[:, c] += value * half_of_jump(layout.terms[t], layout.jumps[j], evaluate)
+    return out
