@@ -178,7 +178,8 @@ def state_space_gaussian(linear, chosen, noise):
         mean[k + 1, : len(own), 1:] += own
         cov[k + 1] = np.tensordot(A, cov[k], 1)
         cov[: k + 1, :, k + 1] = cov[k + 1, :, : k + 1].transpose(1, 2, 0)
-        cov[k + 1, :, k + 1] = A @ cov[k, :, k] @ A.T + np.diag(noise.steps)
+        push = linear.transition[k][:, linear.discrepancy] * (np.arange(size) < len(own))[:, None]
+        cov[k + 1, :, k + 1] = A @ cov[k, :, k] @ A.T + np.diag(noise.steps) + push * linear.force[k] @ push.T
     H, X, y, R = [], [], [], []
     for k, channel in zip(*np.nonzero(np.isfinite(linear.residual)), strict=True):
         kind, row, own = linear.kinds[channel], np.zeros((n, size)), np.zeros(r)

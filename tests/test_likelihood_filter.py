@@ -72,7 +72,7 @@ def system(n, seed=0, step=0.1, gaps=0.15, smoothness=3):
     )
     texts = [term.text for term in layout.terms]
     chosen = Candidates(np.array([c for c, _ in TRUTH]), np.array([texts.index(text) for _, text in TRUTH]))
-    blur = Blur(np.zeros((n, 0)), unresolved)
+    blur = Blur(np.zeros((n, 0)), unresolved, np.zeros((n - 1, 2)))
     return layout, series, State(chosen, np.array(list(TRUTH.values())), (path,), levels, (blur,))
 
 
@@ -92,6 +92,7 @@ def some(chosen, seed):
 def test_is_the_joint_gaussian_of_all_samples(seed, which):
     layout, series, state = system(12, seed)
     [linear] = linearised(layout, [series], state)
+    linear = linear._replace(force=np.random.default_rng(seed).exponential(size=linear.force.shape))
     chosen = {
         "chosen": state.chosen,
         "mixed": some(state.chosen, seed),
@@ -330,6 +331,8 @@ def drawn(linear, chosen, noise, delta, rng):
     e = np.empty((n, size))
     e[0] = noise.mean - linear.path[0] + np.sqrt(noise.start) * rng.normal(size=size)
     for k in range(n - 1):
+        push = linear.transition[k][:, linear.discrepancy] * (np.arange(size) < linear.steps.motion)[:, None]
+        sources[k + 1] += push @ (np.sqrt(linear.force[k]) * rng.normal(size=2))
         ahead = linear.end[k] + linear.transition[k] @ e[k] + sources[k + 1]
         e[k + 1] = noise.memory * ahead - linear.path[k + 1] + np.sqrt(noise.steps) * rng.normal(size=size)
     samples = np.sqrt(noise.channels * linear.spread + linear.unresolved) * rng.normal(size=linear.residual.shape)
@@ -348,6 +351,7 @@ def centred(scores):
 def test_scores_at_the_truth_are_those_of_draws_from_the_linear_model():
     layout, series, state = system(50)
     [linear] = linearised(layout, [series], state)
+    linear = linear._replace(force=np.random.default_rng(6).exponential(0.3, linear.force.shape))
     noise, r, rng = state.levels.noise, len(state.theta), np.random.default_rng(7)
     delta = 0.1 * rng.normal(size=r)
     slopes, scores = [], []

@@ -2,7 +2,8 @@
 
 The width of a jump at a sample is the standard deviation of its argument there: the smoothed covariance of the states,
 and beside a passage the change of the argument over a step of the integration. It is no less than what the jump itself
-changes the argument by in such a step, so that friction that holds a body at rest can be integrated.
+changes the argument by in such a step, so that friction that holds a body at rest can be integrated. What the mean over
+the width leaves out is noise: of samples of the target, and of the force that acts over a step.
 """
 
 from __future__ import annotations
@@ -39,10 +40,13 @@ class Blur(NamedTuple):
         Of `Layout.jumps`, in the unit of what jumps.
     unresolved : (n, M) array
         Variance that each sample has beside its noise: of what the mean of jumps leaves out.
+    force : (n - 1, C) array
+        The same of each equation, on average over a step.
     """
 
     width: Floats
     unresolved: Floats
+    force: Floats
 
     def beside(self, inputs: Floats) -> Floats:
         """Inputs (n, m, 4) and the widths, straight between samples, (n, m + J, 4)."""
@@ -103,7 +107,7 @@ def blur_of(
     """
     n, evaluate = len(path), Evaluator(_columns(layout, series, path))
     width = np.zeros((n, len(layout.jumps)))
-    unresolved = np.zeros(series.samples.shape)
+    left_out = np.zeros((n, layout.chains))
     passing = crossings(layout, series, path, np.ones(len(layout.jumps), dtype=np.bool_))
     inside = layout.jumps_in(chosen)
     for j, jump in enumerate(layout.jumps):
@@ -118,9 +122,11 @@ def blur_of(
         floor = np.maximum(SLOPE * _at_both_ends(moved), LEAST * np.abs(values).max() + np.finfo(float).tiny ** 0.5)
         width[:, j] = np.maximum(np.sqrt(error**2 + UNIFORM * change**2), floor)
         share = unresolved_share(jump, evaluate, width[:, j], np.maximum(error, LEAST_ERROR * width[:, j]))
-        for i in np.flatnonzero(layout.kinds < 0):
-            unresolved[:, i] += half[:, -1 - layout.kinds[i]] ** 2 * share
-    return Blur(width, unresolved)
+        left_out += half**2 * share[:, None]
+    unresolved = np.zeros(series.samples.shape)
+    targets = np.flatnonzero(layout.kinds < 0)
+    unresolved[:, targets] = left_out[:, -1 - layout.kinds[targets]]
+    return Blur(width, unresolved, 0.5 * (left_out[1:] + left_out[:-1]))
 
 
 def _at_both_ends(values: Floats) -> Floats:

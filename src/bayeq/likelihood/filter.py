@@ -192,6 +192,16 @@ def _add_sources(sources: Floats, k: int, work: Floats, now: int) -> None:
 
 
 @kernel
+def _add_force(
+    transition: Floats, k: int, d: int, variance: float, motion: int, work: Floats, now: int, start: int
+) -> None:
+    """Noise of a force over a step, which acts as discrepancy d does, to the covariance."""
+    for i in range(motion):
+        for j in range(motion):
+            work[now, i, start + j] += variance * transition[k, i, d] * transition[k, j, d]
+
+
+@kernel
 def _condition(work: Floats, now: int, lines: Floats, variance: float, start: int) -> None:
     """On a sample, by what is left of it."""
     size, width = work.shape[1:]
@@ -241,6 +251,7 @@ def _forward(
     path, end, transition, gradient, residual, kinds, follows = linear[:7]
     added, memory, steps = noise.channels, noise.memory, noise.steps
     spread, unresolved, terms = linear.spread, linear.unresolved, linear.terms
+    force, discrepancy = linear.force, linear.discrepancy
     work, step, lines, scaled, variances = at
     innovation, variance, gain, mean, covariance = out[:5]
     size, start, used = path.shape[1], 1 + len(chosen.chain), 0
@@ -254,6 +265,9 @@ def _forward(
                 work[now, i, 0] += memory[i] * end[k - 1, i] - path[k, i]
                 work[now, i, start + i] += steps[i]
             _add_sources(sources, k - max(first, 1), work, now)
+            for c in range(force.shape[1]):
+                if force[k - 1, c] > 0.0:
+                    _add_force(transition, k - 1, discrepancy[c], force[k - 1, c], sources.shape[1], work, now, start)
         for channel in range(len(kinds)):
             S, kind = 0.0, kinds[channel]
             if not np.isnan(residual[k, channel]):

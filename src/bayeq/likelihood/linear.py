@@ -84,7 +84,7 @@ class Linear(NamedTuple):
         Of each state, how many others its next value may depend on, and which; and how many depend on it, and which.
     spread : (n, M) array
         As in `Series`.
-    unresolved : (n, M) array
+    unresolved, force : (n, M) and (n - 1, C) arrays
         As in `Blur`.
     discrepancy : (C,) int array
         See `Layout.discrepancy`.
@@ -108,6 +108,7 @@ class Linear(NamedTuple):
     leads: Ints
     spread: Floats
     unresolved: Floats
+    force: Floats
     discrepancy: Ints
     terms: Floats
     chosen: Candidates
@@ -278,6 +279,7 @@ def linearise(
         leads=_others(related.T),
         spread=series.spread,
         unresolved=blur.unresolved,
+        force=blur.force,
         discrepancy=layout.discrepancy,
         terms=_terms(layout, path, inputs[:, :, 0]),
         chosen=chosen,
