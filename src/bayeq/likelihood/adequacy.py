@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import State, adjoints, marginal
+from bayeq.likelihood.fit import State, adjoints, marginal, maximised
 from bayeq.likelihood.levels import MEMORY
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.search import Fitted, Task
@@ -35,6 +35,9 @@ OCTAVES, LEAST_BINS = 9, 8
 
 # Memories of a discrepancy between which its test is followed.
 MEMORIES = 33
+
+# A memory above this share of the longest that a fit may have is learned again without that bound.
+AT_BOUND = 0.98
 
 # Step in ln size that the curvature of the likelihood is read from, and the curvature below which it tells nothing.
 STEP, LEAST_BEND = 0.1, 1e-3
@@ -129,6 +132,10 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     layout, state = task.layout, fitted.state
     linears = task.linearised(state)
     precision = task.precision[task.number(state.chosen)]
+    if (state.levels.memory > AT_BOUND * state.levels.longest).any():
+        # a fit is kept from remembering as long as a slow force may last
+        free = replace(state, levels=state.levels.unbounded)
+        state = replace(state, levels=maximised(linears, free, precision)[0])
     levels = state.levels
     interval = float(np.median(np.concatenate([one.intervals for one in task.series])))
 

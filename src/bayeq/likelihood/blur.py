@@ -30,6 +30,9 @@ UNIFORM = 1.0 / 12.0
 # Widths are no less than this share of the largest argument, and errors than this share of the widths.
 LEAST, LEAST_ERROR = 1e-9, 1e-3
 
+# A sample is on neither side of a jump if the mean leaves more than this share of the square of its half.
+UNRESOLVED = 0.5
+
 
 class Blur(NamedTuple):
     """Widths of the jumps along the path of a record.
@@ -41,7 +44,8 @@ class Blur(NamedTuple):
     unresolved : (n, M) array
         Variance that each sample has beside its noise: of what the mean of jumps leaves out.
     force : (n - 1, C) array
-        The same of each equation, on average over a step.
+        Variance, over a step, of the force that it leaves out of each equation. Where a body is held that is one force
+        for as long as it is held: as much as so many independent ones, each with so many times the variance.
     """
 
     width: Floats
@@ -107,7 +111,7 @@ def blur_of(
     """
     n, evaluate = len(path), Evaluator(_columns(layout, series, path))
     width = np.zeros((n, len(layout.jumps)))
-    left_out = np.zeros((n, layout.chains))
+    left_out, lasting = np.zeros((n, layout.chains)), np.zeros((n, layout.chains))
     passing = crossings(layout, series, path, np.ones(len(layout.jumps), dtype=np.bool_))
     inside = layout.jumps_in(chosen)
     for j, jump in enumerate(layout.jumps):
@@ -123,10 +127,20 @@ def blur_of(
         width[:, j] = np.maximum(np.sqrt(error**2 + UNIFORM * change**2), floor)
         share = unresolved_share(jump, evaluate, width[:, j], np.maximum(error, LEAST_ERROR * width[:, j]))
         left_out += half**2 * share[:, None]
+        lasting += half**2 * (share * _lengths(share > UNRESOLVED))[:, None]
     unresolved = np.zeros(series.samples.shape)
     targets = np.flatnonzero(layout.kinds < 0)
     unresolved[:, targets] = left_out[:, -1 - layout.kinds[targets]]
-    return Blur(width, unresolved, 0.5 * (left_out[1:] + left_out[:-1]))
+    return Blur(width, unresolved, 0.5 * (lasting[1:] + lasting[:-1]))
+
+
+def _lengths(held: Bools) -> Floats:
+    """Number of samples of the run that each sample of a run is in; 1 of the others."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]])))
+    out = np.ones(len(held))
+    for first, stop in zip(ends[::2], ends[1::2], strict=True):
+        out[first:stop] = stop - first
+    return out
 
 
 def _at_both_ends(values: Floats) -> Floats:

@@ -157,8 +157,8 @@ def marginal(
     return Statistics(value, delta, covariance, filtered)
 
 
-def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value: float) -> float:
-    """ln of the likelihood averaged over the sizes of discrepancies, less that of the likeliest ones.
+def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value: float) -> tuple[float, Levels]:
+    """ln of the likelihood averaged over the sizes of discrepancies, less that of the likeliest, and levels of the best.
 
     The standard deviation of each discrepancy has a flat prior on a logarithmic scale between the bounds of `Levels`. A
     model that needs no discrepancy is as likely at any small one, and one that needs it at its size only. The
@@ -166,7 +166,7 @@ def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value
     """
     levels = state.levels
     bounds = np.log(levels.sizes)
-    total = 0.0
+    total, met = 0.0, levels.discrepancy.copy()
     for c, likeliest in enumerate(np.log(levels.discrepancy).tolist()):
 
         def log_ratio(size: float, c: int = c) -> float:
@@ -175,12 +175,13 @@ def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value
             return marginal(linears, state, replace(levels, discrepancy=sizes), precision, keep=False).value - value
 
         low, high = bounds[:, c].tolist()
-        total += log_mean(log_ratio, low, high, likeliest)
-    return total
+        mean, size = log_mean(log_ratio, low, high, likeliest)
+        total, met[c] = total + mean, np.exp(size)
+    return total, replace(levels, discrepancy=met, hessian=None)
 
 
-def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: float) -> float:
-    """ln of the mean of a positive function between two numbers, given the place of its peak there.
+def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: float) -> tuple[float, float]:
+    """ln of the mean of a positive function between two numbers, and where it was largest, given the place of a peak.
 
     By the trapezoidal rule, intervals halved beside the largest value until it changes by less than `SMOOTH` there.
     """
@@ -194,8 +195,8 @@ def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: fl
             break
         at.insert(k + 1, 0.5 * (at[k] + at[k + 1]))
         logs.insert(k + 1, log_of(at[k + 1]))
-    widths = np.diff(at)
-    return float(np.logaddexp.reduce(np.logaddexp(logs[:-1], logs[1:]) + np.log(0.5 * widths)) - np.log(high - low))
+    whole = np.logaddexp.reduce(np.logaddexp(logs[:-1], logs[1:]) + np.log(0.5 * np.diff(at)))
+    return float(whole - np.log(high - low)), at[int(np.argmax(logs))]
 
 
 def adjoints(

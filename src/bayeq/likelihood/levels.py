@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,11 @@ LEAST_DISCREPANCY, MOST_DISCREPANCY = 1e-8, 1e2
 MOST_POSSIBLE = 1e1
 MEMORY = (0.02, 0.999)
 
+# A discrepancy forgets in this share of the motion's own time: one that remembers longer relaxes as a law does, and
+# stands in for it; one that forgets sooner leaves a slow force that nobody measured to false terms
+# (docs/tables/memory.csv).
+OWN_TIME = 0.5
+
 # The likelihood is about as sharp in the size of an input's steps as this share of its samples makes it.
 # Of discrepancies, which may be hardly there, it tells between nothing and as much: the geometric mean stands for that.
 STEP_SHARPNESS = 0.25
@@ -42,11 +47,14 @@ class Scales:
         Of the states (of discrepancies: 0, and the variance of their target).
     channels : (M,) array
         Variance of each channel.
+    interval : float
+        Between samples, mostly [s]; 0 where memories of discrepancies are to be as long as the record has them.
     """
 
     mean: Floats
     variance: Floats
     channels: Floats
+    interval: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +110,22 @@ class Levels:
     def kappa(self) -> Floats:
         """Standard deviation of each discrepancy as a share of its target's, (C,)."""
         return np.sqrt(self.discrepancy / self.target)
+
+    @property
+    def longest(self) -> Floats:
+        """Longest memory of each discrepancy, (C,); the own time is a coordinate's spread over that of its rate."""
+        layout, times = self.layout, []
+        for c, chain in enumerate(layout.roles.chains):
+            first = int(layout.last[c]) + 1 - chain.order
+            spreads = np.sqrt([*self.scales.variance[first : first + chain.order], self.target[c]])
+            k = min(chain.lowest, chain.order - 1)
+            times.append(spreads[k] / (abs(layout.rates[c][k]) * spreads[k + 1]))
+        return np.clip(np.exp(-self.scales.interval / (OWN_TIME * np.array(times))), 2.0 * MEMORY[0], MEMORY[1])
+
+    @property
+    def unbounded(self) -> Levels:
+        """The same with memories as long as a record has them."""
+        return replace(self, scales=replace(self.scales, interval=0.0), hessian=None)
 
     @property
     def sizes(self) -> tuple[Floats, Floats]:
@@ -168,7 +192,7 @@ class Levels:
         high = [
             np.log(MOST_NOISE * self.scales.channels),
             np.log(MOST_DISCREPANCY * target),
-            np.full(len(target), _logit(np.array(MEMORY[1]))),
+            _logit(self.longest),
             np.log(1e4 * slope),
         ]
         return np.concatenate(low), np.concatenate(high)

@@ -158,6 +158,14 @@ def _rates(
 
 
 @kernel
+def _ahead(x: Floats, h: float, rate: Floats, y: Floats) -> None:
+    """x + h rate, into `y`."""
+    for i in range(x.shape[0]):
+        for j in range(x.shape[1]):
+            y[i, j] = x[i, j] + h * rate[i, j]
+
+
+@kernel
 def _integrate(
     steps: Steps,
     chosen: Candidates,
@@ -198,13 +206,15 @@ def _integrate(
             if row == n - 1:
                 break
             h = steps.intervals[row] * share
-            y[:] = x + 0.5 * h * k1
+            _ahead(x, 0.5 * h, k1, y)
             _rates(steps, chosen, row, (step + 0.5) * share, tangents, y, k2)
-            y[:] = x + 0.5 * h * k2
+            _ahead(x, 0.5 * h, k2, y)
             _rates(steps, chosen, row, (step + 0.5) * share, tangents, y, k3)
-            y[:] = x + h * k3
+            _ahead(x, h, k3, y)
             _rates(steps, chosen, row, (step + 1.0) * share, tangents, y, k4)
-            x[:] += h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+            for i in range(size):
+                for j in range(1 + size + r):
+                    x[i, j] += h / 6.0 * (k1[i, j] + 2.0 * (k2[i, j] + k3[i, j]) + k4[i, j])
         if row < n - 1:
             at = row - first
             for i in range(end.shape[1]):

@@ -17,7 +17,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.fit import Quadratic, State, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
-from bayeq.likelihood.search import ADEQUATE, Fitted, Task, fit, resumed, search, with_model
+from bayeq.likelihood.search import ADEQUATE, Fitted, Task, from_all_levels, resumed, search, with_model
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
 from bayeq.likelihood.student import with_heavy_tails
 from bayeq.ode.rk4 import Interpolation
@@ -102,7 +102,7 @@ class RecordFit:
         if bool((model == self.fitted.model).all()):
             return self
         try:
-            return replace(self, fitted=fit(self.task, with_model(self.task, self.fitted, model)))
+            return replace(self, fitted=from_all_levels(self.task, with_model(self.task, self.fitted, model)))
         except np.linalg.LinAlgError:  # motion that it does not stay near: as the likelihood about the former tells it
             return replace(self, fitted=replace(self.fitted, model=model), own=False)
 

@@ -36,7 +36,7 @@ from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.series import Series
 
-__all__ = ["ADEQUATE", "Fitted", "Task", "fit", "resumed", "search", "with_model"]
+__all__ = ["ADEQUATE", "Fitted", "Task", "fit", "from_all_levels", "resumed", "search", "with_model"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -208,10 +208,12 @@ class Fitted:
 Alternative = Callable[[Task, Fitted], tuple[Task, State]]
 
 
-def fit(task: Task, state: State, coarse: bool = False) -> Fitted:
+def fit(task: Task, state: State, coarse: bool = False, further: bool = True) -> Fitted:
     """Fit a model by Gauss-Newton steps, levels learned about each.
 
-    A coarse fit takes few steps, and its evidence is that of the likeliest discrepancies.
+    Where another size of a discrepancy turns out to be likelier the fit goes on from there, once (`further`): a search
+    does not leave a discrepancy of nothing, about which the likelihood is flat. A coarse fit takes few steps, and its
+    evidence is that of the likeliest discrepancies.
     """
     layout, series = task.layout, task.series
     number = task.number(state.chosen)
@@ -226,7 +228,10 @@ def fit(task: Task, state: State, coarse: bool = False) -> Fitted:
     linears = task.linearised(state)
     value = marginal(linears, state, state.levels, precision, keep=False).value
     if not coarse:
-        value += over_sizes(linears, state, precision, value)
+        mean, met = over_sizes(linears, state, precision, value)
+        if further and marginal(linears, state, met, precision, keep=False).value > value + SETTLED:
+            return fit(task, replace(state, levels=met), further=False)
+        value += mean
     model = task.model(state.chosen)
     return Fitted(model, state, value + task.prior(model), information(layout, linears, state, curved))
 
@@ -243,6 +248,19 @@ def calmed(state: State) -> State:
     levels = state.levels
     kappa = np.where(levels.kappa > EXPLAINS_MUCH, HARDLY_ANY, levels.kappa / CALMED)
     return replace(state, levels=replace(levels, discrepancy=kappa**2 * levels.target))
+
+
+def from_all_levels(task: Task, state: State) -> Fitted:
+    """The likelier fit of a model of those that start from the levels as they are, and from less discrepancy.
+
+    Levels of another model may keep a discrepancy that nothing needs any more.
+    """
+    found = [fit(task, state)]
+    try:
+        found.append(fit(task, calmed(state)))
+    except np.linalg.LinAlgError:
+        return found[0]
+    return max(found, key=lambda one: one.evidence)
 
 
 def roused(state: State) -> State:
@@ -318,12 +336,8 @@ def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fi
         log("round", now)
         if now.evidence > best.evidence:
             best = now
-    best = fit(task, best.state)
+    best = from_all_levels(task, best.state)
     log("fit", best)
-    # as its neighbours will be
-    again = fit(task, calmed(best.state))
-    log("calmed", again)
-    best = max(best, again, key=lambda one: one.evidence)
     return task, best
 
 

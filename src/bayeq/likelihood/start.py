@@ -97,7 +97,8 @@ def start_from(
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [found[i] for _, found in inputs]) for i, rows in enumerate(pieces))
     targets = _targets(roles, pieces)
-    scales = _scales(layout, paths, targets.var(axis=0), np.concatenate([one.samples for one in series]))
+    interval = _interval([one.intervals for one in series])
+    scales = _scales(layout, paths, targets.var(axis=0), np.concatenate([one.samples for one in series]), interval)
     noise = FIRST_NOISE * scales.channels
     noise[len(noise) - len(inputs) :] = [one.channels[0] for one in alone]
     held = np.array([name in known for name, _ in layout.channels])
@@ -158,7 +159,9 @@ def with_exact_inputs(motion: Motion, task: Task, fitted: Fitted, kind: Interpol
     kept = [*range(first), *(i for k in stay for i in range(old.driven[k], old.driven[k] + old.widths[k]))]
     before = len(old.channels) - len(old.noisy)
     channels = [*range(before), *(before + k for k in stay)]
-    scales = Scales(levels.scales.mean[kept], levels.scales.variance[kept], levels.scales.channels[channels])
+    scales = Scales(
+        levels.scales.mean[kept], levels.scales.variance[kept], levels.scales.channels[channels], levels.scales.interval
+    )
     return (
         replace(task, layout=layout, series=tuple(_series(layout, rows) for rows in motion.train)),
         replace(
@@ -224,13 +227,13 @@ def _path(layout: Layout, rows: MotionRows, inputs: Sequence[Floats]) -> Floats:
     return path
 
 
-def _scales(layout: Layout, paths: Sequence[Floats], targets: Floats, samples: Floats) -> Scales:
+def _scales(layout: Layout, paths: Sequence[Floats], targets: Floats, samples: Floats, interval: float) -> Scales:
     whole = np.concatenate(paths)
     mean, variance = whole.mean(axis=0), whole.var(axis=0)
     mean[layout.motion :] = 0.0
     mean[layout.driven] = whole[:, layout.driven].mean(axis=0)
     variance[layout.discrepancy] = targets
-    return Scales(mean, np.maximum(variance, 1e-300), np.nanvar(samples, axis=0))
+    return Scales(mean, np.maximum(variance, 1e-300), np.nanvar(samples, axis=0), interval)
 
 
 def _precision(motion: Motion, layout: Layout) -> Floats:
