@@ -63,7 +63,7 @@ def build_equations(
     """
     design = selections[0].fit.regression.design
     motion = design.motion
-    dynamics = Dynamics.on(motion, design.terms, [one.shown_fit.expanded(one.shown) for one in selections])
+    dynamics = Dynamics.on(motion, design.terms, [one.reported[0] for one in selections])
     windows: Sequence[float | None] = window_errors(dynamics, motion) or [None] * len(selections)
     equations = []
     for k, (selection, window) in enumerate(zip(selections, windows, strict=True)):
@@ -90,8 +90,10 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
     """
     fit = selection.fit
     regression, motion = fit.regression, fit.regression.motion
-    shown, excess = selection.reported()
-    full = None if selection.full is None else selection.shown_fit.expanded(selection.full)
+    shown, excess = selection.reported
+    full = None
+    if selection.full is not None:
+        full = (selection.full_fit or selection.shown_fit).expanded(selection.full)
     same = selection.shown is fit.posterior
     posterior = shown if same else fit.reported(fit.posterior)[0]
     train, held_out = regression.fit(shown), regression.held_out_fit(shown)
@@ -158,7 +160,9 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         adequacy = regression.record.adequacy
         lacking = adequacy.lacks(regression.k)
         coloured = adequacy.coloured([name for name in regression.chain.measured if name is not None])
-    others = alternatives_to(fit, equation.full_posterior or equation.shown_posterior, tolerance)
+    # as the likelihood has it, which other equations are compared by
+    shown = equation.full_posterior or fit.expanded(selection.shown)
+    others = alternatives_to(selection.full_fit or fit, shown, tolerance)
     spread = regression.rows.target_deviation
     excess = equation.residuals.excess if (equation.residuals.excess or 0.0) > INADEQUATE else None
     return doubted(equation.verdict, equation.target, others, lacking, coloured, spread, excess, again)

@@ -221,6 +221,11 @@ class Equation:
         return float(np.sqrt(self.shown_posterior.noise_variance))
 
     @property
+    def error_share(self) -> float | None:
+        """Share of the target's standard deviation that the terms shown leave beside noise; None where not known."""
+        return self.shown_posterior.error_share
+
+    @property
     def ci95(self) -> Floats:
         """95 % intervals of the coefficients given the included terms, (P, 2); 0 for a term not included."""
         return intervals(self.posterior)
@@ -561,11 +566,6 @@ class Equation:
         if self.fit is None:
             raise InputError("a file of equations does not hold what their posterior came from: run discover again")
         return self.fit
-
-
-def _intervals(posterior: Posterior) -> Floats:
-    half = Z95 * posterior.sd
-    return np.column_stack([posterior.coef - half, posterior.coef + half])
 
 
 def _intercept(p: Posterior) -> tuple[float, float]:

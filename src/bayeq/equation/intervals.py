@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.inference.posterior import Posterior
-from bayeq.numerics.normal import Z95
+from bayeq.numerics.normal import Z95, t95
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.mixture import mixture_of
 
@@ -44,7 +44,7 @@ class OverModels:
 
 def intervals(posterior: Posterior) -> Floats:
     """95 % intervals given a model, (P, 2); 0 for a term that is out."""
-    half = Z95 * posterior.sd
+    half = (Z95 if posterior.freedom is None else t95(posterior.freedom)) * posterior.sd
     return np.column_stack([posterior.coef - half, posterior.coef + half])
 
 

@@ -262,6 +262,7 @@ def _restore_equation(
         target_mean_variance=None
         if state.get("target_mean_variance") is None
         else float(state["target_mean_variance"]),
+        freedom=_restored_freedom(state.get("freedom")),
         n=state["n"] if isinstance(state["n"], int) else float(state["n"]),
         elbo=None if saved["elbo"] is None else float(saved["elbo"]),
         elbo_trace=np.array(state["elbo_trace"], dtype=np.float64),
@@ -278,7 +279,12 @@ def _restore_equation(
         else (float(saved["intercept"]), float(saved["intercept_sd"])),
         average=None if state["average"] is None else _restored_average(state["average"], len(terms)),
     )
-    shown = _restored_shown(posterior, saved["terms"], state["shown"])
+    shown = replace(
+        _restored_shown(posterior, saved["terms"], state["shown"]),
+        likelihood_coef=_column(saved["terms"], "likelihood_coef"),
+        likelihood_sd=_column(saved["terms"], "likelihood_sd"),
+        error_share=None if saved.get("error_share") is None else float(saved["error_share"]),
+    )
     held_out = checks["fit"]["held_out"]
     residuals = checks["residuals"]
     return Equation(
@@ -356,7 +362,12 @@ def _restored_posterior(like: Posterior, saved: Mapping[str, Any]) -> Posterior:
         center=np.array(saved.get("center", like.center), dtype=np.float64).reshape(len(support)),
         target_mean=float(saved.get("target_mean", like.target_mean)),
         target_mean_variance=None if mean_variance is None else float(mean_variance),
+        freedom=_restored_freedom(saved.get("freedom")),
     )
+
+
+def _restored_freedom(saved: Sequence[float | None] | None) -> NDArray[np.float64] | None:
+    return None if saved is None else np.array([math.inf if value is None else float(value) for value in saved])
 
 
 def _restored_verdict(saved: Mapping[str, Any]) -> Verdict:

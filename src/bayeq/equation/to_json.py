@@ -15,6 +15,7 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.forecast.results import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
+from bayeq.numerics.normal import Z95
 
 __all__ = ["FORMAT", "to_dict", "to_saved"]
 
@@ -86,6 +87,7 @@ def _equation(equation: Equation) -> dict[str, Any]:
         "intercept_printed_over_models": equation.intercept_over_models,
         "intercept_pip": shown.intercept_pip,
         "noise_sd": equation.noise_sd,
+        "error_share": equation.error_share,
         "elbo": p.elbo,
         "equation": equation.text,
         "full_equation": equation.full_text,
@@ -111,6 +113,7 @@ def _term(equation: Equation, j: int) -> dict[str, Any]:
         "shown_coef": float(shown.coef[j]),
         "shown_sd": float(shown.sd[j]),
         "shown_ci95": equation.shown_ci95[j].tolist(),
+        **_likelihood(equation, j),
         "printed_ci95": equation.printed_ci95[j].tolist(),
         "printed_over_models": bool(equation.printed_over_models[j]),
         **_averaged(equation, j),
@@ -119,6 +122,19 @@ def _term(equation: Equation, j: int) -> dict[str, Any]:
         "unit": equation.coef_units[j],
         # of a coefficient that is not included
         "bound": _known(equation.bound, j),
+    }
+
+
+def _likelihood(equation: Equation, j: int) -> dict[str, Any]:
+    """Of a term shown, the likelihood's own coefficient, where the other is its projection."""
+    shown = equation.shown_posterior
+    if shown.likelihood_coef is None or shown.likelihood_sd is None:
+        return {}
+    value, sd = float(shown.likelihood_coef[j]), float(shown.likelihood_sd[j])
+    return {
+        "likelihood_coef": value,
+        "likelihood_sd": sd,
+        "likelihood_ci95": [value - Z95 * sd, value + Z95 * sd],
     }
 
 
@@ -195,6 +211,7 @@ def to_saved(eq: Answer) -> dict[str, Any]:
                 "target_mean": e.posterior.target_mean,
                 "noise_variance": e.posterior.noise_variance,
                 "target_mean_variance": e.posterior.target_mean_variance,
+                "freedom": _freedom(e.posterior),
                 "n": e.posterior.n,
                 "n_iter": e.posterior.n_iter,
                 "elbo_trace": e.posterior.elbo_trace.tolist(),
@@ -235,4 +252,10 @@ def _saved_model(p: Posterior) -> dict[str, Any]:
         "center": p.center.tolist(),
         "target_mean": p.target_mean,
         "target_mean_variance": p.target_mean_variance,
+        "freedom": _freedom(p),
     }
+
+
+def _freedom(p: Posterior) -> list[float | None] | None:
+    """Degrees of freedom of all terms; None for infinitely many."""
+    return None if p.freedom is None else [value if math.isfinite(value) else None for value in p.freedom.tolist()]

@@ -180,6 +180,13 @@ class Posterior:
         Probability that the intercept is not zero, where it was judged like a term.
     left_out_intercept : (float, float) or None
         What the intercept would be, with its standard deviation, where it is probably zero and not in the model.
+    freedom : (P,) array or None
+        Degrees of freedom of the standard deviations; None, or infinite, of those that are known.
+    likelihood_coef, likelihood_sd : (P,) arrays or None
+        Coefficients and standard deviations of the likelihood itself, where the others are its projection.
+    error_share : float or None
+        Root mean square of what the terms leave of the right-hand side beside noise, over the target's standard
+        deviation, where that is known.
     """
 
     method: str
@@ -207,6 +214,10 @@ class Posterior:
     target_mean_variance: float | None = None
     intercept_pip: float | None = None
     left_out_intercept: tuple[float, float] | None = None
+    freedom: Floats | None = None
+    likelihood_coef: Floats | None = None
+    likelihood_sd: Floats | None = None
+    error_share: float | None = None
 
     @property
     def sd(self) -> Floats:

@@ -158,7 +158,7 @@ def marginal(
 
 
 def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value: float) -> tuple[float, Levels]:
-    """ln of the likelihood averaged over sizes of discrepancies, less that of the likeliest ones; levels of the best met.
+    """ln of the likelihood averaged over sizes of discrepancies, less that of the likeliest; levels of the best.
 
     The standard deviation of each discrepancy has a flat prior on a logarithmic scale between the bounds of `Levels`. A
     model that needs no discrepancy is as likely at any small one, and one that needs it at its size only. The

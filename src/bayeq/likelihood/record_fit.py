@@ -17,7 +17,8 @@ from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.fit import Quadratic, State, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
-from bayeq.likelihood.search import ADEQUATE, Fitted, Task, from_all_levels, resumed, search, with_model
+from bayeq.likelihood.projection import Leftover, leftover
+from bayeq.likelihood.search import ADEQUATE, Fitted, Task, fit, from_all_levels, resumed, search, with_model
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
 from bayeq.likelihood.student import with_heavy_tails
 from bayeq.ode.rk4 import Interpolation
@@ -34,6 +35,10 @@ MOST_CANDIDATES = 1000
 
 # Longer records are searched at first in stretches: rows in all, and number of stretches.
 ROWS_AT_FIRST, STRETCHES = 16_000, 4
+
+# Coefficients that are reported have this share of the prior's precision: it makes no difference where the record tells
+# them, and shrinks them where it hardly does.
+UNSHRUNK = 1e-3
 
 # The noise of an input is read from the record if the likelihoods of none, of that found and of 5 %, as a share of the
 # variance, differ by more nats than this: two standard errors.
@@ -149,6 +154,37 @@ class RecordFit:
         states = layout.kinds >= 0
         states[len(states) - len(layout.noisy) :] = False
         return float(np.sqrt((levels.channels / levels.scales.channels)[states].min()))
+
+    @cached_property
+    def unshrunk(self) -> tuple[State, Floats]:
+        """The fit under a prior that does not shrink coefficients, and their covariance."""
+        task, state = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[]), self.fitted.state
+        with np.errstate(all="ignore"):
+            state = fit(task, state, coarse=True).state
+            precision = task.precision[task.number(state.chosen)]
+            return state, marginal(task.linearised(state), state, state.levels, precision).covariance
+
+    def projectable(self, c: int, model: Bools) -> bool:
+        """Whether the smoothed right-hand side of equation c is known with the terms of a model, (P,) bool."""
+        return self.own and self.task.counted is None and bool((self.fitted.model[self.block(c)][:-1] == model).all())
+
+    def own_coefficients(self, c: int) -> tuple[Floats, Floats]:
+        """Coefficients of equation c by the likelihood, the constant last if it is in the model; their covariance."""
+        state, covariance = self.unshrunk
+        own = np.flatnonzero(state.chosen.chain == c)
+        return state.theta[own], covariance[np.ix_(own, own)]
+
+    def leftover(self, c: int) -> Leftover:
+        """What the terms of equation c leave of its smoothed right-hand side."""
+        state, _ = self.unshrunk
+        columns, d = state.chosen.term[state.chosen.chain == c], self.task.layout.discrepancy[c]
+        linears = self.task.linearised(state)
+        return leftover(
+            [linear.terms[:, columns] for linear in linears],
+            [path[:, d] for path in state.paths],
+            [one.intervals for one in self.task.series],
+            float(state.levels.target[c]),
+        )
 
     def block(self, c: int) -> slice:
         """The candidates of an equation among all."""

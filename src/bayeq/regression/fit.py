@@ -15,6 +15,7 @@ from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.engines import Engine
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
+from bayeq.likelihood.projection import projected
 from bayeq.likelihood.record_fit import RecordFit
 from bayeq.regression.channel_errors import calibrated
 from bayeq.regression.constraints import Constraints
@@ -25,6 +26,9 @@ __all__ = ["RegressionFit", "fit_regression"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+
+# Degrees of freedom of an interval, at least.
+LEAST_FREEDOM = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +120,12 @@ class RegressionFit:
 
     def _reported(self, posterior: Posterior) -> tuple[Posterior, float | None]:
         found = self.expanded(posterior)
-        if self.regression.record is not None:
-            mean_variance = found.noise_variance / found.n
-            noise = self.regression.noise_variance(found)
-            return replace(found, noise_variance=noise, target_mean_variance=mean_variance), None
+        record, k = self.regression.record, self.regression.k
+        if record is not None:
+            found = replace(found, target_mean_variance=found.noise_variance / found.n)
+            if self.coarsen == 1.0 and record.projectable(k, found.support):
+                found = self._projected(record, found, free=not self._truncated(posterior.support))
+            return replace(found, noise_variance=self.regression.noise_variance(found)), None
         if self.regression.band is None:
             return found, None
         excess = None
@@ -129,6 +135,52 @@ class RegressionFit:
                 # it is in the residual too
                 excess = None
         return replace(found, noise_variance=self.regression.noise_variance(found)), excess
+
+    def _projected(self, record: RecordFit, found: Posterior, free: bool) -> Posterior:
+        """The posterior of the terms that the record was fitted with, by projection (`bayeq.likelihood.projection`).
+
+        What is not `free`, coefficients of known sign, stays as it is but for the discrepancy, as far as signs allow.
+        """
+        k, basis, kept = self.regression.k, self.constraints.equalities.basis(found.support), found.support
+        left, (theta, covariance), r = record.leftover(k), record.own_coefficients(k), int(found.support.sum())
+        with_constant = len(theta) > r
+        whole = np.zeros((len(theta), basis.shape[1] + with_constant))
+        whole[:r, : basis.shape[1]] = basis
+        whole[r:, basis.shape[1] :] = 1.0
+        if not free or basis.shape[1] < r:
+            theta[:r], covariance[:r, :r] = found.coef[kept], found.covariance
+            covariance[r:, :r], covariance[:r, r:] = 0.0, 0.0
+        moved = projected(left, whole)
+        signs = self.prior.known_signs
+        change = moved.change
+        if signs is not None:
+            known = np.append(np.asarray(signs)[kept], np.zeros(with_constant))
+            change = np.where(known * (theta + change) < 0.0, -theta, change)
+        both = covariance + moved.covariance
+        added, total = np.diagonal(moved.covariance), np.diagonal(both)
+        freedom = moved.freedom * (total / np.maximum(added, np.finfo(float).tiny)) ** 2
+        coef, own, sd = np.zeros((3, len(kept)))
+        coef[kept], own[kept], sd[kept] = (theta + change)[:r], theta[:r], np.sqrt(np.diagonal(covariance))[:r]
+        every = np.full(len(kept), np.inf)
+        every[kept] = np.maximum(freedom[:r], LEAST_FREEDOM)
+        found = replace(
+            found,
+            coef=coef,
+            covariance=both[:r, :r],
+            freedom=every,
+            likelihood_coef=own,
+            likelihood_sd=sd,
+            error_share=moved.share,
+        )
+        if not with_constant:
+            return found
+        # about the centre the constant and the other coefficients are independent
+        center = np.zeros(len(kept))
+        if r:
+            center[kept] = -np.linalg.solve(both[:r, :r], both[:r, r])
+        mean = float((theta + change)[r] + center @ found.coef)
+        variance = max(float(both[r, r] - center[kept] @ both[:r, :r] @ center[kept]), 0.0)
+        return replace(found, center=center, target_mean=mean, target_mean_variance=variance)
 
     def reported_projection(self, full: Posterior, model: Bools) -> tuple[Posterior, float | None]:
         """The projection of a posterior of `standard` as it is reported, and the excess of the full model.

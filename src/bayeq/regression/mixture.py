@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.mixture import Mixture
 from bayeq.inference.posterior import Posterior
+from bayeq.numerics.normal import Z95, t95
 from bayeq.regression.fit import RegressionFit
 
 __all__ = ["mixture_of"]
@@ -30,8 +31,8 @@ def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = N
     fit : RegressionFit
         With the models that were averaged over, or draws.
     reported : Posterior
-        Of one model, as it is reported. In a band the standard deviations of its terms are those which the noise of the
-        channels makes: so are theirs in other models, by the same factor.
+        Of one model, as it is reported: in a band with the standard deviations that the noise of the channels makes, by
+        the likelihood of the record by projection. Its terms differ in other models by the same factor and change.
     struck : (F,) bool array, optional
         Terms that are taken out of every model, the others estimated again.
 
@@ -74,7 +75,7 @@ def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = N
 
 def _given_models(fit: RegressionFit, models: Bools, reported: Posterior) -> tuple[Bools, Floats, Floats]:
     """Of each term, then the intercept, in each model: whether it is in, mean and standard deviation, (P + 1, K)."""
-    factor, own = _scaled(fit, reported), _mean_variance(reported)
+    (factor, change), own = _moved(fit, reported), _mean_variance(reported)
     few = replace(fit.posterior, average=None, draws=None, averaged_coef=None, averaged_sd=None)
     shape = len(reported.names) + 1, len(models)
     inside, mean, sd = np.ones(shape, dtype=np.bool_), np.zeros(shape), np.zeros(shape)
@@ -82,7 +83,7 @@ def _given_models(fit: RegressionFit, models: Bools, reported: Posterior) -> tup
         coef, covariance = exact_posterior(fit.problem, model, fit.prior.known_signs)
         one = fit.expanded(replace(few, support=model, coef=coef, covariance=covariance))
         kept, wide = one.support, factor[one.support]
-        inside[:-1, k], mean[:-1, k], mean[-1, k] = kept, one.coef, one.intercept
+        inside[:-1, k], mean[:-1, k], mean[-1, k] = kept, one.coef + kept * change, one.intercept
         sd[:-1, k] = one.sd * factor
         center = one.center[kept] * wide
         sd[-1, k] = np.sqrt(own + center @ one.covariance @ center)
@@ -95,14 +96,17 @@ def _mean_variance(reported: Posterior) -> float:
     return max(reported.intercept_sd**2 - float(center @ reported.covariance @ center), 0.0)
 
 
-def _scaled(fit: RegressionFit, reported: Posterior) -> Floats:
-    """Standard deviations of a model as they are reported over those of its posterior, (P,); 1 of other terms."""
-    factor = np.ones(len(reported.names))
-    if fit.regression.band is not None and reported.support.any():
-        exact = fit.expanded(fit.conditional(reported.support[fit.constraints.equalities.kept])).sd
-        known = exact > 0.0
-        factor[known] = reported.sd[known] / exact[known]
-    return factor
+def _moved(fit: RegressionFit, reported: Posterior) -> tuple[Floats, Floats]:
+    """What a model as it is reported differs by from its posterior: factors of deviations, changes of means."""
+    factor, change = np.ones(len(reported.names)), np.zeros(len(reported.names))
+    if (fit.regression.band is not None or reported.freedom is not None) and reported.support.any():
+        exact = fit.expanded(fit.conditional(reported.support[fit.constraints.equalities.kept]))
+        known = exact.sd > 0.0
+        wide = 1.0 if reported.freedom is None else t95(reported.freedom[known]) / Z95
+        factor[known] = wide * reported.sd[known] / exact.sd[known]
+        if reported.freedom is not None:
+            change[known] = (reported.coef - exact.coef)[known]
+    return factor, change
 
 
 def _moments_given_in(whole: Posterior) -> tuple[Floats, Floats]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,13 +112,15 @@ class Selection:
     shown : Posterior
         Given the terms shown, in units of `shown_fit.standard`; probabilities are those of `fit.posterior`.
     full : Posterior, optional
-        Of the full model, where what is shown is its projection on fewer terms.
+        Of the full model, where what is shown has fewer terms, in units of `full_fit.standard`.
     why : mapping of str to str
         Terms that are included or shown and not both, with the rule that decided.
     undecided : mapping of str to tuple of str
         Terms that are shown, each with terms left out that could as well take its place.
     own : RegressionFit, optional
         What the coefficients shown come from, where the likelihood of the record is about them.
+    full_fit : RegressionFit, optional
+        What those of the full model come from.
     """
 
     fit: RegressionFit
@@ -126,6 +129,7 @@ class Selection:
     undecided: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     own: RegressionFit | None = None
     full: Posterior | None = None
+    full_fit: RegressionFit | None = None
 
     @property
     def shown_fit(self) -> RegressionFit:
@@ -142,9 +146,10 @@ class Selection:
             for j in np.flatnonzero(found.support & ~self.shown.support)
         )
 
+    @cached_property
     def reported(self) -> tuple[Posterior, float | None]:
         """What is shown in original units, and the `Residuals.excess` of a band: that of the full model."""
-        if self.full is None:
+        if self.full is None or self.shown_fit is not self.full_fit:
             return self.shown_fit.reported(self.shown)
         return self.shown_fit.reported_projection(self.full, self.shown.support)
 
@@ -178,7 +183,10 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
     if compared:
         chosen = _decided(chosen, rules.tolerance, FreeRuns(motion, fits) if motion.timed else None)
     chosen = _refitted([_limited(one, rules.max_terms) for one in chosen])
-    return _simplified(chosen, rules.tolerance, motion) if compared and motion.timed else chosen
+    if not (compared and motion.timed):
+        return chosen
+    simplified = _simplified(chosen, rules.tolerance, motion)
+    return chosen if all(one.full is None for one in simplified) else _refitted(simplified)
 
 
 def _decided(chosen: Sequence[Selection], tolerance: float, runs: FreeRuns | None) -> list[Selection]:
@@ -198,7 +206,7 @@ def _simplified(chosen: Sequence[Selection], tolerance: float, motion: Motion) -
     for k, one in enumerate(chosen):
         found = smaller.smallest(k, [other.shown for other in out])
         if found is not None:
-            out[k] = replace(one.given(found, "tolerance"), full=one.shown)
+            out[k] = replace(one.given(found, "tolerance"), full=one.shown, full_fit=one.shown_fit)
             others = smaller.other_forms(k, [other.shown for other in out])
             out[k] = replace(out[k], undecided=others)
     return out

@@ -26,8 +26,8 @@ __all__ = ["FEW_ROWS", "Motion", "MotionRows", "cut_at", "estimate_motion", "fur
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-# In records of fewer rows nothing distinguishes noise from motion: they are differentiated as they are.
-FEW_ROWS = 40
+# In fewer rows of all records together nothing distinguishes noise from motion: they are differentiated as they are.
+FEW_ROWS = 10
 
 # Noise in states that are all measured, as a share of their standard deviation, below which they are used as they are:
 # it does no harm, and what a smoother makes of motion that is not its model's may do more.
@@ -185,8 +185,8 @@ def estimate_motion(
 
     With "auto" the kinematic smoother fuses all measured channels of a chain (`bayeq.states.kinematic`), and samples
     that were dropped from a uniform grid, or are missing (NaN), are bridged: the states then have a row for each. Where
-    nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Records of less than 40
-    rows are differentiated as they are. Records without time, and states and targets that are all measured with hardly
+    nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Less than 10 rows in
+    all are differentiated as they are. Records without time, and states and targets that are all measured with hardly
     any noise, are left to `derive_states`, whose errors are those of this function, unless an input has known noise.
     Noise levels are learned from the
     training rows; the rows held out are smoothed apart.
@@ -212,7 +212,7 @@ def estimate_motion(
         Channels that are missing or cannot be used.
     """
     whole, sensors = smooth == "none", sensors or Sensors()
-    if all(record.time is not None for record in records) and max(record.n for record in records) < FEW_ROWS:
+    if all(record.time is not None for record in records) and sum(record.n for record in records) < FEW_ROWS:
         smooth = "none"
         records = records if whole else [complete_rows(record, roles) for record in records]
     smoothed = _smoothed(records, roles, smooth, share, sensors, always=band is not None)
@@ -332,8 +332,8 @@ def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth)
     lacking = None
     if any(record.time is None for record in records):
         lacking = "a time column or fs"
-    elif max(record.n for record in records) < FEW_ROWS:
-        lacking = f"a record of {FEW_ROWS} rows or more"
+    elif sum(record.n for record in records) < FEW_ROWS:
+        lacking = f"{FEW_ROWS} rows or more"
     elif smooth == "none":
         lacking = "smooth='auto'"
     if lacking is not None:

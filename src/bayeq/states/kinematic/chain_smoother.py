@@ -37,7 +37,7 @@ CHANCE = 1e-3
 INDEPENDENT = 0.6
 
 # Fewer rows in all, per derivative and one, do not tell noise from motion.
-LEAST_ROWS_PER_ORDER = 10
+LEAST_ROWS_PER_ORDER = 5
 
 
 @dataclass(frozen=True, slots=True)

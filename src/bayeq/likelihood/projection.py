@@ -1,0 +1,151 @@
+"""Coefficients by projection: the smoothed right-hand side, discrepancy included, on the terms of an equation.
+
+The likelihood fixes the sum of terms and discrepancy, not how it is divided: that depends on how long the discrepancy
+is taken to remember. Of all divisions one leaves no part of the discrepancy along the terms (orthogonal discrepancy,
+Plumlee 2017). It is one least squares of the sum on the terms, every moment with the same weight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.likelihood.fit import solved
+
+__all__ = ["Leftover", "Projected", "leftover", "projected"]
+
+Floats = NDArray[np.float64]
+
+# A batch lasts this many times as long as scores are correlated, their integrated time: batches are then independent.
+# There are at most so many.
+BATCH, MOST_BATCHES = 5.0, 64
+
+# From fewer batches no variance is estimated.
+LEAST_BATCHES = 4
+
+
+class Leftover(NamedTuple):
+    """What the terms of an equation leave of its right-hand side, in sums over batches of samples.
+
+    Attributes
+    ----------
+    products, pulls : (B, r, r) and (B, r) arrays
+        Of the columns with each other, and with the discrepancy.
+    square, weight : float
+        Of the discrepancy, its sum and its weights'.
+    target : float
+        Variance of the target.
+    courses : tuple of (n,) arrays
+        What the projection leaves of the right-hand side of each record.
+    """
+
+    products: Floats
+    pulls: Floats
+    square: float
+    weight: float
+    target: float
+    courses: tuple[Floats, ...]
+
+
+class Projected(NamedTuple):
+    """A projection.
+
+    Attributes
+    ----------
+    change : (r,) array
+        Of the coefficients, from those of the likelihood.
+    covariance : (r, r) array
+        Which that change has for what it leaves of the right-hand side; zero where batches are too few.
+    freedom : float
+        Degrees of freedom of that covariance.
+    share : float
+        Root mean square of what is left, over the target's standard deviation.
+    """
+
+    change: Floats
+    covariance: Floats
+    freedom: float
+    share: float
+
+
+def leftover(
+    columns: Sequence[Floats], discrepancies: Sequence[Floats], intervals: Sequence[Floats], target: float
+) -> Leftover:
+    """Sums over batches, which do not cross records.
+
+    Parameters
+    ----------
+    columns : sequence of (n, r) arrays
+        Terms along the smoothed path of each record, the constant among them if it is in the equation.
+    discrepancies : sequence of (n,) arrays
+        Smoothed.
+    intervals : sequence of (n - 1,) arrays
+        Between samples [s]: a sample counts by the time around it.
+    target : float
+        Variance of the target.
+    """
+    weights = [_weights(one) for one in intervals]
+    whole = sum((w[:, None] * D).T @ D for w, D in zip(weights, columns, strict=True))
+    pull = sum((w[:, None] * D).T @ d for w, D, d in zip(weights, columns, discrepancies, strict=True))
+    change = solved(np.asarray(whole), np.asarray(pull)) if np.size(pull) else np.zeros(0)
+    courses = tuple(d - D @ change for D, d in zip(columns, discrepancies, strict=True))
+    scores = [D * r[:, None] for D, r in zip(columns, courses, strict=True)]
+    total = sum(map(len, courses))
+    length = max(BATCH * _correlated(scores), total / MOST_BATCHES)
+    products, pulls = [], []
+    for w, D, d in zip(weights, columns, discrepancies, strict=True):
+        for rows in np.array_split(np.arange(len(d)), max(1, int(len(d) / length))):
+            products.append((w[rows, None] * D[rows]).T @ D[rows])
+            pulls.append((w[rows, None] * D[rows]).T @ d[rows])
+    square = sum(float(w @ d**2) for w, d in zip(weights, discrepancies, strict=True))
+    weight = sum(float(w.sum()) for w in weights)
+    return Leftover(np.array(products), np.array(pulls), square, weight, target, courses)
+
+
+def projected(left: Leftover, basis: Floats) -> Projected:
+    """The projection on coefficients that move with some free ones.
+
+    Parameters
+    ----------
+    left : Leftover
+        Sums.
+    basis : (r, f) array
+        How the coefficients move with those that are free; the identity where all are.
+    """
+    A = basis.T @ left.products.sum(axis=0) @ basis
+    pull = basis.T @ left.pulls.sum(axis=0)
+    r, batches = len(basis), len(left.pulls)
+    if not len(pull):
+        return Projected(np.zeros(r), np.zeros((r, r)), math.inf, math.sqrt(left.square / left.weight / left.target))
+    free = solved(A, pull)
+    share = math.sqrt(max(left.square - float(pull @ free), 0.0) / left.weight / left.target)
+    change, covariance, freedom = basis @ free, np.zeros((r, r)), math.inf
+    if batches >= LEAST_BATCHES:
+        scores = (left.pulls - left.products @ change) @ basis
+        half = basis @ solved(A, scores.T)
+        covariance, freedom = batches / (batches - 1.0) * half @ half.T, batches - 1.0
+    return Projected(change, covariance, freedom, share)
+
+
+def _weights(intervals: Floats) -> Floats:
+    """Time around each sample, 1 on average."""
+    around = np.append(intervals, 0.0) + np.append(0.0, intervals)
+    around[[0, -1]] *= 2.0
+    return np.asarray(around / around.mean())
+
+
+def _correlated(scores: Sequence[Floats]) -> float:
+    """Integrated correlation time of the columns that lasts longest, in samples: sums up to the first zero."""
+    longest, size = 1.0, 2 * max(map(len, scores))
+    for j in range(scores[0].shape[1]):
+        power = sum(np.abs(np.fft.rfft(one[:, j] - one[:, j].mean(), size)) ** 2 for one in scores)
+        correlation = np.fft.irfft(power)
+        if correlation[0] > 0.0:
+            correlation = correlation[: size // 2] / correlation[0]
+            stop = int(np.argmax(correlation <= 0.0)) or len(correlation)
+            longest = max(longest, 2.0 * float(correlation[:stop].sum()) - 1.0)
+    return longest
