@@ -154,15 +154,15 @@ def with_doubts(
 
 
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:
-    fit, regression = selection.shown_fit, selection.shown_fit.regression
+    fit = selection.full_fit or selection.shown_fit
+    regression, full = fit.regression, selection.shown if selection.full is None else selection.full
     lacking, coloured = None, None
     if regression.record is not None:
         adequacy = regression.record.adequacy
         lacking = adequacy.lacks(regression.k)
         coloured = adequacy.coloured([name for name in regression.chain.measured if name is not None])
     # as the likelihood has it, which other equations are compared by
-    shown = equation.full_posterior or fit.expanded(selection.shown)
-    others = alternatives_to(selection.full_fit or fit, shown, tolerance)
+    others = alternatives_to(fit, fit.expanded(full), tolerance)
     spread = regression.rows.target_deviation
     excess = equation.residuals.excess if (equation.residuals.excess or 0.0) > INADEQUATE else None
     return doubted(equation.verdict, equation.target, others, lacking, coloured, spread, excess, again)

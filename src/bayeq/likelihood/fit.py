@@ -60,6 +60,11 @@ class State:
     levels: Levels
     blurs: tuple[Blur, ...] = ()
 
+    def halfway(self, other: State) -> State:
+        """Between two states of the same model."""
+        paths = tuple(0.5 * (one + two) for one, two in zip(self.paths, other.paths, strict=True))
+        return replace(self, theta=0.5 * (self.theta + other.theta), paths=paths)
+
     def moved(
         self, layout: Layout, series: Sequence[Series], linears: Sequence[Linear], found: Sequence[Adjoint]
     ) -> State:

@@ -52,6 +52,9 @@ COARSE: dict[str, Any] = {"steps": 15, "tolerance": 1e-4, "steepest": 0.1}
 SETTLED = 0.05
 MOST_STEPS = 6
 
+# Gauss-Newton steps to where the likelihood is not finite are halved, so many times at most in a fit.
+MOST_HALVED = 4
+
 # Neighbours within WINDOW nats on the Gram are fitted, at most NEIGHBOURS of them from each model; at most MOVES moves.
 WINDOW = 6.0
 NEIGHBOURS = 8
@@ -71,6 +74,9 @@ MOST_AT_ONCE = 40
 # A neighbour is fitted from a discrepancy this many times smaller: with the right terms little of it is left.
 CALMED = 10.0
 EXPLAINS_MUCH, HARDLY_ANY = 0.3, 1e-3
+
+# Factors by which the variance of coefficients' priors may be wider, where that is likelier by so many nats.
+WIDER, CLEARLY = (10.0, 100.0), 3.0
 
 # Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
@@ -217,10 +223,19 @@ def fit(task: Task, state: State, coarse: bool = False, further: bool = True) ->
     """
     layout, series = task.layout, task.series
     number = task.number(state.chosen)
-    precision, before = task.precision[number], -np.inf
+    precision, before, last, halved = task.precision[number], -np.inf, None, 0
     for _ in range(STEPS if coarse else MOST_STEPS):
-        linears = task.linearised(state)
-        levels, found = maximised(linears, state, precision, **(COARSE if coarse else {}))
+        while True:
+            linears = task.linearised(state)
+            try:
+                levels, found = maximised(linears, state, precision, **(COARSE if coarse else {}))
+                break
+            except np.linalg.LinAlgError:
+                halved += 1
+                if last is None or halved > MOST_HALVED:
+                    raise
+                state = last.halfway(state)
+        last = state
         state, curved = improved(layout, series, linears, replace(state, levels=levels), found)
         if abs(found.value - before) < SETTLED:
             break
@@ -288,6 +303,17 @@ def with_small_discrepancy(task: Task, best: Fitted) -> Fitted:
     return again if value(again.state) > before - SETTLED else best
 
 
+def widened(task: Task, fitted: Fitted) -> Task:
+    """The task with the prior of coefficients as wide as makes the likeliest model likeliest, and no narrower.
+
+    Terms that cancel each other, as those of a growth that needs a crowd, have coefficients far larger than either
+    would need alone.
+    """
+    tasks = [task, *(replace(task, precision=task.precision / factor, recent=[]) for factor in WIDER)]
+    values = [best_models(one.problem(fitted.quadratic))[0][0] for one in tasks]
+    return tasks[int(np.argmax(np.array(values) - CLEARLY * (np.arange(len(tasks)) > 0)))]
+
+
 def likeliest(task: Task, fitted: Fitted) -> State:
     """A start for the likeliest model, cut down term by term until its motion stays near the path over a step.
 
@@ -326,13 +352,17 @@ def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fi
     seen = {now.model.tobytes()}
     log("start", now)
     for _ in range(ROUNDS):
+        task = widened(task, now)
         state = likeliest(task, now)
         model = task.model(state.chosen)
         if model.tobytes() in seen:
             break
         seen.add(model.tobytes())
-        task = finer(task, state)
-        now = fit(task, state, coarse=True)
+        try:
+            task = finer(task, state)
+            now = fit(task, state, coarse=True)
+        except np.linalg.LinAlgError:  # of no motion that it stays near
+            break
         log("round", now)
         if now.evidence > best.evidence:
             best = now
@@ -504,7 +534,10 @@ def among_neighbours(task: Task, best: Fitted, log: Callable[..., None]) -> Fitt
             model = move.apply(best.model)
             if model.tobytes() in tried:
                 continue
-            other = fit(task, calmed(with_model(task, best, model)))
+            try:
+                other = fit(task, calmed(with_model(task, best, model)))
+            except np.linalg.LinAlgError:
+                continue
             tried[model.tobytes()] = other.evidence
             log(f"  {move.gain:.1f}", other)
             if other.evidence > better.evidence:

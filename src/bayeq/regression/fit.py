@@ -158,7 +158,8 @@ class RegressionFit:
             change = np.where(known * (theta + change) < 0.0, -theta, change)
         both = covariance + moved.covariance
         added, total = np.diagonal(moved.covariance), np.diagonal(both)
-        freedom = moved.freedom * (total / np.maximum(added, np.finfo(float).tiny)) ** 2
+        # Satterthwaite, of a part that is known and one that is estimated
+        freedom = moved.freedom * (total / np.maximum(added, 1e-9 * total + np.finfo(float).tiny)) ** 2
         coef, own, sd = np.zeros((3, len(kept)))
         coef[kept], own[kept], sd[kept] = (theta + change)[:r], theta[:r], np.sqrt(np.diagonal(covariance))[:r]
         every = np.full(len(kept), np.inf)

@@ -39,6 +39,9 @@ Floats = NDArray[np.float64]
 # Fits that find the spectrum of the residuals and the coefficients of the inputs.
 PILOTS = 3
 
+# A model that leaves more of the target's variance is rejected.
+REJECTED = 0.5
+
 # Beneath the noise of the chain's channels there is white noise of at least this share of the residual.
 LEAST_FLOOR = 1e-6
 
@@ -272,7 +275,8 @@ def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gra
     """The Gram of as many rows as the residuals are worth: where they are correlated, N_eff rows instead of N.
 
     The likelihood is raised to the power N_eff/N, which widens intervals and asks more evidence of a term. Found in
-    turn, since a model of fewer terms leaves residuals that are more correlated.
+    turn, since a model of fewer terms leaves residuals that are more correlated. What a rejected model leaves, one that
+    explains less than half of the target, is the motion itself: no row is discounted by that.
 
     Parameters
     ----------
@@ -283,7 +287,10 @@ def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gra
     """
     share = 1.0
     for _ in range(PILOTS):
-        found = residuals(_pilot(gram.raised(_least(gram, share))))
+        model = _pilot(gram.raised(_least(gram, share)))
+        if gram.squared_error(model.coef) > REJECTED * gram.yty:
+            return gram
+        found = residuals(model)
         share = found.n_eff / found.n if found.correlated else 1.0
         if share == 1.0:
             break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -272,16 +273,21 @@ def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicM
     emerged = max(EMERGED, by_chance)
     if not (level[1:] > emerged * noise**2).any():
         raise RecordError("it does not stand out of its noise at any frequency; measure with less noise")
-    # the noise at the low end, if there is more of it than the smoother found
-    peak = int(np.argmax(level))
-    noise = max(noise, float(np.sqrt(level[: peak + 1].min())))
-    above = np.flatnonzero(level[1:] > emerged * noise**2)
-    if not len(above):
+    peak = 1 + int(np.argmax(level[1:]))
+    # the noise at the low end, if there is more of it than the smoother found, and else that
+    for least in (max(noise**2, float(level[: peak + 1].min())), noise**2):
+        # down from the peak: what stands out far below it is chance, or drift
+        below = np.flatnonzero(level[1 : peak + 1] <= emerged * least)
+        first = int(below[-1]) + 2 if len(below) else 1
+        if first <= peak:
+            break
+    else:
         raise RecordError(
             f"{longest.n / fs:.3g} s of training rows are too short to show below which frequency it is noise; measure"
             " longer records"
         )
-    low = float(np.fft.rfftfreq(longest.n, 1.0 / fs)[1 + above[0]])
+    noise = math.sqrt(least)
+    low = float(np.fft.rfftfreq(longest.n, 1.0 / fs)[first])
     return float(noise / (2.0 * np.pi * low) ** lowest)
 
 
