@@ -7,12 +7,17 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import bayeq as bq
 from bayeq.discovery import question
 from bayeq.equation.verdict import judge
 from bayeq.errors import DataWarning, InputError
+from bayeq.forecast.rows import rows_of
+from bayeq.forecast.windows import correlation_time, typical_period
+from bayeq.inference import gibbs
 from bayeq.regression.residuals import Fit
+from bayeq.states import estimate_motion
 
 OSCILLATOR = {"chains": "x:v:a", "inputs": ["u"]}
 
@@ -59,7 +64,7 @@ def test_none_where_free_runs_leave_the_record():
     assert eq[0].held_out.r2 > 0.9
     assert eq.scores.free_run["x"] > 0.8
     assert eq.verdict.kind == "none"
-    assert "free runs over windows of one period are no better than the mean" in eq.verdict.reason
+    assert "free runs over windows of one correlation time are no better than the mean" in eq.verdict.reason
     assert any("no equation found" in message for message in eq.warnings)
 
 
@@ -88,7 +93,119 @@ def test_chaotic_motion_is_followed_over_a_period():
     ],
 )
 def test_what_decides(r2, noise, window, kind):
-    assert judge("a", Fit(1000, r2, np.sqrt(1 - r2)), True, noise, window).kind == kind
+    runs = None if window is None else (window, "one period")
+    assert judge("a", Fit(1000, r2, np.sqrt(1 - r2)), True, noise, runs).kind == kind
+
+
+@pytest.mark.parametrize(
+    ("r2", "noise", "share", "kind", "why"),
+    [
+        # of the 0.4 above the error of the estimate the terms explain 0.3, or 0.1
+        (0.3, 0.6, 1.0, "found", "R2 0.3 on the held-out rows; free runs over"),
+        (0.1, 0.6, 1.0, "none", "the terms explain little of a"),
+        # little is left above the error of the estimate: runs decide
+        (-0.5, 0.95, 1.0, "found", "free runs over one correlation time within 30 %"),
+        # rows at rest
+        (-3.0, 0.0, 0.05, "found", "R2 0.8 on the held-out rows, at rest, by the variance of the whole motion"),
+        (-30.0, 0.0, 0.05, "none", "R2 -0.55, worse than the mean, at rest, by the variance of the whole motion"),
+        # rows that move, though less than others
+        (-0.5, 0.0, 0.2, "none", "the terms explain little of a"),
+    ],
+)
+def test_what_decides_on_a_target_that_is_estimated(r2, noise, share, kind, why):
+    fit = Fit(1000, r2, np.sqrt(1 - r2))
+    verdict = judge("a", fit, True, noise, (0.3, "one correlation time"), True, share)
+    assert verdict.kind == kind
+    assert why in verdict.reason
+    assert judge("a", fit, True, noise, (1.0, "one period"), True, share).kind == "none"
+
+
+def solved(rate, start, seconds, rows):
+    t = np.linspace(0.0, seconds, rows)
+    return t, solve_ivp(lambda _, x: rate(x), (0.0, seconds), start, t_eval=t, rtol=1e-10, atol=1e-12).y
+
+
+def noisy(states, share, seed):
+    rng = np.random.default_rng(seed)
+    return [x + share * x.std() * rng.normal(size=len(x)) for x in states]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_epidemic_that_is_over_is_found(seed):
+    t, states = solved(lambda x: [-1.5 * x[0] * x[1], 1.5 * x[0] * x[1] - 0.4 * x[1]], [0.99, 0.01], 30.0, 300)
+    s, i = noisy(states, 0.02, seed)
+    eq = quietly(bq.Record.from_arrays(S=s, I=i, time=t), chains=["S", "I"], dictionary="polynomial:2")
+    assert [set(one.shown) for one in eq] == [{"S*I"}, {"I", "S*I"}]
+    assert eq.verdict.kind == "found"
+    assert "at rest, by the variance of the whole motion" in eq.verdict.reason
+    # no equation of other terms is
+    wrong = quietly(bq.Record.from_arrays(S=s, I=i, time=t), chains=["S", "I"], dictionary="polynomial:1")
+    assert wrong.verdict.kind == "none"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_ring_down_that_has_died_out_is_not_none(seed):
+    t, states = solved(lambda x: [x[1], -0.5 * x[1] - 25.0 * x[0]], [1.0, 0.0], 24.0, 1200)
+    x, _ = noisy(states, 0.02, seed)
+    eq = quietly(bq.Record.from_arrays(x=x, time=t), chains="x::", dictionary=["x", "x**2", "x**3", "dx", "dx**3"])
+    assert set(eq[0].shown) == {"x", "dx"}
+    assert eq.verdict.kind != "none"
+
+
+def test_an_equation_without_terms_is_none():
+    walk = np.random.default_rng(1).normal(size=400).cumsum()  # nothing but chance moves it
+    eq = quietly(bq.Record.from_arrays(x=walk.cumsum(), fs=10.0), chains="x::", dictionary=["x", "dx", "x**3"])
+    assert not eq[0].shown
+    assert eq.verdict.kind == "none"
+    assert eq[0].verdict.reason == "no equation found: no term of the dictionary is in the equation"
+
+
+def test_an_engine_that_did_not_converge_finds_nothing(monkeypatch):
+    # chains of a few sweeps are told from others that have settled by their R-hat
+    monkeypatch.setattr(gibbs, "RHAT_LIMIT", 1.0)
+    eq = quietly(
+        bq.simulate("duffing", n=1000, seed=1), **OSCILLATOR, dictionary=["x", "v", "x**3", "u"], method="gibbs"
+    )
+    assert not eq[0].posterior.converged
+    assert eq.verdict.kind == "not determined"
+    assert "did not converge" in eq.verdict.reason
+    assert eq.verdict.advice == "give fewer candidate terms, or compare with another method"
+
+
+# --- how long runs are -----------------------------------------------------------------------------------------------
+
+
+def lorenz(x):
+    return [10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]]
+
+
+def relaxing(x):
+    return [x[1], 5 * (1 - x[0] ** 2) * x[1] - x[0]]
+
+
+@pytest.mark.parametrize(
+    ("rate", "start", "seconds", "chains", "low", "high"),
+    [
+        (lorenz, [-8.0, 7.0, 27.0], 40.0, ["x", "y", "z"], 0.1, 0.4),
+        # a relaxation oscillation has some periods of 2 pi sd(x)/sd(x') in one of its own
+        (relaxing, [1.0, 1.0], 80.0, ["x:y:"], np.inf, np.inf),
+        (lambda x: [x[1], -0.5 * x[1] - 25 * x[0]], [1.0, 0.0], 24.0, ["x:y:"], np.inf, np.inf),
+    ],
+)
+def test_only_chaotic_motion_is_followed_for_less_than_a_period(rate, start, seconds, chains, low, high):
+    t, states = solved(rate, start, seconds, 4000)
+    record = bq.Record.from_arrays(dict(zip("xyz", states, strict=False)), time=t)
+    eq = quietly(record, chains=chains, dictionary=["x", "y"])
+    rows = rows_of(estimate_motion([record], eq.roles), "a free run")
+    dynamics = eq.dynamics()
+    assert low <= correlation_time(dynamics, rows, typical_period(dynamics, rows)) <= high
+
+
+def test_a_force_keeps_runs_at_one_period():
+    record = bq.simulate("duffing", n=2000, seed=1)
+    eq = quietly(record, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
+    rows = rows_of(estimate_motion([record], eq.roles), "a free run")
+    assert correlation_time(eq.dynamics(), rows, 0.1) == np.inf
 
 
 def test_a_system_is_as_bad_as_its_worst_equation():

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from bayeq.equation import along
 from bayeq.equation.equations import Equations
 from bayeq.equation.prepare import prepared
-from bayeq.equation.verdict import AS_THE_MEAN, window_errors
+from bayeq.equation.verdict import AS_THE_MEAN, state_noise, window_errors
 from bayeq.errors import DataWarning, InputError
 from bayeq.forecast.results import percentages
 from bayeq.forecast.run import Forecast
 from bayeq.numerics.normal import Z95
 from bayeq.records import Record, counts_rows
 from bayeq.records.units import conversion
-from bayeq.states import Motion, estimate_motion
+from bayeq.states import estimate_motion
 
 __all__ = ["Error", "Prediction", "apply_to", "as_equations_have_them"]
 
@@ -248,10 +248,10 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
         }
         motion = estimate_motion(pieces, equations.roles, equations.smooth, sensors=equations.data.sensors)
         windows = window_errors(equations.dynamics(), motion)
-    noise = _noise_of_states(motion)
+    noise = state_noise(motion)
     forecasts = [run for _, run in runs]
     free_run = {name: _free_run(name, forecasts, noise.get(name, 0.0), e) for name, e in scores.free_run.items()}
-    by_target = {} if windows is None else dict(zip((one.target for one in equations), windows, strict=True))
+    by_target = {one.target: error for one, (error, _) in zip(equations, windows or [], strict=windows is not None)}
     kind, reason = _verdict(one_step, free_run, by_target)
     timed = not equations.data.rows_as_time
     return Prediction(
@@ -303,16 +303,6 @@ def _single_step(equations: Equations, k: int, pieces: Sequence[Record], nrmse: 
         inside += int(np.count_nonzero(np.abs(piece[target] - mean)[there] <= Z95 * sd[there]))
         known += int(there.sum())
     return Error(nrmse, nrmse * float(np.nanstd(samples)), unit, inside / known if known else None)
-
-
-def _noise_of_states(motion: Motion) -> dict[str, float]:
-    """Standard deviation of the noise of each measured state, where a smoother has learned it from the records."""
-    out = {}
-    for chain, smoothing in zip(motion.roles.chains, motion.smoothing, strict=False):
-        for name, sd, gain in zip(chain.names, smoothing.model.noise_sd, smoothing.unit_gains, strict=True):
-            if sd is not None:
-                out[name] = abs(sd * float(gain))
-    return out
 
 
 def _free_run(name: str, runs: Sequence[Forecast], noise: float, nrmse: float) -> Error:

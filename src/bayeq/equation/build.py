@@ -64,7 +64,7 @@ def build_equations(
     design = selections[0].fit.regression.design
     motion = design.motion
     dynamics = Dynamics.on(motion, design.terms, [one.reported[0] for one in selections])
-    windows: Sequence[float | None] = window_errors(dynamics, motion) or [None] * len(selections)
+    windows: Sequence[tuple[float, str] | None] = window_errors(dynamics, motion) or [None] * len(selections)
     equations = []
     for k, (selection, window) in enumerate(zip(selections, windows, strict=True)):
         equation = replace(build_equation(selection, window), units=units)
@@ -73,20 +73,23 @@ def build_equations(
             equation = replace(
                 equation, train=former.train, held_out=former.held_out, verdict=former.verdict, scored=former
             )
+        if not equation.shown and equation.verdict.kind != "none":
+            without = Verdict("none", "no equation found: no term of the dictionary is in the equation")
+            equation = replace(equation, verdict=without)
         warn_of(equation, selection, log)
         equations.append(equation)
     return tuple(equations), held_out_scores(dynamics, motion)
 
 
-def build_equation(selection: Selection, window: float | None) -> Equation:
+def build_equation(selection: Selection, window: tuple[float, str] | None) -> Equation:
     """The equation of a selection, its fits and diagnostics.
 
     Parameters
     ----------
     selection : Selection
         Terms included and shown.
-    window : float or None
-        Error of free runs over windows, as a share of the states' spread; None where there are none.
+    window : (float, str) or None
+        From `bayeq.equation.verdict.window_errors`.
     """
     fit = selection.fit
     regression, motion = fit.regression, fit.regression.motion
@@ -99,7 +102,9 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
     train, held_out = regression.fit(shown), regression.held_out_fit(shown)
     judged, gram = (train, regression.rows) if held_out is None else (held_out, regression.held_out)
     assert gram is not None
-    noise = noise_share(regression, gram.yty / gram.n)
+    variance, whole = gram.yty / gram.n, gram if held_out is None else regression.rows.select([]) + gram.select([])
+    noise, share = noise_share(regression, variance), variance / (whole.yty / whole.n) if whole.yty > 0.0 else 1.0
+    estimated = regression.record is not None and regression.chain.measured[-1] is None
     residuals = regression.residuals(shown, (*motion.roles.inputs, *motion.roles.states))
     differ = {
         term.text: _rule(selection, term.text)
@@ -107,7 +112,6 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
         if inside != seen
     }
     bound = bounds(fit)
-    estimated = regression.record is not None and regression.chain.measured[-1] is None
     return Equation(
         chain=regression.chain,
         unit_gains=tuple(motion.unit_gains[regression.k].tolist()),
@@ -117,7 +121,7 @@ def build_equation(selection: Selection, window: float | None) -> Equation:
         train=train,
         held_out=held_out,
         residuals=replace(residuals, excess=excess, discrepancy=_discrepancy(regression)),
-        verdict=judge(regression.chain.target, judged, held_out is not None, noise, window, estimated),
+        verdict=judge(regression.chain.target, judged, held_out is not None, noise, window, estimated, share),
         runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.method].spike_slab else (),
         fit=fit,
         shown_fit=selection.own,
@@ -154,6 +158,9 @@ def with_doubts(
 
 
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:
+    if not equation.posterior.converged and equation.verdict.kind != "none":
+        reason = f"{equation.posterior.method} did not converge: probabilities of terms may be off"
+        return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
     fit = selection.full_fit or selection.shown_fit
     regression, full = fit.regression, selection.shown if selection.full is None else selection.full
     lacking, coloured = None, None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.rows import divided, rows_of
-from bayeq.forecast.windows import typical_period, window_runs
+from bayeq.forecast.windows import correlation_time, typical_period, window_runs
 from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
@@ -20,7 +20,7 @@ from bayeq.selection.alternatives import Alternatives
 from bayeq.selection.excitation import Repeating
 from bayeq.states import Motion
 
-__all__ = ["KINDS", "Verdict", "doubted", "judge", "noise_share", "window_errors", "worst"]
+__all__ = ["KINDS", "Verdict", "doubted", "judge", "noise_share", "state_noise", "window_errors", "worst"]
 
 Floats = NDArray[np.float64]
 
@@ -41,6 +41,9 @@ NOTHING = 0.005
 # A run over a window that errs by the states' own spread is no better than their mean.
 AS_THE_MEAN = 1.0
 
+# Rows are at rest where what stands above the noise has less than this share of the variance of the whole motion.
+AT_REST = 0.1
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
@@ -50,9 +53,11 @@ class Verdict:
     ----------
     kind : "none", "not determined", "nearly true" or "found"
         ``none``: on the rows held out (on the training rows, if none are) the equation explains less than half of what
-        stands above the noise of the target, or free runs over windows of one period are no better than the mean.
-        ``not determined``: equations that predict otherwise have more than 5 % of the probability, or the motion
-        repeats itself and does not tell the candidates apart (`bayeq.selection.excitation`).
+        stands above the noise of the target, or free runs over windows of one period (chaotic motion: of the time in
+        which its autocorrelation falls to 1/e) err by the spread and noise of the whole motion or more; or no term is
+        in the equation. Rows at rest are compared with the variance of the whole motion.
+        ``not determined``: the engine did not converge, equations that predict otherwise have more than 5 % of the
+        probability, or the motion repeats itself and does not tell the candidates apart (`bayeq.selection.excitation`).
         ``nearly true``: the motion needs a force that the dictionary does not hold, or what is left of a channel is not
         white noise (`bayeq.likelihood.adequacy`).
     reason : str
@@ -70,7 +75,13 @@ class Verdict:
 
 
 def judge(
-    target: str, fit: Fit, held_out: bool, noise: float, window: float | None, target_estimated: bool = False
+    target: str,
+    fit: Fit,
+    held_out: bool,
+    noise: float,
+    window: tuple[float, str] | None,
+    target_estimated: bool = False,
+    share: float = 1.0,
 ) -> Verdict:
     """The verdict on one equation.
 
@@ -79,40 +90,43 @@ def judge(
     target : str
         Its left-hand side.
     fit : Fit
-        On the rows held out, or on the training rows.
+        On the rows held out, or on the training rows; of an estimated target, of what the smoother makes of both sides.
     held_out : bool
         Which of them.
     noise : float
-        Share of the target's variance that is noise, as far as it is known.
-    window : float or None
-        Error of free runs over windows, as a share of the states' spread; None where there are none.
+        Share of the target's variance on these rows that is noise, or error of its estimate, as far as it is known.
+    window : (float, str) or None
+        Error of free runs over windows, from `window_errors`, and how long these are; None where there are none.
     target_estimated : bool
-        Whether the target is no measurement but a smoother's, and runs tell more.
+        Whether the target is no measurement but a smoother's: where it is hardly more than its error, runs decide.
+    share : float
+        The target's variance on these rows as a share of that over the whole motion.
     """
-    if target_estimated and window is not None:
-        if not window < AS_THE_MEAN:
-            return Verdict(
-                "none", "no equation found: free runs over windows of one period are no better than the mean"
-            )
-        return Verdict("found", f"free runs over one period within {100 * window:.2g} %")
     where = f"the {'held-out' if held_out else 'training'} rows"
-    explained = f"R2 {fit.r2:.3g}" if fit.r2 >= NOTHING else "R2 0.00"
-    if fit.r2 < -NOTHING:
-        explained = f"R2 {fit.r2:.2g}, worse than the mean"
+    r2, of_all, limit = fit.r2, "", 3.0 * math.sqrt(2.0 / max(fit.n, 1))
     # the variance of n rows errs by sqrt(2/n) of itself: less than that tells nothing of what is above the noise
-    signal = 1.0 - noise
-    above = fit.r2 / signal if signal > 3.0 * math.sqrt(2.0 / max(fit.n, 1)) else fit.r2
-    if max(above, fit.r2) < LEAST_R2:
-        return Verdict("none", f"no equation found: the terms explain little of {target} on {where} ({explained})")
+    signal, signal_of_all = 1.0 - noise, 1.0 - share * noise
+    if signal_of_all > limit and share * signal < AT_REST * signal_of_all:
+        r2, signal = 1.0 - share * (1.0 - r2), signal_of_all
+        of_all = ", at rest, by the variance of the whole motion"
+    explained = f"R2 {r2:.3g}" if r2 >= NOTHING else "R2 0.00"
+    if r2 < -NOTHING:
+        explained = f"R2 {r2:.2g}, worse than the mean"
+    above = r2 / signal if signal > limit else r2
+    by_runs = target_estimated and window is not None and not signal > limit
+    if max(above, r2) < LEAST_R2 and not by_runs:
+        failed = f"the terms explain little of {target} on {where} ({explained}{of_all})"
+        return Verdict("none", f"no equation found: {failed}")
+    rows = "" if by_runs else f"{explained} on {where}{of_all}"
     if window is None:
-        return Verdict("found", f"{explained} on {where}")
-    if not window < AS_THE_MEAN:
-        return Verdict(
-            "none",
-            f"no equation found: free runs over windows of one period are no better than the mean, though the terms"
-            f" explain {target} row by row ({explained} on {where})",
-        )
-    return Verdict("found", f"{explained} on {where}; free runs over one period within {100 * window:.2g} %")
+        return Verdict("found", rows)
+    error, length = window
+    if not error < AS_THE_MEAN:
+        though = f", though the terms explain {target} row by row ({rows})" if rows else ""
+        failed = f"free runs over windows of {length} are no better than the mean"
+        return Verdict("none", f"no equation found: {failed}{though}")
+    runs = f"free runs over {length} within {100 * error:.2g} %"
+    return Verdict("found", f"{rows}; {runs}" if rows else runs)
 
 
 def doubted(
@@ -206,35 +220,52 @@ def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
 
 
 def noise_share(regression: Regression, variance: float) -> float:
-    """Share of a measured target's variance that is noise, where the smoother has learned it; else 0."""
-    chain, smoothing = regression.chain, regression.motion.smoothing
-    if chain.measured[-1] is None or not smoothing or not variance > 0.0:
-        return 0.0
-    own = smoothing[regression.k]
-    sd = own.model.noise_sd[chain.order]
-    return 0.0 if sd is None else min(float((sd * own.unit_gains[chain.order]) ** 2 / variance), 1.0)
+    """Share of a target's variance that is noise, where the smoother has learned it; else 0.
+
+    Of an estimated target it is the posterior variance of the estimate, more than what a filter of both sides leaves.
+    """
+    motion, target = regression.motion, regression.chain.target
+    own = motion.estimated_by(regression.k)
+    error = state_noise(motion).get(target, 0.0) ** 2 if own is None else own.target_variance
+    return min(error / variance, 1.0) if variance > 0.0 else 0.0
 
 
-def window_errors(dynamics: Dynamics, motion: Motion) -> list[float] | None:
-    """Errors of free runs over windows of one period, one per chain, as shares of the spread of its states.
+def state_noise(motion: Motion) -> dict[str, float]:
+    """Standard deviation of the noise of each measured channel of the chains, where a smoother has learned it."""
+    out = {}
+    for chain, smoothing in zip(motion.roles.chains, motion.smoothing, strict=False):
+        for name, sd, gain in zip(chain.measured, smoothing.model.noise_sd, smoothing.unit_gains, strict=True):
+            if name is not None and sd is not None:
+                out[name] = abs(sd * float(gain))
+    return out
+
+
+def window_errors(dynamics: Dynamics, motion: Motion) -> list[tuple[float, str]] | None:
+    """Errors of free runs over windows, in units of the spread and noise of the states over the whole motion.
 
     Each is the median over windows of the rows held out, or of the training rows if none are. A window is one period
-    long, 2 pi sd(x)/sd(x'), over which chaotic motion can be followed too.
+    long, 2 pi sd(x)/sd(x') of the whole motion; that of chaotic motion at most `correlation_time`.
 
     Returns
     -------
-    list of float or None
-        Infinite where most runs blow up; None without time, or where rows are too few for a window.
+    list of (float, str) or None
+        Infinite where most runs blow up; how long the windows are. None without time, or with too few rows.
     """
     if not motion.timed:
         return None
-    train, held_out = divided(motion, rows_of(motion, "a free run"))
+    whole = rows_of(motion, "a free run")
+    states = np.concatenate([rows.stack(dynamics.states) for rows in whole])
+    unit = np.hypot(states.std(axis=0), [state_noise(motion).get(name, 0.0) for name in dynamics.states])
+    period = typical_period(dynamics, whole)
+    shorter = correlation_time(dynamics, whole, period)
+    train, held_out = divided(motion, whole)
     for part in (held_out, train):
         pieces = [rows for rows in part if rows.n > 1]
         if pieces:
-            windows = window_runs(dynamics, pieces, typical_period(dynamics, pieces))
+            windows = window_runs(dynamics, pieces, min(period, shorter), unit=unit)
             if windows:
-                return _errors_by_chain(dynamics, windows)
+                length = "one correlation time" if shorter < period else "one period"
+                return [(error, length) for error in _errors_by_chain(dynamics, windows)]
     return None
 
 

@@ -13,13 +13,17 @@ from bayeq.forecast.free_run import mean_run, state_range
 from bayeq.forecast.rows import Rows
 from bayeq.states import rates
 
-__all__ = ["apart", "typical_period", "window_runs"]
+__all__ = ["apart", "correlation_time", "typical_period", "window_runs"]
 
 Floats = NDArray[np.float64]
 
 # Windows over all records, and the least rows of one.
 WINDOWS = 12
 LEAST_ROWS = 8
+
+# Autocorrelations have fallen below this one; motion that comes back above it within some periods repeats itself.
+FALLEN = math.exp(-1.0)
+RETURNS = 3.0
 
 
 def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
@@ -32,10 +36,30 @@ def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
     return min(periods)
 
 
+def correlation_time(dynamics: Dynamics, pieces: Sequence[Rows], period: float) -> float:
+    """First lag [s] at which the autocorrelation of chaotic motion falls to 1/e; infinite for other motion.
+
+    Chaotic is what nothing drives and what does not come back: within three typical periods the autocorrelation, the
+    mean over the states of the longest record, does not rise above 1/e again, as that of an oscillation does; motion
+    that dies out at once is taken for it. The time is that of a window's least rows or more.
+    """
+    rows = max(pieces, key=lambda one: one.n)
+    if dynamics.roles.drivers or not math.isfinite(period):
+        return math.inf
+    step = float(np.median(np.diff(rows.time)))
+    states = rows.stack(dynamics.states)
+    states = (states - states.mean(axis=0)) / np.where(np.ptp(states, axis=0) > 0, states.std(axis=0), 1.0)
+    power = np.mean(np.abs(np.fft.rfft(states, 2 * rows.n, axis=0)) ** 2, axis=1)
+    lags = min(round(RETURNS * period / step) + 1, rows.n // 2)
+    low = np.fft.irfft(power)[:lags] / (rows.n - np.arange(lags)) < FALLEN
+    fallen = int(np.argmax(low))
+    return max(fallen, LEAST_ROWS - 1) * step if low[fallen:].all() and low.any() else math.inf
+
+
 def window_runs(
-    dynamics: Dynamics, pieces: Sequence[Rows], duration: float, parameters: Floats | None = None
+    dynamics: Dynamics, pieces: Sequence[Rows], duration: float, theta: Floats | None = None, unit: Floats | None = None
 ) -> list[tuple[Floats, Floats]]:
-    """Free runs over windows of some seconds, and the states that they are to follow, in units of their spread.
+    """Free runs over windows of some seconds, and the states that they are to follow, in some unit.
 
     Each starts at the states of its first row. Windows are at most half a record, and overlap where it is short; there
     is none where no record is long enough.
@@ -48,13 +72,15 @@ def window_runs(
         Records, even or uneven steps of time.
     duration : float
         [s].
-    parameters : (p,) array, optional
+    theta : (p,) array, optional
         Of the equations; by default their posterior means.
+    unit : (d,) array, optional
+        Of each state; by default its spread over these rows.
     """
-    theta = dynamics.mean if parameters is None else parameters
+    theta = dynamics.mean if theta is None else theta
     states = [rows.stack(dynamics.states) for rows in pieces]
     whole = np.concatenate(states)
-    spread = whole.std(axis=0)
+    spread = whole.std(axis=0) if unit is None else unit
     scale = np.where(spread > 0, spread, 1.0)
     limits = state_range(whole)
     out = []

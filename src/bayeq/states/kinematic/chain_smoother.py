@@ -59,6 +59,8 @@ class ChainSmoothing:
     coordinate_sd : float or None
         Where the coordinate is not measured: the standard deviation with which each of its samples is taken to be zero,
         so that it is bounded.
+    target_variance : float
+        Posterior variance of the highest derivative given the samples, in its unit: the median over rows.
     """
 
     model: KinematicModel
@@ -66,6 +68,7 @@ class ChainSmoothing:
     noise_ratio: float
     unit_gains: Floats
     coordinate_sd: float | None = None
+    target_variance: float = 0.0
 
     def information(self, frequency: Floats) -> Floats:
         """J(f), the inverse variance of the noise in the coordinate at frequencies [Hz]: sum of omega^(2k)/R_k."""
@@ -202,10 +205,12 @@ def smooth_chain(
         except RecordError as error:
             raise RecordError(f"{where}: {chain.measured[chain.lowest]!r} cannot be integrated: {error}") from None
         whole, model = [_bounded(s) for s in whole], replace(model, noise_sd=(bound, *model.noise_sd[1:]))
-    means = []
+    means, target = [], []
     for s, cut in zip(whole, cuts, strict=True):
         parts = [s.take(slice(0, cut)), *([s.take(slice(cut, s.n))] if s.n - cut > 1 else [])]
-        smoothed = [smooth_kinematic(_in_units(part, gains), model).mean[:, : chain.order + 1] for part in parts]
+        given_all = [smooth_kinematic(_in_units(part, gains), model) for part in parts]
+        target += [one.sd[:, chain.order] for one in given_all]
+        smoothed = [one.mean[:, : chain.order + 1] for one in given_all]
         if s.n - cut == 1:
             smoothed.append(smoothed[0][-1:])
         means.append(np.concatenate(smoothed) * gains)
@@ -214,7 +219,8 @@ def smooth_chain(
     for k in states:
         samples = np.concatenate([np.asarray(s.channels[k]) for s in series])
         ratio = max(ratio, float(model.noise_sd[k] or 0.0) * abs(gains[k]) / float(np.nanstd(samples)))
-    return means, ChainSmoothing(model, _rate(series), ratio, gains, bound)
+    error = float(np.median(np.concatenate(target)) * gains[-1]) ** 2
+    return means, ChainSmoothing(model, _rate(series), ratio, gains, bound, error)
 
 
 def smooth_further(record: Record, chain: Chain, smoothing: ChainSmoothing) -> Floats:
