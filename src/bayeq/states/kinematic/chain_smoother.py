@@ -219,8 +219,8 @@ def smooth_chain(
     for k in states:
         samples = np.concatenate([np.asarray(s.channels[k]) for s in series])
         ratio = max(ratio, float(model.noise_sd[k] or 0.0) * abs(gains[k]) / float(np.nanstd(samples)))
-    error = float(np.median(np.concatenate(target)) * gains[-1]) ** 2
-    return means, ChainSmoothing(model, _rate(series), ratio, gains, bound, error)
+    variance = float(np.median(np.concatenate(target)) * gains[-1]) ** 2
+    return means, ChainSmoothing(model, _rate(series), ratio, gains, bound, variance)
 
 
 def smooth_further(record: Record, chain: Chain, smoothing: ChainSmoothing) -> Floats:
