@@ -30,7 +30,7 @@ MEMORY = (0.02, 0.999)
 # A discrepancy forgets in this share of the motion's own time: one that remembers longer relaxes as a law does, and
 # stands in for it; one that forgets sooner leaves a slow force that nobody measured to false terms
 # (docs/tables/memory.csv).
-OWN_TIME = 0.5
+OWN_TIME = 0.4
 
 # The likelihood is about as sharp in the size of an input's steps as this share of its samples makes it.
 # Of discrepancies, which may be hardly there, it tells between nothing and as much: the geometric mean stands for that.

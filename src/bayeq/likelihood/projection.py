@@ -21,11 +21,11 @@ __all__ = ["Leftover", "Projected", "leftover", "projected"]
 Floats = NDArray[np.float64]
 
 # A batch lasts this many times as long as scores are correlated, their integrated time: batches are then independent.
-# There are at most so many.
-BATCH, MOST_BATCHES = 5.0, 64
+# There are so many at most, and so many even where a slow force acts, whose scores with fast terms are short.
+BATCH, MOST_BATCHES, ENOUGH = 5.0, 64, 16
 
-# From fewer batches no variance is estimated.
-LEAST_BATCHES = 4
+# A batch has this many rows at least; from fewer batches no variance is estimated.
+LEAST_ROWS, LEAST_BATCHES = 8, 4
 
 
 class Leftover(NamedTuple):
@@ -95,7 +95,7 @@ def leftover(
     courses = tuple(d - D @ change for D, d in zip(columns, discrepancies, strict=True))
     scores = [D * r[:, None] for D, r in zip(columns, courses, strict=True)]
     total = sum(map(len, courses))
-    length = max(BATCH * _correlated(scores), total / MOST_BATCHES)
+    length = max(min(BATCH * _correlated(scores), total / ENOUGH), total / MOST_BATCHES, LEAST_ROWS)
     products, pulls = [], []
     for w, D, d in zip(weights, columns, discrepancies, strict=True):
         for rows in np.array_split(np.arange(len(d)), max(1, int(len(d) / length))):

@@ -75,6 +75,9 @@ MOST_AT_ONCE = 40
 CALMED = 10.0
 EXPLAINS_MUCH, HARDLY_ANY = 0.3, 1e-3
 
+# Steps that a discrepancy which explained much is kept away, while path and coefficients find each other.
+CALM_STEPS = 3
+
 # Factors by which the variance of coefficients' priors may be wider, where that is likelier by so many nats.
 WIDER, CLEARLY = (10.0, 100.0), 3.0
 
@@ -214,21 +217,22 @@ class Fitted:
 Alternative = Callable[[Task, Fitted], tuple[Task, State]]
 
 
-def fit(task: Task, state: State, coarse: bool = False, further: bool = True) -> Fitted:
+def fit(task: Task, state: State, coarse: bool = False, further: bool = True, calm: int = 0) -> Fitted:
     """Fit a model by Gauss-Newton steps, levels learned about each.
 
     Where another size of a discrepancy turns out to be likelier the fit goes on from there, once (`further`): a search
-    does not leave a discrepancy of nothing, about which the likelihood is flat. A coarse fit takes few steps, and its
-    evidence is that of the likeliest discrepancies.
+    does not leave a discrepancy of nothing, about which the likelihood is flat. In the first steps, `calm` of them,
+    discrepancies stay as they are. A coarse fit takes few steps; its evidence is that of the likeliest discrepancies.
     """
     layout, series = task.layout, task.series
     number = task.number(state.chosen)
     precision, before, last, halved = task.precision[number], -np.inf, None, 0
-    for _ in range(STEPS if coarse else MOST_STEPS):
+    for step in range(STEPS if coarse else MOST_STEPS + calm):
+        held = state.levels.of_discrepancies if step < calm else None
         while True:
             linears = task.linearised(state)
             try:
-                levels, found = maximised(linears, state, precision, **(COARSE if coarse else {}))
+                levels, found = maximised(linears, state, precision, held, **(COARSE if coarse else {}))
                 break
             except np.linalg.LinAlgError:
                 halved += 1
@@ -237,7 +241,7 @@ def fit(task: Task, state: State, coarse: bool = False, further: bool = True) ->
                 state = last.halfway(state)
         last = state
         state, curved = improved(layout, series, linears, replace(state, levels=levels), found)
-        if abs(found.value - before) < SETTLED:
+        if abs(found.value - before) < SETTLED and step >= calm:
             break
         before = found.value
     linears = task.linearised(state)
@@ -271,8 +275,9 @@ def from_all_levels(task: Task, state: State) -> Fitted:
     Levels of another model may keep a discrepancy that nothing needs any more.
     """
     found = [fit(task, state)]
+    much = bool((state.levels.kappa > EXPLAINS_MUCH).any())
     try:
-        found.append(fit(task, calmed(state)))
+        found.append(fit(task, calmed(state), calm=CALM_STEPS if much else 0))
     except np.linalg.LinAlgError:
         return found[0]
     return max(found, key=lambda one: one.evidence)
