@@ -157,7 +157,7 @@ def test_an_equation_without_terms_is_none():
     eq = quietly(bq.Record.from_arrays(x=walk.cumsum(), fs=10.0), chains="x::", dictionary=["x", "dx", "x**3"])
     assert not eq[0].shown
     assert eq.verdict.kind == "none"
-    assert eq[0].verdict.reason == "no equation found: no term of the dictionary is in the equation"
+    assert eq[0].verdict.reason == "no equation found: no candidate term is in the equation"
 
 
 def test_an_engine_that_did_not_converge_finds_nothing(monkeypatch):

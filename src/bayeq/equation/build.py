@@ -74,7 +74,7 @@ def build_equations(
                 equation, train=former.train, held_out=former.held_out, verdict=former.verdict, scored=former
             )
         if not equation.shown and equation.verdict.kind != "none":
-            without = Verdict("none", "no equation found: no term of the dictionary is in the equation")
+            without = Verdict("none", "no equation found: no candidate term is in the equation")
             equation = replace(equation, verdict=without)
         warn_of(equation, selection, log)
         equations.append(equation)
@@ -158,9 +158,6 @@ def with_doubts(
 
 
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:
-    if not equation.posterior.converged and equation.verdict.kind != "none":
-        reason = f"{equation.posterior.method} did not converge: probabilities of terms may be off"
-        return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
     fit = selection.full_fit or selection.shown_fit
     regression, full = fit.regression, selection.shown if selection.full is None else selection.full
     lacking, coloured = None, None
@@ -172,7 +169,11 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     others = alternatives_to(fit, fit.expanded(full), tolerance)
     spread = regression.rows.target_deviation
     excess = equation.residuals.excess if (equation.residuals.excess or 0.0) > INADEQUATE else None
-    return doubted(equation.verdict, equation.target, others, lacking, coloured, spread, excess, again)
+    verdict = doubted(equation.verdict, equation.target, others, lacking, coloured, spread, excess, again)
+    if equation.posterior.converged or verdict.kind in ("none", "not determined"):
+        return verdict
+    reason = f"{equation.posterior.method} did not converge: probabilities of terms may be off"
+    return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
 
 
 def _rule(selection: Selection, name: str) -> str:

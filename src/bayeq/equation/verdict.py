@@ -125,8 +125,7 @@ def judge(
         though = f", though the terms explain {target} row by row ({rows})" if rows else ""
         failed = f"free runs over windows of {length} are no better than the mean"
         return Verdict("none", f"no equation found: {failed}{though}")
-    runs = f"free runs over {length} within {100 * error:.2g} %"
-    return Verdict("found", f"{rows}; {runs}" if rows else runs)
+    return Verdict("found", f"{rows}{'; ' if rows else ''}free runs over {length} within {100 * error:.2g} %")
 
 
 def doubted(
