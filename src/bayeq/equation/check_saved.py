@@ -144,6 +144,7 @@ def _check_diagnostics(checks: Saved, names: set[str], states: set[str], place: 
 def _check_posterior(state: Saved, terms: Sequence[Saved], place: str) -> None:
     size = len(terms)
     _check_length(state["center"], size, f"{place}.center")
+    _check_length(state.get("freedom") or terms, size, f"{place}.freedom")
     _check_covariance(state["covariance"], sum(term["included"] for term in terms), f"{place}.covariance")
     shown = [j for j, term in enumerate(terms) if term["shown"]]
     for name in ("shown", "full"):
@@ -155,6 +156,7 @@ def _check_posterior(state: Saved, terms: Sequence[Saved], place: str) -> None:
             raise ValueError(f"{here}.terms: the terms that are shown are expected, {shown}")
         _check_places(members, size, f"{here}.terms")
         _check_length(model.get("center", state["center"]), size, f"{here}.center")
+        _check_length(model.get("freedom") or terms, size, f"{here}.freedom")
         if name == "full" or "coef" in model:
             _check_length(model["coef"], len(members), f"{here}.coef")
         _check_covariance(model["covariance"], len(members), f"{here}.covariance")
