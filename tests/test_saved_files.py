@@ -168,6 +168,7 @@ def changed(content, path, value):
         (("equations", 0, "unit_gains"), [1.0], "equations[0].unit_gains: 3 factors other than 0 are expected"),
         (("posteriors", 0, "center"), [1.0], "posteriors[0].center: 6 entries are expected, not 1"),
         (("posteriors", 0, "freedom"), [3.0], "posteriors[0].freedom: 6 entries are expected, not 1"),
+        (("equations", 0, "error_lines"), [-1.0], "equations[0].error_lines[0]: at least 0 is expected, not -1.0"),
         (("posteriors", 0, "covariance", 0, 0), -1.0, "posteriors[0].covariance: a variance is negative"),
         (("posteriors", 0, "covariance", 0, 0), 1e-12, "posteriors[0].covariance: no variables have these"),
         (("posteriors", 0, "covariance", 0, 1), 1e3, "posteriors[0].covariance: it is not symmetric"),

@@ -81,7 +81,7 @@ class Prediction:
         By target: the right-hand side at the measured states and inputs of each row. The band holds the noise.
     free_run : mapping of str to Error
         By measured state: runs from the first row of each record, driven by its inputs. The band is that of the
-        coefficients and of the noise of the samples, as far as a smoother can tell it.
+        coefficients, of what terms leave out and of the noise of the samples, as far as they are known.
     windows : mapping of str to float
         By target the normalised error of free runs over one period; empty where records are too short.
     blew_up_at : float or None
@@ -137,7 +137,7 @@ class Prediction:
         if self.windows:
             lines.append(f"free runs over one period: normalised RMS error {percentages(self.windows)}")
         lines.append(
-            "inside: share of the measured samples in the 95 % band, of the coefficients and the noise of the channel"
+            "inside: share of the measured samples in the 95 % band, of coefficients, what terms leave out and noise"
         )
         rate = "" if self.fs is None or self.seconds is None else f" at {self.fs:.6g} Hz, {self.seconds:.4g} s,"
         source = f" of {self.files[0]}" if len(self.files) == 1 else f" of {len(self.files)} records"
@@ -308,7 +308,7 @@ def _single_step(equations: Equations, k: int, pieces: Sequence[Record], nrmse: 
 def _free_run(name: str, runs: Sequence[Forecast], noise: float, nrmse: float) -> Error:
     """The error of a state along the free runs, and the share of its samples within their bands.
 
-    The band of a run is that of the coefficients; the noise of the samples widens it as independent errors do.
+    The noise of the samples widens the band of a run as independent errors do.
     """
     samples = np.concatenate([run.measured[name] for run in runs])
     unit = next((run.units[name] for run in runs if name in run.units), None)

@@ -383,8 +383,9 @@ class Equations:
             States at the first row; by default those with which the run follows the first period of the record best,
             looked for from what was measured, smoothed or estimated there.
         draws, seed : int
-            Further runs with intercepts and coefficients drawn from their normal posterior given the included terms,
-            for the bands; 0 for none. The initial state is the same for all.
+            Further runs for the bands, 0 for none: intercepts and coefficients from their normal posterior given the
+            included terms, and a random force on each target, of the size and the spectrum of what its terms leave out
+            where that is known. The initial state is the same for all.
         start, rows : int
             First row, and how many; by default all that follow.
         interpolation : "cubic", "linear", "hold" or "band-limited", optional

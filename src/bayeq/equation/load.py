@@ -284,6 +284,8 @@ def _restore_equation(
         likelihood_coef=_column(saved["terms"], "likelihood_coef"),
         likelihood_sd=_column(saved["terms"], "likelihood_sd"),
         error_share=None if saved.get("error_share") is None else float(saved["error_share"]),
+        error_sd=None if saved.get("error_sd") is None else float(saved["error_sd"]),
+        error_lines=tuple(float(line) for line in saved.get("error_lines", ())),
     )
     held_out = checks["fit"]["held_out"]
     residuals = checks["residuals"]

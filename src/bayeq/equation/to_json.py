@@ -88,6 +88,8 @@ def _equation(equation: Equation) -> dict[str, Any]:
         "intercept_pip": shown.intercept_pip,
         "noise_sd": equation.noise_sd,
         "error_share": equation.error_share,
+        "error_sd": shown.error_sd,
+        "error_lines": list(shown.error_lines),
         "elbo": p.elbo,
         "equation": equation.text,
         "full_equation": equation.full_text,

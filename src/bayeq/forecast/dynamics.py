@@ -78,7 +78,12 @@ class Dynamics:
 
     @classmethod
     def of(
-        cls, laws: Sequence[Law], inputs: Sequence[str], intercepts: Sequence[bool] | None = None, timed: bool = False
+        cls,
+        laws: Sequence[Law],
+        inputs: Sequence[str],
+        intercepts: Sequence[bool] | None = None,
+        timed: bool = False,
+        forced: bool = False,
     ) -> Dynamics:
         """From the terms that equations include; nothing is compiled to machine code for them.
 
@@ -88,12 +93,15 @@ class Dynamics:
             As the attributes.
         intercepts : sequence of bool, optional
             By default all have one.
+        forced : bool
+            Whether each equation with `error_lines` has a force too; these are the last of what drives a run.
         """
         kept = [tuple(compress(law.terms, law.posterior.support)) for law in laws]
         constant = (True,) * len(kept) if intercepts is None else tuple(intercepts)
         slopes: list[Expression] = []
         targets: list[Expression] = []
         parameters: list[str] = []
+        forces: list[str] = []
         for k, (law, members) in enumerate(zip(laws, kept, strict=True)):
             # names that no channel can have
             names = [f"theta[{k},{j}]" for j in range(len(members) + 1)]
@@ -101,6 +109,9 @@ class Dynamics:
             for name, term in zip(names[1:], members, strict=True):
                 total = Binary("+", total, Binary("*", Symbol(name), term.tree))
             parameters += names[not constant[k] :]
+            if forced and law.posterior.error_lines:
+                forces.append(f"force[{k}]")
+                total = Binary("+", total, Symbol(forces[-1]))
             targets.append(Expression(total))
             above = [*map(Symbol, law.chain.states[1:]), total]
             factors = rates(law.chain, law.unit_gains)
@@ -108,7 +119,7 @@ class Dynamics:
                 slopes.append(Expression(node if factor == 1.0 else Binary("*", number(factor), node)))
         states = [name for law in laws for name in law.chain.states]
         drivers = Roles((), tuple(inputs), timed).drivers
-        tape = Tape.compile([*slopes, *targets], [*states, *drivers, *parameters])
+        tape = Tape.compile([*slopes, *targets], [*states, *drivers, *forces, *parameters])
         return cls(tuple(laws), tuple(inputs), tuple(kept), constant, tape, timed)
 
     @classmethod
@@ -180,7 +191,7 @@ class Dynamics:
         """The tape with fresh registers, with these parameters."""
         program = self.tape.program()
         if parameters is not None:
-            first = len(self.states) + len(self.roles.drivers)
+            first = len(self.tape.variables) - self.size
             program.registers[first : first + self.size] = parameters
         return program
 

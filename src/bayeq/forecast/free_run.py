@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.forecast.dynamics import Dynamics, finest_step
-from bayeq.ode.rk4 import Drive, free_runs
+from bayeq.inference.posterior import Posterior
+from bayeq.ode.rk4 import Drive, free_runs, interpolant
 
-__all__ = ["ANYWHERE", "GENEROUS", "mean_run", "run_bands", "state_range"]
+__all__ = ["ANYWHERE", "GENEROUS", "drawn_sines", "mean_run", "pushed", "run_bands", "state_range"]
 
 Floats = NDArray[np.float64]
 
@@ -79,8 +81,10 @@ def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive
         drive = drive._replace(step=finer)
 
 
-def run_bands(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive) -> tuple[Floats, Floats, int]:
-    """Pointwise 95 % band of runs with different parameters.
+def run_bands(
+    dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive, forces: Sequence[Floats] = ()
+) -> tuple[Floats, Floats, int]:
+    """Pointwise 95 % band of runs with different parameters, and under different forces.
 
     Parameters
     ----------
@@ -88,6 +92,8 @@ def run_bands(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Driv
         Of each run.
     dynamics, first, drive
         As for `mean_run`; the step is taken as it is.
+    forces : sequence of (runs, M, 3) arrays
+        From `drawn_sines`, for those that `dynamics` has.
 
     Returns
     -------
@@ -99,14 +105,45 @@ def run_bands(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Driv
     runs, n, d = len(parameters), len(drive.inputs), len(first)
     current, stopped = np.tile(first, (runs, 1)), np.zeros(runs, dtype=np.uint32)
     bottom, top = np.empty((n, d)), np.empty((n, d))
+    time = np.append(0.0, np.cumsum(drive.intervals))
     below, above = math.floor(TAIL * (runs - 1)), math.ceil((1.0 - TAIL) * (runs - 1))
     size = max(2, BLOCK // (runs * d))
     for row in range(0, max(n - 1, 1), size - 1):  # a block starts with the last row of the one before
         end = min(row + size, n)
         out = np.empty((runs, end - row, d))
-        free_runs(dynamics.program(), drive.part(row, end), parameters, current, stopped, out)
+        program, part = dynamics.program(), drive.part(row, end)
+        for one in (slice(run, run + 1) for run in range(runs)):
+            driven = pushed(part, time[row:end], [sines[one.start] for sines in forces])
+            free_runs(program, driven, parameters[one], current[one], stopped[one], out[one])
         # a run that blew up may be anywhere
         gone = np.isnan(out)
         bottom[row:end] = np.partition(np.where(gone, -math.inf, out), below, axis=0)[below]
         top[row:end] = np.partition(np.where(gone, math.inf, out), above, axis=0)[above]
     return bottom, top, int(np.count_nonzero(stopped))
+
+
+def drawn_sines(posterior: Posterior, count: int, rng: np.random.Generator) -> Floats:
+    """Random forces of the size and spectrum of what an equation leaves out, sums of sines (Shinozuka and Jan 1972).
+
+    All M sines have the same share of the power. Every force has its own frequencies between the lines that are known:
+    a resonance could fall between the same few lines of all runs.
+
+    Returns
+    -------
+    (count, M, 3) array
+        Amplitude, angular frequency [rad/s] and phase.
+    """
+    size, first = len(posterior.error_lines), np.arange(len(posterior.error_lines))
+    levels = (first + rng.random((count, size))) / size
+    frequency = np.interp(levels, (first + 0.5) / size, posterior.error_lines)
+    a, b = (posterior.error_sd or 0.0) / np.sqrt(size) * rng.standard_normal((2, count, size))
+    return np.stack([np.hypot(a, b), 2.0 * np.pi * frequency, np.arctan2(b, a)], axis=2)
+
+
+def pushed(drive: Drive, time: Floats, forces: Sequence[Floats]) -> Drive:
+    """What drives a run, and behind it forces, (M, 3) each, at the times [s] of its samples."""
+    if not forces:
+        return drive
+    parts = [np.cos(time[:, None] * turn - phase) @ size for size, turn, phase in (sines.T for sines in forces)]
+    between = interpolant(time, np.column_stack(parts), "cubic")
+    return drive._replace(inputs=np.concatenate([drive.inputs, between], axis=1))

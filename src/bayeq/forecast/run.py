@@ -14,7 +14,7 @@ from bayeq.errors import InputError, UnknownNameError
 from bayeq.figures.forecast import Panel, Strip, draw_forecasts
 from bayeq.figures.style import require_matplotlib, style
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.free_run import ANYWHERE, GENEROUS, mean_run, run_bands, state_range
+from bayeq.forecast.free_run import ANYWHERE, GENEROUS, drawn_sines, mean_run, run_bands, state_range
 from bayeq.forecast.rows import (
     Rows,
     between,
@@ -42,7 +42,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """A free run, and the band of runs with coefficients drawn from their posterior.
+    """A free run, and the band of runs with coefficients from their posterior and random forces for what is left out.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Forecast:
     low, high : mapping of str to (n,) array
         Pointwise 95 % band of the draws; infinite where more than 2.5 % of them have blown up. Empty without draws.
     draws : int
-        Runs with drawn coefficients.
+        Runs with drawn coefficients and forces.
     blown : int
         How many of them blew up.
     blew_up_at : float or None
@@ -170,8 +170,11 @@ def forecast(
     top: Mapping[str, Floats] = {}
     blown = 0
     if draws:
-        drawn = dynamics.draw(draws, np.random.default_rng(seed))
-        below, above, blown = run_bands(dynamics, drawn, first, drive)
+        rng, laws = np.random.default_rng(seed), dynamics.laws
+        drawn = dynamics.draw(draws, rng)
+        forces = [drawn_sines(law.posterior, draws, rng) for law in laws if law.posterior.error_lines]
+        forced = Dynamics.of(laws, dynamics.inputs, dynamics.intercepts, dynamics.timed, forced=True)
+        below, above, blown = run_bands(forced, drawn, first, drive, forces)
         bottom = dict(zip(dynamics.states, below.T, strict=True))
         top = dict(zip(dynamics.states, above.T, strict=True))
     measured = {name: part[name] for name in dynamics.states if name in part.channels}

@@ -187,6 +187,10 @@ class Posterior:
     error_share : float or None
         Root mean square of what the terms leave of the right-hand side beside noise, over the target's standard
         deviation, where that is known.
+    error_sd : float or None
+        The same in the unit of the target.
+    error_lines : tuple of float
+        Frequencies [Hz] that divide its power evenly, in ascending order; empty where it is not known.
     """
 
     method: str
@@ -218,6 +222,8 @@ class Posterior:
     likelihood_coef: Floats | None = None
     likelihood_sd: Floats | None = None
     error_share: float | None = None
+    error_sd: float | None = None
+    error_lines: tuple[float, ...] = ()
 
     @property
     def sd(self) -> Floats:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bayeq.likelihood.fit import solved
 
-__all__ = ["Leftover", "Projected", "leftover", "projected"]
+__all__ = ["Leftover", "Projected", "leftover", "lines_of_equal_power", "projected"]
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +26,9 @@ BATCH, MOST_BATCHES, ENOUGH = 5.0, 64, 16
 
 # A batch has this many rows at least; from fewer batches no variance is estimated.
 LEAST_ROWS, LEAST_BATCHES = 8, 4
+
+# Frequencies that the spectrum of what is left is kept as.
+LINES = 12
 
 
 class Leftover(NamedTuple):
@@ -41,6 +44,8 @@ class Leftover(NamedTuple):
         Variance of the target.
     courses : tuple of (n,) arrays
         What the projection leaves of the right-hand side of each record.
+    lines : tuple of float
+        Their `lines_of_equal_power`.
     """
 
     products: Floats
@@ -49,6 +54,7 @@ class Leftover(NamedTuple):
     weight: float
     target: float
     courses: tuple[Floats, ...]
+    lines: tuple[float, ...]
 
 
 class Projected(NamedTuple):
@@ -101,9 +107,10 @@ def leftover(
         for rows in np.array_split(np.arange(len(d)), max(1, int(len(d) / length))):
             products.append((w[rows, None] * D[rows]).T @ D[rows])
             pulls.append((w[rows, None] * D[rows]).T @ d[rows])
+    lines = lines_of_equal_power(courses, float(np.median(np.concatenate(intervals))))
     square = sum(float(w @ d**2) for w, d in zip(weights, discrepancies, strict=True))
     weight = sum(float(w.sum()) for w in weights)
-    return Leftover(np.array(products), np.array(pulls), square, weight, target, courses)
+    return Leftover(np.array(products), np.array(pulls), square, weight, target, courses, lines)
 
 
 def projected(left: Leftover, basis: Floats) -> Projected:
@@ -129,6 +136,17 @@ def projected(left: Leftover, basis: Floats) -> Projected:
         half = basis @ solved(A, scores.T)
         covariance, freedom = batches / (batches - 1.0) * half @ half.T, batches - 1.0
     return Projected(change, covariance, freedom, share)
+
+
+def lines_of_equal_power(courses: Sequence[Floats], interval: float) -> tuple[float, ...]:
+    """Frequencies [Hz] that divide the power of courses, sampled evenly, into equal shares; none without power."""
+    frequency = np.concatenate([np.fft.rfftfreq(len(one), interval) for one in courses])
+    power = np.concatenate([np.abs(np.fft.rfft(one)) ** 2 / len(one) for one in courses])
+    power[frequency > 0.0] *= 2.0  # of both signs
+    order = np.argsort(frequency, kind="stable")
+    cumulative = np.cumsum(power[order])
+    places = np.searchsorted(cumulative, (np.arange(LINES) + 0.5) / LINES * cumulative[-1])
+    return tuple(frequency[order][places].tolist()) if 0.0 < cumulative[-1] < math.inf else ()
 
 
 def _weights(intervals: Floats) -> Floats:

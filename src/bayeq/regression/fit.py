@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -172,6 +173,8 @@ class RegressionFit:
             likelihood_coef=own,
             likelihood_sd=sd,
             error_share=moved.share,
+            error_sd=moved.share * math.sqrt(left.target),
+            error_lines=left.lines,
         )
         if not with_constant:
             return found
