@@ -13,6 +13,7 @@ from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, correct
 from bayeq.likelihood.layout import Candidates
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.low_pass import SEGMENT, periodograms
+from bayeq.likelihood.projection import ENOUGH, LEAST_ROWS, batched, time_around
 from bayeq.likelihood.search import Task
 from bayeq.likelihood.start import series_and_paths
 from bayeq.states import MotionRows
@@ -42,6 +43,11 @@ class Block:
         Number of these.
     samples : float
         Number of samples.
+    products, pulls : (B, r, r) and (B, r) arrays
+        Over batches of rows, see `bayeq.likelihood.projection`: of the model's columns with each other, and with the
+        discrepancies of their equations.
+    squares, weight : (C,) array, float
+        Sums of the squares of the discrepancies, and of the weights of rows.
     lost : int
         Rows of which it could not be evaluated.
     absent : (2, C) int array
@@ -53,6 +59,10 @@ class Block:
     power: Floats
     segments: int
     samples: float
+    products: Floats
+    pulls: Floats
+    squares: Floats
+    weight: float = 0.0
     lost: int = 0
     absent: Counts = field(default_factory=lambda: np.zeros((2, 0), dtype=np.int64))
 
@@ -64,6 +74,10 @@ class Block:
             self.power + other.power,
             self.segments + other.segments,
             self.samples + other.samples,
+            np.concatenate([self.products, other.products]),
+            np.concatenate([self.pulls, other.pulls]),
+            self.squares + other.squares,
+            self.weight + other.weight,
             self.lost + other.lost,
             self.absent + other.absent,
         )
@@ -87,19 +101,45 @@ def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
         np.zeros_like(power),
         0,
         0.0,
-        rows,
+        np.zeros((0, len(state.theta), len(state.theta))),
+        np.zeros((0, len(state.theta))),
+        np.zeros(task.layout.chains),
+        lost=rows,
     )
     if not pieces:
         return nothing
     try:
         series, paths = series_and_paths(task.layout, pieces)
         own, here = replace(task, series=series, recent=[]), replace(state, paths=paths, blurs=())
-        found, score = _at_its_path(own, here)
+        here, linears, adjoints = _at_its_path(own, here)
+        found, score = statistics(own, here, linears, adjoints)
+        parts = [
+            _batches(own, here, k, linear, adj) for k, (linear, adj) in enumerate(zip(linears, adjoints, strict=True))
+        ]
     except np.linalg.LinAlgError:
         return nothing
     if not all(np.isfinite(values).all() for values in (found.slope, found.information, score)):
         return nothing
-    return Block(found, score, power, segments, own.rows)
+    products, pulls, squares, weight = zip(*parts, strict=True)
+    return Block(
+        found,
+        score,
+        power,
+        segments,
+        own.rows,
+        np.concatenate(products),
+        np.concatenate(pulls),
+        np.sum(squares, axis=0),
+        float(sum(weight)),
+    )
+
+
+def _batches(task: Task, state: State, k: int, linear: Linear, found: Adjoint) -> tuple[Floats, Floats, Floats, float]:
+    """Sums of record k for the projection: products, pulls, squares and weight."""
+    columns, own = linear.terms[:, state.chosen.term], task.layout.discrepancy
+    d, w = state.paths[k][:, own] + found.deviation[:, own], time_around(task.series[k].intervals)
+    count = max(1, min(ENOUGH, len(w) // LEAST_ROWS))
+    return *batched(columns, d[:, state.chosen.chain], w, count), w @ d**2, float(w.sum())
 
 
 def _power(task: Task, pieces: Sequence[MotionRows]) -> tuple[Floats, int]:
@@ -115,8 +155,8 @@ def _power(task: Task, pieces: Sequence[MotionRows]) -> tuple[Floats, int]:
     return power, segments
 
 
-def _at_its_path(task: Task, state: State) -> tuple[Quadratic, Floats]:
-    """The likelihood linearised about the path that the coefficients and the samples make likeliest."""
+def _at_its_path(task: Task, state: State) -> tuple[State, list[Linear], list[Adjoint]]:
+    """The model linearised about the path that the coefficients and the samples make likeliest."""
     spread = np.sqrt(state.levels.scales.variance)
     for _ in range(STEPS):
         linears = task.linearised(state)
@@ -125,7 +165,7 @@ def _at_its_path(task: Task, state: State) -> tuple[Quadratic, Floats]:
             break
         state = state.moved(task.layout, task.series, linears, found)
         task.recent.clear()
-    return statistics(task, state, linears, found)
+    return state, linears, found
 
 
 def adjoints_of(state: State, linears: Sequence[Linear]) -> list[Adjoint]:

@@ -94,7 +94,7 @@ def leftover(
     target : float
         Variance of the target.
     """
-    weights = [_weights(one) for one in intervals]
+    weights = [time_around(one) for one in intervals]
     whole = sum((w[:, None] * D).T @ D for w, D in zip(weights, columns, strict=True))
     pull = sum((w[:, None] * D).T @ d for w, D, d in zip(weights, columns, discrepancies, strict=True))
     change = solved(np.asarray(whole), np.asarray(pull)) if np.size(pull) else np.zeros(0)
@@ -102,15 +102,23 @@ def leftover(
     scores = [D * r[:, None] for D, r in zip(columns, courses, strict=True)]
     total = sum(map(len, courses))
     length = max(min(BATCH * _correlated(scores), total / ENOUGH), total / MOST_BATCHES, LEAST_ROWS)
-    products, pulls = [], []
-    for w, D, d in zip(weights, columns, discrepancies, strict=True):
-        for rows in np.array_split(np.arange(len(d)), max(1, int(len(d) / length))):
-            products.append((w[rows, None] * D[rows]).T @ D[rows])
-            pulls.append((w[rows, None] * D[rows]).T @ d[rows])
+    pairs = [
+        batched(D, d[:, None], w, max(1, int(len(d) / length)))
+        for w, D, d in zip(weights, columns, discrepancies, strict=True)
+    ]
+    products, pulls = map(np.concatenate, zip(*pairs, strict=True))
     lines = lines_of_equal_power(courses, float(np.median(np.concatenate(intervals))))
     square = sum(float(w @ d**2) for w, d in zip(weights, discrepancies, strict=True))
     weight = sum(float(w.sum()) for w in weights)
-    return Leftover(np.array(products), np.array(pulls), square, weight, target, courses, lines)
+    return Leftover(products, pulls, square, weight, target, courses, lines)
+
+
+def batched(columns: Floats, discrepancies: Floats, weights: Floats, count: int) -> tuple[Floats, Floats]:
+    """Sums over batches of one record: columns (n, r) with each other, and with discrepancies, (n, r) or (n, 1)."""
+    weighted = weights[:, None] * columns
+    batches = np.array_split(np.arange(len(columns)), count)
+    products = [weighted[rows].T @ columns[rows] for rows in batches]
+    return np.array(products), np.array([(weighted * discrepancies)[rows].sum(axis=0) for rows in batches])
 
 
 def projected(left: Leftover, basis: Floats) -> Projected:
@@ -149,7 +157,7 @@ def lines_of_equal_power(courses: Sequence[Floats], interval: float) -> tuple[fl
     return tuple(frequency[order][places].tolist()) if 0.0 < cumulative[-1] < math.inf else ()
 
 
-def _weights(intervals: Floats) -> Floats:
+def time_around(intervals: Floats) -> Floats:
     """Time around each sample, 1 on average."""
     around = np.append(intervals, 0.0) + np.append(0.0, intervals)
     around[[0, -1]] *= 2.0

@@ -15,6 +15,7 @@ from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
+from bayeq.likelihood.block import Block
 from bayeq.likelihood.fit import Quadratic, State, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.projection import Leftover, leftover
@@ -62,12 +63,15 @@ class RecordFit:
         Over the models of all equations, in units of the coefficients' priors.
     own : bool
         Whether the likelihood is that about the model; of one that could not be fitted it is that about another.
+    more : (bool array, Block) or None
+        A model, and the sums over all rows about it, where the series are some of them.
     """
 
     task: Task
     fitted: Fitted
     posterior: Posterior
     own: bool = True
+    more: tuple[Bools, Block] | None = None
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
@@ -80,7 +84,7 @@ class RecordFit:
         found = cls(task, fitted, _averaged(task, fitted, fitted_only=True))
         return found.about(found.posterior.support)
 
-    def of_more(self, task: Task, state: State, quadratic: Quadratic, samples: float) -> RecordFit:
+    def of_more(self, task: Task, state: State, quadratic: Quadratic, block: Block) -> RecordFit:
         """What the likelihood of more rows, about a fit to some of them, tells.
 
         Parameters
@@ -89,14 +93,15 @@ class RecordFit:
             The fit, with levels of all rows.
         quadratic : Quadratic
             The likelihood of all of them there.
-        samples : float
-            Their number.
+        block : Block
+            Of all of them.
         """
-        task = replace(task, series=self.task.series, counted=samples)
+        task = replace(task, series=self.task.series, counted=block.samples)
         fitted = replace(
             self.fitted, quadratic=quadratic, state=replace(state, paths=self.fitted.state.paths), tried={}
         )
-        found = replace(self, task=task, fitted=fitted, posterior=_averaged(task, fitted))
+        more = task.model(state.chosen), block
+        found = replace(self, task=task, fitted=fitted, posterior=_averaged(task, fitted), more=more)
         return found.about(found.posterior.support)
 
     def about(self, model: Bools) -> RecordFit:
@@ -160,13 +165,21 @@ class RecordFit:
         """The fit under a prior that does not shrink coefficients, and their covariance."""
         task, state = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[]), self.fitted.state
         with np.errstate(all="ignore"):
+            if self.more is not None:  # as the likelihood of all rows has it, to second order
+                included, q = np.flatnonzero(self.fitted.model), self.fitted.quadratic
+                covariance = np.linalg.inv(
+                    q.information[np.ix_(included, included)] + np.diag(task.precision[included])
+                )
+                return replace(state, theta=covariance @ q.slope[included]), covariance
             state = fit(task, state, coarse=True).state
             precision = task.precision[task.number(state.chosen)]
             return state, marginal(task.linearised(state), state, state.levels, precision).covariance
 
     def projectable(self, c: int, model: Bools) -> bool:
         """Whether the smoothed right-hand side of equation c is known with the terms of a model, (P,) bool."""
-        return self.own and self.task.counted is None and bool((self.fitted.model[self.block(c)][:-1] == model).all())
+        about = self.fitted.model if self.more is None else self.more[0]
+        same = bool((about == self.fitted.model).all()) and bool((about[self.block(c)][:-1] == model).all())
+        return self.own and same and (self.more is None or len(self.more[1].pulls) > 0)
 
     def own_coefficients(self, c: int) -> tuple[Floats, Floats]:
         """Coefficients of equation c by the likelihood, the constant last if it is in the model; their covariance."""
@@ -177,13 +190,23 @@ class RecordFit:
     def leftover(self, c: int) -> Leftover:
         """What the terms of equation c leave of its smoothed right-hand side."""
         state, _ = self.unshrunk
+        own = np.flatnonzero(state.chosen.chain == c)
         columns, d = state.chosen.term[state.chosen.chain == c], self.task.layout.discrepancy[c]
         linears = self.task.linearised(state)
-        return leftover(
+        left = leftover(
             [linear.terms[:, columns] for linear in linears],
             [path[:, d] for path in state.paths],
             [one.intervals for one in self.task.series],
             float(state.levels.target[c]),
+        )
+        if self.more is None:
+            return left
+        block = self.more[1]
+        return left._replace(
+            products=block.products[:, own[:, None], own],
+            pulls=block.pulls[:, own],
+            square=float(block.squares[c]),
+            weight=block.weight,
         )
 
     def block(self, c: int) -> slice:

@@ -36,6 +36,9 @@ __all__ = ["Checkpoint", "Checkpoints", "cache_folder"]
 # A sum is kept no more often than this [s].
 EVERY = 10.0
 
+# What is summed has changed so often: sums of another state of the program are not gone on with.
+SUMS = 2
+
 # What a file may hold.
 KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in (OfRows, Folded, Moments, Block, Quadratic, Lagged)}
 
@@ -129,7 +132,7 @@ class Checkpoints:
                 return cls(None)
             stat = path.stat()
             about.append((str(path.resolve()), stat.st_size, stat.st_mtime_ns, one.start, one.stop, repr(one.stream)))
-        return cls(folder, repr((version("bayeq"), about)), asked)
+        return cls(folder, repr((version("bayeq"), SUMS, about)), asked)
 
     def of_stage(self, stage: str, about: object) -> Checkpoint:
         """The sum of a stage that depends on what `about` says."""

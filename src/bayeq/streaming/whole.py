@@ -144,9 +144,9 @@ class Whole:
         about = (motion.roles, state.chosen.term.tolist(), state.theta.tolist(), levels)
         block = self._fold(work, units, stage, about)
         if not block.samples:  # nothing that moves anything
-            return at.of_more(task, state, block.quadratic, block.samples), block, 0.0
+            return at.of_more(task, state, block.quadratic, block), block, 0.0
         found = relearned(task, state, block, curve)
-        return at.of_more(found.task, found.state, found.quadratic, block.samples), block, found.moved
+        return at.of_more(found.task, found.state, found.quadratic, block), block, found.moved
 
     def _warn_of_lost(self, block: Block, log: WarningLog) -> None:
         """Warn of rows that the likelihood of all rows does not hold."""

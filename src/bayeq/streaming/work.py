@@ -176,7 +176,7 @@ class ByLikelihood:
         """Without the rows and paths of the fit, so that it is small."""
         motion = replace(motion, records=(), cuts=())
         task = replace(task, series=(), recent=[])
-        return cls(tuple(extents), motion, task, replace(state, paths=()), learned)
+        return cls(tuple(extents), motion, task, replace(state, paths=(), blurs=()), learned)
 
     @property
     def reach(self) -> int:
