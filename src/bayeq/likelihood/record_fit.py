@@ -167,9 +167,8 @@ class RecordFit:
         with np.errstate(all="ignore"):
             if self.more is not None:  # as the likelihood of all rows has it, to second order
                 included, q = np.flatnonzero(self.fitted.model), self.fitted.quadratic
-                covariance = np.linalg.inv(
-                    q.information[np.ix_(included, included)] + np.diag(task.precision[included])
-                )
+                H = q.information[np.ix_(included, included)] + np.diag(task.precision[included])
+                covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
                 return replace(state, theta=covariance @ q.slope[included]), covariance
             state = fit(task, state, coarse=True).state
             precision = task.precision[task.number(state.chosen)]
