@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
 from bayeq.equation.equation import Equation, RunnerUp
-from bayeq.equation.verdict import Verdict, doubted, judge, noise_share, window_errors
+from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
 from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidualsWarning, DataWarning, WarningLog
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.results import Scores
@@ -170,6 +170,10 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     spread = regression.rows.target_deviation
     excess = equation.residuals.excess if (equation.residuals.excess or 0.0) > INADEQUATE else None
     verdict = doubted(equation.verdict, equation.target, others, lacking, coloured, spread, excess, again)
+    share = equation.error_share
+    if share is not None and share > LEAST_SHOWN and verdict.kind in ("found", "nearly true"):
+        left = f"the terms leave {100 * share:.2g} % of the standard deviation of {equation.target}"
+        verdict = replace(verdict, reason=f"{verdict.reason}; {left}")
     if equation.posterior.converged or verdict.kind in ("none", "not determined"):
         return verdict
     reason = f"{equation.posterior.method} did not converge: probabilities of terms may be off"

@@ -9,7 +9,8 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation, round_to
-from bayeq.equation.text import DOUBTFUL, EFFECTIVE, LEAST_SHOWN, MARK, NOTEWORTHY_PIP
+from bayeq.equation.text import DOUBTFUL, EFFECTIVE, MARK, NOTEWORTHY_PIP
+from bayeq.equation.verdict import LEAST_SHOWN
 from bayeq.inference.engines import ENGINES
 
 __all__ = ["explanation"]
@@ -144,10 +145,11 @@ def _of_residuals(equation: Equation) -> Iterator[str]:
             f"effective sample size: neighbouring residuals are alike (correlation {found.lag1:.2f}), so that the"
             f" {found.n} rows tell as much as {found.n_eff:.0f} independent ones."
         )
-    if found.discrepancy is not None:
+    left = found.discrepancy if equation.error_share is None else equation.error_share
+    if left is not None:
         yield (
             "discrepancy: what it would take, beside the noise of the channels, for the equation to give exactly this"
-            f" motion: {_discrepancy(found.discrepancy)} of the standard deviation of {equation.target}. It is what the"
+            f" motion: {_discrepancy(left)} of the standard deviation of {equation.target}. It is what the"
             " candidate terms cannot express."
         )
     if found.driver is not None and found.driver.p_value < DOUBTFUL:

@@ -17,6 +17,7 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation, round_to
 from bayeq.equation.short_names import short_names, with_names
 from bayeq.equation.size_path import percent
+from bayeq.equation.verdict import LEAST_SHOWN
 from bayeq.forecast.results import Scores, percentages
 from bayeq.inference.engines import ENGINES
 from bayeq.regression.residuals import Residuals
@@ -31,8 +32,8 @@ WIDE = 10_000
 # Longer names are shortened in tables; to half of this on terminals with less columns than these.
 LONGEST_NAME, ROOMY = 24, 110
 
-# Discrepancies below this share of the target are below any effect.
-LEAST_SHOWN = 1e-3
+# Coefficients of the likelihood itself are written out where they differ by more than so many standard deviations.
+FAR = 3.0
 
 # An intercept of zero that is known so well was not estimated.
 NOTHING = 1e-100
@@ -139,7 +140,7 @@ def _render_equation(
     console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
     for line in (*_units(equation), *_fits(equation), *_free_run(equation, scores)):
         console.print(escape(line))
-    for line in _residuals(equation.residuals):
+    for line in _residuals(equation.residuals, equation.error_share):
         console.print(escape(line))
     for line in _differences(equation, ENGINES[method].score):
         console.print(escape(line))
@@ -156,14 +157,14 @@ def _render_equation(
 
 def _differences(equation: Equation, score: str) -> list[str]:
     """Terms that are included or shown and not both, and why."""
-    p, out = equation.posterior, []
+    p, shown, out = equation.posterior, equation.shown_posterior, list[str]()
     for left in equation.left_out:
         sure = "certain" if left.pip > CERTAIN else "likely"
         within = left.reason == "tolerance"
         why = f"{sure}, but within the tolerance" if within else f"included, but left out ({left.reason})"
         out.append(f"{why}: {left.name}, {score} {left.pip:.3f}, explains {percent(left.share)}")
     for j, term in enumerate(equation.terms):
-        if equation.shown_posterior.support[j] and not p.support[j]:
+        if shown.support[j] and not p.support[j]:
             out.append(f"shown, though its {score} is {p.pip[j]:.3f}: {term.text} ({equation.why[term.text]})")
     if equation.effective:
         out.append(
@@ -172,6 +173,16 @@ def _differences(equation: Equation, score: str) -> list[str]:
         )
     if equation.full_text is not None:
         out.append(f"full model: {equation.full_text}")
+    own = shown.likelihood_coef
+    if own is not None and shown.likelihood_sd is not None:
+        # a force of long memory that is independent of the motion is told from it better by the likelihood
+        far = np.flatnonzero(shown.support & (np.abs(shown.coef - own) > FAR * shown.likelihood_sd))
+        listed = [f"{equation.terms[j].text} {round_to(own[j], shown.likelihood_sd[j])}" for j in far]
+        if listed:
+            out.append(
+                f"by the likelihood alone, were what is left out a force that knows nothing of the motion:"
+                f" {', '.join(listed)} (likelihood_ci95)"
+            )
     return out
 
 
@@ -244,17 +255,16 @@ def _free_run(equation: Equation, scores: Scores | None) -> list[str]:
     return [f"free run over the held-out rows: normalised RMS error {percentages(errors)}"]
 
 
-def _residuals(found: Residuals) -> list[str]:
+def _residuals(found: Residuals, error_share: float | None) -> list[str]:
     shape = "not those of a normal distribution" if found.normality < DOUBTFUL else "as of a normal distribution"
     lines = [
         f"residuals: lag-1 autocorrelation {found.lag1:.2f}, effective sample size {found.n_eff:.0f} of {found.n}",
         f"residuals: skewness {found.skewness:.2f} and excess kurtosis {found.kurtosis:.2f}, {shape}"
         f" ({_chance(found.normality)})",
     ]
-    if found.discrepancy is not None:
-        share = (
-            f"{100 * found.discrepancy:.2g}" if found.discrepancy > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g}"
-        )
+    share_left = found.discrepancy if error_share is None else error_share
+    if share_left is not None:
+        share = f"{100 * share_left:.2g}" if share_left > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g}"
         lines.append(f"discrepancy, what the dictionary does not hold: {share} % of the target's standard deviation")
     if found.excess is not None:
         lines.append(f"residuals: {found.excess_text} times the power that the noise of the channels explains")

@@ -20,7 +20,17 @@ from bayeq.selection.alternatives import Alternatives
 from bayeq.selection.excitation import Repeating
 from bayeq.states import Motion
 
-__all__ = ["KINDS", "Verdict", "doubted", "judge", "noise_share", "state_noise", "window_errors", "worst"]
+__all__ = [
+    "KINDS",
+    "LEAST_SHOWN",
+    "Verdict",
+    "doubted",
+    "judge",
+    "noise_share",
+    "state_noise",
+    "window_errors",
+    "worst",
+]
 
 Floats = NDArray[np.float64]
 
@@ -37,6 +47,9 @@ KINDS: tuple[Kind, ...] = ("none", "not determined", "nearly true", "found")
 
 # An R2 that two decimals show as zero.
 NOTHING = 0.005
+
+# What terms leave is below any effect below this share of the target's standard deviation.
+LEAST_SHOWN = 1e-3
 
 # A run over a window that errs by the states' own spread is no better than their mean.
 AS_THE_MEAN = 1.0
