@@ -73,7 +73,7 @@ def test_a_band_is_fitted_where_nothing_is_noisy():
         (["--band", "1:inf"], "band 1 to inf Hz"),
         (["--band", "900:1000"], "the band 900 to 1000 Hz holds too few lines of the spectra"),
         (["--band", "5:40", "--smooth", "none"], "fitted by the band regression"),
-        (["--band", "5:40", "--rows", "0:30"], "a band of frequencies needs records of 40 rows or more"),
+        (["--band", "5:40", "--rows", "0:8"], "8 rows: too few for a regression (at least 10)"),
     ],
 )
 def test_bands_that_cannot_be_fitted(record, capsys, options, part):

@@ -178,9 +178,9 @@ def test_files_that_are_not_what_their_names_say(run: Run, folder: Path, name: s
         (filled("u", 0.0), ["channel 'u' is constant (0 in all 60 rows)", "leave it out"]),
         (filled("a", -9.81), ["channel 'a' is constant"]),
         (changed(5, "x", 1e200), ["channel 'x' is 1e+200 in row 5", "too large", "larger unit"]),
-        (rows(1), ["1 row: too few", "at least 20"]),
-        (rows(19), ["19 rows: too few", "at least 20"]),
-        (missing(41), ["19 rows of 60 with a sample of every channel: too few", "at least 20"]),
+        (rows(1), ["1 row: too few", "at least 10"]),
+        (rows(9), ["9 rows: too few", "at least 10"]),
+        (missing(51), ["9 rows of 60 with a sample of every channel: too few", "at least 10"]),
     ],
 )
 def test_bad_samples(run: Run, folder: Path, table: Rows, parts: list[str]) -> None:

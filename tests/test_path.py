@@ -285,13 +285,14 @@ def test_known_coefficients_leave_the_errors_what_they_are(smooth, record):
     assert path.names == tuple(t.text for t in known.terms if t.text != "u")
     k = int(np.flatnonzero(path.is_chosen)[0])
     assert path.size[k] == 3
-    assert path.r2[k] == pytest.approx(known.train.r2, abs=1e-12)
-    assert path.held_out_r2[k] == pytest.approx(known.held_out.r2, abs=1e-12)
+    # what is reported is by projection, of a discrepancy that is next to nothing
+    assert path.r2[k] == pytest.approx(known.train.r2, abs=1e-8)
+    assert path.held_out_r2[k] == pytest.approx(known.held_out.r2, abs=1e-8)
     without_v = free.path(4)
     assert path.r2[k - 1] == pytest.approx(without_v.r2[3], abs=1e-3)
     judged = free.scored or free
     assert path.share[path.chosen] == pytest.approx(judged.share[judged.posterior.support][:3], rel=0.02)
-    assert known.path(1).chosen_r2 == pytest.approx(known.train.r2, abs=1e-12)
+    assert known.path(1).chosen_r2 == pytest.approx(known.train.r2, abs=1e-8)
 
 
 def test_a_loaded_equation_has_no_path(tmp_path, eq):

@@ -84,7 +84,12 @@ def test_wrong_axes_and_targets_are_refused(name, eq, record):
 def test_bars_are_the_probabilities(eq):
     ax = figures.pip_bars(eq)
     widths = {ax.get_yticklabels()[round(bar.get_y() + 0.31)].get_text(): bar.get_width() for bar in ax.patches}
-    assert widths == {"$x$": pytest.approx(1.0), "$v$": pytest.approx(1.0), "$x^{3}$": pytest.approx(1.0), "$u$": 1.0}
+    assert widths == {
+        "$x$": pytest.approx(1.0),
+        "$v$": pytest.approx(1.0),
+        "$x^{3}$": pytest.approx(1.0),
+        "$u$": pytest.approx(1.0),
+    }
     np.testing.assert_array_equal(sorted(widths.values()), sorted(eq[0].posterior.pip))
 
 

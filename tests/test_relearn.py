@@ -56,8 +56,9 @@ def test_levels_and_corners_are_those_of_all_rows(record, whole, monkeypatch):
             (whole[0].fitted.state.levels, whole[0].task.layout.corners),
         )
     )
-    assert np.abs(few - in_memory).max() > 0.02
-    assert np.abs(all_rows - in_memory).max() < 0.0065
+    assert np.abs(few - in_memory).max() > 0.01
+    # within 0.6 of the standard deviation
+    assert np.abs(all_rows - in_memory).max() < 0.6 * 0.013
     coef, sd = whole[1].coef, dict(zip(whole[1].posterior.names, whole[1].posterior.sd, strict=True))
     assert equation.shown == whole[1].shown
     assert all(abs(equation.coef[name] - coef[name]) < 0.1 * sd[name] for name in equation.shown)

@@ -344,12 +344,12 @@ def test_the_equation_shown_is_the_smallest_that_is_hardly_worse():
         assert left.reason == "tolerance"
 
 
-def test_friction_that_the_dictionary_lacks_takes_fewer_terms():
+def test_friction_that_the_dictionary_lacks_is_told():
     rec = adverse_record(CASES["tanh friction"], 4000, 0)
     one = discover(rec, **OSCILLATOR)[0]
-    assert len(one.shown) < len(one.included)
     assert set(one.shown) <= set(one.included)
-    assert {"x", "x**3", "sign(v)", "u"} <= set(one.shown)
+    assert {"x", "x**3", "u"} <= set(one.shown)
+    assert one.verdict.kind != "found"
 
 
 def test_the_damping_of_a_light_structure_stays():

@@ -140,7 +140,7 @@ def test_an_epidemic_that_is_over_is_found(seed):
     assert "at rest, by the variance of the whole motion" in eq.verdict.reason
     # no equation of other terms is
     wrong = quietly(bq.Record.from_arrays(S=s, I=i, time=t), chains=["S", "I"], dictionary="polynomial:1")
-    assert wrong.verdict.kind == "none"
+    assert wrong.verdict.kind != "found"
 
 
 @pytest.mark.parametrize("seed", range(3))

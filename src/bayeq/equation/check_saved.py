@@ -23,7 +23,7 @@ ROUNDING = 1e-6
 MOST_DECOMPOSED = 200
 
 # Columns of the terms that all of them have, or none.
-ALL_OR_NONE = ("averaged_coef", "averaged_sd", "averaged_ci95", "printed_ci95")
+ALL_OR_NONE = ("averaged_coef", "averaged_sd", "averaged_ci95", "printed_ci95", "likelihood_coef", "likelihood_sd")
 
 
 def check_content(content: Saved, chains: Sequence[Chain]) -> None:
@@ -127,7 +127,7 @@ def _check_terms(terms: Sequence[Saved], place: str, simplified: bool) -> None:
             raise ValueError(f"{here}: a term is included or shown and not both without a reason")
         if any((name in term) != (name in terms[0]) for name in ALL_OR_NONE):
             raise ValueError(f"{here}: {' and '.join(ALL_OR_NONE)} are those of all terms or of none")
-        _check_intervals(term, here, ("ci95", "shown_ci95", "printed_ci95", "averaged_ci95"))
+        _check_intervals(term, here, ("ci95", "shown_ci95", "likelihood_ci95", "printed_ci95", "averaged_ci95"))
 
 
 def _check_diagnostics(checks: Saved, names: set[str], states: set[str], place: str) -> None:

@@ -278,15 +278,13 @@ def _restore_equation(
         if saved.get("intercept_included", True)
         else (float(saved["intercept"]), float(saved["intercept_sd"])),
         average=None if state["average"] is None else _restored_average(state["average"], len(terms)),
-    )
-    shown = replace(
-        _restored_shown(posterior, saved["terms"], state["shown"]),
         likelihood_coef=_column(saved["terms"], "likelihood_coef"),
         likelihood_sd=_column(saved["terms"], "likelihood_sd"),
         error_share=None if saved.get("error_share") is None else float(saved["error_share"]),
         error_sd=None if saved.get("error_sd") is None else float(saved["error_sd"]),
         error_lines=tuple(float(line) for line in saved.get("error_lines", ())),
     )
+    shown = _restored_shown(posterior, saved["terms"], state["shown"])
     held_out = checks["fit"]["held_out"]
     residuals = checks["residuals"]
     return Equation(

@@ -32,7 +32,7 @@ WIDE = 10_000
 # Longer names are shortened in tables; to half of this on terminals with less columns than these.
 LONGEST_NAME, ROOMY = 24, 110
 
-# Coefficients of the likelihood itself are written out where they differ by more than so many standard deviations.
+# Coefficients of the likelihood itself are written out where they differ by more than this many standard deviations.
 FAR = 3.0
 
 # An intercept of zero that is known so well was not estimated.
@@ -175,7 +175,7 @@ def _differences(equation: Equation, score: str) -> list[str]:
         out.append(f"full model: {equation.full_text}")
     own = shown.likelihood_coef
     if own is not None and shown.likelihood_sd is not None:
-        # a force of long memory that is independent of the motion is told from it better by the likelihood
+        # of a force of long memory that is independent of the motion the likelihood knows more
         far = np.flatnonzero(shown.support & (np.abs(shown.coef - own) > FAR * shown.likelihood_sd))
         listed = [f"{equation.terms[j].text} {round_to(own[j], shown.likelihood_sd[j])}" for j in far]
         if listed:

@@ -45,7 +45,7 @@ class Blur(NamedTuple):
         Variance that each sample has beside its noise: of what the mean of jumps leaves out.
     force : (n - 1, C) array
         Variance, over a step, of the force that it leaves out of each equation. Where a body is held that is one force
-        for as long as it is held: as much as so many independent ones, each with so many times the variance.
+        for as long as it is held: as much as independent ones of n samples, each with n times the variance.
     """
 
     width: Floats

@@ -28,7 +28,7 @@ MOST_POSSIBLE = 1e1
 MEMORY = (0.02, 0.999)
 
 # A discrepancy forgets in this share of the motion's own time: one that remembers longer relaxes as a law does, and
-# stands in for it; one that forgets sooner leaves a slow force that nobody measured to false terms
+# replaces it; one that forgets sooner leaves a slow force that nobody measured to false terms
 # (docs/tables/memory.csv).
 OWN_TIME = 0.4
 

@@ -21,7 +21,8 @@ __all__ = ["Leftover", "Projected", "leftover", "lines_of_equal_power", "project
 Floats = NDArray[np.float64]
 
 # A batch lasts this many times as long as scores are correlated, their integrated time: batches are then independent.
-# There are so many at most, and so many even where a slow force acts, whose scores with fast terms are short.
+# There are no more than the second number, and no fewer than the third: also of a slow force the scores with fast terms
+# are hardly correlated.
 BATCH, MOST_BATCHES, ENOUGH = 5.0, 64, 16
 
 # A batch has this many rows at least; from fewer batches no variance is estimated.

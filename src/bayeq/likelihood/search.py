@@ -52,7 +52,7 @@ COARSE: dict[str, Any] = {"steps": 15, "tolerance": 1e-4, "steepest": 0.1}
 SETTLED = 0.05
 MOST_STEPS = 6
 
-# Gauss-Newton steps to where the likelihood is not finite are halved, so many times at most in a fit.
+# Gauss-Newton steps to where the likelihood is not finite are halved, at most this often in a fit.
 MOST_HALVED = 4
 
 # Neighbours within WINDOW nats on the Gram are fitted, at most NEIGHBOURS of them from each model; at most MOVES moves.
@@ -78,7 +78,7 @@ EXPLAINS_MUCH, HARDLY_ANY = 0.3, 1e-3
 # Steps that a discrepancy which explained much is kept away, while path and coefficients find each other.
 CALM_STEPS = 3
 
-# Factors by which the variance of coefficients' priors may be wider, where that is likelier by so many nats.
+# Factors by which the variance of coefficients' priors may be wider, where that is likelier by this many nats.
 WIDER, CLEARLY = (10.0, 100.0), 3.0
 
 # Noise of known variance: as if estimated from this many times the record's samples.

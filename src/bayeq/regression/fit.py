@@ -152,10 +152,11 @@ class RegressionFit:
             theta[:r], covariance[:r, :r] = found.coef[kept], found.covariance
             covariance[r:, :r], covariance[:r, r:] = 0.0, 0.0
         moved = projected(left, whole)
-        signs = self.prior.known_signs
         change = moved.change
-        if signs is not None:
-            known = np.append(np.asarray(signs)[kept], np.zeros(with_constant))
+        if self.prior.known_signs is not None:
+            signs = np.zeros(len(kept))
+            signs[self.constraints.equalities.kept] = self.prior.known_signs
+            known = np.append(signs[kept], np.zeros(int(with_constant)))
             change = np.where(known * (theta + change) < 0.0, -theta, change)
         both = covariance + moved.covariance
         added, total = np.diagonal(moved.covariance), np.diagonal(both)

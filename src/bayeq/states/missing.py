@@ -28,7 +28,7 @@ __all__ = [
 Bools = NDArray[np.bool_]
 
 # Fewer rows with all channels are no record.
-LEAST_USABLE = 20
+LEAST_USABLE = 10
 
 # Stretches of more than this many rows without an input, or without any sample of the chains, become gaps of time: the
 # record is divided at those that are too long to be bridged.
@@ -56,7 +56,7 @@ def has_all(record: Record, roles: Roles) -> Bools:
 
 
 def require_enough(records: Sequence[Record], roles: Roles) -> None:
-    """Raise a RecordError unless 20 rows have a sample of every channel."""
+    """Raise a RecordError unless 10 rows have a sample of every channel."""
     usable = sum(int(has_all(record, roles).sum()) for record in records)
     if usable < LEAST_USABLE:
         where, total = ", ".join(record.name or "record" for record in records[:3]), sum(r.n for r in records)
