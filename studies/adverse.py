@@ -22,7 +22,7 @@ from studies.adverse_records import CASES, Case, draw_record
 from studies.judge import judged, timed
 from studies.resumable import Cell, Outcome, percent, run_study
 
-__all__ = ["main"]
+__all__ = ["VERDICTS", "judged_with_verdict", "main"]
 
 RECORDS, LONG_RECORDS = 20, 3
 
@@ -33,7 +33,7 @@ CERTAIN = 0.99
 VERDICTS = ("found", "nearly true", "not determined", "none")
 
 
-def _judged(truth: Mapping[str, Mapping[str, float]], eqs: Equations) -> dict[str, Any]:
+def judged_with_verdict(truth: Mapping[str, Mapping[str, float]], eqs: Equations) -> dict[str, Any]:
     """The judgement of an answer with its certain and false terms, verdict and number of warnings."""
     false = sum(
         1
@@ -53,7 +53,7 @@ def _measure(case: Case, rows: int, seed: int) -> Outcome:
     }
     dictionary = terms if case.without else "oscillator"
     fit = partial(discover, record, chains="x:v:a", inputs=["u"], dictionary=dictionary)
-    outcome = timed(fit, partial(_judged, truth))
+    outcome = timed(fit, partial(judged_with_verdict, truth))
     return {**outcome, "true": sum(map(len, truth.values()))}
 
 

@@ -174,15 +174,20 @@ def percent(count: int, of: int) -> str:
 
 
 def code_state() -> str:
-    """The last commit that changed `src`, with a + where `src` has changed since; the package's version without git."""
-    root = Path(__file__).resolve().parents[1]
+    """The last commit that changed the `src` that is imported, which may be that of another checkout than the studies'.
+
+    With a + where `src` has changed since; the package's version without git.
+    """
+    import bayeq
+
+    root = Path(bayeq.__file__).resolve().parents[2]
     try:
         commit = _git(root, "log", "-1", "--format=%h", "--", "src")
-        return commit + ("+" if _git(root, "status", "--porcelain", "--", "src") else "")
+        if commit:
+            return commit + ("+" if _git(root, "status", "--porcelain", "--", "src") else "")
     except (OSError, subprocess.CalledProcessError):
-        from importlib.metadata import version
-
-        return version("bayeq")
+        pass
+    return bayeq.__version__
 
 
 def _git(root: Path, *words: str) -> str:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -26,7 +27,7 @@ from bayeq.states import Smooth
 from studies.judge import timed
 from studies.resumable import Cell, Outcome, percent, run_study
 
-__all__ = ["draw_record", "main"]
+__all__ = ["TERMS", "Stage", "draw_record", "main"]
 
 RECORDS = 10
 
@@ -47,6 +48,24 @@ TERMS = ("dq", "sign(dq)", "abs(dq)", "F")
 LIMITS = {"mass": 0.01, "viscous": 0.04, "coulomb": 0.04}
 
 
+@dataclass(frozen=True)
+class Stage:
+    """A stage, its encoder's step [m], and the rate of its loop with steps of integration per sample; SI units."""
+
+    mass: float = MASS
+    viscous: float = VISCOUS
+    uneven: float = UNEVEN
+    coulomb: float = COULOMB
+    offset: float = OFFSET
+    cogging: float = COGGING
+    encoder: float = ENCODER
+    rate: float = RATE
+    substeps: int = SUBSTEPS
+
+
+SERVO = Stage()
+
+
 def reference(time: float) -> tuple[float, float]:
     """Position and velocity that are asked for: there and back, each half of a stroke under constant acceleration."""
     half = math.sqrt(STROKE / ACCELERATION)
@@ -57,9 +76,9 @@ def reference(time: float) -> tuple[float, float]:
     return (way, speed) if stroke % 2 == 0 else (STROKE - way, -speed)
 
 
-def _acceleration(q: float, dq: float, force: float, phase: float) -> float:
-    friction = VISCOUS * dq + UNEVEN * abs(dq) + math.copysign(COULOMB, dq) + OFFSET
-    return (force - friction - COGGING * math.sin(2 * math.pi * q / PITCH + phase)) / MASS
+def _acceleration(q: float, dq: float, stage: Stage, force: float, phase: float) -> float:
+    friction = stage.viscous * dq + stage.uneven * abs(dq) + math.copysign(stage.coulomb, dq) + stage.offset
+    return (force - friction - stage.cogging * math.sin(2 * math.pi * q / PITCH + phase)) / stage.mass
 
 
 def _step(q: float, dq: float, acceleration: Callable[[float, float], float], h: float) -> tuple[float, float]:
@@ -74,28 +93,28 @@ def _step(q: float, dq: float, acceleration: Callable[[float, float], float], h:
     return q + h / 6 * (dq + 2 * v2 + 2 * v3 + v4), dq + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
 
 
-def draw_record(seed: int) -> Record:
+def draw_record(seed: int, stage: Stage = SERVO) -> Record:
     """Encoder q [m] and measured force F [N]."""
     rng = np.random.default_rng(seed)
-    n, dt = round(SECONDS * RATE), 1.0 / RATE
+    n, dt = round(SECONDS * stage.rate), 1.0 / stage.rate
     start, phase = rng.uniform(0.0, 4 * math.sqrt(STROKE / ACCELERATION)), rng.uniform(0.0, 2 * math.pi)
-    stiffness, damper = MASS * BANDWIDTH**2, 2 * DAMPING * MASS * BANDWIDTH
+    stiffness, damper = stage.mass * BANDWIDTH**2, 2 * DAMPING * stage.mass * BANDWIDTH
     forget = math.exp(-LAG * dt)
     q, dq = reference(start)
-    seen, speed = round(q / ENCODER) * ENCODER, dq
+    seen, speed = round(q / stage.encoder) * stage.encoder, dq
     encoder, force = np.empty(n), np.empty(n)
     for k in range(n):
-        previous, seen = seen, round(q / ENCODER) * ENCODER
+        previous, seen = seen, round(q / stage.encoder) * stage.encoder
         if k:
             speed = forget * speed + (1 - forget) * (seen - previous) / dt
         asked, asked_speed = reference(start + k * dt)
         held = stiffness * (asked - seen) + damper * (asked_speed - speed)
         encoder[k], force[k] = seen, held
-        law = partial(_acceleration, force=held, phase=phase)
-        for _ in range(SUBSTEPS):
-            q, dq = _step(q, dq, law, dt / SUBSTEPS)
+        law = partial(_acceleration, stage=stage, force=held, phase=phase)
+        for _ in range(stage.substeps):
+            q, dq = _step(q, dq, law, dt / stage.substeps)
     measured = force + FORCE_NOISE * rng.standard_normal(n)
-    return Record.from_arrays({"q": encoder, "F": measured}, fs=RATE)
+    return Record.from_arrays({"q": encoder, "F": measured}, fs=stage.rate)
 
 
 def _errors(eqs: Equations) -> dict[str, float | None]:
