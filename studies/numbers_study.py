@@ -14,6 +14,7 @@ PYTHONPATH, and a ``--store`` of its own; lines of a store bear the commit of th
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -23,6 +24,7 @@ import numpy as np
 from bayeq.discovery import discover
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
+from bayeq.errors import InputError
 from bayeq.numerics.normal import Z95
 from studies import numbers_records as kinds
 from studies.adverse import VERDICTS, judged_with_verdict
@@ -65,8 +67,13 @@ def _judged(truth: Mapping[str, Mapping[str, float]], eqs: Equations) -> dict[st
 
 
 def _measure(draw: Callable[[int], Drawn], seed: int) -> Outcome:
+    """A question that is refused, as records that are too short may be, counts among the errors."""
     records, question, truth = draw(seed)
-    return timed(partial(discover, records, **question), partial(_judged, truth))
+    try:
+        return timed(partial(discover, records, **question), partial(_judged, truth))
+    except InputError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
+        return {"exact": False, "terms": {}, "wrong": [f"{type(error).__name__}: {error}"], "cpu": None}
 
 
 # --- what a cell's line says -----------------------------------------------------------------------------------------
