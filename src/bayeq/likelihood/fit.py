@@ -182,7 +182,7 @@ def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value
         low, high = bounds[:, c].tolist()
         mean, size = log_mean(log_ratio, low, high, likeliest)
         total, met[c] = total + mean, np.exp(size)
-    return total, replace(levels, discrepancy=met, hessian=None)
+    return total, replace(levels, discrepancy=met)
 
 
 def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: float) -> tuple[float, float]:

@@ -248,7 +248,7 @@ def fit(task: Task, state: State, coarse: bool = False, further: bool = True, ca
     value = marginal(linears, state, state.levels, precision, keep=False).value
     if not coarse:
         mean, met = over_sizes(linears, state, precision, value)
-        if further and marginal(linears, state, met, precision, keep=False).value > value + SETTLED:
+        if further and marginal(linears, state, met, precision, keep=False).value > value + FLAT:
             return fit(task, replace(state, levels=met), further=False)
         value += mean
     model = task.model(state.chosen)
@@ -351,7 +351,12 @@ def steady(task: Task, state: State) -> bool:
 
 
 def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fitted]:
-    """Rounds of selection and fit from one start, until the model stays; the task with steps as fine as they need."""
+    """Rounds of selection and fit from one start, until the model stays; the task with steps as fine as they need.
+
+    On the way discrepancies remember as long as they like: from heavy noise that is the shorter way.
+    """
+    bounded = state.levels.scales
+    state = replace(state, levels=state.levels.unbounded)
     task = finer(task, state)
     best = now = fit(task, state, coarse=True)
     seen = {now.model.tobytes()}
@@ -371,7 +376,8 @@ def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fi
         log("round", now)
         if now.evidence > best.evidence:
             best = now
-    best = from_all_levels(task, best.state)
+    levels = replace(best.state.levels, scales=bounded, hessian=None)
+    best = from_all_levels(task, replace(best.state, levels=levels))
     log("fit", best)
     return task, best
 
