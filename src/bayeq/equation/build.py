@@ -32,6 +32,9 @@ __all__ = ["build_equations", "with_doubts"]
 # above this one is reported in a warning.
 INADEQUATE = 1.75
 
+# Independent numbers whose variance is known to a third.
+LEAST_NUMBERS = 18.0
+
 # Noise of an input that is hidden in the record: examples of what it would do, as shares of its standard deviation.
 NOISE_OF_INPUTS = (0.01, 0.05)
 
@@ -100,9 +103,12 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
     same = selection.shown is fit.posterior
     posterior = shown if same else fit.reported(fit.posterior)[0]
     train, held_out = regression.fit(shown), regression.held_out_fit(shown)
-    judged, gram = (train, regression.rows) if held_out is None else (held_out, regression.held_out)
+    # of a few rows that are held out an estimated target knows next to nothing
+    by_rest = held_out is not None and _numbers(regression) * held_out.n >= LEAST_NUMBERS
+    judged, gram = (held_out, regression.held_out) if by_rest else (train, regression.rows)
     assert gram is not None
-    variance, whole = gram.yty / gram.n, gram if held_out is None else regression.rows.select([]) + gram.select([])
+    assert judged is not None
+    variance, whole = gram.yty / gram.n, regression.rows.select([]) + gram.select([]) if by_rest else gram
     noise, share = noise_share(regression, variance), variance / (whole.yty / whole.n) if whole.yty > 0.0 else 1.0
     estimated = regression.record is not None and regression.chain.measured[-1] is None
     residuals = regression.residuals(shown, (*motion.roles.inputs, *motion.roles.states))
@@ -121,7 +127,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         train=train,
         held_out=held_out,
         residuals=replace(residuals, excess=excess, discrepancy=_discrepancy(regression)),
-        verdict=judge(regression.chain.target, judged, held_out is not None, noise, window, estimated, share),
+        verdict=judge(regression.chain.target, judged, by_rest, noise, window, estimated, share, _numbers(regression)),
         runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.method].spike_slab else (),
         fit=fit,
         shown_fit=selection.own,
@@ -134,6 +140,12 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         bound=bound,
         undetermined=undetermined(fit, posterior, bound),
     )
+
+
+def _numbers(regression: Regression) -> float:
+    """Independent numbers in a row of the target: less than 1 of one that was estimated."""
+    smoothing = regression.motion.estimated_by(regression.k)
+    return 1.0 if smoothing is None else smoothing.freedom
 
 
 def with_doubts(

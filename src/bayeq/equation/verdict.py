@@ -95,6 +95,7 @@ def judge(
     window: tuple[float, str] | None,
     target_estimated: bool = False,
     share: float = 1.0,
+    numbers: float = 1.0,
 ) -> Verdict:
     """The verdict on one equation.
 
@@ -114,9 +115,11 @@ def judge(
         Whether the target is no measurement but a smoother's: where it is hardly more than its error, runs decide.
     share : float
         The target's variance on these rows as a share of that over the whole motion.
+    numbers : float
+        Independent numbers in a row of the target.
     """
     where = f"the {'held-out' if held_out else 'training'} rows"
-    r2, of_all, limit = fit.r2, "", 3.0 * math.sqrt(2.0 / max(fit.n, 1))
+    r2, of_all, limit = fit.r2, "", 3.0 * math.sqrt(2.0 / max(numbers * fit.n, 1.0))
     # the variance of n rows errs by sqrt(2/n) of itself: less than that tells nothing of what is above the noise
     signal, signal_of_all = 1.0 - noise, 1.0 - share * noise
     if signal_of_all > limit and share * signal < AT_REST * signal_of_all:

@@ -61,6 +61,8 @@ class ChainSmoothing:
         so that it is bounded.
     target_variance : float
         Posterior variance of the highest derivative given the samples, in its unit: the median over rows.
+    freedom : float
+        Independent numbers in a smoothed row: posterior over noise variance of the lowest measured derivative.
     """
 
     model: KinematicModel
@@ -69,6 +71,7 @@ class ChainSmoothing:
     unit_gains: Floats
     coordinate_sd: float | None = None
     target_variance: float = 0.0
+    freedom: float = 1.0
 
     def information(self, frequency: Floats) -> Floats:
         """J(f), the inverse variance of the noise in the coordinate at frequencies [Hz]: sum of omega^(2k)/R_k."""
@@ -209,7 +212,7 @@ def smooth_chain(
     for s, cut in zip(whole, cuts, strict=True):
         parts = [s.take(slice(0, cut)), *([s.take(slice(cut, s.n))] if s.n - cut > 1 else [])]
         given_all = [smooth_kinematic(_in_units(part, gains), model) for part in parts]
-        target += [one.sd[:, chain.order] for one in given_all]
+        target += [one.sd[:, [chain.order, chain.lowest]] for one in given_all]
         smoothed = [one.mean[:, : chain.order + 1] for one in given_all]
         if s.n - cut == 1:
             smoothed.append(smoothed[0][-1:])
@@ -219,8 +222,10 @@ def smooth_chain(
     for k in states:
         samples = np.concatenate([np.asarray(s.channels[k]) for s in series])
         ratio = max(ratio, float(model.noise_sd[k] or 0.0) * abs(gains[k]) / float(np.nanstd(samples)))
-    variance = float(np.median(np.concatenate(target)) * gains[-1]) ** 2
-    return means, ChainSmoothing(model, _rate(series), ratio, gains, bound, variance)
+    sd = np.concatenate(target)
+    variance, noise_sd = float(np.median(sd[:, 0]) * gains[-1]) ** 2, model.noise_sd[chain.lowest]
+    freedom = min(float(np.mean(sd[:, 1] ** 2)) / noise_sd**2, 1.0) if noise_sd else 1.0
+    return means, ChainSmoothing(model, _rate(series), ratio, gains, bound, variance, freedom)
 
 
 def smooth_further(record: Record, chain: Chain, smoothing: ChainSmoothing) -> Floats:
