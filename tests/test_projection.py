@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 
 import numpy as np
@@ -68,8 +67,8 @@ def test_standard_deviations_are_those_of_what_is_left():
 
 def test_batches_that_are_too_few_tell_no_variance():
     rng = np.random.default_rng(2)
-    columns, slow = np.ones((60, 1)), np.cumsum(rng.normal(size=60))
-    found = projected(leftover([columns], [slow], [np.ones(59)], 1.0), np.eye(1))
+    columns, slow = np.ones((30, 1)), np.cumsum(rng.normal(size=30))
+    found = projected(leftover([columns], [slow], [np.ones(29)], 1.0), np.eye(1))
     assert not found.covariance.any()
     assert np.isinf(found.freedom)
 
@@ -106,7 +105,7 @@ def test_a_force_that_nobody_measured(tmp_path):
     assert inside >= 10
     # some of a slow force is taken for constant or for terms
     assert np.median(shares) == pytest.approx(1.0, abs=0.5)
-    own = json.loads(eq.to_json())["equations"][0]
+    own = eq.to_dict()["equations"][0]
     assert own["error_share"] == pytest.approx(one.error_share)
     term = own["terms"][0]
     assert term["likelihood_sd"] < term["shown_sd"]

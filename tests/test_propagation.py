@@ -104,7 +104,9 @@ def test_why_it_cannot_be_integrated():
     assert refused([record, bq.Record({"a": record["a"]}, 2 * t)]) == (
         "run: 'a' cannot be integrated: records are sampled at different rates; resample them at one rate"
     )
-    assert refused([record.slice(k, k + 4) for k in (0, 30)]).endswith("too few for a regression (at least 10); measure more")
+    assert refused([record.slice(k, k + 4) for k in (0, 30)]).endswith(
+        "too few for a regression (at least 10); measure more"
+    )
     mixed = np.random.default_rng(0).permutation(record["a"])  # rows in no order, which are no time
     assert refused(bq.Record({"a": mixed}, name="run")).endswith("which needs a time column or fs")
     still = record.with_channels({"a": np.where(t < 16.5, 1.0, record["a"])})
