@@ -1,8 +1,8 @@
 """How long may a discrepancy remember? Fits with several bounds, as a share of the motion's own time.
 
-A discrepancy that remembers long relaxes by itself, as a law does: a heater behind a lagging sensor then needs no law. One
-that forgets soon leaves a slow force that nobody measured to false terms. Records of `studies.numbers_records`, and
-Lorenz's system with noise of a share of the pooled standard deviation.
+A discrepancy that remembers long relaxes by itself, as a law does: a heater behind a lagging sensor then needs no law.
+One that forgets soon leaves a slow force that nobody measured to false terms. Records of `studies.numbers_records`,
+and Lorenz's system with noise of a share of the pooled standard deviation.
 
     python -m studies.memory > docs/tables/memory.csv
 """
@@ -38,7 +38,11 @@ def _lorenz(seed: int, noise: float) -> kinds.Drawn:
     states = np.column_stack([clean[name] for name in "xyz"])
     samples = states + noise * states.std() * np.random.default_rng(seed).standard_normal(states.shape)
     record = bq.Record.from_arrays(dict(zip("xyz", samples.T, strict=True)), time=clean.time)
-    return record, {"chains": ["x", "y", "z"], "dictionary": "polynomial:2"}, dict(clean.truth.coefficients)
+    return (
+        record,
+        {"chains": ["x", "y", "z"], "dictionary": "polynomial:2"},
+        {k: dict(v) for k, v in clean.truth.coefficients.items()},
+    )
 
 
 def _judged(truth: Mapping[str, Mapping[str, float]], eqs: Equations) -> dict[str, Any]:
