@@ -38,11 +38,8 @@ def _lorenz(seed: int, noise: float) -> kinds.Drawn:
     states = np.column_stack([clean[name] for name in "xyz"])
     samples = states + noise * states.std() * np.random.default_rng(seed).standard_normal(states.shape)
     record = bq.Record.from_arrays(dict(zip("xyz", samples.T, strict=True)), time=clean.time)
-    return (
-        record,
-        {"chains": ["x", "y", "z"], "dictionary": "polynomial:2"},
-        {k: dict(v) for k, v in clean.truth.coefficients.items()},
-    )
+    truth = {target: dict(own) for target, own in clean.truth.coefficients.items()}
+    return kinds.Drawn(record, {"chains": ["x", "y", "z"], "dictionary": "polynomial:2"}, truth)
 
 
 def _judged(truth: Mapping[str, Mapping[str, float]], eqs: Equations) -> dict[str, Any]:
