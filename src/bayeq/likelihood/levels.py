@@ -125,7 +125,7 @@ class Levels:
     @property
     def unbounded(self) -> Levels:
         """The same with memories as long as a record has them."""
-        return replace(self, scales=replace(self.scales, interval=0.0), hessian=None)
+        return replace(self, scales=replace(self.scales, interval=0.0))
 
     @property
     def sizes(self) -> tuple[Floats, Floats]:

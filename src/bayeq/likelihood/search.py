@@ -376,7 +376,7 @@ def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fi
         log("round", now)
         if now.evidence > best.evidence:
             best = now
-    levels = replace(best.state.levels, scales=bounded, hessian=None)
+    levels = replace(best.state.levels, scales=bounded)
     best = from_all_levels(task, replace(best.state, levels=levels))
     log("fit", best)
     return task, best
