@@ -158,3 +158,15 @@ def test_a_pendulum_that_friction_brings_to_rest():
     (one,) = quietly(record, chains=["th::"], dictionary=["sin(th)", "dth", "sign(dth)"], holdout=0.0)
     assert one.shown_coef["sin(th)"] == pytest.approx(-15.8, rel=0.002)
     assert one.shown_coef["sign(dth)"] == pytest.approx(-0.25, rel=0.05)
+
+
+def test_what_is_known_of_coefficients_goes_with_a_constant():
+    record = bq.simulate("duffing", n=2000, seed=4)
+    record = record.with_channels({"u": record["u"] - 20.0})
+    options = {"chains": ["x:v:a"], "inputs": ["u"], "dictionary": ["x", "v", "x**3", "u"]}
+    (free,), (given,) = quietly(record, **options), quietly(record, **options, constraints=["u == 1", "v <= 0"])
+    assert given.shown_coef["u"] == 1.0
+    assert given.shown_coef["v"] <= 0.0
+    value, sd = given.intercept_estimate
+    assert value == pytest.approx(free.intercept_estimate[0], abs=3 * sd)
+    assert value == pytest.approx(20.0, abs=4 * sd)

@@ -149,8 +149,12 @@ class RegressionFit:
         whole[:r, : basis.shape[1]] = basis
         whole[r:, basis.shape[1] :] = 1.0
         if not free or basis.shape[1] < r:
-            theta[:r], covariance[:r, :r] = found.coef[kept], found.covariance
-            covariance[r:, :r], covariance[:r, r:] = 0.0, 0.0
+            carried = found.covariance @ found.center[kept]
+            whole_covariance = np.block(
+                [[found.covariance, -carried[:, None]], [-carried[None], np.array([[found.intercept_sd**2]])]]
+            )
+            theta = np.append(found.coef[kept], found.intercept)[: len(theta)]
+            covariance = whole_covariance[: len(theta), : len(theta)]
         moved = projected(left, whole)
         change = moved.change
         if self.prior.known_signs is not None:
@@ -182,7 +186,8 @@ class RegressionFit:
         # about the centre the constant and the other coefficients are independent
         center = np.zeros(len(kept))
         if r:
-            center[kept] = -np.linalg.solve(both[:r, :r], both[:r, r])
+            unit = np.sqrt(np.where(total[:r] > 0.0, total[:r], 1.0))  # coefficients that are given have no variance
+            center[kept] = -np.linalg.lstsq(both[:r, :r] / np.outer(unit, unit), both[:r, r] / unit)[0] / unit
         mean = float((theta + change)[r] + center @ found.coef)
         variance = max(float(both[r, r] - center[kept] @ both[:r, :r] @ center[kept]), 0.0)
         return replace(found, center=center, target_mean=mean, target_mean_variance=variance)
