@@ -170,8 +170,8 @@ def with_doubts(
 
 
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:
-    fit = selection.full_fit or selection.shown_fit
-    regression, full = fit.regression, selection.shown if selection.full is None else selection.full
+    fit, regression = selection.full_fit or selection.shown_fit, selection.shown_fit.regression
+    full = selection.shown if selection.full is None else selection.full
     lacking, coloured = None, None
     if regression.record is not None:
         adequacy = regression.record.adequacy
