@@ -230,9 +230,9 @@ def test_stretches_that_tell_nothing_become_gaps_of_time(duffing):
     assert missing_messages([duffing], OSCILLATOR) == []
 
 
-def test_twenty_usable_rows_are_needed(duffing):
-    few = duffing.slice(0, 60).with_channels({"a": np.where(np.arange(60) < 41, np.nan, duffing["a"][:60])})
-    with pytest.raises(RecordError, match="19 rows of 60 with a sample of every channel"):
+def test_ten_usable_rows_are_needed(duffing):
+    few = duffing.slice(0, 60).with_channels({"a": np.where(np.arange(60) < 51, np.nan, duffing["a"][:60])})
+    with pytest.raises(RecordError, match="9 rows of 60 with a sample of every channel"):
         bq.discover(few, chains="x:v:a", inputs=["u"])
-    with pytest.raises(RecordError, match="19 rows: too few"):
-        bq.discover(duffing.slice(0, 19), chains="x:v:a", inputs=["u"])
+    with pytest.raises(RecordError, match="9 rows: too few"):
+        bq.discover(duffing.slice(0, 9), chains="x:v:a", inputs=["u"])

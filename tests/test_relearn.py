@@ -59,9 +59,12 @@ def test_levels_and_corners_are_those_of_all_rows(record, whole, monkeypatch):
     assert np.abs(few - in_memory).max() > 0.01
     # within 0.6 of the standard deviation
     assert np.abs(all_rows - in_memory).max() < 0.6 * 0.013
-    coef, sd = whole[1].coef, dict(zip(whole[1].posterior.names, whole[1].posterior.sd, strict=True))
+    p, other = equation.posterior, whole[1].posterior
     assert equation.shown == whole[1].shown
-    assert all(abs(equation.coef[name] - coef[name]) < 0.1 * sd[name] for name in equation.shown)
+    kept = p.support
+    assert (np.abs(p.likelihood_coef - other.likelihood_coef)[kept] < 0.1 * other.sd[kept]).all()
+    # by projection what is smoothed of a discrepancy that is next to nothing moves them too
+    assert (np.abs(p.coef - other.coef)[kept] < 0.2 * other.sd[kept]).all()
 
 
 def test_the_curvature_is_that_of_one_likelihood(whole):
