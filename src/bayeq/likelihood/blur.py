@@ -68,9 +68,10 @@ def _columns(layout: Layout, series: Series, path: Floats) -> dict[str, Floats]:
 def crossings(layout: Layout, series: Series, path: Floats, wanted: Bools) -> Bools:
     """Intervals between samples in which the wanted jumps happen, (n - 1, J)."""
     out = np.zeros((len(path) - 1, len(layout.jumps)), dtype=np.bool_)
-    evaluate = Evaluator(_columns(layout, series, path)) if wanted.any() else None
+    if not wanted.any():
+        return out
+    evaluate = Evaluator(_columns(layout, series, path))
     for j in np.flatnonzero(wanted):
-        assert evaluate is not None
         jump = layout.jumps[j]
         values = evaluate(Expression(jump.arguments[0]))
         out[:, j] = np.diff(np.signbit(values) if jump.function == "sign" else np.floor(values)) != 0
@@ -79,7 +80,10 @@ def crossings(layout: Layout, series: Series, path: Floats, wanted: Bools) -> Bo
 
 def first_blur(layout: Layout, series: Series, path: Floats, substeps: int = 1) -> Blur:
     """Widths along a path of which no error is known: the change of the arguments between samples where they jump."""
-    (n, size), none = path.shape, Candidates(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+    n, size = path.shape
+    if not layout.jumps:
+        return Blur(np.zeros((n, 0)), np.zeros(series.samples.shape), np.zeros((n - 1, layout.chains)))
+    none = layout.everything.take(np.zeros(0, dtype=np.intp))
     covariance, push = np.zeros((n, size, size)), np.zeros((n - 1, size, layout.chains))
     return blur_of(layout, series, path, covariance, push, none, np.zeros(0), np.full(n - 1, substeps))
 

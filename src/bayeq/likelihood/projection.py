@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bayeq.likelihood.fit import solved
 
-__all__ = ["Leftover", "Projected", "leftover", "lines_of_equal_power", "projected"]
+__all__ = ["Leftover", "Projected", "batched", "leftover", "lines_of_equal_power", "projected", "time_around"]
 
 Floats = NDArray[np.float64]
 
@@ -43,10 +43,8 @@ class Leftover(NamedTuple):
         Of the discrepancy, its sum and its weights'.
     target : float
         Variance of the target.
-    courses : tuple of (n,) arrays
-        What the projection leaves of the right-hand side of each record.
     lines : tuple of float
-        Their `lines_of_equal_power`.
+        `lines_of_equal_power` of what the projection leaves of the right-hand side.
     """
 
     products: Floats
@@ -54,7 +52,6 @@ class Leftover(NamedTuple):
     square: float
     weight: float
     target: float
-    courses: tuple[Floats, ...]
     lines: tuple[float, ...]
 
 
@@ -111,7 +108,7 @@ def leftover(
     lines = lines_of_equal_power(courses, float(np.median(np.concatenate(intervals))))
     square = sum(float(w @ d**2) for w, d in zip(weights, discrepancies, strict=True))
     weight = sum(float(w.sum()) for w in weights)
-    return Leftover(products, pulls, square, weight, target, courses, lines)
+    return Leftover(products, pulls, square, weight, target, lines)
 
 
 def batched(columns: Floats, discrepancies: Floats, weights: Floats, count: int) -> tuple[Floats, Floats]:
