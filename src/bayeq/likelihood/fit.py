@@ -12,7 +12,7 @@ from bayeq.likelihood.blur import Blur, blur_of
 from bayeq.likelihood.filter import Adjoint, Filtered, adjoint, run_filter
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.levels import Levels
-from bayeq.likelihood.linear import Linear, derivatives_along, linearise
+from bayeq.likelihood.linear import Linear, derivatives_along, linearise, terms_at
 from bayeq.likelihood.series import Series
 from bayeq.numerics.minimise import minimise
 
@@ -20,6 +20,7 @@ __all__ = [
     "Quadratic",
     "State",
     "Statistics",
+    "candidates",
     "coefficients",
     "improved",
     "information",
@@ -121,6 +122,15 @@ def linearised(layout: Layout, series: Sequence[Series], state: State, substeps:
     blurs = state.blurs or (None,) * len(series)
     return [
         linearise(layout, one, path, state.chosen, state.theta, blur, substeps)
+        for one, path, blur in zip(series, state.paths, blurs, strict=True)
+    ]
+
+
+def candidates(layout: Layout, series: Sequence[Series], state: State) -> list[Floats]:
+    """All candidates and the constant along the paths of a fit, (n, P + 1) of each record."""
+    blurs = state.blurs or (None,) * len(series)
+    return [
+        terms_at(layout, path, one.inputs if blur is None else blur.beside(one.inputs))
         for one, path, blur in zip(series, state.paths, blurs, strict=True)
     ]
 

@@ -199,14 +199,12 @@ class Layout:
         return tuple(Expression(mean_of_jumps(term.tree, widths)) for term in self.terms)
 
     def tape(self, chosen: Candidates) -> Tape:
-        """Rates of the states, then the targets, in states, exact inputs, widths and the chosen coefficients."""
+        """Rates of the states, targets, chosen terms, in states, exact inputs, widths and the terms' coefficients."""
         parameters = [f"theta[{j}]" for j in range(len(chosen.chain))]
         targets: list[Node] = [Symbol(f"d[{c}]") for c in range(self.chains)]
-        for name, c, j in zip(parameters, chosen.chain, chosen.term, strict=True):
-            part: Node = Symbol(name)
-            if j < len(self.terms):
-                part = Binary("*", part, self.blurred[j].tree)
-            targets[c] = Binary("+", targets[c], part)
+        terms: list[Node] = [self.blurred[j].tree if j < len(self.terms) else number(1) for j in chosen.term]
+        for name, c, term in zip(parameters, chosen.chain, terms, strict=True):
+            targets[c] = Binary("+", targets[c], Binary("*", Symbol(name), term))
         out: list[Node] = []
         for chain, factors, target in zip(self.roles.chains, self.rates, targets, strict=True):
             for factor, node in zip(factors, [*map(Symbol, chain.states[1:]), target], strict=True):
@@ -215,8 +213,16 @@ class Layout:
         for name, width in zip(self.noisy, self.widths, strict=True):
             out += [*(Symbol(f"{name}[{k}]") for k in range(1, width)), Number(0)]
         return Tape.compile(
-            map(Expression, [*out, *targets]), [*self.names, *self.given, *self.jump_widths, *parameters]
+            map(Expression, [*out, *targets, *terms]), [*self.names, *self.given, *self.jump_widths, *parameters]
         )
+
+    @cached_property
+    def rising(self) -> NDArray[np.bool_]:
+        """Whether the rate of a state is the next one, of those that are no derivatives of chains, (S,)."""
+        out = np.zeros(self.size, dtype=np.bool_)
+        for first, slope in zip(self.driven, self.slope, strict=True):
+            out[first:slope] = True
+        return out
 
     @cached_property
     def terms_tape(self) -> Tape:

@@ -16,7 +16,7 @@ from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.series import Series
 from bayeq.ode.rk4 import STAGES
 
-__all__ = ["Linear", "derivatives_along", "linearise", "sources_of"]
+__all__ = ["Linear", "derivatives_along", "linearise", "sources_of", "terms_at"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -31,7 +31,7 @@ class Steps(NamedTuple):
     Attributes
     ----------
     program : Program
-        Rates of the states, then the targets, in states, inputs and the coefficients of the model.
+        Rates of the states, the targets and the terms of the model, in states, inputs and coefficients.
     basis : Program
         The candidates and the constant, in states and inputs.
     inputs : (n, m, 4) array
@@ -46,6 +46,8 @@ class Steps(NamedTuple):
         Rate of that state for a target of 1.
     motion : int
         Number of states that are derivatives of chains: the first ones, which alone depend on coefficients.
+    rising : (S,) bool array
+        Whether the rate of a state behind them is the next one, and not 0.
     """
 
     program: Program
@@ -56,11 +58,19 @@ class Steps(NamedTuple):
     last: Ints
     factors: Floats
     motion: int
+    rising: NDArray[np.bool_]
 
     def fresh(self) -> Steps:
         """The same with registers of its own."""
         program, basis = (one._replace(registers=one.registers.copy()) for one in (self.program, self.basis))
         return self._replace(program=program, basis=basis)
+
+
+class Tangents(NamedTuple):
+    """Derivatives by the states: `tangents` of a program's registers, `powers` of the states that are no chain's."""
+
+    tangents: Floats
+    powers: Floats
 
 
 class Linear(NamedTuple):
@@ -117,44 +127,69 @@ class Linear(NamedTuple):
 
 
 @kernel
-def _set_variables(program: Program, inputs: Floats, states: Floats, row: int, fraction: float) -> None:
-    """States (S, ...) and inputs, a fraction of the interval after a sample, into the first registers."""
-    registers, rest, size = program.registers, 1.0 - fraction, states.shape[0]
-    for i in range(size):
-        registers[i] = states[i, 0]
+def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction: float) -> None:
+    """Exact inputs and widths, a fraction of the interval after a sample, into the registers behind the states."""
+    rest = 1.0 - fraction
     for k in range(inputs.shape[1]):
         p = inputs[row, k]
-        registers[size + k] = rest * p[0] + fraction * p[1] + fraction * rest * (p[2] + fraction * p[3])
+        program.registers[size + k] = rest * p[0] + fraction * p[1] + fraction * rest * (p[2] + fraction * p[3])
+
+
+@kernel
+def _drift(steps: Steps, path: Floats, row: int, time: float, powers: Floats) -> None:
+    """States that are no derivatives of chains, a time after a sample, into the registers of the program.
+
+    Each is constant or has the next one as its rate: Taylor's series. `powers` (S, S) receive its terms' derivatives by
+    the states at the sample.
+    """
+    size = path.shape[1]
+    for i in range(steps.motion, size):
+        value, power, j = path[row, i], 1.0, i
+        powers[i, i] = 1.0
+        while steps.rising[j]:
+            j += 1
+            power *= time / (j - i)
+            powers[i, j] = power
+            value += power * path[row, j]
+        steps.program.registers[i] = value
 
 
 @kernel
 def _rates(
-    steps: Steps, chosen: Candidates, row: int, fraction: float, tangents: Floats, y: Floats, rate: Floats
+    steps: Steps, chosen: Candidates, own: bool, row: int, fraction: float, work: Tangents, y: Floats, rate: Floats
 ) -> None:
-    """Rates of the states (first column), of their derivatives by the states, and by the coefficients.
-
-    `tangents` are the derivatives of the registers by the states.
-    """
+    """Rates of the states of chains (first column), of their derivatives by all states, and by the coefficients."""
     program, basis, motion = steps.program, steps.basis, steps.motion
-    size, width = y.shape
-    _set_variables(program, steps.inputs, y, row, fraction)
-    run_tape(program, tangents)
-    for i in range(size):
+    width, size, registers = y.shape[1], work.powers.shape[0], program.registers
+    for i in range(motion):
+        registers[i] = y[i, 0]
+    _set_inputs(program, steps.inputs, size, row, fraction)
+    run_tape(program, work.tangents)
+    for i in range(motion):
         output = program.outputs[i]
-        rate[i, 0] = program.registers[output]
+        rate[i, 0] = registers[output]
         for j in range(1, width):
             rate[i, j] = 0.0
         for o in range(size):
-            factor = tangents[output, o]
-            if factor != 0.0:
-                for j in range(1, width if i < motion and o < motion else 1 + size):
+            factor = work.tangents[output, o]
+            if factor == 0.0:
+                continue
+            if o < motion:
+                for j in range(1, width):
                     rate[i, j] += factor * y[o, j]
-    if width > 1 + size:
-        _set_variables(basis, steps.inputs, y, row, fraction)
+            else:
+                for j in range(o, size):
+                    rate[i, 1 + j] += factor * work.powers[o, j]
+    r = width - 1 - size
+    first = size + len(steps.factors)
+    if r and not own:
+        basis.registers[:size] = registers[:size]
+        _set_inputs(basis, steps.inputs, size, row, fraction)
         run_tape(basis, None)
-        for j in range(width - 1 - size):
-            c = chosen.chain[j]
-            rate[steps.last[c], 1 + size + j] += steps.factors[c] * basis.registers[basis.outputs[chosen.term[j]]]
+    for j in range(r):
+        c = chosen.chain[j]
+        term = registers[program.outputs[first + j]] if own else basis.registers[basis.outputs[chosen.term[j]]]
+        rate[steps.last[c], 1 + size + j] += steps.factors[c] * term
 
 
 @kernel
@@ -169,6 +204,7 @@ def _ahead(x: Floats, h: float, rate: Floats, y: Floats) -> None:
 def _integrate(
     steps: Steps,
     chosen: Candidates,
+    own: bool,
     path: Floats,
     first: int,
     stop: int,
@@ -180,48 +216,53 @@ def _integrate(
 ) -> None:
     """Runge-Kutta steps from samples `first` to `stop` of a path, with their derivatives by states and coefficients.
 
-    Receives, from its first row on, what `Linear` has; of empty arrays nothing.
+    Receives, from its first row on, what `Linear` has; of empty arrays nothing. `own`: these are the coefficients of
+    the model.
     """
-    (n, size), r = path.shape, len(chosen.chain)
-    tangents = np.zeros((steps.program.registers.shape[0], size))
+    (n, size), r, motion = path.shape, len(chosen.chain), steps.motion
+    work = Tangents(np.zeros((steps.program.registers.shape[0], size)), np.zeros((size, size)))
     for i in range(size):
-        tangents[i, i] = 1.0
-    work = np.zeros((STAGES, size, 1 + size + r))
-    x, y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4], work[5]
+        work.tangents[i, i] = 1.0
+    stages = np.zeros((STAGES, motion, 1 + size + r))
+    x, y, k1, k2, k3, k4 = stages[0], stages[1], stages[2], stages[3], stages[4], stages[5]
     for row in range(first, stop):
-        for i in range(size):
+        for i in range(motion):
             for j in range(1 + size + r):
                 x[i, j] = 1.0 if j == 1 + i else 0.0
             x[i, 0] = path[row, i]
         count = steps.substeps[row] if row < n - 1 else 1
         share = 1.0 / count
         for step in range(count):
-            _rates(steps, chosen, row, step * share, tangents, x, k1)
+            whole = steps.intervals[row] if row < n - 1 else 0.0
+            _drift(steps, path, row, step * share * whole, work.powers)
+            _rates(steps, chosen, own, row, step * share, work, x, k1)
             if step == 0:
                 for c in range(target.shape[1]):
                     output = steps.program.outputs[size + c]
                     target[row, c] = steps.program.registers[output]
                     for j in range(size):
-                        gradient[row, c, j] = tangents[output, j]
+                        gradient[row, c, j] = work.tangents[output, j]
             if row == n - 1:
                 break
-            h = steps.intervals[row] * share
+            h = whole * share
             _ahead(x, 0.5 * h, k1, y)
-            _rates(steps, chosen, row, (step + 0.5) * share, tangents, y, k2)
+            _drift(steps, path, row, (step + 0.5) * h, work.powers)
+            _rates(steps, chosen, own, row, (step + 0.5) * share, work, y, k2)
             _ahead(x, 0.5 * h, k2, y)
-            _rates(steps, chosen, row, (step + 0.5) * share, tangents, y, k3)
+            _rates(steps, chosen, own, row, (step + 0.5) * share, work, y, k3)
             _ahead(x, h, k3, y)
-            _rates(steps, chosen, row, (step + 1.0) * share, tangents, y, k4)
-            for i in range(size):
+            _drift(steps, path, row, (step + 1.0) * h, work.powers)
+            _rates(steps, chosen, own, row, (step + 1.0) * share, work, y, k4)
+            for i in range(motion):
                 for j in range(1 + size + r):
                     x[i, j] += h / 6.0 * (k1[i, j] + 2.0 * (k2[i, j] + k3[i, j]) + k4[i, j])
         if row < n - 1:
             at = row - first
             for i in range(end.shape[1]):
-                end[at, i] = x[i, 0]
+                end[at, i] = x[i, 0] if i < motion else steps.program.registers[i]
                 for j in range(size):
-                    transition[at, i, j] = x[i, 1 + j]
-            for i in range(steps.motion):
+                    transition[at, i, j] = x[i, 1 + j] if i < motion else work.powers[i, j]
+            for i in range(motion):
                 for j in range(r):
                     sources[at, i, j] = x[i, 1 + size + j]
 
@@ -268,11 +309,12 @@ def linearise(
         layout.last,
         np.array([rates[-1] for rates in layout.rates]),
         layout.motion,
+        layout.rising,
     )
     end, transition, sources, target, gradient = arrays(
         (n - 1, size), (n - 1, size, size), (n - 1, layout.motion, len(theta)), (n, chains), (n, chains, size)
     )
-    _integrate(steps, chosen, path, 0, n, end, transition, sources, target, gradient)
+    _integrate(steps, chosen, True, path, 0, n, end, transition, sources, target, gradient)
     _to_mean(layout, series.intervals, end, transition)
     seen = path[:, np.maximum(layout.kinds, 0)]
     for channel in np.flatnonzero(layout.kinds < 0):
@@ -291,7 +333,7 @@ def linearise(
         unresolved=blur.unresolved,
         force=blur.force,
         discrepancy=layout.discrepancy,
-        terms=_terms(layout, path, inputs[:, :, 0]),
+        terms=terms_at(layout, path, inputs),
         chosen=chosen,
         sources=sources,
         steps=steps,
@@ -306,7 +348,7 @@ def sources_of(linear: Linear, chosen: Candidates, first: int, stop: int) -> Flo
     out = np.empty((stop - first, linear.steps.motion, r))
     no_ends, no_slopes = np.empty((0, 0)), np.empty((0, 0, 0))
     steps = linear.steps.fresh()
-    _integrate(steps, chosen, linear.path, first, stop, no_ends, no_slopes, out, no_ends, no_slopes)
+    _integrate(steps, chosen, False, linear.path, first, stop, no_ends, no_slopes, out, no_ends, no_slopes)
     return out
 
 
@@ -333,11 +375,11 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
         transition[:, slope] = np.einsum("nj,njs->ns", factors, transition[:, states])
 
 
-def _terms(layout: Layout, states: Floats, inputs: Floats) -> Floats:
-    """Candidates and the constant at some states, (n, P + 1)."""
-    columns = dict(zip(layout.names, np.asfortranarray(states).T, strict=True))
-    columns |= dict(zip((*layout.given, *layout.jump_widths), inputs.T, strict=True))
-    out = np.ones((len(states), len(layout.terms) + 1))
+def terms_at(layout: Layout, path: Floats, inputs: Floats) -> Floats:
+    """Candidates and the constant at the states of a path, (n, P + 1), inputs (n, m, 4) with the widths of jumps."""
+    columns = dict(zip(layout.names, np.asfortranarray(path).T, strict=True))
+    columns |= dict(zip((*layout.given, *layout.jump_widths), inputs[:, :, 0].T, strict=True))
+    out = np.ones((len(path), len(layout.terms) + 1))
     out[:, :-1] = evaluate_terms(layout.blurred, columns)
     return out
 
@@ -351,16 +393,16 @@ def _derivatives(steps: Steps, start: Floats, end: Floats, directions: Floats, b
     """
     program, (n, size), chains = steps.basis, start.shape, directions.shape[1]
     tangents = np.zeros((program.registers.shape[0], chains))
-    states = np.empty((size, 1))
     for row in range(n):
         count = steps.substeps[row] if between else 1
         for node in range(count):
             fraction = (node + 0.5) / count if between else 0.0
             for i in range(size):
-                states[i, 0] = start[row, i] + fraction * (end[row, i] - start[row, i]) if between else start[row, i]
+                moved = end[row, i] - start[row, i] if between else 0.0
+                program.registers[i] = start[row, i] + fraction * moved
                 for c in range(chains):
                     tangents[i, c] = directions[row, c, i] / count
-            _set_variables(program, steps.inputs, states, row, fraction)
+            _set_inputs(program, steps.inputs, size, row, fraction)
             run_tape(program, tangents)
             for c in range(chains):
                 for j in range(out.shape[1]):

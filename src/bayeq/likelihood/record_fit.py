@@ -16,7 +16,7 @@ from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.block import Block
-from bayeq.likelihood.fit import Quadratic, State, marginal, solved
+from bayeq.likelihood.fit import Quadratic, State, candidates, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.projection import Leftover, leftover
 from bayeq.likelihood.search import ADEQUATE, Fitted, Task, fit, from_all_levels, resumed, search, with_model
@@ -40,6 +40,9 @@ ROWS_AT_FIRST, STRETCHES = 16_000, 4
 # Coefficients that are reported have this share of the prior's precision: it makes no difference where the record tells
 # them, and shrinks them where it hardly does.
 UNSHRUNK = 1e-3
+
+# Where that moves no coefficient by this share of its standard deviation, the likelihood about the fit tells how far.
+HARDLY = 0.1
 
 # The noise of an input is read from the record if the likelihoods of none, of that found and of 5 %, as a share of the
 # variance, differ by more nats than this: two standard errors.
@@ -97,9 +100,8 @@ class RecordFit:
             Of all of them.
         """
         task = replace(task, series=self.task.series, counted=block.samples)
-        fitted = replace(
-            self.fitted, quadratic=quadratic, state=replace(state, paths=self.fitted.state.paths), tried={}
-        )
+        state = replace(state, paths=self.fitted.state.paths)
+        fitted = replace(self.fitted, expand=lambda: quadratic, state=state, tried={})
         more = task.model(state.chosen), block
         found = replace(self, task=task, fitted=fitted, posterior=_averaged(task, fitted), more=more)
         return found.about(found.posterior.support)
@@ -164,14 +166,16 @@ class RecordFit:
     def unshrunk(self) -> tuple[State, Floats]:
         """The fit under a prior that does not shrink coefficients, and their covariance."""
         task, state = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[]), self.fitted.state
+        included, q = np.flatnonzero(self.fitted.model), self.fitted.quadratic
+        precision = task.precision[included]
         with np.errstate(all="ignore"):
-            if self.more is not None:  # as the likelihood of all rows has it, to second order
-                included, q = np.flatnonzero(self.fitted.model), self.fitted.quadratic
-                H = q.information[np.ix_(included, included)] + np.diag(task.precision[included])
-                covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
-                return replace(state, theta=covariance @ q.slope[included]), covariance
+            H = q.information[np.ix_(included, included)] + np.diag(precision)
+            covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
+            theta = covariance @ q.slope[included]
+            moved = np.abs(theta - state.theta) / np.sqrt(np.diagonal(covariance))
+            if self.more is not None or moved.max(initial=0.0) < HARDLY:
+                return replace(state, theta=theta), covariance
             state = fit(task, state, coarse=True).state
-            precision = task.precision[task.number(state.chosen)]
             return state, marginal(task.linearised(state), state, state.levels, precision).covariance
 
     def projectable(self, c: int, model: Bools) -> bool:
@@ -191,9 +195,8 @@ class RecordFit:
         state, _ = self.unshrunk
         own = np.flatnonzero(state.chosen.chain == c)
         columns, d = state.chosen.term[state.chosen.chain == c], self.task.layout.discrepancy[c]
-        linears = self.task.linearised(state)
         left = leftover(
-            [linear.terms[:, columns] for linear in linears],
+            [terms[:, columns] for terms in candidates(self.task.layout, self.task.series, state)],
             [path[:, d] for path in state.paths],
             [one.intervals for one in self.task.series],
             float(state.levels.target[c]),

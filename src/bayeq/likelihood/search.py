@@ -6,9 +6,9 @@ What the Gram of one linearisation prefers is then compared with its neighbours,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -200,17 +200,22 @@ class Fitted:
         Their values, the paths and the levels.
     evidence : float
         ln p(data, model), up to a constant.
-    quadratic : Quadratic
-        The likelihood of all candidates about the fit.
-    tried : mapping of bytes to float
+    expand : callable
+        Gives `quadratic`.
+    tried : dict of bytes to float
         Evidence of the models that were fitted to be compared.
     """
 
     model: Bools
     state: State
     evidence: float
-    quadratic: Quadratic
-    tried: Mapping[bytes, float] = field(default_factory=dict)
+    expand: Callable[[], Quadratic]
+    tried: dict[bytes, float] = field(default_factory=dict)
+
+    @cached_property
+    def quadratic(self) -> Quadratic:
+        """The likelihood of all candidates about the fit; of most fits nobody asks for it."""
+        return self.expand()
 
 
 # Another treatment of the inputs, from a task and its fit.
@@ -252,7 +257,12 @@ def fit(task: Task, state: State, coarse: bool = False, further: bool = True, ca
             return fit(task, replace(state, levels=met), further=False)
         value += mean
     model = task.model(state.chosen)
-    return Fitted(model, state, value + task.prior(model), information(layout, linears, state, curved))
+    return Fitted(model, state, value + task.prior(model), partial(expanded, task, state, curved))
+
+
+def expanded(task: Task, state: State, curved: Floats) -> Quadratic:
+    """The likelihood of all candidates about a fit that has converged."""
+    return information(task.layout, task.linearised(state), state, curved)
 
 
 def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
@@ -275,6 +285,8 @@ def from_all_levels(task: Task, state: State) -> Fitted:
     Levels of another model may keep a discrepancy that nothing needs any more.
     """
     found = [fit(task, state)]
+    if (state.levels.kappa < NOTICED).all():
+        return found[0]
     much = bool((state.levels.kappa > EXPLAINS_MUCH).any())
     try:
         found.append(fit(task, calmed(state), calm=CALM_STEPS if much else 0))
@@ -557,5 +569,6 @@ def among_neighbours(task: Task, best: Fitted, log: Callable[..., None]) -> Fitt
             break
         best = better
         log("move", best)
+    best.tried.update(tried)
     task.recent.clear()
-    return replace(best, tried=tried)
+    return best
