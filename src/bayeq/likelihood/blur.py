@@ -2,8 +2,9 @@
 
 The width of a jump at a sample is the standard deviation of its argument there: the smoothed covariance of the states,
 and beside a passage the change of the argument over a step of the integration. It is no less than what the jump itself
-changes the argument by in such a step, so that friction that holds a body at rest can be integrated. What the mean over
-the width leaves out is noise: of samples of the target, and of the force that acts over a step.
+changes the argument by in such a step, so that it can be integrated. What the mean over the width leaves out is noise:
+of samples of the target, and of the force that acts over a step. Where both sides of a jump lead to it the argument
+stays at zero: friction holds a body at rest with just the force that it takes.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.expressions import Evaluator, Expression
+from bayeq.expressions import Call, Evaluator, Expression
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.series import Series
-from bayeq.likelihood.signs import SLOPE, half_of_jump, unresolved_share
+from bayeq.likelihood.signs import SLOPE, half_of_jump, middle_of_jump, unresolved_share
 
-__all__ = ["Blur", "blur_of", "crossings", "first_blur"]
+__all__ = ["Blur", "Hold", "blur_of", "crossings", "first_blur"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -34,6 +35,41 @@ LEAST, LEAST_ERROR = 1e-9, 1e-3
 UNRESOLVED = 0.5
 
 
+class Hold(NamedTuple):
+    """Intervals in which a jump keeps its argument at zero: both sides lead there, as where friction holds a body.
+
+    Attributes
+    ----------
+    jump : int
+        Of `Layout.jumps`.
+    rows : (k,) int array
+        The intervals, by the samples that they begin with.
+    half : (k, C) array
+        Half of what the jump changes each equation by.
+    gradient, offset : (k, motion) and (k,) arrays
+        The argument at their ends: ``gradient @ states + offset``.
+    wide : float
+        A width over which the jump is not seen.
+    """
+
+    jump: int
+    rows: NDArray[np.intp]
+    half: Floats
+    gradient: Floats
+    offset: Floats
+    wide: float
+
+    def projectors(self, push: Floats) -> tuple[Floats, Floats]:
+        """What the force that holds the argument leaves of changes of the states, and what it changes them by.
+
+        (k, motion, motion) and (k, motion); `push` (k, motion, C) is what a constant force of 1 in each equation does
+        in the interval. The force is the one that makes the argument zero at the end (Filippov 1988, sliding motion).
+        """
+        push = np.einsum("knc,kc->kn", push, self.half)
+        push = push / np.einsum("kn,kn->k", self.gradient, push)[:, None]
+        return np.eye(push.shape[1]) - push[:, :, None] * self.gradient[:, None, :], -push * self.offset[:, None]
+
+
 class Blur(NamedTuple):
     """Widths of the jumps along the path of a record.
 
@@ -44,19 +80,23 @@ class Blur(NamedTuple):
     unresolved : (n, M) array
         Variance that each sample has beside its noise: of what the mean of jumps leaves out.
     force : (n - 1, C) array
-        Variance, over a step, of the force that it leaves out of each equation. Where a body is held that is one force
-        for as long as it is held: as much as independent ones of n samples, each with n times the variance.
+        Variance, over a step, of the force that it leaves out of each equation.
+    holds : tuple of Hold
+        Where jumps hold their arguments.
     """
 
     width: Floats
     unresolved: Floats
     force: Floats
+    holds: tuple[Hold, ...] = ()
 
     def beside(self, inputs: Floats) -> Floats:
         """Inputs (n, m, 4) and the widths, straight between samples, (n, m + J, 4)."""
         own = np.zeros((*self.width.shape, 4))
         own[:, :, 0] = self.width
         own[:, :, 1] = np.concatenate([self.width[1:], self.width[-1:]])
+        for hold in self.holds:
+            own[hold.rows, hold.jump, :2] = hold.wide
         return np.concatenate([inputs, own], axis=1)
 
 
@@ -115,9 +155,9 @@ def blur_of(
     """
     n, evaluate = len(path), Evaluator(_columns(layout, series, path))
     width = np.zeros((n, len(layout.jumps)))
-    left_out, lasting = np.zeros((n, layout.chains)), np.zeros((n, layout.chains))
+    left_out = np.zeros((n, layout.chains))
     passing = crossings(layout, series, path, np.ones(len(layout.jumps), dtype=np.bool_))
-    inside = layout.jumps_in(chosen)
+    inside, holds = layout.jumps_in(chosen), []
     for j, jump in enumerate(layout.jumps):
         expression = Expression(jump.arguments[0])
         values = evaluate(expression)
@@ -131,20 +171,44 @@ def blur_of(
         width[:, j] = np.maximum(np.sqrt(error**2 + UNIFORM * change**2), floor)
         share = unresolved_share(jump, evaluate, width[:, j], np.maximum(error, LEAST_ERROR * width[:, j]))
         left_out += half**2 * share[:, None]
-        lasting += half**2 * (share * _lengths(share > UNRESOLVED))[:, None]
+        if inside[j] and jump.function == "sign":
+            rows = _held(layout, path, chosen, theta, jump, evaluate, gradient, half, share)
+            ends, slopes = rows + 1, gradient[:, : layout.motion]
+            offset = values[ends] - np.einsum("ki,ki->k", slopes[ends], path[ends, : layout.motion])
+            wide = (np.abs(values).max() + width[:, j].max()) / LEAST
+            holds.append(Hold(j, rows, half[rows], slopes[ends], offset, wide))
     unresolved = np.zeros(series.samples.shape)
     targets = np.flatnonzero(layout.kinds < 0)
     unresolved[:, targets] = left_out[:, -1 - layout.kinds[targets]]
-    return Blur(width, unresolved, 0.5 * (lasting[1:] + lasting[:-1]))
+    force = 0.5 * (left_out[1:] + left_out[:-1])
+    for hold in holds:
+        force[hold.rows] = 0.0
+    return Blur(width, unresolved, force, tuple(holds))
 
 
-def _lengths(held: Bools) -> Floats:
-    """Number of samples of the run that each sample of a run is in; 1 of the others."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]])))
-    out = np.ones(len(held))
-    for first, stop in zip(ends[::2], ends[1::2], strict=True):
-        out[first:stop] = stop - first
-    return out
+def _held(
+    layout: Layout,
+    path: Floats,
+    chosen: Candidates,
+    theta: Floats,
+    jump: Call,
+    evaluate: Evaluator,
+    gradient: Floats,
+    half: Floats,
+    share: Floats,
+) -> NDArray[np.intp]:
+    """Intervals in which a sign leads its argument to zero from both sides, and at the end of which it may be there."""
+    target = path[:, layout.discrepancy].copy()
+    for c, t, value in zip(chosen.chain, chosen.term, theta.tolist(), strict=True):
+        target[:, c] += value * (middle_of_jump(layout.terms[t], jump, evaluate) if t < len(layout.terms) else 1.0)
+    rest, pull = np.zeros(len(path)), np.zeros(len(path))
+    for c, (last, rates) in enumerate(zip(layout.last, layout.rates, strict=True)):
+        first = last + 1 - len(rates)
+        below = np.column_stack([path[:, first + 1 : last + 1], target[:, c]]) * rates
+        rest += np.einsum("ni,ni->n", gradient[:, first : last + 1], below)
+        pull += gradient[:, last] * rates[-1] * half[:, c]
+    drawn = np.abs(rest) < -pull
+    return np.flatnonzero(drawn[:-1] & drawn[1:] & (share[1:] > UNRESOLVED))
 
 
 def _at_both_ends(values: Floats) -> Floats:

@@ -106,6 +106,8 @@ class Linear(NamedTuple):
         Derivatives of `end` by them, of the states of the chains.
     steps : Steps
         What `sources_of` other coefficients takes.
+    holds : tuple of ((k,), (k, motion, motion)) arrays
+        Intervals in which the arguments of jumps are held, and what that leaves of changes of the states.
     """
 
     path: Floats
@@ -124,6 +126,7 @@ class Linear(NamedTuple):
     chosen: Candidates
     sources: Floats
     steps: Steps
+    holds: tuple[tuple[NDArray[np.intp], Floats], ...]
 
 
 @kernel
@@ -315,6 +318,15 @@ def linearise(
         (n - 1, size), (n - 1, size, size), (n - 1, layout.motion, len(theta)), (n, chains), (n, chains, size)
     )
     _integrate(steps, chosen, True, path, 0, n, end, transition, sources, target, gradient)
+    motion, holds = layout.motion, []
+    for hold in blur.holds:
+        if layout.jumps_in(chosen)[hold.jump]:
+            rows = hold.rows
+            left, moved = hold.projectors(transition[rows, :motion][:, :, layout.discrepancy])
+            end[rows, :motion] = np.einsum("kij,kj->ki", left, end[rows, :motion]) + moved
+            transition[rows, :motion] = left @ transition[rows, :motion]
+            sources[rows] = left @ sources[rows]
+            holds.append((rows, left))
     _to_mean(layout, series.intervals, end, transition)
     seen = path[:, np.maximum(layout.kinds, 0)]
     for channel in np.flatnonzero(layout.kinds < 0):
@@ -337,6 +349,7 @@ def linearise(
         chosen=chosen,
         sources=sources,
         steps=steps,
+        holds=tuple(holds),
     )
 
 
@@ -349,6 +362,9 @@ def sources_of(linear: Linear, chosen: Candidates, first: int, stop: int) -> Flo
     no_ends, no_slopes = np.empty((0, 0)), np.empty((0, 0, 0))
     steps = linear.steps.fresh()
     _integrate(steps, chosen, False, linear.path, first, stop, no_ends, no_slopes, out, no_ends, no_slopes)
+    for rows, left in linear.holds:
+        inside = (first <= rows) & (rows < stop)
+        out[rows[inside] - first] = left[inside] @ out[rows[inside] - first]
     return out
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bayeq.expressions import Binary, Call, Evaluator, Expression, Negate, Node, Number, number
 from bayeq.expressions.nodes import arguments_of, is_comparison, with_arguments
 
-__all__ = ["SLOPE", "half_of_jump", "jumps_of", "mean_of_jumps", "unresolved_share"]
+__all__ = ["SLOPE", "half_of_jump", "jumps_of", "mean_of_jumps", "middle_of_jump", "unresolved_share"]
 
 Floats = NDArray[np.float64]
 
@@ -121,6 +121,11 @@ def half_of_jump(term: Expression, jump: Call, evaluate: Evaluator) -> Floats | 
     above, below, _ = _sides(jump)
     upper, lower = (_with_values(term.tree, {jump: side}.get) for side in (above, below))
     return 0.5 * (evaluate(Expression(upper)) - evaluate(Expression(lower))) if upper != lower else 0.0
+
+
+def middle_of_jump(term: Expression, jump: Call, evaluate: Evaluator) -> Floats | float:
+    """A term halfway through a jump of a sign, (n,)."""
+    return evaluate(Expression(_with_values(term.tree, {jump: number(0.0)}.get)))
 
 
 def unresolved_share(jump: Call, evaluate: Evaluator, width: Floats, error: Floats) -> Floats:
