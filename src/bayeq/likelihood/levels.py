@@ -49,12 +49,15 @@ class Scales:
         Variance of each channel.
     interval : float
         Between samples, mostly [s]; 0 where memories of discrepancies are to be as long as the record has them.
+    rounding : (M,) array or 0
+        Variance of each channel's rounding. Its noise is no less: a body at rest gives one value again and again.
     """
 
     mean: Floats
     variance: Floats
     channels: Floats
     interval: float = 0.0
+    rounding: Floats | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +187,7 @@ class Levels:
         target = self.target
         slope = self.scales.variance[self.layout.slope]
         low = [
-            np.log(LEAST_NOISE * self.scales.channels),
+            np.log(np.maximum(LEAST_NOISE * self.scales.channels, self.scales.rounding)),
             np.log(LEAST_DISCREPANCY * target),
             np.full(len(target), _logit(np.array(MEMORY[0]))),
             np.log(LEAST_DISCREPANCY * slope),

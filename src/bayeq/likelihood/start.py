@@ -159,8 +159,13 @@ def with_exact_inputs(motion: Motion, task: Task, fitted: Fitted, kind: Interpol
     kept = [*range(first), *(i for k in stay for i in range(old.driven[k], old.driven[k] + old.widths[k]))]
     before = len(old.channels) - len(old.noisy)
     channels = [*range(before), *(before + k for k in stay)]
-    scales = Scales(
-        levels.scales.mean[kept], levels.scales.variance[kept], levels.scales.channels[channels], levels.scales.interval
+    known = levels.scales
+    scales = replace(
+        known,
+        mean=known.mean[kept],
+        variance=known.variance[kept],
+        channels=known.channels[channels],
+        rounding=np.broadcast_to(known.rounding, known.channels.shape)[channels],
     )
     return (
         replace(task, layout=layout, series=tuple(_series(layout, rows) for rows in motion.train)),
@@ -233,7 +238,15 @@ def _scales(layout: Layout, paths: Sequence[Floats], targets: Floats, samples: F
     mean[layout.motion :] = 0.0
     mean[layout.driven] = whole[:, layout.driven].mean(axis=0)
     variance[layout.discrepancy] = targets
-    return Scales(mean, np.maximum(variance, 1e-300), np.nanvar(samples, axis=0), interval)
+    rounding = np.array([_rounding(column) for column in samples.T])
+    rounding[samples.shape[1] - len(layout.noisy) :] = 0.0  # a force may be switched
+    return Scales(mean, np.maximum(variance, 1e-300), np.nanvar(samples, axis=0), interval, rounding)
+
+
+def _rounding(samples: Floats) -> float:
+    """Variance of rounding to the finest step between any two samples."""
+    steps = np.diff(np.unique(samples[np.isfinite(samples)]))
+    return float(steps.min(initial=np.inf) ** 2 / 12.0) if len(steps) else 0.0
 
 
 def _precision(motion: Motion, layout: Layout) -> Floats:
