@@ -238,8 +238,9 @@ def _fits(equation: Equation) -> list[str]:
     for label, fit in (("training", equation.train), ("held-out", equation.held_out)):
         if fit is not None:
             error = 100 * fit.nrmse
-            percent = f"{error:.0f}" if error >= 10 else f"{error:.2g}"
-            out.append(f"{label} rows ({fit.n}): R2 {fit.r2:.4f}, normalised RMS error {percent} %")
+            percent = f"{error:.0f}" if 10 <= error < 1e4 else f"{error:.2g}"
+            r2 = f"{fit.r2:.4f}" if fit.r2 > -1e4 else f"{fit.r2:.2g}"
+            out.append(f"{label} rows ({fit.n}): R2 {r2}, normalised RMS error {percent} %")
     return out
 
 

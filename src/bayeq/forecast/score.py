@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 LEAST_ROWS = 2
 
 
-def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows]) -> Scores:
+def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], motion: Sequence[Rows] = ()) -> Scores:
     """Scores over all rows of some records together, a free run in each.
 
     Parameters
@@ -43,10 +43,12 @@ def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows]) -
         The equations.
     pieces : sequence of Rows
         At least two rows each.
+    motion : sequence of Rows, optional
+        What tells how far states may go, if it is more than these: a body may be at rest in them.
     """
     runs, blew_up_at = [], None
+    limits = state_range(np.concatenate([rows.stack(dynamics.states) for rows in motion or pieces]))
     for rows in pieces:
-        limits = state_range(rows.stack(dynamics.states))
         first = fitted_start(dynamics, parameters, rows, *limits)
         run, stopped, _ = mean_run(dynamics, parameters, first, rows.drive(*limits))
         runs.append(run)
@@ -85,8 +87,9 @@ def held_out_scores(dynamics: Dynamics, motion: Motion) -> Scores | None:
     """
     if not motion.timed:
         return None
-    pieces = [rows for rows in divided(motion, rows_of(motion, "a free run"))[1] if rows.n >= LEAST_ROWS]
-    return score_rows(dynamics, dynamics.mean, pieces) if pieces else None
+    whole = rows_of(motion, "a free run")
+    pieces = [rows for rows in divided(motion, whole)[1] if rows.n >= LEAST_ROWS]
+    return score_rows(dynamics, dynamics.mean, pieces, whole) if pieces else None
 
 
 def score_records(

@@ -82,7 +82,7 @@ def window_runs(
     whole = np.concatenate(states)
     spread = whole.std(axis=0) if unit is None else unit
     scale = np.where(spread > 0, spread, 1.0)
-    limits = state_range(whole)
+    limits = state_range(np.concatenate([whole, [-scale], [scale]]))
     out = []
     for rows, known in zip(pieces, states, strict=True):
         drive = rows.drive(*limits)
