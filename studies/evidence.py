@@ -20,6 +20,7 @@ import numpy as np
 from bayeq.discovery import discover
 from bayeq.errors import BayeqWarning
 from bayeq.likelihood import record_fit
+from bayeq.likelihood.search import of_motion
 from studies.numbers_records import draw_sign_oscillator
 from studies.resumable import Cell, Outcome, run_study
 
@@ -31,7 +32,7 @@ LOWER = 2.0
 
 
 def evidence_of(record: Any, question: Mapping[str, Any]) -> float:
-    """ln p(data | model) of the best model of the training rows."""
+    """ln p(motion | inputs, model) of the best model of the training rows: inputs may be noisy in one fit only."""
     found = []
 
     def kept(*arguments: Any) -> Any:
@@ -43,7 +44,7 @@ def evidence_of(record: Any, question: Mapping[str, Any]) -> float:
         warnings.simplefilter("ignore", BayeqWarning)
         discover(record, **question)
     task, fitted = found[0]
-    return float(fitted.evidence - task.prior(fitted.model))
+    return of_motion(task, fitted) - task.prior(fitted.model)
 
 
 def _measure(draw: Any, seed: int) -> Outcome:
