@@ -66,6 +66,15 @@ def test_an_oscillator_with_coulomb_friction_comes_to_rest():
             assert abs(equation.shown_coef[term] - value) < high - low
 
 
+def test_a_body_that_is_held_has_no_acceleration():
+    """An accelerometer beside the displacement: where a sample of it was thought to be of the force without friction,
+    known to within friction, the stiffness came out far too sure, and friction was left out."""
+    record, question, truth = draw_paper(60003, "coulomb", "x::a", 0.05, free=True, all_terms=False)
+    equation = quietly(record, **question)[0]
+    assert equation.shown_coef["x"] == pytest.approx(truth["a"]["x"], rel=1e-3)
+    assert equation.shown_coef["sign(dx)"] == pytest.approx(truth["a"]["sign(dx)"], rel=0.05)
+
+
 def test_a_pendulum_with_an_encoder_comes_to_rest():
     """Its held-out part is at rest at one value: the noise is no less than that of rounding, and runs are given up by
     the range of the whole motion."""

@@ -177,6 +177,8 @@ def blur_of(
             offset = values[ends] - np.einsum("ki,ki->k", slopes[ends], path[ends, : layout.motion])
             wide = (np.abs(values).max() + width[:, j].max()) / LEAST
             holds.append(Hold(j, rows, half[rows], slopes[ends], offset, wide))
+    for hold in holds:
+        left_out[hold.rows] = 0.0
     unresolved = np.zeros(series.samples.shape)
     targets = np.flatnonzero(layout.kinds < 0)
     unresolved[:, targets] = left_out[:, -1 - layout.kinds[targets]]

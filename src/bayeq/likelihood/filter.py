@@ -282,7 +282,7 @@ def _forward(
                         S += gradient[k, -1 - kind, i] * lines[0, start + i]
                     for j in range(len(chain)):
                         if chain[j] == -1 - kind:
-                            lines[0, 1 + j] += terms[k, term[j]]
+                            lines[0, 1 + j] += linear.open_to[k, chain[j]] * terms[k, term[j]]
                 lines[0, 0] -= residual[k, channel]
                 unit = 1.0 / np.sqrt(S)
                 for j in range(start):

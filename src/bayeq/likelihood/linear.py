@@ -11,7 +11,7 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.expressions.tape import Program, run_tape
 from bayeq.kernels import kernel
 from bayeq.likelihood.arrays import arrays
-from bayeq.likelihood.blur import Blur, crossings, first_blur
+from bayeq.likelihood.blur import Blur, Hold, crossings, first_blur
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.series import Series
 from bayeq.ode.rk4 import STAGES
@@ -100,6 +100,8 @@ class Linear(NamedTuple):
         See `Layout.discrepancy`.
     terms : (n, P + 1) array
         The candidates and the constant at the path.
+    open_to : (n, C) array
+        Share of a term that shows in a sample of its target: 1, and 0 where a jump makes up for it.
     chosen : Candidates
         The coefficients of the model.
     sources : (n - 1, motion, r) array
@@ -123,6 +125,7 @@ class Linear(NamedTuple):
     force: Floats
     discrepancy: Ints
     terms: Floats
+    open_to: Floats
     chosen: Candidates
     sources: Floats
     steps: Steps
@@ -318,10 +321,11 @@ def linearise(
         (n - 1, size), (n - 1, size, size), (n - 1, layout.motion, len(theta)), (n, chains), (n, chains, size)
     )
     _integrate(steps, chosen, True, path, 0, n, end, transition, sources, target, gradient)
-    motion, holds = layout.motion, []
+    motion, holds, open_to = layout.motion, [], np.ones((n, chains))
     for hold in blur.holds:
         if layout.jumps_in(chosen)[hold.jump]:
             rows = hold.rows
+            _hold_targets(layout, hold, path, target, gradient, open_to)
             left, moved = hold.projectors(transition[rows, :motion][:, :, layout.discrepancy])
             end[rows, :motion] = np.einsum("kij,kj->ki", left, end[rows, :motion]) + moved
             transition[rows, :motion] = left @ transition[rows, :motion]
@@ -346,11 +350,27 @@ def linearise(
         force=blur.force,
         discrepancy=layout.discrepancy,
         terms=terms_at(layout, path, inputs),
+        open_to=open_to,
         chosen=chosen,
         sources=sources,
         steps=steps,
         holds=tuple(holds),
     )
+
+
+def _hold_targets(layout: Layout, hold: Hold, path: Floats, target: Floats, gradient: Floats, open_to: Floats) -> None:
+    """The targets while a jump holds its argument, with as much of the jump as keeps the argument from changing."""
+    rows = hold.rows
+    by_force = hold.gradient[:, layout.last] * np.array([rates[-1] for rates in layout.rates])
+    change, slopes = np.einsum("kc,kc->k", by_force, target[rows]), np.einsum("kc,kcs->ks", by_force, gradient[rows])
+    for last, rates in zip(layout.last, layout.rates, strict=True):
+        for i, rate in enumerate(rates[:-1], last + 1 - len(rates)):
+            change += rate * hold.gradient[:, i] * path[rows, i + 1]
+            slopes[:, i + 1] += rate * hold.gradient[:, i]
+    share = hold.half / np.einsum("kc,kc->k", by_force, hold.half)[:, None]
+    target[rows] -= share * change[:, None]
+    gradient[rows] -= share[:, :, None] * slopes[:, None, :]
+    open_to[rows] -= share * by_force
 
 
 def sources_of(linear: Linear, chosen: Candidates, first: int, stop: int) -> Floats:
