@@ -59,11 +59,18 @@ def _circuit() -> Question:
     return circuit.draw_record(1), {"chains": ["y::"], "inputs": ["u"], "dictionary": ["y", "dy", "y**2", "y**3", "u"]}
 
 
+def _coupled() -> Question:
+    from studies import coupled
+
+    system, chains, terms = coupled.CASES["three masses, displacements"]
+    return coupled.draw_record(system, 1), {"chains": chains, "inputs": list(system.inputs), "dictionary": terms}
+
+
 PROBLEMS: dict[str, Callable[[], Question]] = {
     f"{system} {chain}": (lambda system=system, chain=chain: _paper(system, chain))  # type: ignore[misc]
     for chain in ("x:v:a", "x::")
     for system in ("linear", "duffing", "quadratic", "coulomb")
-} | {"Lorenz, 20 % of noise": _lorenz, "servo stage": _servo, "circuit": _circuit}
+} | {"Lorenz, 20 % of noise": _lorenz, "coupled": _coupled, "servo stage": _servo, "circuit": _circuit}
 
 
 def answer(problem: str) -> float:
