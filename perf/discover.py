@@ -60,10 +60,14 @@ def _circuit() -> Question:
 
 
 def _coupled() -> Question:
+    import bayeq as bq
     from studies import coupled
 
     system, chains, terms = coupled.CASES["three masses, displacements"]
-    return coupled.draw_record(system, 1), {"chains": chains, "inputs": list(system.inputs), "dictionary": terms}
+    full, inputs = coupled.draw_record(system, 1), list(system.inputs)
+    measured = [name for chain in chains for name in chain.split(":") if name]
+    record = bq.Record.from_arrays({name: full[name] for name in (*measured, *inputs)}, time=full.time)
+    return record, {"chains": chains, "inputs": inputs, "dictionary": terms}
 
 
 PROBLEMS: dict[str, Callable[[], Question]] = {
