@@ -60,8 +60,9 @@ def _circuit() -> Question:
 
 
 def _coupled() -> Question:
-    import bayeq as bq
     from studies import coupled
+
+    import bayeq as bq
 
     system, chains, terms = coupled.CASES["three masses, displacements"]
     full, inputs = coupled.draw_record(system, 1), list(system.inputs)
