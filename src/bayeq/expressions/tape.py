@@ -173,8 +173,11 @@ def apply_pair(opcode: int, a: float, b: float) -> tuple[float, float, float]:
     if opcode == MIN:
         return (a, 1.0, 0.0) if a <= b or a != a else (b, 0.0, 1.0)
     if opcode == ATAN2:
-        square = a * a + b * b
-        return math.atan2(a, b), b / square, -a / square
+        # by the ratio that is at most 1: squares overflow
+        steep = abs(a) > abs(b)
+        ratio, larger = (b / a, a) if steep else (a / b, b)
+        unit = 1.0 / (larger * (1.0 + ratio * ratio))
+        return math.atan2(a, b), (ratio if steep else 1.0) * unit, (-1.0 if steep else -ratio) * unit
     if opcode == MOD:
         return np.mod(a, b), 1.0, -np.floor(a / b)
     holds = math.nan

@@ -142,13 +142,18 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     def log_likelihood(c: int, factor: float) -> float:
         sizes = levels.discrepancy.copy()
         sizes[c] = max(sizes[c] * factor, levels.sizes[0][c])
-        return marginal(linears, state, replace(levels, discrepancy=sizes), precision, keep=False).value
+        try:
+            return marginal(linears, state, replace(levels, discrepancy=sizes), precision, keep=False).value
+        except np.linalg.LinAlgError:  # far from any motion
+            return -math.inf
 
     here = marginal(linears, state, levels, precision)
     discrepancies = []
     for c, size in enumerate(levels.kappa.tolist()):
         gain = 2.0 * (here.value - log_likelihood(c, 0.0))
-        p = chance_of(gain, _length(task, state, linears, precision, c)) if gain > 0.0 else 1.0
+        p = 0.0 if gain > 0.0 else 1.0
+        if 0.0 < gain < math.inf:
+            p = chance_of(gain, _length(task, state, linears, precision, c))
         bend = -(log_likelihood(c, math.exp(STEP)) - 2.0 * here.value + log_likelihood(c, math.exp(-STEP))) / STEP**2
         factor = math.exp(0.5 * Z95 / math.sqrt(bend)) if bend > LEAST_BEND else math.inf
         paths = [path[:, layout.discrepancy[c]] for path in state.paths]

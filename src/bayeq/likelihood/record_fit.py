@@ -19,7 +19,7 @@ from bayeq.likelihood.block import Block
 from bayeq.likelihood.fit import Quadratic, State, candidates, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.projection import Leftover, leftover
-from bayeq.likelihood.search import ADEQUATE, Fitted, Task, fit, from_all_levels, resumed, search, with_model
+from bayeq.likelihood.search import ADEQUATE, WINDOW, Fitted, Task, fit, from_all_levels, resumed, search, with_model
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
 from bayeq.likelihood.student import with_heavy_tails
 from bayeq.ode.rk4 import Interpolation
@@ -81,7 +81,7 @@ class RecordFit:
         """What the best model and those it was compared with tell."""
         found = cls(task, fitted, _averaged(task, fitted))
         included = found.about(found.posterior.support)
-        if included.own:
+        if included.own and included.fitted.evidence > fitted.evidence - WINDOW:
             return included
         # what the Gram says of models far from the fitted one is not to be relied on
         found = cls(task, fitted, _averaged(task, fitted, fitted_only=True))
@@ -173,10 +173,13 @@ class RecordFit:
             covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
             theta = covariance @ q.slope[included]
             moved = np.abs(theta - state.theta) / np.sqrt(np.diagonal(covariance))
-            if self.more is not None or moved.max(initial=0.0) < HARDLY:
-                return replace(state, theta=theta), covariance
-            state = fit(task, state, coarse=True).state
-            return state, marginal(task.linearised(state), state, state.levels, precision).covariance
+            if self.more is None and moved.max(initial=0.0) > HARDLY:
+                try:
+                    state = fit(task, state, coarse=True).state
+                    return state, marginal(task.linearised(state), state, state.levels, precision).covariance
+                except np.linalg.LinAlgError:  # far from any motion
+                    state = self.fitted.state
+            return replace(state, theta=theta), covariance
 
     def projectable(self, c: int, model: Bools) -> bool:
         """Whether the smoothed right-hand side of equation c is known with the terms of a model, (P,) bool."""

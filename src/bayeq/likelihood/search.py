@@ -36,7 +36,7 @@ from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.series import Series
 
-__all__ = ["ADEQUATE", "Fitted", "Task", "fit", "from_all_levels", "resumed", "search", "with_model"]
+__all__ = ["ADEQUATE", "WINDOW", "Fitted", "Task", "fit", "from_all_levels", "resumed", "search", "with_model"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

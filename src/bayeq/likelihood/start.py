@@ -244,9 +244,10 @@ def _scales(layout: Layout, paths: Sequence[Floats], targets: Floats, samples: F
 
 
 def _rounding(samples: Floats) -> float:
-    """Variance of rounding to the finest step between any two samples."""
-    steps = np.diff(np.unique(samples[np.isfinite(samples)]))
-    return float(steps.min(initial=np.inf) ** 2 / 12.0) if len(steps) else 0.0
+    """Variance of rounding to the finest step between any two samples; 0 where no value comes twice."""
+    samples = samples[np.isfinite(samples)]
+    values = np.unique(samples)
+    return float(np.diff(values).min() ** 2 / 12.0) if 1 < len(values) < len(samples) else 0.0
 
 
 def _precision(motion: Motion, layout: Layout) -> Floats:
