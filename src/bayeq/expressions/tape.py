@@ -104,7 +104,7 @@ class Program(NamedTuple):
     registers: FloatArray
 
 
-@kernel
+@kernel(borrowing=True)
 def apply_function(opcode: int, a: float, slope: bool) -> float:
     """Value of the function with this opcode at `a`, or its derivative there; NaN if there is no such opcode."""
     if opcode == ABS:
@@ -138,7 +138,7 @@ def apply_function(opcode: int, a: float, slope: bool) -> float:
     return _further_function(opcode, a, slope)
 
 
-@kernel
+@kernel(borrowing=True)
 def _further_function(opcode: int, a: float, slope: bool) -> float:
     """As `apply_function`, of the rarer ones."""
     if opcode == FLOOR:
@@ -161,7 +161,7 @@ def _further_function(opcode: int, a: float, slope: bool) -> float:
     return math.nan
 
 
-@kernel
+@kernel(borrowing=True)
 def apply_pair(opcode: int, a: float, b: float) -> tuple[float, float, float]:
     """Value of a function of two numbers, and its derivatives by them; NaN if there is no such opcode."""
     if opcode == PICK:
@@ -196,7 +196,7 @@ def apply_pair(opcode: int, a: float, b: float) -> tuple[float, float, float]:
     return holds, 0.0, 0.0
 
 
-@kernel
+@kernel(borrowing=True)
 def run_tape(program: Program, tangents: FloatArray | None) -> None:
     """Execute a tape: afterwards the outputs stand in ``program.registers[program.outputs]``.
 

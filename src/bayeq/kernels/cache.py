@@ -23,7 +23,7 @@ import numpy as np
 from numba.core import caching
 from numba.core.runtime import rtsys
 
-from bayeq.kernels.compiler import entry_dispatcher, is_reordered
+from bayeq.kernels.compiler import entry_dispatcher, options_of
 
 __all__ = ["cached_dispatcher", "kernel_digest"]
 
@@ -64,7 +64,7 @@ def kernel_digest(function: Callable[..., Any]) -> str:
             return
         seen.add(id(f))
         sha.update(_bare(f.__code__))
-        sha.update(repr((f.__defaults__, is_reordered(f))).encode())
+        sha.update(repr((f.__defaults__, options_of(f))).encode())
         for annotation in f.__annotations__.values():
             record = annotation if isinstance(annotation, type) else f.__globals__.get(str(annotation))
             if _is_record(record):

@@ -15,7 +15,7 @@ import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
-__all__ = ["entry_dispatcher", "inner_dispatcher", "is_reordered"]
+__all__ = ["entry_dispatcher", "inner_dispatcher", "options_of"]
 
 OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -72,9 +72,9 @@ class _InnerCompiler(_EntryCompiler):
     library = _InnerLibrary
 
 
-def is_reordered(function: Callable[..., Any]) -> bool:
-    """Whether sums of a kernel may be taken in another order."""
-    return bool(getattr(function, "reordered", False))
+def options_of(function: Callable[..., Any]) -> dict[str, bool]:
+    """What `bayeq.kernels.kernel` was told of a function."""
+    return {name: bool(getattr(function, name, False)) for name in ("reordered", "borrowing")}
 
 
 def entry_dispatcher(function: Callable[..., Any]) -> Any:
@@ -87,11 +87,14 @@ def entry_dispatcher(function: Callable[..., Any]) -> Any:
 
 
 def inner_dispatcher(function: Callable[..., Any]) -> Any:
-    """numba's dispatcher of a function that kernels call."""
-    allowed = _allowed(function)
-    return numba.njit(**OPTIONS, fastmath=allowed, no_cpython_wrapper=True, pipeline_class=_InnerCompiler)(function)
+    """numba's dispatcher of a function that kernels call.
+
+    A borrowing one has no part in numba's memory management (``_nrt``): its arrays live as long as its caller's.
+    """
+    options = {**OPTIONS, "fastmath": _allowed(function), "_nrt": not options_of(function)["borrowing"]}
+    return numba.njit(**options, no_cpython_wrapper=True, pipeline_class=_InnerCompiler)(function)
 
 
 def _allowed(function: Callable[..., Any]) -> set[str] | bool:
     """LLVM's flags."""
-    return {"reassoc", "contract"} if is_reordered(function) else False
+    return {"reassoc", "contract"} if options_of(function)["reordered"] else False

@@ -128,8 +128,8 @@ def _rows(channels: int, r: int) -> int:
     return max(1, TOGETHER // (channels * (1 + r)))
 
 
-# Kernels that are called for every row take arrays: to take these out of a tuple, or a view, is not free.
-@kernel
+# Kernels that are called for every row.
+@kernel(borrowing=True)
 def _multiply(
     A: Floats, k: int, memory: Floats, back: bool, related: Ints, step: Floats, work: Floats, now: int
 ) -> None:
@@ -152,7 +152,7 @@ def _multiply(
                 work[then, i, j] += factor * work[now, o, j]
 
 
-@kernel
+@kernel(borrowing=True)
 def _close(related: Ints, step: Floats, work: Floats, then: int, lines: Floats, start: int) -> None:
     """The matrix B M of `_multiply` becomes B M B', exactly symmetric."""
     size = work.shape[1]
@@ -166,7 +166,7 @@ def _close(related: Ints, step: Floats, work: Floats, then: int, lines: Floats, 
             work[then, i, start + j] = work[then, j, start + i] = lines[0, j]
 
 
-@kernel
+@kernel(borrowing=True)
 def _combine(factors: Floats, k: int, c: int, work: Floats, which: int, lines: Floats) -> None:
     """The sum of factors [k, c] times the rows of ``work[which]``, into ``lines[0]``."""
     size, width = work.shape[1:]
@@ -183,7 +183,7 @@ def _combine(factors: Floats, k: int, c: int, work: Floats, which: int, lines: F
             lines[0, j] += factor * work[which, size - 1, j]
 
 
-@kernel
+@kernel(borrowing=True)
 def _add_sources(sources: Floats, k: int, work: Floats, now: int) -> None:
     """What coefficients add to a step: to the derivatives of the means."""
     for i in range(sources.shape[1]):
@@ -191,7 +191,7 @@ def _add_sources(sources: Floats, k: int, work: Floats, now: int) -> None:
             work[now, i, 1 + j] += sources[k, i, j]
 
 
-@kernel
+@kernel(borrowing=True)
 def _add_force(
     transition: Floats, k: int, d: int, variance: float, motion: int, work: Floats, now: int, start: int
 ) -> None:
@@ -201,7 +201,7 @@ def _add_force(
             work[now, i, start + j] += variance * transition[k, i, d] * transition[k, j, d]
 
 
-@kernel
+@kernel(borrowing=True)
 def _condition(work: Floats, now: int, lines: Floats, variance: float, start: int) -> None:
     """On a sample, by what is left of it."""
     size, width = work.shape[1:]
@@ -212,7 +212,7 @@ def _condition(work: Floats, now: int, lines: Floats, variance: float, start: in
             work[now, i, j] -= gain * lines[0, j]
 
 
-@kernel
+@kernel(borrowing=True)
 def _keep_sample(
     k: int, channel: int, lines: Floats, S: float, innovation: Floats, variance: Floats, gain: Floats
 ) -> None:
@@ -225,7 +225,7 @@ def _keep_sample(
         gain[k, channel, i] = share * lines[0, start + i]
 
 
-@kernel
+@kernel(borrowing=True)
 def _keep_state(k: int, work: Floats, now: int, mean: Floats, covariance: Floats) -> None:
     start = mean.shape[2]
     for i in range(mean.shape[1]):
@@ -407,7 +407,7 @@ class _Returning(NamedTuple):
             np.matmul(mean.reshape(-1, r), root, out=self.mean[:count].reshape(-1, r))
 
 
-@kernel
+@kernel(borrowing=True)
 def _excess(work: Floats, then: int, i: int, start: int) -> float:
     """Squares of the adjoints of a state less their variance."""
     total = -work[then, i, start + i]
@@ -416,7 +416,7 @@ def _excess(work: Floats, then: int, i: int, start: int) -> float:
     return total
 
 
-@kernel
+@kernel(borrowing=True)
 def _leftover(
     gain: Floats, k: int, channel: int, innovation: Floats, row: int, S: float, lines: Floats, start: int
 ) -> float:
@@ -430,7 +430,7 @@ def _leftover(
     return spread
 
 
-@kernel
+@kernel(borrowing=True)
 def _absorb_state(kind: int, spread: float, work: Floats, now: int, lines: Floats, start: int) -> None:
     """A sample of a state: r + h (E/S - gain'r), and N likewise."""
     for i in range(work.shape[1]):
@@ -440,7 +440,7 @@ def _absorb_state(kind: int, spread: float, work: Floats, now: int, lines: Float
         work[now, kind, j] += lines[0, j]
 
 
-@kernel
+@kernel(borrowing=True)
 def _absorb_target(
     gradient: Floats, k: int, c: int, spread: float, work: Floats, now: int, lines: Floats, start: int
 ) -> None:
@@ -457,7 +457,7 @@ def _absorb_target(
             work[now, i, j] += factor * lines[0, j]
 
 
-@kernel
+@kernel(borrowing=True)
 def _curve_between(
     transition: Floats,
     covariance: Floats,
@@ -486,7 +486,7 @@ def _curve_between(
         between[k, c, i] = -0.5 * total
 
 
-@kernel
+@kernel(borrowing=True)
 def _curve_at(
     gradient: Floats,
     covariance: Floats,
@@ -515,7 +515,7 @@ def _curve_at(
         at_samples[k, c, i] = -total
 
 
-@kernel
+@kernel(borrowing=True)
 def _smooth(covariance: Floats, k: int, work: Floats, now: int, lines: Floats, start: int, smoothed: Floats) -> None:
     """P - P N P: the covariance of a state given all samples."""
     size = work.shape[1]

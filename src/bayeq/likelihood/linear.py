@@ -132,7 +132,7 @@ class Linear(NamedTuple):
     holds: tuple[tuple[NDArray[np.intp], Floats], ...]
 
 
-@kernel
+@kernel(borrowing=True)
 def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction: float) -> None:
     """Exact inputs and widths, a fraction of the interval after a sample, into the registers behind the states."""
     rest = 1.0 - fraction
@@ -141,7 +141,7 @@ def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction:
         program.registers[size + k] = rest * p[0] + fraction * p[1] + fraction * rest * (p[2] + fraction * p[3])
 
 
-@kernel
+@kernel(borrowing=True)
 def _drift(steps: Steps, path: Floats, row: int, time: float, powers: Floats) -> None:
     """States that are no derivatives of chains, a time after a sample, into the registers of the program.
 
@@ -160,7 +160,7 @@ def _drift(steps: Steps, path: Floats, row: int, time: float, powers: Floats) ->
         steps.program.registers[i] = value
 
 
-@kernel
+@kernel(borrowing=True)
 def _rates(
     steps: Steps, chosen: Candidates, own: bool, row: int, fraction: float, work: Tangents, y: Floats, rate: Floats
 ) -> None:
@@ -189,7 +189,8 @@ def _rates(
     r = width - 1 - size
     first = size + len(steps.factors)
     if r and not own:
-        basis.registers[:size] = registers[:size]
+        for i in range(size):
+            basis.registers[i] = registers[i]
         _set_inputs(basis, steps.inputs, size, row, fraction)
         run_tape(basis, None)
     for j in range(r):
@@ -198,7 +199,7 @@ def _rates(
         rate[steps.last[c], 1 + size + j] += steps.factors[c] * term
 
 
-@kernel
+@kernel(borrowing=True)
 def _ahead(x: Floats, h: float, rate: Floats, y: Floats) -> None:
     """x + h rate, into `y`."""
     for i in range(x.shape[0]):

@@ -127,7 +127,7 @@ def _thirds(samples: FloatArray) -> FloatArray:
     return np.asarray(3.0 * np.fft.irfft(spectrum, 3 * len(periodic), axis=0)[: 3 * n - 2] + line)
 
 
-@kernel
+@kernel(borrowing=True)
 def slope_at(
     program: Program,
     inputs: FloatArray,
