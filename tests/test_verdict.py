@@ -18,6 +18,7 @@ from bayeq.forecast.windows import correlation_time, typical_period
 from bayeq.inference import gibbs
 from bayeq.regression.residuals import Fit
 from bayeq.states import estimate_motion
+from studies.numbers_records import draw_heater
 
 OSCILLATOR = {"chains": "x:v:a", "inputs": ["u"]}
 
@@ -159,6 +160,16 @@ def test_an_equation_without_terms_is_none():
     assert not eq[0].shown
     assert eq.verdict.kind == "none"
     assert eq[0].verdict.reason == "no equation found: no candidate term is in the equation"
+
+
+def test_terms_that_only_all_rows_ask_for_are_not_determined():
+    # a heater behind a slow sensor: without the last fifth the fit has no term
+    record, question, truth = draw_heater(200_000, lag=20.0)
+    (eq,) = quietly(record, **question)
+    assert eq.scored.shown == ()
+    assert eq.shown == ("T",)
+    assert eq.verdict.kind == "not determined"
+    assert eq.shown_coef["T"] == pytest.approx(truth["dT"]["T"], rel=0.25)
 
 
 def test_an_engine_that_did_not_converge_finds_nothing(monkeypatch):

@@ -73,9 +73,15 @@ def build_equations(
         equation = replace(build_equation(selection, window), units=units)
         if scored:
             former = scored[k]
-            equation = replace(
-                equation, train=former.train, held_out=former.held_out, verdict=former.verdict, scored=former
-            )
+            verdict = former.verdict
+            if equation.shown and not former.shown and equation.verdict.kind != "none":
+                verdict = Verdict(
+                    "not determined",
+                    f"only all rows together ask for {', '.join(equation.shown)}: without those held out no candidate"
+                    " term is in the equation",
+                    "a longer record would tell",
+                )
+            equation = replace(equation, train=former.train, held_out=former.held_out, verdict=verdict, scored=former)
         if not equation.shown and equation.verdict.kind != "none":
             without = Verdict("none", "no equation found: no candidate term is in the equation")
             equation = replace(equation, verdict=without)

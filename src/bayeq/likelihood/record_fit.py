@@ -101,7 +101,7 @@ class RecordFit:
         """
         task = replace(task, series=self.task.series, counted=block.samples)
         state = replace(state, paths=self.fitted.state.paths)
-        fitted = replace(self.fitted, expand=lambda: quadratic, state=state, tried={})
+        fitted = replace(self.fitted, expand=partial(replace, quadratic), state=state, tried={})
         more = task.model(state.chosen), block
         found = replace(self, task=task, fitted=fitted, posterior=_averaged(task, fitted), more=more)
         return found.about(found.posterior.support)
