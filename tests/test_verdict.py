@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from studies.numbers_records import draw_heater
 
 import bayeq as bq
 from bayeq.discovery import question
@@ -18,7 +19,6 @@ from bayeq.forecast.windows import correlation_time, typical_period
 from bayeq.inference import gibbs
 from bayeq.regression.residuals import Fit
 from bayeq.states import estimate_motion
-from studies.numbers_records import draw_heater
 
 OSCILLATOR = {"chains": "x:v:a", "inputs": ["u"]}
 

@@ -76,9 +76,7 @@ class Kernel:
 def kernel(function: F) -> F: ...
 @overload
 def kernel(*, reordered: bool = False, borrowing: bool = False) -> Callable[[F], F]: ...
-def kernel(
-    function: F | None = None, *, reordered: bool = False, borrowing: bool = False
-) -> F | Callable[[F], F]:
+def kernel(function: F | None = None, *, reordered: bool = False, borrowing: bool = False) -> F | Callable[[F], F]:
     """Have numba compile `function` in nopython mode when it is first called, and cache it on disk.
 
     With `reordered` its sums may be taken in another order and fused with products, which makes long sums many times
