@@ -73,7 +73,7 @@ class _InnerCompiler(_EntryCompiler):
 
 
 def options_of(function: Callable[..., Any]) -> dict[str, bool]:
-    """What `bayeq.kernels.kernel` was told of a function."""
+    """The options with which `bayeq.kernels.kernel` marked a function."""
     return {name: bool(getattr(function, name, False)) for name in ("reordered", "borrowing")}
 
 
