@@ -19,7 +19,19 @@ from bayeq.likelihood.block import Block
 from bayeq.likelihood.fit import Quadratic, State, candidates, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.projection import Leftover, leftover
-from bayeq.likelihood.search import ADEQUATE, WINDOW, Fitted, Task, fit, from_all_levels, resumed, search, with_model
+from bayeq.likelihood.search import (
+    ADEQUATE,
+    WINDOW,
+    Fitted,
+    Task,
+    among_neighbours,
+    fit,
+    from_all_levels,
+    resumed,
+    search,
+    with_model,
+)
+from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, averaged
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
 from bayeq.likelihood.student import with_heavy_tails
 from bayeq.ode.rk4 import Interpolation
@@ -64,6 +76,8 @@ class RecordFit:
         A model, and the likelihood about it: at first of the included coefficients.
     posterior : Posterior
         Over the models of all equations, in units of the coefficients' priors.
+    nearly : Nearly
+        How nearly true the equations are.
     own : bool
         Whether the likelihood is that about the model; of one that could not be fitted it is that about another.
     more : (bool array, Block) or None
@@ -73,18 +87,24 @@ class RecordFit:
     task: Task
     fitted: Fitted
     posterior: Posterior
+    nearly: Nearly
     own: bool = True
     more: tuple[Bools, Block] | None = None
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
         """What the best model and those it was compared with tell."""
-        found = cls(task, fitted, _averaged(task, fitted))
+        found = cls(task, fitted, *averaged(task, fitted))
+        if max(found.nearly.exact) >= IMPROBABLE:
+            # otherwise to be likelier under an exact law, as more terms are, says nothing
+            fitted = among_neighbours(task, fitted)
+            found = cls(task, fitted, *averaged(task, fitted))
         included = found.about(found.posterior.support)
-        if included.own and included.fitted.evidence > fitted.evidence - WINDOW:
+        if any(found.nearly.tau) or (included.own and included.fitted.evidence > fitted.evidence - WINDOW):
             return included
         # what the Gram says of models far from the fitted one is not to be relied on
-        found = cls(task, fitted, _averaged(task, fitted, fitted_only=True))
+        revise = partial(_among_fitted, best=fitted)
+        found = replace(found, posterior=spike_slab_bma(task.gram(fitted.quadratic), task.known, revise=revise))
         return found.about(found.posterior.support)
 
     def of_more(self, task: Task, state: State, quadratic: Quadratic, block: Block) -> RecordFit:
@@ -103,7 +123,8 @@ class RecordFit:
         state = replace(state, paths=self.fitted.state.paths)
         fitted = replace(self.fitted, expand=partial(replace, quadratic), state=state, tried={})
         more = task.model(state.chosen), block
-        found = replace(self, task=task, fitted=fitted, posterior=_averaged(task, fitted), more=more)
+        posterior, nearly = averaged(task, fitted)
+        found = replace(self, task=task, fitted=fitted, posterior=posterior, nearly=nearly, more=more)
         return found.about(found.posterior.support)
 
     def about(self, model: Bools) -> RecordFit:
@@ -219,6 +240,12 @@ class RecordFit:
         return slice(c * self.width, (c + 1) * self.width)
 
     @cached_property
+    def quadratic(self) -> Quadratic:
+        """The likelihood of all candidates beside functions of the most probable sizes."""
+        tau = self.nearly.tau
+        return Soft(self.task, self.fitted).quadratic(tau)[0] if any(tau) else self.fitted.quadratic
+
+    @cached_property
     def standards(self) -> tuple[Standardised, ...]:
         """The regression that the likelihood makes of each equation, in units of the priors and of the noise.
 
@@ -229,7 +256,7 @@ class RecordFit:
         return tuple(self._standard(c) for c in range(self.task.layout.chains))
 
     def _standard(self, c: int) -> Standardised:
-        q, own = self.fitted.quadratic, np.arange(self.block(c).start, self.block(c).stop)
+        q, own = self.quadratic, np.arange(self.block(c).start, self.block(c).stop)
         others = self.fitted.model.copy()
         others[own] = False
         A, b = _marginal(q, own, np.flatnonzero(others), self.task.precision)
@@ -248,7 +275,7 @@ class RecordFit:
 
     def left_out_intercept(self, c: int) -> tuple[float, float] | None:
         """What the constant of equation c would be, with its standard deviation; None if it is in the model."""
-        block, q, precision = self.block(c), self.fitted.quadratic, self.task.precision
+        block, q, precision = self.block(c), self.quadratic, self.task.precision
         if self.fitted.model[block.stop - 1]:
             return None
         inside = np.flatnonzero(self.fitted.model)
@@ -256,31 +283,12 @@ class RecordFit:
         return float(b[0] / A[0, 0]), float(1.0 / np.sqrt(A[0, 0]))
 
 
-def _averaged(task: Task, best: Fitted, fitted_only: bool = False) -> Posterior:
-    """Model averaging: models that were fitted have the evidence of their fit, the others that of the Gram, or none."""
-
-    def revised(found: ModelSet) -> ModelSet:
-        own = best.model.tobytes()
-        if fitted_only:
-            size = len(best.model)
-            models = np.array([np.frombuffer(key, dtype=np.bool_) for key in best.tried] or [best.model])
-            values = np.array([*best.tried.values()] or [best.evidence])
-            order = np.argsort(-values, kind="stable")
-            return replace(found, models=models.reshape(-1, size)[order], log_posterior=values[order])
-        keys = [model.tobytes() for model in found.models]
-        if own not in keys:
-            return found
-        level = found.log_posterior[keys.index(own)]
-        values = np.array(
-            [
-                level + best.tried[key] - best.evidence if key in best.tried else value
-                for key, value in zip(keys, found.log_posterior, strict=True)
-            ]
-        )
-        order = np.argsort(-values, kind="stable")
-        return replace(found, models=found.models[order], log_posterior=values[order])
-
-    return spike_slab_bma(task.gram(best.quadratic), task.known, revise=revised)
+def _among_fitted(found: ModelSet, best: Fitted) -> ModelSet:
+    """The models that were fitted, with the evidence of their fit."""
+    models = np.array([np.frombuffer(key, dtype=np.bool_) for key in best.tried] or [best.model])
+    values = np.array([*best.tried.values()] or [best.evidence])
+    order = np.argsort(-values, kind="stable")
+    return replace(found, models=models[order], log_posterior=values[order])
 
 
 def _marginal(q: Quadratic, own: NDArray[np.intp], rest: NDArray[np.intp], precision: Floats) -> tuple[Floats, Floats]:

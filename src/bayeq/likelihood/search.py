@@ -1,6 +1,7 @@
 """Which coefficients are not zero: linearise, select on the Gram of all candidates, fit, and again until that stays.
 
-What the Gram of one linearisation prefers is then compared with its neighbours, each by the evidence of its own fit.
+What the Gram of one linearisation prefers may then be compared with its neighbours, each by the evidence of its own
+fit.
 """
 
 from __future__ import annotations
@@ -36,7 +37,18 @@ from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.series import Series
 
-__all__ = ["ADEQUATE", "WINDOW", "Fitted", "Task", "fit", "from_all_levels", "resumed", "search", "with_model"]
+__all__ = [
+    "ADEQUATE",
+    "WINDOW",
+    "Fitted",
+    "Task",
+    "among_neighbours",
+    "fit",
+    "from_all_levels",
+    "resumed",
+    "search",
+    "with_model",
+]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -125,6 +137,8 @@ class Task:
         Runge-Kutta steps between two samples.
     counted : float or None
         Number of samples that the likelihood is of, where the series are some of them only.
+    tolerance : float or None
+        See `bayeq.discover`.
     recent : list
         The last two linearisations and what they are of: fits go on from where others have stood.
     """
@@ -135,6 +149,7 @@ class Task:
     log_odds: Floats
     substeps: int = 1
     counted: float | None = None
+    tolerance: float | None = None
     recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
 
     def linearised(self, state: State) -> list[Linear]:
@@ -481,7 +496,7 @@ def search(
     others: Sequence[Alternative] = (),
     log: Callable[..., None] = _no_log,
 ) -> tuple[Task, Fitted]:
-    """The best model that rounds of selection, then single moves, lead to.
+    """The best model that rounds of selection lead to.
 
     Parameters
     ----------
@@ -514,7 +529,8 @@ def search(
         raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
     task, best = max(settled, key=lambda pair: pair[1].evidence)
     task, best = with_other_inputs(task, best, others, log)
-    return task, among_neighbours(task, best, log)
+    task.recent.clear()
+    return task, best
 
 
 def resumed(task: Task, state: State, log: Callable[..., None] = _no_log) -> Fitted:
@@ -541,15 +557,16 @@ def resumed(task: Task, state: State, log: Callable[..., None] = _no_log) -> Fit
         log("round", now)
         if now.evidence > best.evidence:
             best = now
-    if task.rows <= MOST_TO_MOVE:
-        return among_neighbours(task, best, log)
-    best = with_small_discrepancy(task, best)
+    if task.rows > MOST_TO_MOVE:
+        best = with_small_discrepancy(task, best)
     task.recent.clear()
     return best
 
 
-def among_neighbours(task: Task, best: Fitted, log: Callable[..., None]) -> Fitted:
-    """The model that single moves lead to, each compared by its own fit."""
+def among_neighbours(task: Task, best: Fitted, log: Callable[..., None] = _no_log) -> Fitted:
+    """The model that single moves lead to, each compared by its own fit; of many samples the Gram tells them apart."""
+    if task.rows > MOST_TO_MOVE:
+        return best
     tried = {best.model.tobytes(): best.evidence}
     for _ in range(MOVES):
         better = best

@@ -1,0 +1,298 @@
+"""A law that is only nearly true: beside the included terms a small function of the states, whose size is learned.
+
+In the units of the coefficients' priors those of equation c are ``gamma N(0, I) + zeta``: slabs, and a soft spike
+``zeta ~ N(0, tau^2 R R')``. R makes the function phi'zeta isotropic in the span of all candidates on the record, of
+root mean square tau times the target's standard deviation. To integrate zeta out changes the likelihood of the slabs'
+coefficients alone, so that whatever compares models goes on as if spikes were hard.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
+
+from bayeq.dictionary.polynomial import count, monomials
+from bayeq.expressions import Expression, parse
+from bayeq.inference.bma import average_models, spike_slab_bma
+from bayeq.inference.collapsed.listing import ModelSet
+from bayeq.inference.collapsed.search import best_models
+from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.fit import (
+    Quadratic,
+    State,
+    adjoints,
+    candidates,
+    coefficients,
+    corrections,
+    information,
+    linearised,
+    marginal,
+    solved,
+)
+from bayeq.likelihood.layout import Layout
+from bayeq.likelihood.search import Fitted, Task
+
+__all__ = ["IMPROBABLE", "Nearly", "Soft", "averaged", "isotropic", "softened"]
+
+Floats = NDArray[np.float64]
+Sizes = tuple[float, ...]
+
+# Half of the prior probability is that of the first size, none at all by default. The other half is spread over sizes,
+# log-uniform from LEAST to PER_DIRECTION of the target's standard deviation in each direction of the span, but MOST.
+LEAST, PER_DIRECTION, MOST, SIZES = 1e-4, 0.0065, 0.04, 10
+
+# Directions in which candidates hardly differ from nothing, as a share of the largest, are none.
+CUT = 1e-7
+
+# Sizes whose likeliest model is less likely than that of the best by more nats are not averaged over.
+NEGLIGIBLE = 10.0
+
+# With a lower probability of no function at all a law is only nearly true.
+IMPROBABLE = 0.01
+
+# Equations of fewer candidates have hidden ones: monomials of the states, as many degrees as give FEW.
+FEW, MOST_DEGREE = 15, 6
+
+# Rounds over the equations; with more candidates all equations have one size.
+ROUNDS, MOST_APART = 3, 300
+
+
+@dataclass(frozen=True, eq=False)
+class Nearly:
+    """How nearly true the equations are.
+
+    Attributes
+    ----------
+    tau : tuple of float
+        The most probable size of each equation's function, as a share of the target's standard deviation.
+    exact : tuple of float
+        The probability that there is none, or none larger than the tolerance.
+    """
+
+    tau: Sizes
+    exact: tuple[float, ...]
+
+
+def softened(q: Quadratic, spread: Floats) -> Quadratic:
+    """The likelihood about some coefficients with deviations N(0, S S') integrated out.
+
+    Parameters
+    ----------
+    q : Quadratic
+        Of p coefficients.
+    spread : (p, K) array
+        S.
+    """
+    A, b = q.information, q.slope
+    across = spread.T @ A
+    L = np.linalg.cholesky(np.eye(spread.shape[1]) + across @ spread)
+    X = solve_triangular(L, across, lower=True)
+    w = solve_triangular(L, spread.T @ b, lower=True)
+    norm = float(np.log(np.diagonal(L)).sum())
+    return Quadratic(q.level + 0.5 * float(w @ w) - norm, b - w @ X, A - X.T @ X)
+
+
+def isotropic(columns: Floats, deviation: float) -> Floats:
+    """R of some columns (n, p) in units of coefficients' priors, (p, K): functions of root mean square `deviation`."""
+    triangle = np.linalg.qr(columns, mode="r") / (np.sqrt(len(columns)) * deviation)
+    _, size, axes = np.linalg.svd(triangle, full_matrices=False)
+    kept = size > CUT * size[0]
+    return np.asarray(axes[kept].T / size[kept] / np.sqrt(kept.sum()))
+
+
+def sizes_of(tolerance: float | None, rank: int) -> Floats:
+    """Sizes that a function of some directions may have, the first with half of the prior probability."""
+    first = tolerance or 0.0
+    if tolerance == 0.0:
+        return np.zeros(1)
+    most = min(MOST, PER_DIRECTION * np.sqrt(rank))
+    grid = np.geomspace(LEAST, most, SIZES)
+    return np.append(first, grid[grid > first])
+
+
+def hidden_terms(layout: Layout, fewest: int) -> tuple[Expression, ...]:
+    """Monomials of the states that a function may need where a dictionary has few terms."""
+    if fewest >= FEW:
+        return ()
+    states, own = layout.roles.states, {term.text for term in layout.terms}
+    degree = next(d for d in range(1, MOST_DEGREE + 1) if count(len(states), d) > FEW or d == MOST_DEGREE)
+    return tuple(parse(text, states) for text in monomials(states, degree) if text not in own)
+
+
+@dataclass(eq=False)
+class Soft:
+    """The likelihood of all candidates about a fit, beside functions of some size in each equation.
+
+    Where an equation has few candidates the functions are of hidden ones as well, which no model has.
+
+    Attributes
+    ----------
+    task, fitted : Task, Fitted
+        The fit.
+    visible : (C (P + 1),) int array
+        The candidates' numbers among all, hidden ones too.
+    whole : Quadratic
+        The likelihood of all, its level that of the fit.
+    about : array
+        All coefficients of the fit.
+    spreads : list of (p, K) arrays
+        S of functions of size 1 in each equation: deviations of all coefficients are N(0, tau^2 S S').
+    """
+
+    task: Task
+    fitted: Fitted
+    visible: NDArray[np.intp] = field(init=False)
+    whole: Quadratic = field(init=False)
+    about: Floats = field(init=False)
+    spreads: list[Floats] = field(init=False)
+    likeliest: dict[Sizes, float] = field(default_factory=dict)
+    sets: dict[Sizes, ModelSet] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        task, state, layout = self.task, self.fitted.state, self.task.layout
+        allowed = task.log_odds.reshape(layout.chains, -1) > -np.inf
+        known = task.counted is not None or task.tolerance == 0.0
+        hidden = () if known else hidden_terms(layout, int(allowed[:, :-1].sum(axis=1).min()))
+        P, width = len(layout.terms), len(layout.terms) + len(hidden) + 1
+        column = np.append(np.arange(P), width - 1)
+        self.visible = (np.arange(layout.chains)[:, None] * width + column).ravel()
+        self.whole = self.fitted.quadratic
+        if hidden:
+            layout = replace(layout, terms=(*layout.terms, *hidden))
+            precision = task.precision[task.number(state.chosen)]
+            chosen = state.chosen._replace(term=column[state.chosen.term])
+            state = replace(state, chosen=chosen)
+            self.whole = expanded_at(layout, task, state, precision)
+        self.about = coefficients(layout, state)
+        columns = np.concatenate(candidates(layout, task.series, state))
+        self.spreads = []
+        for c in range(layout.chains):
+            used = np.ones(width, dtype=np.bool_)
+            used[column] = allowed[c]
+            unit = np.ones(width)
+            unit[column] = task.precision.reshape(layout.chains, -1)[c] ** -0.5
+            deviation = float(np.sqrt(state.levels.target[c]))
+            unit[P:-1] = deviation / np.sqrt(np.mean(columns[:, P:-1] ** 2, axis=0))
+            R = isotropic(columns[:, used] * unit[used], deviation)
+            spread = np.zeros((layout.chains, width, R.shape[1]))
+            spread[c, used] = unit[used, None] * R
+            self.spreads.append(spread.reshape(-1, R.shape[1]))
+
+    def quadratic(self, tau: Sizes) -> tuple[Quadratic, float]:
+        """The likelihood of all candidates about zero, the functions integrated out, and ln of its largest value."""
+        q = replace(self.whole, slope=self.whole.slope - self.whole.information @ self.about)
+        spreads = [size * spread for size, spread in zip(tau, self.spreads, strict=True) if size > 0.0]
+        if spreads:
+            q = softened(q, np.hstack(spreads))
+        A, b = q.information[np.ix_(self.visible, self.visible)], q.slope[self.visible]
+        return Quadratic(q.level, b + A @ self.about[self.visible], A), q.level + 0.5 * float(b @ solved(A, b))
+
+    def best(self, tau: Sizes) -> float:
+        """ln p(data, model | sizes) of the likeliest model, up to a constant."""
+        if tau not in self.likeliest:
+            q, largest = self.quadratic(tau)
+            self.likeliest[tau] = best_models(self.task.problem(q))[0][0] + largest
+        return self.likeliest[tau]
+
+    def models(self, tau: Sizes) -> ModelSet:
+        """The models given sizes, with ln p(data, model | sizes) up to the same constant."""
+        if tau not in self.sets:
+            q, largest = self.quadratic(tau)
+            found = average_models(self.task.problem(q))
+            found = replace(found, log_posterior=found.log_posterior + largest)
+            self.sets[tau] = found if any(tau) else as_fitted(found, self.fitted)
+        return self.sets[tau]
+
+    def evidence(self, tau: Sizes) -> float:
+        """ln p(data | sizes) up to the same constant."""
+        return float(logsumexp(self.models(tau).log_posterior))
+
+
+def expanded_at(layout: Layout, task: Task, state: State, precision: Floats) -> Quadratic:
+    """The likelihood of all candidates of a layout, of more of them than a fit had, where that stands."""
+    linears = linearised(layout, task.series, state, task.substeps)
+    found = marginal(linears, state, state.levels, precision)
+    curved = corrections(layout, linears, adjoints(linears, state.levels, found, found.delta, curved=True))
+    return information(layout, linears, state, curved)
+
+
+def as_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
+    """The models with the evidence of their own fit, where they were fitted."""
+    keys = [model.tobytes() for model in found.models]
+    own = fitted.model.tobytes()
+    if own not in keys:
+        return found
+    level = found.log_posterior[keys.index(own)] - fitted.evidence
+    values = [
+        level + fitted.tried.get(key, value - level) for key, value in zip(keys, found.log_posterior, strict=True)
+    ]
+    return _sorted(found, found.models, np.array(values))
+
+
+def _sorted(found: ModelSet, models: NDArray[np.bool_], values: Floats) -> ModelSet:
+    order = np.argsort(-values, kind="stable")
+    return replace(found, models=models[order], log_posterior=values[order], inclusion=None)
+
+
+def averaged(task: Task, fitted: Fitted) -> tuple[Posterior, Nearly]:
+    """Models averaged over, and over the size of the function in each equation, the others' at their most probable."""
+    search = Soft(task, fitted)
+    tau, exact, lines = _most_probable(search)
+    q, _ = search.quadratic(tau)
+    posterior = spike_slab_bma(task.gram(q), task.known, revise=partial(_mixed, search=search, lines=lines, at=tau))
+    return posterior, Nearly(tau, tuple(exact.tolist()))
+
+
+def _most_probable(search: Soft) -> tuple[Sizes, Floats, dict[Sizes, float]]:
+    """Sizes, one equation after the other; P(first size) of each, and ln prior of all sizes beside these."""
+    chains = len(search.spreads)
+    together = len(search.task.precision) > MOST_APART
+    groups = [list(range(chains))] if together else [[c] for c in range(chains)]
+    grids = [sizes_of(search.task.tolerance, min(search.spreads[c].shape[1] for c in group)) for group in groups]
+    tau = [0.0] * chains
+    for group, grid in zip(groups, grids, strict=True):
+        for c in group:
+            tau[c] = float(grid[0])
+    lines: dict[int, dict[Sizes, float]] = {}
+    for _ in range(ROUNDS):
+        before = tuple(tau)
+        for k, (group, grid) in enumerate(zip(groups, grids, strict=True)):
+            prior = np.log(np.append(0.5, np.full(len(grid) - 1, 0.5 / max(len(grid) - 1, 1))))
+            at = [tuple(float(size) if c in group else tau[c] for c in range(chains)) for size in grid]
+            quick = np.array([search.best(one) for one in at]) + prior
+            lines[k] = {one: p for one, p, b in zip(at, prior, quick, strict=True) if b > quick.max() - NEGLIGIBLE}
+            best = max(lines[k], key=lambda one: search.evidence(one) + lines[k][one])
+            tau = list(best)
+        if tuple(tau) == before:
+            break
+    exact = np.ones(chains)
+    for k, (group, grid) in enumerate(zip(groups, grids, strict=True)):
+        logs = np.array([search.evidence(one) + p for one, p in lines[k].items()])
+        first = np.array([one[group[0]] == grid[0] for one in lines[k]])
+        exact[group] = np.exp(logs - logsumexp(logs))[first].sum()
+    # relative to the prior of what is most probable
+    star = {one: p - line[tuple(tau)] for line in lines.values() for one, p in line.items() if tuple(tau) in line}
+    return tuple(tau), exact, star
+
+
+def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float], at: Sizes) -> ModelSet:
+    """Models over sizes together; `found` are those of the sizes `at`."""
+    if len(lines) < 2:
+        return as_fitted(found, search.fitted) if not any(at) else found
+    values: dict[bytes, float] = {}
+    left = []
+    for tau, prior in lines.items():
+        own = search.models(tau)
+        left.append((search.evidence(tau) + prior, own.left_out))
+        for model, value in zip(own.models, own.log_posterior, strict=True):
+            key = model.tobytes()
+            values[key] = float(np.logaddexp(values.get(key, -np.inf), value + prior))
+    models = np.array([np.frombuffer(key, dtype=np.bool_) for key in values])
+    shares = np.exp(np.array([one for one, _ in left]) - logsumexp([one for one, _ in left]))
+    lacking = float(shares @ [share for _, share in left])
+    return replace(_sorted(found, models, np.array([*values.values()])), left_out=lacking)
