@@ -16,10 +16,6 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError
-from bayeq.forecast.rows import Rows
-from bayeq.forecast.windows import apart, typical_period, window_runs
-from bayeq.ode.rk4 import interpolant
-from bayeq.selection.alternatives import alternatives_to
 
 RAW = {"chains": "x:v:a", "inputs": ["u"], "smooth": "none"}
 OSCILLATOR = {"chains": "x:v:a", "inputs": ["u"]}
@@ -152,8 +148,7 @@ def test_limits_that_do_not_bind_change_nothing():
         discover(rec, **OSCILLATOR, **options)[0]
         for options in ({}, {"max_terms": 30}, {"constraints": ["u > 0"]}, {"constraints": ["x < 0", "v < 0"]})
     )
-    assert set(first.included) == DUFFING
-    assert set(first.shown) == {"x", "v", "u"}
+    assert set(first.shown) == set(first.included) == DUFFING
     assert [(left.name, left.reason) for left in first.left_out] == [("x**3", "tolerance")]
     for other in others:
         assert other.included == first.included
@@ -228,7 +223,7 @@ def test_limits_on_the_command_line(record, tmp_path, capsys):
     capsys.readouterr()
 
 
-# --- tolerance: certain, and of no practical difference ---------------------------------------------------------------
+# --- tolerance: what a law may lack -------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -241,107 +236,43 @@ def weak():
     return rec
 
 
-@pytest.fixture(scope="module")
-def simpler(weak):
-    return discover(weak, **OSCILLATOR)
-
-
-@pytest.fixture(scope="module")
-def whole(weak):
-    return discover(weak, **OSCILLATOR, tolerance=0)
-
-
-def test_what_is_certain_and_within_the_tolerance_is_left_out(simpler, whole):
-    one, full = simpler[0], whole[0]
-    assert set(one.included) == set(full.included) == set(full.shown) == DUFFING
-    assert set(one.shown) == {"x", "v", "u"}
-    assert one.why == {"x**3": "tolerance"}
-    (left,) = one.left_out
-    assert (left.name, left.reason) == ("x**3", "tolerance")
-    assert left.pip > 0.99
-    assert "certain, but within the tolerance: x**3, PIP 1.000" in str(simpler)
-    # probabilities and the included terms stay, and the full model stands beside what is shown
-    np.testing.assert_array_equal(one.posterior.pip, full.posterior.pip)
-    assert one.coef == full.coef == full.shown_coef
-    assert f"full model: {full.text}" in str(simpler)
-    assert simpler.to_dict()["equations"][0]["full_equation"] == full.text
-    assert (full.effective, full.full_posterior, full.full_text) == ((), None, None)
-
-
-def test_other_coefficients_than_the_full_models_are_called_effective(simpler, weak):
-    one = simpler[0]
-    # the linear stiffness makes up for the cubic one; by how much is known of Gaussian motion: 3 k3 sd(x)^2
-    change = one.shown_coef["x"] - one.coef["x"]
-    assert change == pytest.approx(one.coef["x**3"] * 3 * np.var(weak.truth.clean["x"]), rel=0.3)
-    assert "x" in one.effective
-    assert "v" not in one.effective
-    table = simpler.table().set_index("term")
-    assert table.loc["x", "effective"]
-    assert table["effective"].sum() == len(one.effective)
-    saved = {term["name"]: term["effective"] for term in simpler.to_dict()["equations"][0]["terms"]}
-    assert {name for name, effective in saved.items() if effective} == set(one.effective)
-    (row,) = (line for line in str(simpler).splitlines() if line.startswith("| x  "))
-    assert f"~ {one.shown_coef['x']:.2f}"[:6] in row
-    assert str(simpler).count("~ effective coefficients") == 1
-
-
-def test_smaller_models_are_kept_in_files(simpler, tmp_path):
-    simpler.save(tmp_path / "eq.json")
-    again = bq.load(tmp_path / "eq.json")
-    assert again.to_dict() == simpler.to_dict()
-    assert str(again) == str(simpler)
-    assert again[0].intercept_ci95 == simpler[0].intercept_ci95
-    np.testing.assert_array_equal(again.rhs(0.0, [0.01, 0.1], 1.0), simpler.rhs(0.0, [0.01, 0.1], 1.0))
-
-
-def test_intervals_of_a_projection_are_those_of_the_full_model_projected(whole):
-    # twin: coefficients drawn from the full posterior, each fitted anew by least squares on the smaller model
-    fit = whole[0].fit
-    full, names = fit.posterior, np.array(fit.posterior.names)
-    model = full.support & (names != "x**3")
-    A = fit.standard.gram.DtD + np.eye(len(names)) / fit.prior.slab_variance
-    half = np.linalg.cholesky(A).T
-    rng = np.random.default_rng(0)
-    draws = rng.multivariate_normal(full.coef[full.support], full.covariance, size=4000)
-    projected = np.linalg.lstsq(half[:, model], half[:, full.support] @ draws.T)[0]
-    found = fit.projected(full, model)
-    np.testing.assert_allclose(found.coef[model], projected.mean(axis=1), atol=4 * found.sd[model].max() / 60)
-    # a standard deviation of 4000 draws errs by 1.1 %
-    np.testing.assert_allclose(found.sd[model], projected.std(axis=1), rtol=0.05)
-    # the conditional mean given the smaller model is the same projection
-    np.testing.assert_allclose(found.coef, fit.conditional(model).coef, rtol=1e-6, atol=1e-12)
-    # on all terms nothing changes
-    same = fit.projected(full, full.support)
-    np.testing.assert_allclose(same.coef, full.coef, rtol=1e-9)
-    np.testing.assert_allclose(same.covariance, full.covariance, rtol=1e-6, atol=1e-18)
-
-
 @pytest.mark.parametrize("options", [{}, {"smooth": "none"}, {"smooth": "band"}, {"constraints": ["u == 1"]}])
-def test_what_is_shown_is_the_projection_as_reported(weak, options):
-    eq = discover(weak, **OSCILLATOR, **options, tolerance=0.005)
-    one = eq[0]
-    assert "x**3" in one.included
-    assert "x**3" not in one.shown
-    full, shown = one.full_posterior, one.shown_posterior
-    assert full.support.tolist() == one.posterior.support.tolist()
-    rec = weak
-    D = evaluate_terms(one.terms, rec.channels)
-    apart = shown.intercept - full.intercept + D @ (shown.coef - full.coef)
-    assert np.sqrt(np.mean(apart[:3200] ** 2)) < 0.0055 * np.std(rec["a"][:3200])
-    assert (shown.sd[shown.support & (shown.coef != 1.0)] > 0).all()
-    if "constraints" in options:
-        assert one.shown_coef["u"] == 1.0
+def test_a_small_term_of_an_exact_law_is_shown_unless_the_law_may_lack_as_much(weak, options):
+    one = discover(weak, **OSCILLATOR, **options)[0]
+    assert set(one.shown) == set(one.included) == DUFFING
+    assert one.why == {}
+    # a function of the states of 2 %, in as many directions as there are candidates, covers it
+    one = discover(weak, **OSCILLATOR, **options, tolerance=0.02)[0]
+    assert {"x", "v", "u"} <= set(one.shown) <= DUFFING
+    assert one.posterior.pip[[term.text for term in one.terms].index("x**3")] < 0.99
 
 
-def test_the_equation_shown_is_the_smallest_that_is_hardly_worse():
-    # a hysteretic force, which takes many terms; with a larger tolerance the law of the rest is what is left
+def test_how_nearly_true_is_in_the_answer_and_its_file(weak, tmp_path):
+    eq = discover(weak, chains="x::a", inputs=["u"], tolerance=0.02)
+    assert eq[0].tau >= 0.02
+    assert 0.0 <= eq[0].error_probability < 1.0
+    (saved,) = eq.to_dict()["equations"]
+    assert (saved["tau"], saved["error_probability"]) == (eq[0].tau, eq[0].error_probability)
+    assert saved["full_equation"] is None
+    assert not any(term["effective"] for term in saved["terms"])
+    eq.save(tmp_path / "eq.json")
+    again = bq.load(tmp_path / "eq.json")
+    assert again.to_dict() == eq.to_dict()
+    assert str(again) == str(eq)
+    exact = discover(weak, chains="x::a", inputs=["u"], tolerance=0)[0]
+    assert (exact.tau, exact.error_probability) == (0.0, 0.0)
+    # rows as measured do not tell
+    assert discover(weak, **OSCILLATOR)[0].error_probability is None
+
+
+def test_terms_without_which_a_nearly_true_law_runs_as_well_are_not_shown():
+    # a hysteretic force, which takes many terms
     rec = draw_record("bouc-wen", 0.05, seed=0, rows=40_000)
-    strict, default, loose = (discover(rec, **OSCILLATOR, smooth="band", tolerance=t)[0] for t in (0, 0.01, 0.05))
-    assert strict.included == default.included == loose.included == strict.shown
-    assert set(loose.shown) == DUFFING
-    assert len(loose.shown) <= len(default.shown) < len(strict.shown)
-    for left in default.left_out:
-        assert left.reason == "tolerance"
+    strict, loose = (discover(rec, **OSCILLATOR, smooth="band", tolerance=t)[0] for t in (0, 0.05))
+    assert strict.shown == strict.included
+    assert set(loose.shown) >= DUFFING
+    assert len(loose.shown) < len(strict.shown)
+    assert {left.reason for left in loose.left_out} <= {"tolerance"}
 
 
 def test_friction_that_the_dictionary_lacks_is_told():
@@ -363,93 +294,9 @@ def test_the_damping_of_a_light_structure_stays():
     assert set(one.shown) == {"x", "v", "u"}
 
 
-def test_equations_of_a_system_are_simplified_each(weak, whole):
-    # two oscillators that do not know of each other; the cubic stiffness of the second one matters
-    stiff = bq.simulate("duffing", seed=4, noise={"x": 1e-4, "v": 1e-4, "a": 1e-3, "u": 1e-4})
-    channels = {f"{name}{k}": rec[name] for k, rec in ((1, weak), (2, stiff)) for name in "xvau"}
-    both = bq.Record.from_arrays(channels, time=weak.time)
-    eq = discover(
-        both,
-        chains=["x1:v1:a1", "x2:v2:a2"],
-        inputs=["u1", "u2"],
-        dictionary=["x1", "v1", "x1**3", "u1", "x2", "v2", "x2**3", "u2"],
-    )
-    assert eq[0].included == ("x1", "v1", "x1**3", "u1")
-    assert eq[0].shown == ("x1", "v1", "u1")
-    assert eq[1].shown == eq[1].included == ("x2", "v2", "x2**3", "u2")
-    assert eq[1].full_posterior is None
-    assert eq[0].full_posterior.coef[2] == pytest.approx(whole[0].coef["x**3"], rel=0.02)
-
-
 def test_without_time_no_smaller_model_is_shown(weak):
     order = np.random.default_rng(0).permutation(weak.n)  # rows in order would be taken for time
     untimed = bq.Record.from_arrays({name: weak[name][order] for name in "xvau"})
     one = discover(untimed, **RAW)[0]
     assert one.shown == one.included
     assert "x**3" in one.shown
-
-
-def test_another_equation_within_the_tolerance_is_none(simpler):
-    # the verdict compares with the full model: what the tolerance takes away makes no alternative
-    one = simpler[0]
-    assert alternatives_to(one.fit, one.full_posterior, 0.01).probability < 0.05
-    assert simpler.verdict.kind == "found"
-    # a much finer look tells the two apart
-    assert alternatives_to(one.fit, one.shown_posterior, 1e-4).probability > 0.9
-
-
-def test_a_form_that_is_undecided_is_warned_of():
-    # friction that is partly viscous and partly dry; over ten periods either kind alone follows the motion
-    rng = np.random.default_rng(0)
-    t = np.arange(15_000) / 200.0
-    th, w, states = 1.0, 0.0, []
-    for _ in t:
-        states.append((th, w))
-        for _ in range(5):  # semi-implicit Euler steps of 1 ms
-            w += 1e-3 * (-39.5 * np.sin(th) - 0.02 * w - 0.01 * np.sign(w))
-            th += 1e-3 * w
-    th, w = np.array(states).T
-    rec = bq.Record.from_arrays(
-        time=t, th=th + 5e-4 * rng.standard_normal(len(t)), w=w + 5e-3 * rng.standard_normal(len(t))
-    )
-    options = {"chains": "th:w:", "dictionary": ["th", "sin(th)", "w", "w*abs(w)", "sign(w)"], "smooth": "band"}
-    eq = discover(rec, **options, tolerance=0.03)
-    assert eq[0].included == ("sin(th)", "w", "sign(w)")
-    assert eq[0].shown == ("sin(th)", "w")
-    (message,) = (message for message in eq.warnings if "its form is undecided" in message)
-    assert message.startswith("ddth: w is needed, but its form is undecided: with sign(w) instead predictions and free")
-    # and the default tells them apart
-    assert not any("its form is undecided" in message for message in discover(rec, **options).warnings)
-
-
-def test_the_tolerance_on_the_command_line(weak, tmp_path, capsys):
-    file = tmp_path / "weak.csv"
-    bq.write(weak, file)
-    call = ["discover", str(file), "--chain", "x:v:a", "--input", "u", "--smooth", "none", "--json"]
-    found = []
-    for options in (["--tolerance", "0.02"], ["--tolerance", "0"]):
-        assert main([*call, *options]) == 0
-        terms = json.loads(capsys.readouterr().out)["equations"][0]["terms"]
-        found.append({term["name"] for term in terms if term["shown"]})
-    assert found[0] < found[1]
-    assert main([*call, "--tolerance", "2"]) == 2
-    assert "bayeq: error: tolerance is a share" in capsys.readouterr().err
-    assert main([*call, "--negligible", "0"]) == 2
-    assert "No such option" in capsys.readouterr().err
-
-
-@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
-def test_errors_of_windows_are_those_of_simulate():
-    rec = bq.simulate("linear", n=400, seed=3, noise=0.0)
-    eq = bq.discover(rec, **OSCILLATOR, dictionary=["x", "u"], holdout=0.0, tolerance=0)
-    rows = Rows(rec.time, rec.channels, {}, interpolant(rec.time, rec["u"][:, None], "cubic"))
-    dynamics = eq.dynamics()
-    assert typical_period(dynamics, [rows]) == pytest.approx(2 * np.pi * rec["x"].std() / rec["v"].std())
-    ours = apart(window_runs(dynamics, [rows], 0.1))
-    scale = {name: rec[name].std() for name in "xv"}
-    errors = []
-    for first in np.linspace(0, 400 - 101, 12).astype(int):
-        read = {name: float(rec[name][first]) for name in "xv"}
-        run = eq.simulate(rec, start=int(first), rows=101, draws=0, initial=read)
-        errors.append(np.sqrt(np.mean([((run.mean[n] - rec[n][first : first + 101]) / scale[n]) ** 2 for n in "xv"])))
-    assert ours == pytest.approx(np.median(errors), rel=1e-3)

@@ -29,7 +29,7 @@ def test_functions_are_isotropic():
     rng = np.random.default_rng(2)
     x = rng.standard_normal(500)
     columns = np.column_stack([x, x**3, 1e-3 * x**5, x + x**3, np.ones(500)])  # one is the sum of others
-    R = isotropic(columns, 7.0)
+    R = isotropic(columns, [], 7.0)
     assert R.shape == (5, 4)
     functions = columns @ R
     np.testing.assert_allclose(functions.T @ functions / 500, np.eye(4) * 7.0**2 / 4, atol=1e-6)
@@ -45,7 +45,7 @@ def test_the_evidence_of_sizes_is_that_of_all_coefficients_together(lorenz):
     """Slabs and functions are one Gaussian prior of all coefficients, hidden ones too, given the model."""
     record = lorenz.fit.regression.record
     task = record.task
-    soft = Soft(task, record.fitted)
+    soft = Soft.of(task, record.fitted)
     assert len(soft.about) > len(task.precision)  # 9 terms and a constant are few
     included, A = record.fitted.model, soft.whole.information
     b = soft.whole.slope - A @ soft.about

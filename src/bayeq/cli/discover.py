@@ -130,8 +130,8 @@ Examples:
     "--tolerance",
     group=SURE,
     type=float,
-    help="What makes no practical difference: the smallest equation is shown whose predictions and free runs are worse"
-    " than the full model's by no more than this share (0.01); 0 shows the included terms.",
+    help="What the law may lack beside the terms, as a share of the target's standard deviation (0.01); learned by"
+    " default, 0: nothing.",
 )
 @option(
     "--coarsen",

@@ -26,7 +26,6 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 from bayeq.regression.constraints import parse_constraints
 from bayeq.selection.select import Rules
-from bayeq.selection.tolerance import TOLERANCE
 from bayeq.states import Roles, Smooth, Tails, check_sensors
 
 __all__ = ["discover", "question_of"]
@@ -49,7 +48,7 @@ def discover(
     smooth: Smooth = "auto",
     holdout: float = 0.2,
     max_terms: int | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
     coarsen: float = 1.0,
     prior: Prior | None = None,
     constraints: str | Sequence[str] = (),
@@ -101,12 +100,12 @@ def discover(
         Largest number of terms that are shown: the likeliest such model where the method includes more. The path of
         each equation (`Equation.path`) tells what each further term brings. Probabilities and the included terms stay;
         what is left out is listed after the equation.
-    tolerance : float
-        What makes no practical difference: the equation shown is the smallest whose predictions and free runs over
-        windows of the training rows are worse than the full model's by no more than this share of the target's standard
-        deviation and of the states' spread (`bayeq.selection.tolerance`). By default 0.5 %, half of that to which
-        sensors are calibrated. Terms that are certain and yet not needed for that are listed after the equation, beside
-        the full model. 0 shows the included terms.
+    tolerance : float, optional
+        What the law may lack beside the terms, a small function of the states, as a share of the target's standard
+        deviation (`bayeq.likelihood.spike`). By default its size is learned from the record, where its likelihood is
+        used, and is none for rows as measured; 0: the law is exact; above 0: the function is of this size, or larger.
+        Of a law that is only nearly true terms are not shown without which free runs are worse by no more than this,
+        by default 0.5 % of the states' spread (`bayeq.selection.tolerance`).
     coarsen : float
         Power, above 0 and at most 1, that the likelihood is raised to: each row counts as this share of one (Miller
         and Dunson 2019). It widens all intervals and asks more evidence of a term, for models that are only nearly
@@ -216,7 +215,7 @@ def question_of(
     smooth: Smooth,
     holdout: float,
     max_terms: int | None,
-    tolerance: float,
+    tolerance: float | None,
     coarsen: float,
     prior: Prior | None,
     constraints: str | Sequence[str],

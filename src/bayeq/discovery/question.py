@@ -128,7 +128,7 @@ class Question:
         constrained = _constrained(self.known, design, self.method)
 
         step("likelihood", 0, 1)
-        record = record_of(design, self.smooth, self.dictionary, self.prior)
+        record = record_of(design, self.smooth, self.dictionary, self.prior, self.rules.tolerance)
         if record is None and self.smooth == "auto" and suits(motion, len(design.terms)):
             log.warn(NO_LIKELIHOOD, DataWarning)
         if record is None and self.tails == "student":
@@ -215,7 +215,9 @@ class Question:
         chains = len(design.motion.roles.chains)
         regressions = [Regression.of(design, k, record) for k in range(chains)]
         self.step("inference", 0, chains)
-        fits = fit_equations(regressions, constrained, self.method, self.prior, self.coarsen, self.seed)
+        fits = fit_equations(
+            regressions, constrained, self.method, self.prior, self.coarsen, self.rules.tolerance, self.seed
+        )
         selections = select(fits, self.rules, design.motion)
         equations, scores = build_equations(selections, units, log, scored)
         return equations, scores, selections

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
 from bayeq.equation.equation import Equation, RunnerUp
-from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
+from bayeq.equation.verdict import Verdict, doubted, judge, noise_share, window_errors
 from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidualsWarning, DataWarning, WarningLog
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.results import Scores
@@ -24,7 +24,6 @@ from bayeq.selection.alternatives import alternatives_to
 from bayeq.selection.bounds import bounds, undetermined
 from bayeq.selection.excitation import Repeating, repeating
 from bayeq.selection.select import Selection
-from bayeq.selection.tolerance import effective_terms
 
 __all__ = ["build_equations", "with_doubts"]
 
@@ -103,9 +102,6 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
     fit = selection.fit
     regression, motion = fit.regression, fit.regression.motion
     shown, excess = selection.reported
-    full = None
-    if selection.full is not None:
-        full = (selection.full_fit or selection.shown_fit).expanded(selection.full)
     same = selection.shown is fit.posterior
     posterior = shown if same else fit.reported(fit.posterior)[0]
     train, held_out = regression.fit(shown), regression.held_out_fit(shown)
@@ -141,8 +137,8 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         why=differ,
         left_out=selection.left_out,
         models=likeliest_models(fit),
-        effective=() if full is None else effective_terms(full, shown),
-        full_posterior=full,
+        error_probability=None if regression.record is None else 1.0 - fit.exact,
+        tau=0.0 if regression.record is None else regression.record.nearly.tau[regression.k],
         bound=bound,
         undetermined=undetermined(fit, posterior, bound),
     )
@@ -176,22 +172,30 @@ def with_doubts(
 
 
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:
-    fit, regression = selection.full_fit or selection.shown_fit, selection.shown_fit.regression
-    full = selection.shown if selection.full is None else selection.full
+    # of terms within the tolerance other equations are those of the model that has them
+    full, regression = selection.full or selection, selection.shown_fit.regression
     lacking, coloured = None, None
     if regression.record is not None:
         adequacy = regression.record.adequacy
         lacking = adequacy.lacks(regression.k)
         coloured = adequacy.coloured([name for name in regression.chain.measured if name is not None])
     # as the likelihood has it, which other equations are compared by
-    others = alternatives_to(fit, fit.expanded(full), tolerance)
+    others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), tolerance)
     spread = regression.rows.target_deviation
     excess = equation.residuals.excess if (equation.residuals.excess or 0.0) > INADEQUATE else None
-    verdict = doubted(equation.verdict, equation.target, others, lacking, coloured, spread, excess, again)
-    share = equation.error_share
-    if share is not None and share > LEAST_SHOWN and verdict.kind in ("found", "nearly true"):
-        left = f"the terms leave {100 * share:.2g} % of the standard deviation of {equation.target}"
-        verdict = replace(verdict, reason=f"{verdict.reason}; {left}")
+    exact = 1.0 - (equation.error_probability or 0.0)
+    verdict = doubted(
+        equation.verdict,
+        equation.target,
+        others,
+        lacking,
+        coloured,
+        spread,
+        excess,
+        again,
+        exact,
+        equation.error_share,
+    )
     if equation.posterior.converged or verdict.kind in ("none", "not determined"):
         return verdict
     reason = f"{equation.posterior.method} did not converge: probabilities of terms may be off"
@@ -267,12 +271,6 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
 def _warn_of_undecided(equation: Equation, selection: Selection, log: WarningLog) -> None:
     """Other equations that could as well be shown."""
     target = equation.target
-    for term, others in selection.undecided.items():
-        log.warn(
-            f"{target}: {term} is needed, but its form is undecided: with {' or '.join(others)} instead predictions"
-            f" and free runs are within the tolerance too; {TELL_APART}",
-            AmbiguityWarning,
-        )
     likelier = [r for r in equation.runners_up if r.log_odds > 0.0]
     if likelier and not equation.left_out:
         listed = "; ".join(f"{r} (odds {r.odds})" for r in likelier)

@@ -80,7 +80,6 @@ def check_restored(equation: Equation) -> None:
         Units that cannot be read.
     """
     posteriors = [equation.posterior, equation.shown_posterior]
-    posteriors += [] if equation.full_posterior is None else [equation.full_posterior]
     with np.errstate(all="ignore"):
         finite = all(map(_is_finite, posteriors))
         ends = np.array([*equation.intercept_ci95, *equation.printed_intercept_ci95])
@@ -147,17 +146,15 @@ def _check_posterior(state: Saved, terms: Sequence[Saved], place: str) -> None:
     _check_length(state.get("freedom") or terms, size, f"{place}.freedom")
     _check_covariance(state["covariance"], sum(term["included"] for term in terms), f"{place}.covariance")
     shown = [j for j, term in enumerate(terms) if term["shown"]]
-    for name in ("shown", "full"):
-        model, here = state.get(name), f"{place}.{name}"
-        if model is None:
-            continue
+    model, here = state.get("shown"), f"{place}.shown"
+    if model is not None:
         members = model.get("terms", shown)
-        if name == "shown" and list(members) != shown:
+        if list(members) != shown:
             raise ValueError(f"{here}.terms: the terms that are shown are expected, {shown}")
         _check_places(members, size, f"{here}.terms")
         _check_length(model.get("center", state["center"]), size, f"{here}.center")
         _check_length(model.get("freedom") or terms, size, f"{here}.freedom")
-        if name == "full" or "coef" in model:
+        if "coef" in model:
             _check_length(model["coef"], len(members), f"{here}.coef")
         _check_covariance(model["covariance"], len(members), f"{here}.covariance")
     _check_places(state["optimum"] or [], size, f"{place}.optimum")

@@ -125,12 +125,10 @@ class Equation:
         What the coefficients shown come from, where that is not `fit`.
     stored : OverModels or None
         Intervals over models of an equation that was read from a file.
-    effective : tuple of str
-        Terms shown whose coefficients are not those of the full model: they make up for terms within the tolerance
-        too. Their intervals are those of the projection of the full model.
-    full_posterior : Posterior or None
-        Of the full model, in original units, where what is shown is its projection on fewer terms: the included terms,
-        or what a limit or an undecided group makes of them.
+    error_probability : float or None
+        That the law lacks a function of the states, beyond the tolerance; None where rows are taken as measured.
+    tau : float
+        Its most probable size, as a share of the target's standard deviation; 0 where there is none.
     bound : (P,) array or None
         What the size of a coefficient is below, with a probability of 95 %, were its term added to the included ones.
         NaN for those.
@@ -157,8 +155,8 @@ class Equation:
     models: tuple[CandidateModel, ...] = ()
     shown_fit: RegressionFit | None = field(default=None, repr=False, compare=False)
     stored: OverModels | None = field(default=None, repr=False, compare=False)
-    effective: tuple[str, ...] = ()
-    full_posterior: Posterior | None = field(default=None, repr=False, compare=False)
+    error_probability: float | None = None
+    tau: float = 0.0
     bound: Floats | None = None
     undetermined: tuple[str, ...] = ()
 
@@ -310,8 +308,7 @@ class Equation:
             ``shown``; ``share`` of the target's variance; ``unit`` of the coefficient (None: unknown); ``shown_coef``,
             ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``averaged_ci_low``,
             ``averaged_ci_high`` over all models (NaN where none are averaged); ``why`` included and shown terms differ
-            ("" if not); ``effective``, whether the coefficient shown makes up for terms within the tolerance too;
-            ``bound`` of the size of a coefficient that is not included.
+            ("" if not); ``bound`` of the size of a coefficient that is not included.
         """
         import pandas as pd
 
@@ -337,7 +334,6 @@ class Equation:
                 "averaged_ci_low": averaged[:, 0],
                 "averaged_ci_high": averaged[:, 1],
                 "why": [self.why.get(term.text, "") for term in self.terms],
-                "effective": [term.text in self.effective for term in self.terms],
                 "bound": np.full(len(self.terms), np.nan) if self.bound is None else self.bound,
             }
         )
@@ -345,14 +341,7 @@ class Equation:
     @cached_property
     def text(self) -> str:
         """The equation as a line of text, coefficients to a tenth of their standard deviation."""
-        return self._line(self.shown_posterior)
-
-    @property
-    def full_text(self) -> str | None:
-        """The full model in the same way, where what is shown is its projection on fewer terms; else None."""
-        return None if self.full_posterior is None else self._line(self.full_posterior)
-
-    def _line(self, p: Posterior) -> str:
+        p = self.shown_posterior
         parts = [
             (round_to(value, sd), term.text)
             for term, value, sd, kept in zip(self.terms, p.coef, p.sd, p.support, strict=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation, round_to
-from bayeq.equation.text import DOUBTFUL, EFFECTIVE, MARK, NOTEWORTHY_PIP
+from bayeq.equation.text import DOUBTFUL, MARK, NOTEWORTHY_PIP
 from bayeq.equation.verdict import LEAST_SHOWN
 from bayeq.inference.engines import ENGINES
 
@@ -50,12 +50,6 @@ def _of_equation(equation: Equation, eq: Answer, conditional: bool) -> Iterator[
     score = ENGINES[eq.method].score
     yield from _of_terms(equation, score)
     yield from _of_intervals(equation, conditional)
-    if equation.effective:
-        yield (
-            f"{EFFECTIVE}, effective: {', '.join(equation.effective)} also makes up for terms that are certain but make"
-            " no practical difference, and are not shown: its number is right for this equation as it stands, not for"
-            " that part of the physics alone."
-        )
     yield from _of_fits(equation, eq)
     yield from _of_residuals(equation)
     if equation.undetermined and equation.bound is not None:

@@ -312,8 +312,8 @@ def _restore_equation(
             if "intercept_printed_ci95" in saved
             else None,
         ),
-        effective=tuple(str(term["name"]) for term in saved["terms"] if term.get("effective", False)),
-        full_posterior=None if state.get("full") is None else _restored_posterior(posterior, state["full"]),
+        error_probability=None if saved.get("error_probability") is None else float(saved["error_probability"]),
+        tau=float(saved.get("tau", 0.0)),
     )
 
 

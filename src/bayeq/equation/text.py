@@ -44,8 +44,6 @@ CERTAIN = 0.99
 # Intervals that are not those given the terms shown, and what is said of them.
 MARK = "*"
 OVER_MODELS = "interval over all models that hold the term; given the terms shown: shown_ci95, --conditional"
-# Before a coefficient that makes up for other terms too.
-EFFECTIVE = "~"
 # Terms that the record does not determine are listed up to this number.
 MOST_UNDETERMINED = 6
 
@@ -166,13 +164,6 @@ def _differences(equation: Equation, score: str) -> list[str]:
     for j, term in enumerate(equation.terms):
         if shown.support[j] and not p.support[j]:
             out.append(f"shown, though its {score} is {p.pip[j]:.3f}: {term.text} ({equation.why[term.text]})")
-    if equation.effective:
-        out.append(
-            f"{EFFECTIVE} effective coefficients: they make up for terms within the tolerance too, and their intervals"
-            " cover what comes closest to the full model's predictions"
-        )
-    if equation.full_text is not None:
-        out.append(f"full model: {equation.full_text}")
     own = shown.likelihood_coef
     if own is not None and shown.likelihood_sd is not None:
         # of a force of long memory that is independent of the motion the likelihood knows more
@@ -309,9 +300,7 @@ def _rows(equation: Equation, conditional: bool) -> list[tuple[Any, ...]]:
         term = equation.terms[j]
         if p.support[j]:
             interval = f"{round_to(ci[j, 0], sd[j])} .. {round_to(ci[j, 1], sd[j])}{f' {MARK}' if marked[j] else ''}"
-            mark = f"{EFFECTIVE} " if term.text in equation.effective else ""
-            number = f"{mark}{round_to(p.coef[j], sd[j])}"
-            rows.append((escape(term.text), number, f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
+            rows.append((escape(term.text), round_to(p.coef[j], sd[j]), f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
         else:
             absent = "not shown" if equation.posterior.support[j] else "not included"
             rows.append((escape(term.text), absent, "", "", f"{p.pip[j]:.3f}"))

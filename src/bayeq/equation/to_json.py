@@ -92,7 +92,9 @@ def _equation(equation: Equation) -> dict[str, Any]:
         "error_lines": list(shown.error_lines),
         "elbo": p.elbo,
         "equation": equation.text,
-        "full_equation": equation.full_text,
+        "full_equation": None,  # as earlier versions had it
+        "error_probability": equation.error_probability,
+        "tau": equation.tau,
         "latex": equation.to_latex(),
         "unit_gains": list(equation.unit_gains),
         "undetermined": list(equation.undetermined),
@@ -111,7 +113,7 @@ def _term(equation: Equation, j: int) -> dict[str, Any]:
         "included": bool(p.support[j]),
         "shown": bool(shown.support[j]),
         "why": equation.why.get(name),
-        "effective": name in equation.effective,
+        "effective": False,  # as earlier versions had it
         "shown_coef": float(shown.coef[j]),
         "shown_sd": float(shown.sd[j]),
         "shown_ci95": equation.shown_ci95[j].tolist(),
@@ -208,7 +210,6 @@ def to_saved(eq: Answer) -> dict[str, Any]:
             {
                 "covariance": e.posterior.covariance.tolist(),
                 "shown": _shown(e),
-                "full": None if e.full_posterior is None else _saved_model(e.full_posterior),
                 "center": e.posterior.center.tolist(),
                 "target_mean": e.posterior.target_mean,
                 "noise_variance": e.posterior.noise_variance,

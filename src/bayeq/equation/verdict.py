@@ -14,6 +14,7 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.forecast.windows import correlation_time, typical_period, window_runs
 from bayeq.likelihood.adequacy import Discrepancy, Octave
+from bayeq.likelihood.spike import IMPROBABLE
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
 from bayeq.selection.alternatives import Alternatives
@@ -54,6 +55,9 @@ LEAST_SHOWN = 1e-3
 # A run over a window that errs by the states' own spread is no better than their mean.
 AS_THE_MEAN = 1.0
 
+# Of a law that leaves more than this share of the target's standard deviation that is said first.
+MUCH = 0.2
+
 # Rows are at rest where what stands above the noise has less than this share of the variance of the whole motion.
 AT_REST = 0.1
 
@@ -71,8 +75,9 @@ class Verdict:
         in the equation. Rows at rest are compared with the variance of the whole motion.
         ``not determined``: the engine did not converge, equations that predict otherwise have more than 5 % of the
         probability, or the motion repeats itself and does not tell the candidates apart (`bayeq.selection.excitation`).
-        ``nearly true``: the motion needs a force that the dictionary does not hold, or what is left of a channel is not
-        white noise (`bayeq.likelihood.adequacy`).
+        ``nearly true``: the law lacks a function of the states (its probability to lack none is below 1 %,
+        `bayeq.likelihood.spike`), the motion needs a force that no term explains, or what is left of a channel is not
+        white noise (`bayeq.likelihood.adequacy`); or the terms leave more than 20 % of the target.
     reason : str
         In a sentence.
     advice : str
@@ -153,6 +158,8 @@ def doubted(
     spread: float,
     excess: float | None = None,
     again: Repeating | None = None,
+    exact: float = 1.0,
+    left: float | None = None,
 ) -> Verdict:
     """The verdict of an equation that is not wrong: is it determined, and is it all there is?
 
@@ -174,6 +181,10 @@ def doubted(
         Power of the residual over that of the noise, in a band, where it is too large.
     again : Repeating, optional
         Motion that repeats itself and does not tell the candidates apart.
+    exact : float
+        Probability that the law lacks no function of the states.
+    left : float, optional
+        Share of the target's standard deviation that the terms leave beside noise.
     """
     if verdict.kind == "none":
         return verdict
@@ -193,15 +204,20 @@ def doubted(
             f" the likeliest {' and '.join(change) or 'with another constant'}",
             "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand",
         )
+    share = left if left is not None else 0.0 if lacking is None else lacking.size
+    size = f"{100 * share:.2g} % of the standard deviation of {target} ({share * spread:.2g})"
+    if exact < IMPROBABLE:
+        return Verdict(
+            "nearly true",
+            f"the law holds to {size}; what it lacks depends on the states",
+            "add terms that may be missing, and check the calibration and timing of the channels",
+        )
     if lacking is not None:
         low, high = lacking.octave
         return Verdict(
             "nearly true",
-            f"the motion needs what the dictionary does not hold, {100 * lacking.size:.2g} %"
-            f" ({100 * lacking.low:.2g} to {100 * lacking.high:.2g}) of the standard deviation of {target}"
-            f" ({lacking.size * spread:.2g}), mostly between {low:.2g} and {high:.2g} Hz",
-            "add terms or inputs that may be missing, and check the timing of the channels; included terms may"
-            " compensate for what is missing",
+            f"a force of {size} that no term explains, mostly between {low:.2g} and {high:.2g} Hz",
+            "add inputs or terms that may be missing, and check the timing of the channels",
         )
     if coloured is not None:
         return Verdict(
@@ -216,6 +232,8 @@ def doubted(
             f"the residual of {target} has {excess:.2g} times the power that the noise of the channels explains",
             "add terms or inputs that may be missing, and check the channels against each other",
         )
+    if share > MUCH:
+        return Verdict("nearly true", f"the terms leave {size}", "add terms or inputs that may be missing")
     return verdict
 
 

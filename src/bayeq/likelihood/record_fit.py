@@ -13,6 +13,7 @@ from bayeq.expressions import Expression
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
+from bayeq.inference.collapsed.search import scores_of
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.block import Block
@@ -100,12 +101,18 @@ class RecordFit:
             fitted = among_neighbours(task, fitted)
             found = cls(task, fitted, *averaged(task, fitted))
         included = found.about(found.posterior.support)
-        if any(found.nearly.tau) or (included.own and included.fitted.evidence > fitted.evidence - WINDOW):
+        if included.own and included.fitted.evidence > fitted.evidence - found.worse(included.fitted.model) - WINDOW:
             return included
         # what the Gram says of models far from the fitted one is not to be relied on
         revise = partial(_among_fitted, best=fitted)
-        found = replace(found, posterior=spike_slab_bma(task.gram(fitted.quadratic), task.known, revise=revise))
+        posterior = spike_slab_bma(task.gram(fitted.quadratic), task.known, revise=revise)
+        found = replace(found, posterior=posterior, nearly=Nearly.true(task.layout.chains))
         return found.about(found.posterior.support)
+
+    def worse(self, model: Bools) -> float:
+        """By how many nats the Gram finds an exact law of a model less likely than that of the fit, at least 0."""
+        scores = scores_of(self.task.problem(self.fitted.quadratic), np.array([self.fitted.model, model]))
+        return max(float(scores[0] - scores[1]), 0.0)
 
     def of_more(self, task: Task, state: State, quadratic: Quadratic, block: Block) -> RecordFit:
         """What the likelihood of more rows, about a fit to some of them, tells.
@@ -243,7 +250,7 @@ class RecordFit:
     def quadratic(self) -> Quadratic:
         """The likelihood of all candidates beside functions of the most probable sizes."""
         tau = self.nearly.tau
-        return Soft(self.task, self.fitted).quadratic(tau)[0] if any(tau) else self.fitted.quadratic
+        return Soft.of(self.task, self.fitted).quadratic(tau)[0] if any(tau) else self.fitted.quadratic
 
     @cached_property
     def standards(self) -> tuple[Standardised, ...]:
@@ -314,7 +321,11 @@ def suits(motion: Motion, terms: int) -> bool:
 
 
 def fit_record(
-    motion: Motion, terms: Sequence[Expression], log_odds: Floats, grams: Sequence[Gram]
+    motion: Motion,
+    terms: Sequence[Expression],
+    log_odds: Floats,
+    grams: Sequence[Gram],
+    tolerance: float | None = None,
 ) -> RecordFit | None:
     """Fit a dictionary to the training rows of some motion.
 
@@ -330,6 +341,8 @@ def fit_record(
         Of each candidate, and of the constant, not being zero; of all equations or of each.
     grams : sequence of Gram
         Of the smoothed rows, one per equation.
+    tolerance : float, optional
+        See `bayeq.discover`.
 
     Returns
     -------
@@ -345,7 +358,8 @@ def fit_record(
             odds = log_odds.ravel()
             known = all(map(motion.sensors.noisy, motion.roles.inputs))
             others = [] if known else [partial(with_exact_inputs, some, kind=kind) for kind in EXACT]
-            found = search(Task(start.layout, start.series, start.precision, odds), start.states, others)
+            task = Task(start.layout, start.series, start.precision, odds, tolerance=tolerance)
+            found = search(task, start.states, others)
             if some is not motion:
                 return _resumed(motion, *found, places)
             if motion.sensors.tails == "student":
@@ -385,7 +399,7 @@ def refit_record(
         found = None
     if found is not None and found.own and found.kappa.max() < ADEQUATE:
         return found
-    other = fit_record(motion, terms, former.task.log_odds.reshape(-1, former.width), grams)
+    other = fit_record(motion, terms, former.task.log_odds.reshape(-1, former.width), grams, former.task.tolerance)
     pairs = [one for one in (found, other) if one is not None]
     return max(pairs, key=lambda one: one.fitted.evidence, default=None)
 

@@ -8,6 +8,7 @@ coefficients alone, so that whatever compares models goes on as if spikes were h
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -18,10 +19,12 @@ from scipy.special import logsumexp
 
 from bayeq.dictionary.polynomial import count, monomials
 from bayeq.expressions import Expression, parse
+from bayeq.gram import Gram
 from bayeq.inference.bma import average_models, spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.filter import Adjoint
 from bayeq.likelihood.fit import (
     Quadratic,
     State,
@@ -36,8 +39,9 @@ from bayeq.likelihood.fit import (
 )
 from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.search import Fitted, Task
+from bayeq.likelihood.series import Series
 
-__all__ = ["IMPROBABLE", "Nearly", "Soft", "averaged", "isotropic", "softened"]
+__all__ = ["IMPROBABLE", "Nearly", "Soft", "averaged", "isotropic", "softened", "softened_rows"]
 
 Floats = NDArray[np.float64]
 Sizes = tuple[float, ...]
@@ -46,8 +50,9 @@ Sizes = tuple[float, ...]
 # log-uniform from LEAST to PER_DIRECTION of the target's standard deviation in each direction of the span, but MOST.
 LEAST, PER_DIRECTION, MOST, SIZES = 1e-4, 0.0065, 0.04, 10
 
-# Directions in which candidates hardly differ from nothing, as a share of the largest, are none.
-CUT = 1e-7
+# Directions in which candidates hardly differ from nothing, as a share of the largest, are none; nor are those of which
+# the motion along the path has less than this share of the power, the uncertainty of the states the rest.
+CUT, ALONG = 1e-7, 0.5
 
 # Sizes whose likeliest model is less likely than that of the best by more nats are not averaged over.
 NEGLIGIBLE = 10.0
@@ -77,6 +82,11 @@ class Nearly:
     tau: Sizes
     exact: tuple[float, ...]
 
+    @classmethod
+    def true(cls, chains: int) -> Nearly:
+        """Nothing is known that equations would lack."""
+        return cls((0.0,) * chains, (1.0,) * chains)
+
 
 def softened(q: Quadratic, spread: Floats) -> Quadratic:
     """The likelihood about some coefficients with deviations N(0, S S') integrated out.
@@ -97,12 +107,38 @@ def softened(q: Quadratic, spread: Floats) -> Quadratic:
     return Quadratic(q.level + 0.5 * float(w @ w) - norm, b - w @ X, A - X.T @ X)
 
 
-def isotropic(columns: Floats, deviation: float) -> Floats:
-    """R of some columns (n, p) in units of coefficients' priors, (p, K): functions of root mean square `deviation`."""
-    triangle = np.linalg.qr(columns, mode="r") / (np.sqrt(len(columns)) * deviation)
-    _, size, axes = np.linalg.svd(triangle, full_matrices=False)
+def isotropic(columns: Floats, moved: Sequence[Floats], deviation: float) -> Floats:
+    """R, (p, K), of functions of columns in units of coefficients' priors: of root mean square `deviation`, all alike.
+
+    A function that changes more where the states are uncertain than along the path cannot be told from their noise.
+
+    Parameters
+    ----------
+    columns : (n, p) array
+        Along the path.
+    moved : sequence of (n, p) arrays
+        What they change by where the states are uncertain.
+    deviation : float
+        Standard deviation of the target.
+    """
+    unit = np.sqrt(len(columns)) * deviation
+    _, size, axes = np.linalg.svd(np.linalg.qr(np.vstack([columns, *moved]), mode="r") / unit, full_matrices=False)
     kept = size > CUT * size[0]
-    return np.asarray(axes[kept].T / size[kept] / np.sqrt(kept.sum()))
+    alike = axes[kept].T / size[kept]
+    _, share, turned = np.linalg.svd(np.linalg.qr(columns @ alike, mode="r") / unit)
+    known = share**2 > ALONG
+    return np.asarray(alike @ turned[known].T / np.sqrt(known.sum()))
+
+
+def softened_rows(gram: Gram, size: float) -> Gram:
+    """Sums over rows, noise of variance 1, with a function of the columns of some size integrated out."""
+    squares, axes = np.linalg.eigh(gram.DtD / gram.n)
+    kept = squares > CUT * squares[-1]
+    R = axes[:, kept] * np.sqrt(gram.yty / gram.n / squares[kept] / kept.sum())
+    q = softened(Quadratic(0.0, gram.Dty, gram.DtD), size * R)
+    left = gram.yty - float(gram.Dty @ solved(gram.DtD, gram.Dty))
+    yty = left + float(q.slope @ solved(q.information, q.slope))
+    return replace(gram, DtD=q.information, Dty=q.slope, yty=yty)
 
 
 def sizes_of(tolerance: float | None, rank: int) -> Floats:
@@ -146,42 +182,45 @@ class Soft:
 
     task: Task
     fitted: Fitted
-    visible: NDArray[np.intp] = field(init=False)
-    whole: Quadratic = field(init=False)
-    about: Floats = field(init=False)
-    spreads: list[Floats] = field(init=False)
+    visible: NDArray[np.intp]
+    whole: Quadratic
+    about: Floats
+    spreads: list[Floats]
     likeliest: dict[Sizes, float] = field(default_factory=dict)
     sets: dict[Sizes, ModelSet] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        task, state, layout = self.task, self.fitted.state, self.task.layout
+    @classmethod
+    def of(cls, task: Task, fitted: Fitted) -> Soft:
+        """Of a fit."""
+        layout, state = task.layout, fitted.state
         allowed = task.log_odds.reshape(layout.chains, -1) > -np.inf
-        known = task.counted is not None or task.tolerance == 0.0
-        hidden = () if known else hidden_terms(layout, int(allowed[:, :-1].sum(axis=1).min()))
-        P, width = len(layout.terms), len(layout.terms) + len(hidden) + 1
-        column = np.append(np.arange(P), width - 1)
-        self.visible = (np.arange(layout.chains)[:, None] * width + column).ravel()
-        self.whole = self.fitted.quadratic
-        if hidden:
+        P, precision = len(layout.terms), task.precision[task.number(state.chosen)]
+        if task.counted is None:
+            hidden = hidden_terms(layout, int(allowed[:, :-1].sum(axis=1).min()))
             layout = replace(layout, terms=(*layout.terms, *hidden))
-            precision = task.precision[task.number(state.chosen)]
-            chosen = state.chosen._replace(term=column[state.chosen.term])
-            state = replace(state, chosen=chosen)
-            self.whole = expanded_at(layout, task, state, precision)
-        self.about = coefficients(layout, state)
+        width = len(layout.terms) + 1
+        column = np.append(np.arange(P), width - 1)
+        state = replace(state, chosen=state.chosen._replace(term=column[state.chosen.term]))
+        linears = linearised(layout, task.series, state, task.substeps)
+        found = marginal(linears, state, state.levels, precision)
+        smoothed = adjoints(linears, state.levels, found, found.delta, curved=True, smoothed=True)
+        whole = fitted.quadratic
+        if width > P + 1:
+            whole = information(layout, linears, state, corrections(layout, linears, smoothed))
         columns = np.concatenate(candidates(layout, task.series, state))
-        self.spreads = []
+        moved = moved_columns(layout, task.series, state, smoothed, columns)
+        spreads = []
         for c in range(layout.chains):
-            used = np.ones(width, dtype=np.bool_)
-            used[column] = allowed[c]
-            unit = np.ones(width)
-            unit[column] = task.precision.reshape(layout.chains, -1)[c] ** -0.5
-            deviation = float(np.sqrt(state.levels.target[c]))
+            unit, deviation = np.zeros(width), float(np.sqrt(state.levels.target[c]))
             unit[P:-1] = deviation / np.sqrt(np.mean(columns[:, P:-1] ** 2, axis=0))
-            R = isotropic(columns[:, used] * unit[used], deviation)
+            unit[column] = np.where(allowed[c], task.precision.reshape(allowed.shape)[c] ** -0.5, 0.0)
+            used = np.flatnonzero(unit)
+            R = isotropic(columns[:, used] * unit[used], [one[:, used] * unit[used] for one in moved], deviation)
             spread = np.zeros((layout.chains, width, R.shape[1]))
             spread[c, used] = unit[used, None] * R
-            self.spreads.append(spread.reshape(-1, R.shape[1]))
+            spreads.append(spread.reshape(-1, R.shape[1]))
+        visible = (np.arange(layout.chains)[:, None] * width + column).ravel()
+        return cls(task, fitted, visible, whole, coefficients(layout, state), spreads)
 
     def quadratic(self, tau: Sizes) -> tuple[Quadratic, float]:
         """The likelihood of all candidates about zero, the functions integrated out, and ln of its largest value."""
@@ -213,12 +252,17 @@ class Soft:
         return float(logsumexp(self.models(tau).log_posterior))
 
 
-def expanded_at(layout: Layout, task: Task, state: State, precision: Floats) -> Quadratic:
-    """The likelihood of all candidates of a layout, of more of them than a fit had, where that stands."""
-    linears = linearised(layout, task.series, state, task.substeps)
-    found = marginal(linears, state, state.levels, precision)
-    curved = corrections(layout, linears, adjoints(linears, state.levels, found, found.delta, curved=True))
-    return information(layout, linears, state, curved)
+def moved_columns(
+    layout: Layout, series: Sequence[Series], state: State, smoothed: Sequence[Adjoint], columns: Floats
+) -> list[Floats]:
+    """Changes of the columns as each state moves by its standard deviation given the record."""
+    spread = [np.sqrt(np.maximum(np.diagonal(one.covariance, axis1=1, axis2=2), 0.0)) for one in smoothed]
+    moving = [i for i in range(layout.size) if i not in layout.discrepancy]
+    steps = [[np.where(np.arange(layout.size) == i, sd, 0.0) for sd in spread] for i in moving]
+    moved = [
+        replace(state, paths=tuple(path + step for path, step in zip(state.paths, one, strict=True))) for one in steps
+    ]
+    return [np.concatenate(candidates(layout, series, one)) - columns for one in moved]
 
 
 def as_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
@@ -241,7 +285,7 @@ def _sorted(found: ModelSet, models: NDArray[np.bool_], values: Floats) -> Model
 
 def averaged(task: Task, fitted: Fitted) -> tuple[Posterior, Nearly]:
     """Models averaged over, and over the size of the function in each equation, the others' at their most probable."""
-    search = Soft(task, fitted)
+    search = Soft.of(task, fitted)
     tau, exact, lines = _most_probable(search)
     q, _ = search.quadratic(tau)
     posterior = spike_slab_bma(task.gram(q), task.known, revise=partial(_mixed, search=search, lines=lines, at=tau))

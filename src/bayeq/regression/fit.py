@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.collapsed.conditional import exact_posterior, noise_given_model
-from bayeq.inference.collapsed.problem import Problem, gram_block
+from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.engines import Engine
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.projection import projected
 from bayeq.likelihood.record_fit import RecordFit
+from bayeq.likelihood.spike import softened_rows
 from bayeq.regression.channel_errors import calibrated
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.covariance import propagated_covariance
@@ -59,6 +60,12 @@ class RegressionFit:
     posterior: Posterior
     coarsen: float = 1.0
 
+    @property
+    def exact(self) -> float:
+        """Probability that the law lacks nothing, or nothing beyond the tolerance."""
+        record = self.regression.record
+        return 1.0 if record is None else record.nearly.exact[self.regression.k]
+
     @cached_property
     def problem(self) -> Problem:
         """What models are compared on."""
@@ -78,22 +85,6 @@ class RegressionFit:
         coef, covariance = exact_posterior(self.problem, model, self.prior.known_signs)
         noise = noise_given_model(self.problem, model)
         return replace(self.posterior, support=model, coef=coef, covariance=covariance, noise_variance=noise)
-
-    def projected(self, full: Posterior, model: Bools) -> Posterior:
-        """The projection of a posterior on a model of fewer of its terms, in units of `standard`.
-
-        Its coefficients are linear in those of the full model: what comes closest to the full model's predictions under
-        the weights of the likelihood, the slab's prior beside them, theta_S = A_SS^-1 A_SF theta_F with the precision
-        A = D'D + 1/v_s. So they have the covariance A_SS^-1 A_SF Cov_F A_FS A_SS^-1.
-        """
-        A = gram_block(self.problem.columns, np.flatnonzero(full.support))
-        A[np.diag_indices_from(A)] += 1.0 / self.problem.slab_variance
-        inside = model[full.support]
-        onto = np.linalg.solve(A[np.ix_(inside, inside)], A[inside])
-        coef = np.zeros(len(model))
-        coef[model] = onto @ full.coef[full.support]
-        noise = noise_given_model(self.problem, model)
-        return replace(full, support=model, coef=coef, covariance=onto @ full.covariance @ onto.T, noise_variance=noise)
 
     def about(self, record: RecordFit) -> RegressionFit:
         """The same posterior with the likelihood of the record about another model."""
@@ -192,22 +183,6 @@ class RegressionFit:
         variance = max(float(both[r, r] - center[kept] @ both[:r, :r] @ center[kept]), 0.0)
         return replace(found, center=center, target_mean=mean, target_mean_variance=variance)
 
-    def reported_projection(self, full: Posterior, model: Bools) -> tuple[Posterior, float | None]:
-        """The projection of a posterior of `standard` as it is reported, and the excess of the full model.
-
-        It is the full model as it is reported that is projected: its intervals are those of that model's noise.
-        """
-        whole, excess = self.reported(full)
-        free = np.searchsorted(np.flatnonzero(whole.support), self.constraints.equalities.kept[full.support])
-        factor = (self.standard.target_scale / self.standard.scale)[full.support]
-        covariance = whole.covariance[np.ix_(free, free)] / np.outer(factor, factor)
-        found = self.expanded(self.projected(replace(full, covariance=covariance), model))
-        known = whole.target_mean_variance
-        found = replace(found, target_mean_variance=whole.noise_variance / whole.n if known is None else known)
-        if self.regression.record is not None or self.regression.band is not None:
-            found = replace(found, noise_variance=self.regression.noise_variance(found))
-        return found, excess
-
     def _truncated(self, model: Bools) -> bool:
         """Whether known signs change the posterior given a model: they do unless the data leave no doubt of them."""
         signs = self.prior.known_signs
@@ -247,6 +222,7 @@ def fit_regression(
     engine: Engine,
     prior: Prior | None = None,
     coarsen: float = 1.0,
+    tolerance: float | None = None,
     seed: tuple[int, ...] = (0,),
 ) -> RegressionFit:
     """Posterior of one equation.
@@ -264,12 +240,16 @@ def fit_regression(
         variance v_s that maximises the evidence, at least 10.
     coarsen : float
         Power, above 0 and at most 1, that the likelihood is raised to.
+    tolerance : float, optional
+        Size of what the terms may lack beside the likelihood of rows (`bayeq.likelihood.spike`).
     seed : tuple of int
         Of engines that draw random numbers.
     """
     regression = regression.raised(coarsen)
     reduced = constraints.reduce(regression.gram)
     standard = reduced.standardise(residual_scale(reduced))
+    if tolerance and isinstance(standard.gram, Gram) and regression.record is None:
+        standard = replace(standard, gram=softened_rows(standard.gram, tolerance))
     used = constraints.prior(prior or Prior())
     if prior is None:
         used = replace(used, slab_variance=learn_slab_variance(standard.gram, used))

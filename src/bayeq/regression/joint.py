@@ -43,11 +43,17 @@ FIRST, PER_DEGREE = 1.0, 2.0
 CONSTANT = math.log(0.1 / 0.9)
 
 
-def record_of(design: Design, smooth: str, dictionary: Specification, prior: Prior | None = None) -> RecordFit | None:
+def record_of(
+    design: Design,
+    smooth: str,
+    dictionary: Specification,
+    prior: Prior | None = None,
+    tolerance: float | None = None,
+) -> RecordFit | None:
     """The likelihood of the records of a design; None where it is not used."""
     if smooth != "auto" or not suits(design.motion, len(design.terms)):
         return None
-    return fit_record(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train)
+    return fit_record(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train, tolerance)
 
 
 def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
@@ -74,6 +80,7 @@ def fit_equations(
     method: str,
     prior: Prior | None = None,
     coarsen: float = 1.0,
+    tolerance: float | None = None,
     seed: int | tuple[int, ...] = 0,
 ) -> list[RegressionFit]:
     """The posterior of every equation: of all together where the method and what is known allow it.
@@ -84,7 +91,7 @@ def fit_equations(
         One per equation.
     method : str
         A row of `bayeq.inference.engines.ENGINES`.
-    prior, coarsen, seed
+    prior, coarsen, tolerance, seed
         As for `bayeq.regression.fit.fit_regression`.
     """
     record = regressions[0].record
@@ -100,7 +107,7 @@ def fit_equations(
         ]
     used = [one.thinned() if engine.spike_slab else one for one in regressions]
     return [
-        fit_regression(one, own.among(one.design.allowed[one.k]), engine, prior, coarsen, seed=(*first, one.k))
+        fit_regression(one, own.among(one.design.allowed[one.k]), engine, prior, coarsen, tolerance, (*first, one.k))
         for one, own in zip(used, constraints, strict=True)
     ]
 

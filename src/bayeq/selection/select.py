@@ -7,14 +7,15 @@ and Berger 2004). An equation shows these, with three exceptions, each applied t
    sure it is that there is damping. Where the included terms do not predict what the model average does, the likeliest
    model is shown.
 2. *max_terms*: a limit that the user sets. The likeliest model within it is shown.
-3. *tolerance*: what these leave is the full model; the smallest model that predicts and runs as well, but for a
-   declared tolerance, is shown in its place (`bayeq.selection.tolerance`).
+3. *tolerance*: of a law that is only nearly true terms are left out one by one, as long as the rest, by a fit of its
+   own, runs as well but for a declared tolerance (`bayeq.selection.tolerance`).
 
 A rule that does not bind changes nothing. None of them touches probabilities or the included terms.
 """
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,8 +28,9 @@ from bayeq.errors import InputError, require_number
 from bayeq.inference.collapsed.path import best_of_each_size, partial_shares, path_sizes
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.spike import IMPROBABLE
 from bayeq.regression.fit import RegressionFit
-from bayeq.selection.tolerance import TOLERANCE, FreeRuns, Simplification, likeliest_instead
+from bayeq.selection.tolerance import TOLERANCE, Errors, FreeRuns, hardly_worse, likeliest_instead
 from bayeq.states import Motion
 
 __all__ = ["LeftOut", "Rules", "Selection", "select"]
@@ -66,13 +68,13 @@ class Rules:
     ----------
     max_terms : int, optional
         Largest number of terms.
-    tolerance : float
-        How much worse than the full model's the predictions and free runs of the equation shown may be, as shares of
-        the target's standard deviation and of the states' spread; 0 shows the full model, and the included terms.
+    tolerance : float, optional
+        What a law may lack, at least, as a share of the target's standard deviation, and how much worse free runs
+        without a term may be, as a share of the states' spread. By default what it lacks is learned; 0: nothing.
     """
 
     max_terms: int | None = None
-    tolerance: float = TOLERANCE
+    tolerance: float | None = None
 
     def check(self, method: str) -> None:
         """Check the limits, and that the method's models can be compared.
@@ -82,8 +84,9 @@ class Rules:
         InputError
             Values out of range, or a method without spike-and-slab prior.
         """
-        require_number(self.tolerance, "tolerance")
-        if not 0 <= self.tolerance < 1:
+        if self.tolerance is not None:
+            require_number(self.tolerance, "tolerance")
+        if not 0 <= (self.tolerance or 0) < 1:
             raise InputError(f"tolerance is a share of the target's sd, 0 <= tolerance < 1, got {self.tolerance!r}")
         if self.max_terms is None:
             return
@@ -111,25 +114,19 @@ class Selection:
         What they were chosen from.
     shown : Posterior
         Given the terms shown, in units of `shown_fit.standard`; probabilities are those of `fit.posterior`.
-    full : Posterior, optional
-        Of the full model, where what is shown has fewer terms, in units of `full_fit.standard`.
     why : mapping of str to str
         Terms that are included or shown and not both, with the rule that decided.
-    undecided : mapping of str to tuple of str
-        Terms that are shown, each with terms left out that could as well take its place.
     own : RegressionFit, optional
         What the coefficients shown come from, where the likelihood of the record is about them.
-    full_fit : RegressionFit, optional
-        What those of the full model come from.
+    full : Selection, optional
+        That of the full model, where terms are left out within the tolerance.
     """
 
     fit: RegressionFit
     shown: Posterior
     why: Mapping[str, str] = field(default_factory=dict)
-    undecided: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     own: RegressionFit | None = None
-    full: Posterior | None = None
-    full_fit: RegressionFit | None = None
+    full: Selection | None = None
 
     @property
     def shown_fit(self) -> RegressionFit:
@@ -148,10 +145,8 @@ class Selection:
 
     @cached_property
     def reported(self) -> tuple[Posterior, float | None]:
-        """What is shown in original units, and the `Residuals.excess` of a band: that of the full model."""
-        if self.full is None or self.shown_fit is not self.full_fit:
-            return self.shown_fit.reported(self.shown)
-        return self.shown_fit.reported_projection(self.full, self.shown.support)
+        """What is shown in original units, and the `Residuals.excess` of a band."""
+        return self.shown_fit.reported(self.shown)
 
     def given(self, shown: Posterior, rule: str) -> Selection:
         """The selection with the terms of another posterior, changed by a rule."""
@@ -179,14 +174,13 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
         More terms are forced in than `max_terms`.
     """
     chosen = [Selection(fit, fit.posterior) for fit in fits]
-    compared = rules.tolerance > 0.0 and all(ENGINES[fit.posterior.method].spike_slab for fit in fits)
+    compared = rules.tolerance != 0.0 and all(ENGINES[fit.posterior.method].spike_slab for fit in fits)
+    tolerance = rules.tolerance or TOLERANCE
     if compared:
-        chosen = _decided(chosen, rules.tolerance, FreeRuns(motion, fits) if motion.timed else None)
+        chosen = _decided(chosen, tolerance, FreeRuns(motion, fits) if motion.timed else None)
     chosen = _refitted([_limited(one, rules.max_terms) for one in chosen])
-    if not (compared and motion.timed):
-        return chosen
-    simplified = _simplified(chosen, rules.tolerance, motion)
-    return chosen if all(one.full is None for one in simplified) else _refitted(simplified)
+    nearly = [k for k, fit in enumerate(fits) if rules.tolerance or fit.exact < IMPROBABLE]
+    return _simplified(chosen, nearly, tolerance, motion) if compared and motion.timed else chosen
 
 
 def _decided(chosen: Sequence[Selection], tolerance: float, runs: FreeRuns | None) -> list[Selection]:
@@ -198,18 +192,41 @@ def _decided(chosen: Sequence[Selection], tolerance: float, runs: FreeRuns | Non
     return out
 
 
-def _simplified(chosen: Sequence[Selection], tolerance: float, motion: Motion) -> list[Selection]:
-    """The smallest models within the tolerance, equation by equation."""
-    out = list(chosen)
-    runs = FreeRuns(motion, [one.shown_fit for one in chosen])
-    smaller = Simplification([one.shown for one in chosen], runs, tolerance)
-    for k, one in enumerate(chosen):
-        found = smaller.smallest(k, [other.shown for other in out])
-        if found is not None:
-            out[k] = replace(one.given(found, "tolerance"), full=one.shown, full_fit=one.shown_fit)
-            others = smaller.other_forms(k, [other.shown for other in out])
-            out[k] = replace(out[k], undecided=others)
+def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float, motion: Motion) -> list[Selection]:
+    """The smallest models within the tolerance of some equations, each by a fit of its own.
+
+    Of the damping of a system some is kept: it explains next to nothing and yet decides how motion decays.
+    """
+    out = chosen
+    whole = _errors(motion, chosen) if nearly else {}
+    for k in nearly:
+        forced = int(np.isposinf(chosen[k].fit.problem.log_odds).sum())
+        while int(out[k].shown.support.sum()) > max(forced, 1):
+            one = out[k]
+            fit, inside = one.shown_fit, one.shown.support
+            problem = fit.problem._replace(log_odds=np.where(inside, fit.problem.log_odds, -math.inf))
+            model, _ = best_of_each_size(problem, int(inside.sum()) - 1, [inside], fit.prior.known_signs)[-1]
+            damping = _damping(fit)
+            if (inside & damping).any() > (model & damping).any():
+                break
+            fewer = list(out)
+            fewer[k] = replace(one.given(one.fit.given(model), "tolerance"), full=one.full or one)
+            fewer = _refitted(fewer)
+            if not hardly_worse(_errors(motion, fewer), whole, tolerance):
+                break
+            out = fewer
     return out
+
+
+def _errors(motion: Motion, chosen: Sequence[Selection]) -> Errors:
+    return FreeRuns(motion, [one.shown_fit for one in chosen]).errors([one.shown for one in chosen])
+
+
+def _damping(fit: RegressionFit) -> Bools:
+    """Terms of an oscillator's velocity."""
+    design, chain = fit.regression.design, fit.regression.chain
+    terms = [design.terms[int(j)] for j in fit.constraints.equalities.kept]
+    return np.array([chain.order > 1 and chain.states[-1] in term.names for term in terms], dtype=np.bool_)
 
 
 def _refitted(chosen: list[Selection]) -> list[Selection]:

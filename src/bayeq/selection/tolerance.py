@@ -1,10 +1,8 @@
-"""One declared practical choice: how much worse than the full model a smaller one may be that is shown in its place.
+"""One declared practical choice: by how much free runs may be worse without a term.
 
-Where a model is only nearly true, more rows make ever more terms certain: what is a function of the states will be
-explained by terms. The full model holds them. The smallest model is shown whose predictions and free runs are worse
-than the full model's by no more than the tolerance, with the coefficients that come closest to the full model's
-predictions, its projection (Piironen, Paasiniemi and Vehtari 2020). Predictions alone would not do: the damping of a
-light structure explains next to nothing and yet decides how its motion decays.
+Where a law is only nearly true, terms that it does not have make up for what it lacks, in the channels too: a filter in
+the measurement may make thousands of nats of damping that depends on the amplitude, and nothing in a run. Predictions
+alone would not do: the damping of a light structure explains next to nothing and yet decides how its motion decays.
 """
 
 from __future__ import annotations
@@ -21,12 +19,11 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.rows import Rows, divided, rows_of
 from bayeq.forecast.windows import apart, typical_period, window_runs
 from bayeq.gram import Gram
-from bayeq.inference.collapsed.path import best_of_each_size
 from bayeq.inference.posterior import Posterior
 from bayeq.regression.fit import RegressionFit
 from bayeq.states import Motion
 
-__all__ = ["TOLERANCE", "FreeRuns", "Simplification", "effective_terms", "likeliest_instead"]
+__all__ = ["TOLERANCE", "Errors", "FreeRuns", "hardly_worse", "likeliest_instead"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -42,10 +39,6 @@ TOLERANCE = 0.005
 # out of step, and its error says nothing about the equation.
 SHORT, LONG = 1.0, 10.0
 FOLLOWS = 0.5
-
-# A coefficient is effective if it is further from the full model's than this many of its standard deviations: so far
-# off, its 95 % interval would cover what the full model's is about in 92 % of all records.
-EFFECTIVE = 0.5
 
 Errors = Mapping[float, float]
 
@@ -101,80 +94,6 @@ def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float
     return math.sqrt(square / (rows.yty / rows.n)) if rows.yty > 0.0 else math.inf
 
 
-class Simplification:
-    """Smaller models in place of the full model of each equation of a system.
-
-    Parameters
-    ----------
-    full : sequence of Posterior
-        Of the full model of each equation, in units of its fit's `standard`.
-    runs : FreeRuns
-        Of the system.
-    tolerance : float
-        How much worse a smaller model may be.
-    """
-
-    def __init__(self, full: Sequence[Posterior], runs: FreeRuns, tolerance: float) -> None:
-        self.full, self.runs, self.tolerance = full, runs, tolerance
-
-    @cached_property
-    def errors(self) -> Errors:
-        """Of free runs of the full models."""
-        return self.runs.errors(self.full)
-
-    def smallest(self, k: int, shown: Sequence[Posterior]) -> Posterior | None:
-        """The smallest model of equation k that does, by projection; None where none smaller than the full one does.
-
-        Candidates are the best model of each size among the terms of the full one.
-
-        Parameters
-        ----------
-        k : int
-            Number of the equation.
-        shown : sequence of Posterior
-            Of every equation, as far as it is decided what they show.
-        """
-        fit, support = self.runs.fits[k], self.full[k].support
-        inside = fit.problem._replace(log_odds=np.where(support, fit.problem.log_odds, -math.inf))
-        found = best_of_each_size(inside, int(support.sum()), [support], fit.prior.known_signs)
-        for model, _ in found:
-            projected = self.projected(k, model)
-            if not bool((model == support).all()) and self.does(k, projected, shown):
-                return projected
-        return None
-
-    def other_forms(self, k: int, shown: Sequence[Posterior]) -> dict[str, tuple[str, ...]]:
-        """Terms that equation k shows, each with terms of the full model that would do in its place."""
-        names, kept = self.full[k].names, shown[k].support
-        forced = np.isposinf(self.runs.fits[k].problem.log_odds)
-        out = {}
-        for j in np.flatnonzero(kept & ~forced):
-            others = []
-            for i in np.flatnonzero(self.full[k].support & ~kept):
-                swapped = kept.copy()
-                swapped[j], swapped[i] = False, True
-                if self.does(k, self.projected(k, swapped), shown):
-                    others.append(names[i])
-            if others:
-                out[names[j]] = tuple(others)
-        return out
-
-    def projected(self, k: int, model: Bools) -> Posterior:
-        """The full model of equation k projected on a smaller one."""
-        return self.runs.fits[k].projected(self.full[k], model)
-
-    def does(self, k: int, smaller: Posterior, shown: Sequence[Posterior]) -> bool:
-        """Whether a smaller model of equation k predicts and runs hardly worse than the full one."""
-        fit = self.runs.fits[k]
-        signs = fit.prior.known_signs
-        if signs is not None and bool((smaller.coef * np.asarray(signs) < 0.0).any()):
-            return False
-        full, fewer = fit.expanded(self.full[k]), fit.expanded(smaller)
-        if not prediction_difference(fit.regression.rows, full, fewer) <= self.tolerance:
-            return False
-        return hardly_worse(self.runs.errors(_with(shown, k, smaller)), self.errors, self.tolerance)
-
-
 def likeliest_instead(
     fit: RegressionFit, k: int, found: Sequence[Posterior], runs: FreeRuns | None, tolerance: float
 ) -> Posterior | None:
@@ -217,12 +136,6 @@ def likeliest_instead(
         return None
     instead = runs.errors(_with(found, k, likeliest))
     return likeliest if hardly_worse(instead, runs.errors(found), 0.0) else None
-
-
-def effective_terms(full: Posterior, shown: Posterior) -> tuple[str, ...]:
-    """Terms of a projection whose coefficients are not those of the full model, both in original units."""
-    moved = np.abs(shown.coef - full.coef) > EFFECTIVE * shown.sd
-    return tuple(shown.names[j] for j in np.flatnonzero(shown.support & moved))
 
 
 def _with(posteriors: Sequence[Posterior], k: int, one: Posterior) -> list[Posterior]:
