@@ -161,7 +161,7 @@ def with_doubts(
         One per equation.
     tolerance : float
         Other equations whose predictions are no further from the full model's than this share of the target's standard
-        deviation are the same for practical purposes.
+        deviation, or what the law lacks, are the same for practical purposes.
     """
     design = selections[0].fit.regression.design
     again = repeating(design.motion, design.terms)
@@ -180,7 +180,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         lacking = adequacy.lacks(regression.k)
         coloured = adequacy.coloured([name for name in regression.chain.measured if name is not None])
     # as the likelihood has it, which other equations are compared by
-    others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), tolerance)
+    others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), max(tolerance, equation.tau))
     spread = regression.rows.target_deviation
     excess = equation.residuals.excess if (equation.residuals.excess or 0.0) > INADEQUATE else None
     exact = 1.0 - (equation.error_probability or 0.0)
