@@ -17,6 +17,8 @@ from bayeq.likelihood.adequacy import Adequacy, Discrepancy, Octave, chance_of, 
 from bayeq.likelihood.low_pass import feedback, mean_spectrum, spectrum_of, step_variance
 from bayeq.numerics.beta import incomplete_beta
 from bayeq.selection.alternatives import Alternatives, alternatives_to
+from bayeq.selection.excitation import Repeating
+from bayeq.states import Roles
 
 NOTHING = Discrepancy(1e-4, 0.0, np.inf, 0.6, (1.0, 2.0))
 
@@ -92,13 +94,25 @@ def test_verdicts_from_the_worst():
     lacking = NOTHING._replace(size=0.03, low=0.02, high=0.04, p=1e-9)
     hum = Octave("v", 40.0, 80.0, 4.0, 1e-9)
     none = Alternatives(0.0)
-    assert doubted(found, "a", none, None, None, 2.0) is found
+    (chain,) = Roles.parse("x:v:a").chains
+
+    def verdict_of(*doubts, verdict=found, **more):
+        return doubted(verdict, chain, *doubts, 2.0, **more)
+
+    assert verdict_of(none, None, None) is found
     cases = [
-        (doubted(found, "a", others, lacking, hum, 2.0), "not determined", "with v**3 and without v"),
-        (doubted(found, "a", none, lacking, hum, 2.0), "nearly true", "3 % (2 to 4)"),
-        (doubted(found, "a", none, None, hum, 2.0), "nearly true", "what is left of v is not white noise: 4 times"),
-        (doubted(found, "a", none, None, None, 2.0, 5.0), "nearly true", "5 times the power"),
-        (doubted(Verdict("none", "nothing"), "a", others, lacking, hum, 2.0), "none", "nothing"),
+        (verdict_of(others, lacking, hum), "not determined", "with v**3 and without v"),
+        (verdict_of(none, lacking, hum, exact=1e-3, left=0.02), "nearly true", "the law holds to 2 % of the standard"),
+        (verdict_of(none, lacking, hum), "nearly true", "a force of 3 % of the standard deviation of a (0.06) that no"),
+        (verdict_of(none, None, hum), "nearly true", "what is left of v is not white noise: 4 times"),
+        (verdict_of(none, None, None, excess=5.0), "nearly true", "5 times the power"),
+        (verdict_of(none, None, None, n_eff=(40.2, 100)), "nearly true", "100 rows tell as much as 40 independent"),
+        (verdict_of(none, None, None, left=0.3), "nearly true", "the terms leave 30 % of the standard deviation"),
+        (verdict_of(none, None, None, left=0.1), "found", "R2 1"),
+        (verdict_of(none, None, None, reversed_channel="v"), "not determined", "x and v contradict each other in sign"),
+        (verdict_of(none, None, None, again=Repeating(2.0, 3, 9)), "not determined", "repeats itself at 2 Hz"),
+        (verdict_of(none, None, None, again=Repeating(2.0, 3, 9, True)), "not determined", "alone: a = -157.9*x"),
+        (verdict_of(others, lacking, hum, verdict=Verdict("none", "nothing")), "none", "nothing"),
     ]
     for verdict, kind, reason in cases:
         assert verdict.kind == kind

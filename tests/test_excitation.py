@@ -31,6 +31,19 @@ def test_a_steady_sine_does_not_tell_an_oscillators_terms_apart(seed):
     assert judged(record, ("x:v:a",), [], "x, v")[0] is None
 
 
+@pytest.mark.parametrize(("transient", "closed"), [(0.02, True), (0.1, False)])
+def test_a_transient_that_has_nearly_died_out_is_part_of_the_curve(transient, closed):
+    time = np.arange(4000) * 0.005
+    rng = np.random.default_rng(3)
+    x = np.sin(11.0 * time) + np.sqrt(2.0) * transient * np.sin(7.0 * time)
+    record = bq.Record.from_arrays(x=x + 1e-3 * rng.normal(size=4000), u=np.sin(11.0 * time + 0.4), time=time)
+    found, _ = judged(record, ("x::",), ["u"], "oscillator")
+    assert (found is not None) == closed
+    if found is not None:
+        assert found.single
+        assert found.frequency == pytest.approx(11.0 / (2.0 * np.pi), rel=1e-3)
+
+
 @pytest.mark.parametrize("case", ["clean", "white force"])
 def test_other_motion_does_not_repeat_itself(case):
     assert judged(draw_record(CASES[case], 2000, 1), ("x:v:a",), ["u"], "oscillator")[0] is None

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
 from bayeq.equation.equation import Equation, RunnerUp
-from bayeq.equation.verdict import Verdict, doubted, judge, noise_share, window_errors
+from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
 from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidualsWarning, DataWarning, WarningLog
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.results import Scores
@@ -30,6 +30,9 @@ __all__ = ["build_equations", "with_doubts"]
 # The residual of an adequate model has 0.9 to 1.3 times the power that the noise of the channels explains; a multiple
 # above this one is reported in a warning.
 INADEQUATE = 1.75
+
+# Share of the residuals of rows as measured that are worth an independent one, at least.
+INDEPENDENT = 0.5
 
 # Independent numbers whose variance is known to a third.
 LEAST_NUMBERS = 18.0
@@ -186,7 +189,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     exact = 1.0 - (equation.error_probability or 0.0)
     verdict = doubted(
         equation.verdict,
-        equation.target,
+        equation.chain,
         others,
         lacking,
         coloured,
@@ -195,11 +198,27 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         again,
         exact,
         equation.error_share,
+        _reversed(equation),
+        _dependent(equation, regression),
     )
     if equation.posterior.converged or verdict.kind in ("none", "not determined"):
         return verdict
     reason = f"{equation.posterior.method} did not converge: probabilities of terms may be off"
     return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
+
+
+def _reversed(equation: Equation) -> str | None:
+    """A measured channel of a sign that the lowest one contradicts."""
+    pairs = zip(equation.chain.measured, equation.unit_gains, strict=False)
+    return next((name for name, gain in pairs if name is not None and gain < 0.0), None)
+
+
+def _dependent(equation: Equation, regression: Regression) -> tuple[float, int] | None:
+    """Effective number of residuals of rows as measured, and their number, where most do not tell anything new."""
+    found = equation.residuals
+    plain = regression.record is None and regression.band is None
+    matters = plain and equation.train.nrmse > LEAST_SHOWN
+    return (found.n_eff, found.n) if matters and found.n_eff < INDEPENDENT * found.n else None
 
 
 def _rule(selection: Selection, name: str) -> str:

@@ -19,7 +19,7 @@ from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
 from bayeq.selection.alternatives import Alternatives
 from bayeq.selection.excitation import Repeating
-from bayeq.states import Motion
+from bayeq.states import Chain, Motion
 
 __all__ = [
     "KINDS",
@@ -151,7 +151,7 @@ def judge(
 
 def doubted(
     verdict: Verdict,
-    target: str,
+    chain: Chain,
     others: Alternatives,
     lacking: Discrepancy | None,
     coloured: Octave | None,
@@ -160,6 +160,8 @@ def doubted(
     again: Repeating | None = None,
     exact: float = 1.0,
     left: float | None = None,
+    reversed_channel: str | None = None,
+    n_eff: tuple[float, int] | None = None,
 ) -> Verdict:
     """The verdict of an equation that is not wrong: is it determined, and is it all there is?
 
@@ -167,8 +169,8 @@ def doubted(
     ----------
     verdict : Verdict
         Of `judge`.
-    target : str
-        Left-hand side.
+    chain : Chain
+        Its highest derivative is the left-hand side.
     others : Alternatives
         Equations that predict otherwise.
     lacking : Discrepancy or None
@@ -185,15 +187,31 @@ def doubted(
         Probability that the law lacks no function of the states.
     left : float, optional
         Share of the target's standard deviation that the terms leave beside noise.
+    reversed_channel : str, optional
+        One that contradicts the lowest of its chain in sign.
+    n_eff : (float, int), optional
+        Effective number of residuals of rows as measured, and their number, where it is less than half of that.
     """
+    target = chain.target
     if verdict.kind == "none":
         return verdict
     if again is not None:
+        on_it = f"on it the {again.terms} candidates take {again.courses} independent courses"
+        reason = f"the motion repeats itself at {again.frequency:.4g} Hz, and {on_it}"
+        if again.single and chain.order == 2:
+            square = (2.0 * math.pi * again.frequency) ** 2
+            alone = f"determines that alone: {target} = -{square:.4g}*{chain.states[0]}"
+            reason = f"the motion has one frequency, {again.frequency:.4g} Hz, and {alone}; {on_it}"
         return Verdict(
             "not determined",
-            f"the motion repeats itself at {again.frequency:.4g} Hz, and on it the {again.terms} candidates take"
-            f" {again.courses} independent courses: other equations are the same there",
+            f"{reason}: other equations are the same there",
             "excite more frequencies and amplitudes (noise, a sweep or a multisine: bayeq plan), or give fewer terms",
+        )
+    if reversed_channel is not None:
+        return Verdict(
+            "not determined",
+            f"{chain.measured[chain.lowest]} and {reversed_channel} contradict each other in sign",
+            "reverse one of them",
         )
     if others.probability > DOUBT:
         change = [f"with {', '.join(others.enter)}"] if others.enter else []
@@ -231,6 +249,12 @@ def doubted(
             "nearly true",
             f"the residual of {target} has {excess:.2g} times the power that the noise of the channels explains",
             "add terms or inputs that may be missing, and check the channels against each other",
+        )
+    if n_eff is not None:
+        return Verdict(
+            "nearly true",
+            f"the residuals are no white noise: {n_eff[1]} rows tell as much as {n_eff[0]:.0f} independent ones",
+            "give the channels as they were measured: filters, of zero phase too, leave what looks like a law",
         )
     if share > MUCH:
         return Verdict("nearly true", f"the terms leave {size}", "add terms or inputs that may be missing")

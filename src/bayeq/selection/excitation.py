@@ -37,6 +37,9 @@ FREQUENCIES = 41
 # chance with less than this probability.
 NOT_NOISE = 1e-6
 
+# Motion runs along a closed curve up to this share beside it, as of a transient that has not died out.
+TRANSIENT = 0.03
+
 # Points of the curve; variance of a coefficient's prior in units of the target's, as in the likelihood of the record.
 POINTS, PRIOR = 720, 5.0
 
@@ -52,11 +55,14 @@ class Repeating(NamedTuple):
         Independent courses that the candidates take on it.
     terms : int
         Number of candidates.
+    single : bool
+        Whether the states have no other frequency.
     """
 
     frequency: float
     courses: int
     terms: int
+    single: bool = False
 
 
 def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
@@ -77,12 +83,13 @@ def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
     drivers = motion.roles.inputs
     if not motion.timed or any(TIME in term.names for term in terms):
         return None
-    curves, frequency, noise = [], 0.0, math.inf
+    curves, frequency, noise, single = [], 0.0, math.inf, True
     for rows in motion.train:
         found = _closed_curve(rows, motion.roles.states, drivers, motion.roles.targets)
         if found is None:
             return None
-        curve, frequency, share = found
+        curve, frequency, share, alone = found
+        single &= alone
         curves.append(evaluate_terms(list(terms), curve))
         noise = min(noise, share / rows.n)
     columns = np.concatenate(curves)
@@ -93,13 +100,14 @@ def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
     # a combination of candidates counts if the target would show it above its noise
     values = np.linalg.eigvalsh(unit.T @ unit / len(unit))
     courses = int((values > noise / PRIOR).sum())
-    return None if courses >= len(terms) else Repeating(frequency, courses, len(terms))
+    return None if courses >= len(terms) else Repeating(frequency, courses, len(terms), single)
 
 
 def _closed_curve(
     rows: MotionRows, states: Sequence[str], inputs: Sequence[str], targets: Sequence[str]
-) -> tuple[dict[str, Floats], float, float] | None:
-    """States and inputs along the curve, its frequency, and the least noise of a target as a share of its variance."""
+) -> tuple[dict[str, Floats], float, float, bool] | None:
+    """States and inputs along the curve, its frequency, and the least noise of a target as a share of its variance;
+    whether the states have that frequency alone."""
     assert rows.time is not None
     time = rows.time - rows.time[0]
     step = float(np.median(np.diff(time)))
@@ -112,23 +120,25 @@ def _closed_curve(
     if frequency is None:
         return None
     curve: dict[str, Floats] = {}
-    noise = math.inf
+    noise, single = math.inf, True
     phases = np.linspace(0.0, 1.0 / frequency, POINTS, endpoint=False)
     for name, values in samples.items():
         harmonics = max(1, min(HARMONICS, int(0.25 / (step * frequency))))
         design = _harmonics(time, frequency, harmonics)
         coef = np.linalg.lstsq(design, values, rcond=None)[0]
         left = values - design @ coef
-        if name in rows.samples and not _is_noise(left, step, frequency * (harmonics + 0.5)):
+        beside = name in rows.samples and not _is_noise(left, step, frequency * (harmonics + 0.5))
+        if beside and left.std() > TRANSIENT * values.std():
             return None
         level = float(left.var()) * len(values) / max(len(values) - len(coef), 1)
         power = 0.5 * len(values) * (coef[1::2] ** 2 + coef[2::2] ** 2)
         weak = np.repeat(power < -2.0 * math.log(CHANCE) * level, 2)
         coef[1:][weak] = 0.0
         curve[name] = _harmonics(phases, frequency, harmonics) @ coef
+        single &= name not in states or not coef[3:].any()
         if name in targets:
             noise = min(noise, level / max(float(values.var()), 1e-300))
-    return curve, frequency, noise
+    return curve, frequency, noise, single
 
 
 def _frequency(time: Floats, columns: Floats) -> float | None:
