@@ -204,9 +204,14 @@ class Soft:
         linears = linearised(layout, task.series, state, task.substeps)
         found = marginal(linears, state, state.levels, precision)
         smoothed = adjoints(linears, state.levels, found, found.delta, curved=True, smoothed=True)
-        whole = fitted.quadratic
-        if width > P + 1:
-            whole = information(layout, linears, state, corrections(layout, linears, smoothed))
+        curved = corrections(layout, linears, smoothed)
+        whole = fitted.quadratic if width == P + 1 else information(layout, linears, state, curved)
+        # the determinant falls by no more than the motion's start is known better for: of J = exp(-a t) over a time T
+        # its part of the likelihood, -ln(mean J^2)/2, is a T - (a T)^2/6 per state
+        bend = np.outer(curved, curved) / (3.0 * layout.motion)
+        whole = replace(
+            whole, information=whole.information + bend, slope=whole.slope + bend @ coefficients(layout, state)
+        )
         columns = np.concatenate(candidates(layout, task.series, state))
         moved = moved_columns(layout, task.series, state, smoothed, columns)
         spreads = []
