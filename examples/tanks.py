@@ -18,13 +18,13 @@ def run(example: Example, data: Path) -> None:
         rec = bq.Record.from_arrays(time=raw.time, u=raw["uEst"], y=raw["yEst"], name="estimation")
         other = bq.Record.from_arrays(time=raw.time, u=raw["uVal"], y=raw["yVal"], name="validation")
         terms = ["y", "sqrt(y)", "y**2", "u", "u**2", "sqrt(u)", "y*u"]
-        eq = bq.discover(rec, chains="y", inputs=["u"], dictionary=terms, smooth="band")
+        eq = bq.discover(rec, chains="y", inputs=["u"], dictionary=terms)
         print(eq)
         run = eq.simulate(other)
         print(run)
     with example.block("second"):
         terms = ["y", "sqrt(y)", "y**2", "dy", "dy*abs(dy)", "sqrt(y)*dy", "y*dy", "u"]
-        second = bq.discover(rec, chains="y::", inputs=["u"], dictionary=terms, smooth="band")
+        second = bq.discover(rec, chains="y::", inputs=["u"], dictionary=terms)
         print(second)
 
     example.figure = draw(

@@ -2,8 +2,9 @@
 
 The misfit is a sum of cosines of random directions in displacement and velocity, of random phases and amplitudes, its
 root mean square a share of the force's standard deviation; the Duffing oscillator is that of `studies.adverse_records`.
-A certain term has a posterior inclusion probability above 0.99; the mean of the misfit is a constant that the law of the
-rest does not have. Of verdicts and of the stated error the table has what the equation says. The answer is that of `discover` by default settings.
+A certain term has a posterior inclusion probability above 0.99; the mean of the misfit is a constant that the law of
+the rest does not have. Of verdicts and of the stated error the table has what the equation says. The answer is that of
+`discover` by default settings.
 
     python -m studies.nearly_true > docs/tables/nearly_true.csv
 """
