@@ -122,7 +122,8 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         for term, inside, seen in zip(regression.design.terms, posterior.support, shown.support, strict=True)
         if inside != seen
     }
-    bound = bounds(fit)
+    verdict = judge(regression.chain.target, judged, by_rest, noise, window, estimated, share, _numbers(regression))
+    bound = None if verdict.kind == "none" else bounds(fit)
     return Equation(
         chain=regression.chain,
         unit_gains=tuple(motion.unit_gains[regression.k].tolist()),
@@ -132,7 +133,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         train=train,
         held_out=held_out,
         residuals=replace(residuals, excess=excess, discrepancy=_discrepancy(regression)),
-        verdict=judge(regression.chain.target, judged, by_rest, noise, window, estimated, share, _numbers(regression)),
+        verdict=verdict,
         runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.method].spike_slab else (),
         fit=fit,
         shown_fit=selection.own,
@@ -140,7 +141,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         why=differ,
         left_out=selection.left_out,
         models=likeliest_models(fit),
-        error_probability=None if regression.record is None else 1.0 - fit.exact,
+        error_probability=None if math.isnan(fit.exact) else 1.0 - fit.exact,
         tau=0.0 if regression.record is None else regression.record.nearly.tau[regression.k],
         bound=bound,
         undetermined=undetermined(fit, posterior, bound),
@@ -256,6 +257,13 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
         log.warn(
             f"{target}: {posterior.method} not converged after {posterior.n_iter} steps{rhat}: probabilities may be"
             " off; give fewer candidate terms, or compare with another method",
+            ConvergenceWarning,
+        )
+    record = selection.fit.regression.record
+    if record is not None and math.isnan(selection.fit.exact):
+        log.warn(
+            f"{target}: whether the law is exact or only nearly true is not known: the likelihood does not hold far from the"
+            " fit; a longer record would tell",
             ConvergenceWarning,
         )
     if posterior.contradicted:

@@ -96,7 +96,7 @@ class RecordFit:
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
         """What the best model and those it was compared with tell."""
         found = cls(task, fitted, *averaged(task, fitted))
-        if max(found.nearly.exact) >= IMPROBABLE:
+        if not max(found.nearly.exact) < IMPROBABLE:
             # otherwise to be likelier under an exact law, as more terms are, says nothing
             fitted = among_neighbours(task, fitted)
             found = cls(task, fitted, *averaged(task, fitted))
@@ -106,7 +106,7 @@ class RecordFit:
         # what the Gram says of models far from the fitted one is not to be relied on
         revise = partial(_among_fitted, best=fitted)
         posterior = spike_slab_bma(task.gram(fitted.quadratic), task.known, revise=revise)
-        found = replace(found, posterior=posterior, nearly=Nearly.true(task.layout.chains))
+        found = replace(found, posterior=posterior, nearly=Nearly.unknown(task.layout.chains))
         return found.about(found.posterior.support)
 
     def worse(self, model: Bools) -> float:

@@ -8,7 +8,7 @@ coefficients alone, so that whatever compares models goes on as if spikes were h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -76,16 +76,16 @@ class Nearly:
     tau : tuple of float
         The most probable size of each equation's function, as a share of the target's standard deviation.
     exact : tuple of float
-        The probability that there is none, or none larger than the tolerance.
+        The probability that there is none, or none larger than the tolerance; NaN where it is not known.
     """
 
     tau: Sizes
     exact: tuple[float, ...]
 
     @classmethod
-    def true(cls, chains: int) -> Nearly:
-        """Nothing is known that equations would lack."""
-        return cls((0.0,) * chains, (1.0,) * chains)
+    def unknown(cls, chains: int) -> Nearly:
+        """Where the likelihood about the fit does not tell."""
+        return cls((0.0,) * chains, (np.nan,) * chains)
 
 
 def softened(q: Quadratic, spread: Floats) -> Quadratic:
@@ -290,11 +290,22 @@ def _sorted(found: ModelSet, models: NDArray[np.bool_], values: Floats) -> Model
 
 def averaged(task: Task, fitted: Fitted) -> tuple[Posterior, Nearly]:
     """Models averaged over, and over the size of the function in each equation, the others' at their most probable."""
-    search = Soft.of(task, fitted)
-    tau, exact, lines = _most_probable(search)
-    q, _ = search.quadratic(tau)
-    posterior = spike_slab_bma(task.gram(q), task.known, revise=partial(_mixed, search=search, lines=lines, at=tau))
-    return posterior, Nearly(tau, tuple(exact.tolist()))
+    chains = task.layout.chains
+    if task.tolerance == 0.0:
+        return _of_gram(task, fitted.quadratic, partial(as_fitted, fitted=fitted)), Nearly(
+            (0.0,) * chains, (1.0,) * chains
+        )
+    try:
+        search = Soft.of(task, fitted)
+        tau, exact, lines = _most_probable(search)
+        q, _ = search.quadratic(tau)
+    except np.linalg.LinAlgError:
+        return _of_gram(task, fitted.quadratic, partial(as_fitted, fitted=fitted)), Nearly.unknown(chains)
+    return _of_gram(task, q, partial(_mixed, search=search, lines=lines, at=tau)), Nearly(tau, tuple(exact.tolist()))
+
+
+def _of_gram(task: Task, q: Quadratic, revise: Callable[[ModelSet], ModelSet]) -> Posterior:
+    return spike_slab_bma(task.gram(q), task.known, revise=revise)
 
 
 def _most_probable(search: Soft) -> tuple[Sizes, Floats, dict[Sizes, float]]:

@@ -62,9 +62,9 @@ class RegressionFit:
 
     @property
     def exact(self) -> float:
-        """Probability that the law lacks nothing, or nothing beyond the tolerance."""
+        """Probability that the law lacks nothing, or nothing beyond the tolerance; NaN where that is not known."""
         record = self.regression.record
-        return 1.0 if record is None else record.nearly.exact[self.regression.k]
+        return math.nan if record is None else record.nearly.exact[self.regression.k]
 
     @cached_property
     def problem(self) -> Problem:
