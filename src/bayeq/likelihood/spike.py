@@ -291,16 +291,15 @@ def _sorted(found: ModelSet, models: NDArray[np.bool_], values: Floats) -> Model
 def averaged(task: Task, fitted: Fitted) -> tuple[Posterior, Nearly]:
     """Models averaged over, and over the size of the function in each equation, the others' at their most probable."""
     chains = task.layout.chains
+    alone = partial(as_fitted, fitted=fitted)
     if task.tolerance == 0.0:
-        return _of_gram(task, fitted.quadratic, partial(as_fitted, fitted=fitted)), Nearly(
-            (0.0,) * chains, (1.0,) * chains
-        )
+        return _of_gram(task, fitted.quadratic, alone), Nearly((0.0,) * chains, (1.0,) * chains)
     try:
         search = Soft.of(task, fitted)
         tau, exact, lines = _most_probable(search)
         q, _ = search.quadratic(tau)
     except np.linalg.LinAlgError:
-        return _of_gram(task, fitted.quadratic, partial(as_fitted, fitted=fitted)), Nearly.unknown(chains)
+        return _of_gram(task, fitted.quadratic, alone), Nearly.unknown(chains)
     return _of_gram(task, q, partial(_mixed, search=search, lines=lines, at=tau)), Nearly(tau, tuple(exact.tolist()))
 
 
