@@ -262,8 +262,8 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     record = selection.fit.regression.record
     if record is not None and math.isnan(selection.fit.exact):
         log.warn(
-            f"{target}: whether the law is exact or only nearly true is not known: the likelihood does not hold far from"
-            " its fit; a longer record would tell",
+            f"{target}: whether the law is exact or only nearly true is not known: the likelihood does not hold far"
+            " from its fit; a longer record would tell",
             ConvergenceWarning,
         )
     if posterior.contradicted:
