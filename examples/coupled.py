@@ -25,6 +25,7 @@ def run(example: Example, data: Path) -> None:
         print(f"outer springs: {outer[0]:.2f} per mass 1, {outer[1]:.2f} per mass 2, ratio of stiffness {ratio:.2f}")
     with example.block("runs"):
         wider = bq.discover(rec, chains=["x1:v1:", "x2:v2:"], dictionary="polynomial:2")
+        print(f"verdict: {wider.verdict}")
         print(f"{wider[0].text};  {wider[1].text}")
         for name, found in (("polynomial:1", eq), ("polynomial:2", wider)):
             nrmse = found.simulate(rec, draws=0).nrmse

@@ -126,11 +126,11 @@ def linearised(layout: Layout, series: Sequence[Series], state: State, substeps:
     ]
 
 
-def candidates(layout: Layout, series: Sequence[Series], state: State) -> list[Floats]:
-    """All candidates and the constant along the paths of a fit, (n, P + 1) of each record."""
+def candidates(layout: Layout, series: Sequence[Series], state: State, step: int = 1) -> list[Floats]:
+    """All candidates and the constant along a fit's paths, at every `step`-th sample, (n, P + 1) of each record."""
     blurs = state.blurs or (None,) * len(series)
     return [
-        terms_at(layout, path, one.inputs if blur is None else blur.beside(one.inputs))
+        terms_at(layout, path[::step], (one.inputs if blur is None else blur.beside(one.inputs))[::step])
         for one, path, blur in zip(series, state.paths, blurs, strict=True)
     ]
 

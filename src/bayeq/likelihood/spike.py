@@ -47,12 +47,15 @@ Floats = NDArray[np.float64]
 Sizes = tuple[float, ...]
 
 # Half of the prior probability is that of the first size, none at all by default. The other half is spread over sizes,
-# log-uniform from LEAST to PER_DIRECTION of the target's standard deviation in each direction of the span, but MOST.
+# log-uniform from LEAST to at most MOST of the target's standard deviation, PER_DIRECTION of it in each of the span's.
 LEAST, PER_DIRECTION, MOST, SIZES = 1e-4, 0.0065, 0.04, 10
 
 # Directions in which candidates hardly differ from nothing, as a share of the largest, are none; nor are those of which
 # the motion along the path has less than this share of the power, the uncertainty of the states the rest.
 CUT, ALONG = 1e-7, 0.5
+
+# Samples, evenly chosen, that functions are isotropic on.
+ROWS, ROWS_PER_TERM = 4000, 10
 
 # Sizes whose likeliest model is less likely than that of the best by more nats are not averaged over.
 NEGLIGIBLE = 10.0
@@ -212,8 +215,9 @@ class Soft:
         whole = replace(
             whole, information=whole.information + bend, slope=whole.slope + bend @ coefficients(layout, state)
         )
-        columns = np.concatenate(candidates(layout, task.series, state))
-        moved = moved_columns(layout, task.series, state, smoothed, columns)
+        step = max(1, sum(map(len, state.paths)) // max(ROWS, ROWS_PER_TERM * width))
+        columns = np.concatenate(candidates(layout, task.series, state, step))
+        moved = moved_columns(layout, task.series, state, smoothed, columns, step)
         spreads = []
         for c in range(layout.chains):
             unit, deviation = np.zeros(width), float(np.sqrt(state.levels.target[c]))
@@ -258,16 +262,21 @@ class Soft:
 
 
 def moved_columns(
-    layout: Layout, series: Sequence[Series], state: State, smoothed: Sequence[Adjoint], columns: Floats
+    layout: Layout,
+    series: Sequence[Series],
+    state: State,
+    smoothed: Sequence[Adjoint],
+    columns: Floats,
+    step: int,
 ) -> list[Floats]:
-    """Changes of the columns as each state moves by its standard deviation given the record."""
+    """Changes of the columns, at every `step`-th sample, as each state moves by its standard deviation."""
     spread = [np.sqrt(np.maximum(np.diagonal(one.covariance, axis1=1, axis2=2), 0.0)) for one in smoothed]
     moving = [i for i in range(layout.size) if i not in layout.discrepancy]
     steps = [[np.where(np.arange(layout.size) == i, sd, 0.0) for sd in spread] for i in moving]
     moved = [
         replace(state, paths=tuple(path + step for path, step in zip(state.paths, one, strict=True))) for one in steps
     ]
-    return [np.concatenate(candidates(layout, series, one)) - columns for one in moved]
+    return [np.concatenate(candidates(layout, series, one, step)) - columns for one in moved]
 
 
 def as_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
