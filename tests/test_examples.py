@@ -103,45 +103,43 @@ def test_refined_rates_of_the_populations():
 
 def test_the_air_track_s_law():
     example = ran(air_track)
-    assert re.search(r"\na = -6\.2\d*\*x - 0\.01\d*\*v\n", example.blocks["found"])
-    assert "v, a: computed from x, not measured" in example.blocks["found"]
-    assert "smooth=auto: free run of the whole record, error of x 0." in example.blocks["given"]
+    found = example.blocks["found"]
+    assert re.search(r"\na = -6\.22\d*\*x\n", found)
+    assert "verdict: nearly true: the law holds to 1." in found
+    assert "v, a: computed from x, not measured" in found
+    assert "verdict: not determined" in example.blocks["exact"]
 
 
 def test_the_coupled_masses_check_each_other():
     example = ran(coupled)
     springs = example.blocks["springs"].split("```text")[1]
-    assert float(re.search(r"ratio of stiffness (\S+)", springs).group(1)) == pytest.approx(1, abs=0.02)
-    errors = [float(e) for e in re.findall(r"x[12] (\S+) %", example.blocks["runs"].split("```text")[1])]
+    assert float(re.search(r"ratio of stiffness (\S+)", springs).group(1)) == pytest.approx(1, abs=0.03)
+    errors = [float(e) for e in re.findall(r"x[12] (\d\S*) %", example.blocks["runs"].split("```text")[1])]
     assert len(errors) == 4
     assert max(errors) < 6
-
-
-def test_the_encoder_s_law_is_what_the_tolerance_leaves():
-    example = ran(encoder)
-    found = example.blocks["found"]
-    assert re.search(r"\nddth = 64\.\d*\*sin\(th\) - 0\.05\d*\*w \+", found)
-    assert len(re.findall(r"certain, but within the tolerance: ", found)) == 6
-    assert re.search(r"full model: ddth = .*\*cos\(th\)", found)
 
 
 def test_the_tanks_are_not_explained():
     example = ran(tanks)
     first, second = example.blocks["found"], example.blocks["second"]
-    for warning in (
-        "left out as clipped",
-        "no equation found",
-        "times the power that the noise of the channels explains",
-    ):
+    for warning in ("left out as clipped", "no equation found", "verdict: none"):
         assert warning in first
         assert warning in second
     assert float(re.search(r"y: normalised RMS error (\d+) %", first).group(1)) > 100
 
 
-def test_the_pendulum_leaves_friction_undecided():
-    example = ran(pendulum)
+def test_the_encoder_s_law_is_nearly_true():
+    example = ran(encoder)
     found = example.blocks["found"]
-    assert re.search(r"hardly tell apart: w(\*abs\(w\))? \(PIP", found)
+    assert re.search(r"\nddth = 64\.\d*\*sin\(th\) - 0\.30\d*\*sign\(w\)\n", found)
+    assert "verdict: nearly true: the law holds to 0." in found
+    assert "hardly tell apart: sign(w)" in found
+
+
+def test_the_pendulum_needs_friction_that_is_not_found():
+    example = ran(pendulum)
+    assert re.search(r"\na = -1\.33\d*\*sin\(o\)\n", example.blocks["found"])
+    assert re.search(r"from o alone: a = -1\.35\d*\*sin\(o\)", example.blocks["period"])
     errors = [int(e) for e in re.findall(r"whole record: o (\d+) %", example.blocks["friction"].split("```text")[1])]
     none, viscous, quadratic, coulomb = errors
     assert max(viscous, quadratic) < 0.5 * coulomb < none
