@@ -195,20 +195,20 @@ def _decided(chosen: Sequence[Selection], tolerance: float, runs: FreeRuns | Non
 def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float, motion: Motion) -> list[Selection]:
     """The smallest models within the tolerance of some equations, each by a fit of its own.
 
-    Of the damping of a system some is kept: it explains next to nothing and yet decides how motion decays.
+    Damping stays: it explains next to nothing and yet decides how motion decays.
     """
     out = chosen
     whole = _errors(motion, chosen) if nearly else {}
     for k in nearly:
-        forced = int(np.isposinf(chosen[k].fit.problem.log_odds).sum())
-        while int(out[k].shown.support.sum()) > max(forced, 1):
+        while True:
             one = out[k]
             fit, inside = one.shown_fit, one.shown.support
-            problem = fit.problem._replace(log_odds=np.where(inside, fit.problem.log_odds, -math.inf))
-            model, _ = best_of_each_size(problem, int(inside.sum()) - 1, [inside], fit.prior.known_signs)[-1]
-            damping = _damping(fit)
-            if (inside & damping).any() > (model & damping).any():
+            stays = inside & (_damping(fit) | np.isposinf(fit.problem.log_odds))
+            if int(inside.sum()) <= max(int(stays.sum()), 1):
                 break
+            odds = np.where(inside, fit.problem.log_odds, -math.inf)
+            problem = fit.problem._replace(log_odds=np.where(stays, math.inf, odds))
+            model, _ = best_of_each_size(problem, int(inside.sum()) - 1, [inside], fit.prior.known_signs)[-1]
             fewer = list(out)
             fewer[k] = replace(one.given(one.fit.given(model), "tolerance"), full=one.full or one)
             fewer = _refitted(fewer)
@@ -223,10 +223,10 @@ def _errors(motion: Motion, chosen: Sequence[Selection]) -> Errors:
 
 
 def _damping(fit: RegressionFit) -> Bools:
-    """Terms of an oscillator's velocity."""
+    """Terms of an oscillator's velocity alone."""
     design, chain = fit.regression.design, fit.regression.chain
     terms = [design.terms[int(j)] for j in fit.constraints.equalities.kept]
-    return np.array([chain.order > 1 and chain.states[-1] in term.names for term in terms], dtype=np.bool_)
+    return np.array([chain.order > 1 and term.names == {chain.states[-1]} for term in terms], dtype=np.bool_)
 
 
 def _refitted(chosen: list[Selection]) -> list[Selection]:
