@@ -404,7 +404,8 @@ def test_discover_warns_of_what_it_finds():
     assert set(messages) <= set(eq.warnings)
     # the free run takes the sign into account: dx/dt = -v
     assert eq[0].unit_gains == (1.0, -1.0, 1.0)
-    assert eq.verdict.kind == "found"
+    assert eq.verdict.kind == "not determined"
+    assert "x and v contradict each other in sign" in eq.verdict.reason
     assert eq.scores.free_run["x"] < 0.2
 
 

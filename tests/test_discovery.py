@@ -221,12 +221,12 @@ def test_air_track_oscillator():
     # (2 pi / period)^2 of x from its zero crossings is 6.222; the record's README: a rough fit gives -0.012 v
     rec = bq.read(measured("schmidt_lipson/real_linear_a_1.txt"))
     chain = {"displacement": "x", "velocity": "v", "acceleration": "a"}
-    # by the likelihood of the record further small terms are certain: the tracking's error depends on the position
-    eq = quietly(rec, **chain, smooth="band", tolerance=0.01)
+    # the tracking's error depends on the position: the law is nearly true
+    eq = quietly(rec, **chain)
     assert any("v, a: computed from x, not measured" in w for w in eq.warnings)
-    assert eq[0].shown == ("x", "v")
+    assert eq[0].shown == ("x",)
     assert eq[0].shown_coef["x"] == pytest.approx(-6.222, rel=1e-3)
-    assert eq[0].shown_coef["v"] == pytest.approx(-0.012, rel=0.25)
+    assert eq.verdict.kind == "nearly true"
     assert eq[0].target == "a"
     raw = quietly(rec, **chain, smooth="none")
     assert any("which is what the rows count for" in w for w in raw.warnings)
@@ -236,8 +236,8 @@ def test_encoder_pendulum_chooses_the_sine():
     # the record's README: A = 64.22 from the authors' parameters
     path = measured("multiarm_single_pendulum/SinglePendulumDataForParameterEstimation.mat")
     terms = ["th", "th**2", "th**3", "sin(th)", "cos(th)", "w", "w*abs(w)", "sign(w)"]
-    # a nearly true model: under the likelihood of the record terms that make up for what is missing are certain too
-    eq = quietly(pendulum_record(path), chains=["th:w:"], dictionary=terms, smooth="band")
+    # a nearly true model: what it lacks is a function of the states
+    eq = quietly(pendulum_record(path), chains=["th:w:"], dictionary=terms)
     assert "sin(th)" in eq[0].shown
     assert not {"th", "th**2", "th**3", "cos(th)"} & set(eq[0].shown)
     assert eq[0].shown_coef["sin(th)"] == pytest.approx(64.22, rel=0.02)

@@ -334,6 +334,7 @@ class Equation:
                 "averaged_ci_low": averaged[:, 0],
                 "averaged_ci_high": averaged[:, 1],
                 "why": [self.why.get(term.text, "") for term in self.terms],
+                "effective": False,  # as earlier versions had it
                 "bound": np.full(len(self.terms), np.nan) if self.bound is None else self.bound,
             }
         )

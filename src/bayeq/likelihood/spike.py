@@ -14,8 +14,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.special import logsumexp
 
 from bayeq.dictionary.polynomial import count, monomials
 from bayeq.expressions import Expression, parse
@@ -104,8 +102,8 @@ def softened(q: Quadratic, spread: Floats) -> Quadratic:
     A, b = q.information, q.slope
     across = spread.T @ A
     L = np.linalg.cholesky(np.eye(spread.shape[1]) + across @ spread)
-    X = solve_triangular(L, across, lower=True)
-    w = solve_triangular(L, spread.T @ b, lower=True)
+    both = np.linalg.solve(L, np.column_stack([across, spread.T @ b]))
+    X, w = both[:, :-1], both[:, -1]
     norm = float(np.log(np.diagonal(L)).sum())
     return Quadratic(q.level + 0.5 * float(w @ w) - norm, b - w @ X, A - X.T @ X)
 
@@ -128,8 +126,10 @@ def isotropic(columns: Floats, moved: Sequence[Floats], deviation: float) -> Flo
     _, size, axes = np.linalg.svd(np.linalg.qr(np.vstack([columns, *moved]), mode="r") / unit, full_matrices=False)
     kept = size > CUT * size[0]
     alike = axes[kept].T / size[kept]
-    _, share, turned = np.linalg.svd(np.linalg.qr(columns @ alike, mode="r") / unit)
+    _, share, turned = np.linalg.svd(np.linalg.qr(columns @ alike, mode="r") / unit, full_matrices=False)
     known = share**2 > ALONG
+    if not known.any():
+        raise np.linalg.LinAlgError("no function of the states is known")
     return np.asarray(alike @ turned[known].T / np.sqrt(known.sum()))
 
 
@@ -258,7 +258,7 @@ class Soft:
 
     def evidence(self, tau: Sizes) -> float:
         """ln p(data | sizes) up to the same constant."""
-        return float(logsumexp(self.models(tau).log_posterior))
+        return float(np.logaddexp.reduce(self.models(tau).log_posterior))
 
 
 def moved_columns(
@@ -342,7 +342,7 @@ def _most_probable(search: Soft) -> tuple[Sizes, Floats, dict[Sizes, float]]:
     for k, (group, grid) in enumerate(zip(groups, grids, strict=True)):
         logs = np.array([search.evidence(one) + p for one, p in lines[k].items()])
         first = np.array([one[group[0]] == grid[0] for one in lines[k]])
-        exact[group] = np.exp(logs - logsumexp(logs))[first].sum()
+        exact[group] = np.exp(logs - np.logaddexp.reduce(logs))[first].sum()
     # relative to the prior of what is most probable
     star = {one: p - line[tuple(tau)] for line in lines.values() for one, p in line.items() if tuple(tau) in line}
     return tuple(tau), exact, star
@@ -361,6 +361,6 @@ def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float], at: Sizes) 
             key = model.tobytes()
             values[key] = float(np.logaddexp(values.get(key, -np.inf), value + prior))
     models = np.array([np.frombuffer(key, dtype=np.bool_) for key in values])
-    shares = np.exp(np.array([one for one, _ in left]) - logsumexp([one for one, _ in left]))
-    lacking = float(shares @ [share for _, share in left])
+    evidence, left_out = np.array(left).T
+    lacking = float(np.exp(evidence - np.logaddexp.reduce(evidence)) @ left_out)
     return replace(_sorted(found, models, np.array([*values.values()])), left_out=lacking)

@@ -133,7 +133,7 @@ def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_] | N
         chains += [c] * len(index)
         terms += index.tolist()
         theta += coef[model].tolist()
-        left.append(min(gram.squared_error(coef) / gram.yty, 1.0))
+        left.append(min(gram.squared_error(coef) / gram.yty, 1.0) if gram.yty > 0.0 else 1.0)
     chosen = Candidates(np.array(chains, dtype=np.int64), np.array(terms, dtype=np.int64))
     levels = empty.levels
     size = levels.discrepancy * np.clip(left, 1e-4, 1.0)
