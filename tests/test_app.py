@@ -14,7 +14,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import bayeq as bq
@@ -107,6 +107,8 @@ def test_options_about_reading_are_those_of_the_proposal():
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
+@example("a" * 79 + " b")  # a name that is cut ends in no space
+@example("0" * 18 + "\u00aa" * 2 + "\u00b2" * 5 + "\u0904" * 15 + " \u0904")
 @given(st.text(max_size=300))
 def test_a_safe_name_is_a_name_in_its_folder(name):
     safe = safe_name(name)

@@ -71,4 +71,4 @@ def safe_name(name: str) -> str:
     ending = ending[:LONGEST_NAME]
     # most file systems count bytes, of which a letter may have four
     kept = stem.encode()[: max(LONGEST_NAME - len(ending), 1)].decode(errors="ignore")
-    return (kept or "record") + ending
+    return (kept + ending).rstrip(" .") or "record"
