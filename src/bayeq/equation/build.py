@@ -141,7 +141,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         why=differ,
         left_out=selection.left_out,
         models=likeliest_models(fit),
-        error_probability=None if math.isnan(fit.exact) else 1.0 - fit.exact,
+        error_probability=None if math.isnan(fit.exact) else max(1.0 - fit.exact, 0.0),
         tau=0.0 if regression.record is None else regression.record.nearly.tau[regression.k],
         bound=bound,
         undetermined=undetermined(fit, posterior, bound),
