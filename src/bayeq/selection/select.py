@@ -30,7 +30,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.spike import IMPROBABLE
 from bayeq.regression.fit import RegressionFit
-from bayeq.selection.tolerance import TOLERANCE, Errors, FreeRuns, hardly_worse, likeliest_instead
+from bayeq.selection.tolerance import FOLLOWS, SHORT, TOLERANCE, Errors, FreeRuns, hardly_worse, likeliest_instead
 from bayeq.states import Motion
 
 __all__ = ["LeftOut", "Rules", "Selection", "select"]
@@ -210,7 +210,9 @@ def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float
             problem = fit.problem._replace(log_odds=np.where(stays, math.inf, odds))
             model, _ = best_of_each_size(problem, int(inside.sum()) - 1, [inside], fit.prior.known_signs)[-1]
             fewer = list(out)
-            fewer[k] = replace(one.given(one.fit.given(model), "tolerance"), full=one.full or one)
+            fewer[k] = replace(one.given(fit.conditional(model), "tolerance"), full=one.full or one)
+            if not _errors(motion, fewer)[SHORT] < FOLLOWS:
+                break  # no fit of its own makes up for that
             fewer = _refitted(fewer)
             if not hardly_worse(_errors(motion, fewer), whole, tolerance):
                 break

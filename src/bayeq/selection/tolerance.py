@@ -23,7 +23,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.regression.fit import RegressionFit
 from bayeq.states import Motion
 
-__all__ = ["TOLERANCE", "Errors", "FreeRuns", "hardly_worse", "likeliest_instead"]
+__all__ = ["FOLLOWS", "SHORT", "TOLERANCE", "Errors", "FreeRuns", "hardly_worse", "likeliest_instead"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
