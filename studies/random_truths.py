@@ -6,7 +6,7 @@ alone; drawn again until the motion is stable, not held by friction, and resolve
 4,000 rows at 1 kHz, 5 % noise on displacement, velocity, acceleration and force, all rows used. Lines of the table:
 candidates by their posterior inclusion probability, with the share of them that is true and its standard error
 (records are the units of chance); the terms above 0.99; and the intervals of included terms, and those that are
-printed of the terms shown (but for effective coefficients, which have other values to cover), those of false terms
+printed of the terms shown, those of false terms
 among them, which ought to cover zero.
 
     python -m studies.random_truths > docs/tables/random_truths.csv
@@ -137,12 +137,10 @@ def _judged(eqs: Equations, truth: Mapping[str, float]) -> dict[str, object]:
     def covers(ci: Floats, kept: Sequence[bool]) -> list[bool]:
         return [low <= value <= high for (low, high), value, k in zip(ci.tolist(), true, kept, strict=True) if k]
 
-    printed = [kept and term.text not in eq.effective for term, kept in zip(eq.terms, shown.tolist(), strict=True)]
     return {
         "pips": [[round(float(p), 6), value != 0.0] for p, value in zip(pip, true, strict=True)],
         "covers": covers(eq.ci95, support.tolist()),
-        "printed": covers(eq.printed_ci95, printed),
-        "effective": len(eq.effective),
+        "printed": covers(eq.printed_ci95, shown.tolist()),
         "exact": set(eq.included) == set(truth),
         "verdict": eq.verdict.kind,
     }
@@ -200,7 +198,6 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
     for line, (name, some) in lines.items():
         covers = [bool(c) for outcome in some for c in outcome[name]]
         yield {"line": line, "count": len(covers), "stated": "95", "found": percent(sum(covers), len(covers))}
-    yield {"line": "effective coefficients", "count": sum(int(outcome["effective"]) for outcome in known)}
     yield {
         "line": "exactly the true terms, per cent",
         "count": len(known),

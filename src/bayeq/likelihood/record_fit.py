@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from bayeq.expressions import Expression
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.bma import spike_slab_bma
-from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.collapsed.search import scores_of
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
@@ -32,7 +31,7 @@ from bayeq.likelihood.search import (
     search,
     with_model,
 )
-from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, averaged
+from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, among_fitted, averaged
 from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
 from bayeq.likelihood.student import with_heavy_tails
 from bayeq.ode.rk4 import Interpolation
@@ -104,7 +103,7 @@ class RecordFit:
         if included.own and included.fitted.evidence > fitted.evidence - found.worse(included.fitted.model) - WINDOW:
             return included
         # what the Gram says of models far from the fitted one is not to be relied on
-        revise = partial(_among_fitted, best=fitted)
+        revise = partial(among_fitted, fitted=fitted)
         posterior = spike_slab_bma(task.gram(fitted.quadratic), task.known, revise=revise)
         found = replace(found, posterior=posterior, nearly=Nearly.unknown(task.layout.chains))
         return found.about(found.posterior.support)
@@ -288,14 +287,6 @@ class RecordFit:
         inside = np.flatnonzero(self.fitted.model)
         A, b = _marginal(q, np.array([block.stop - 1]), inside, precision)
         return float(b[0] / A[0, 0]), float(1.0 / np.sqrt(A[0, 0]))
-
-
-def _among_fitted(found: ModelSet, best: Fitted) -> ModelSet:
-    """The models that were fitted, with the evidence of their fit."""
-    models = np.array([np.frombuffer(key, dtype=np.bool_) for key in best.tried] or [best.model])
-    values = np.array([*best.tried.values()] or [best.evidence])
-    order = np.argsort(-values, kind="stable")
-    return replace(found, models=models[order], log_posterior=values[order])
 
 
 def _marginal(q: Quadratic, own: NDArray[np.intp], rest: NDArray[np.intp], precision: Floats) -> tuple[Floats, Floats]:

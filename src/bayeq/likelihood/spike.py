@@ -39,7 +39,7 @@ from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.likelihood.series import Series
 
-__all__ = ["IMPROBABLE", "Nearly", "Soft", "averaged", "isotropic", "softened", "softened_rows"]
+__all__ = ["IMPROBABLE", "Nearly", "Soft", "among_fitted", "averaged", "isotropic", "softened", "softened_rows"]
 
 Floats = NDArray[np.float64]
 Sizes = tuple[float, ...]
@@ -292,6 +292,13 @@ def as_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
     return _sorted(found, found.models, np.array(values))
 
 
+def among_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
+    """The models that were fitted alone, with the evidence of their fit."""
+    tried = fitted.tried or {fitted.model.tobytes(): fitted.evidence}
+    models = np.array([np.frombuffer(key, dtype=np.bool_) for key in tried])
+    return _sorted(found, models, np.array([*tried.values()]))
+
+
 def _sorted(found: ModelSet, models: NDArray[np.bool_], values: Floats) -> ModelSet:
     order = np.argsort(-values, kind="stable")
     return replace(found, models=models[order], log_posterior=values[order], inclusion=None)
@@ -309,7 +316,7 @@ def averaged(task: Task, fitted: Fitted) -> tuple[Posterior, Nearly]:
         q, _ = search.quadratic(tau)
     except np.linalg.LinAlgError:
         return _of_gram(task, fitted.quadratic, alone), Nearly.unknown(chains)
-    return _of_gram(task, q, partial(_mixed, search=search, lines=lines, at=tau)), Nearly(tau, tuple(exact.tolist()))
+    return _of_gram(task, q, partial(_mixed, search=search, lines=lines)), Nearly(tau, tuple(exact.tolist()))
 
 
 def _of_gram(task: Task, q: Quadratic, revise: Callable[[ModelSet], ModelSet]) -> Posterior:
@@ -348,10 +355,8 @@ def _most_probable(search: Soft) -> tuple[Sizes, Floats, dict[Sizes, float]]:
     return tuple(tau), exact, star
 
 
-def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float], at: Sizes) -> ModelSet:
-    """Models over sizes together; `found` are those of the sizes `at`."""
-    if len(lines) < 2:
-        return as_fitted(found, search.fitted) if not any(at) else found
+def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float]) -> ModelSet:
+    """Models over sizes together; `found` are those of the most probable."""
     values: dict[bytes, float] = {}
     left = []
     for tau, prior in lines.items():
