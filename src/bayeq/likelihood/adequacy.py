@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import State, adjoints, marginal, maximised
-from bayeq.likelihood.levels import MEMORY
+from bayeq.likelihood.fit import State, adjoints, marginal, maximised, of_inputs
+from bayeq.likelihood.levels import MEMORY, Levels
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.numerics.beta import incomplete_beta
@@ -38,6 +38,10 @@ MEMORIES = 33
 
 # A memory above this share of the longest that a fit may have is learned again without that bound.
 AT_BOUND = 0.98
+
+# A likelihood that is greater than without a discrepancy by less than half of this is no evidence of one. Noise of an
+# input is tried in steps of this factor of its variance.
+LEAST_GAIN, NOISIER = 4.0, 1.5
 
 # Step in ln size that the curvature of the likelihood is read from, and the curvature below which it tells nothing.
 STEP, LEAST_BEND = 0.1, 1e-3
@@ -140,10 +144,8 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     interval = float(np.median(np.concatenate([one.intervals for one in task.series])))
 
     def log_likelihood(c: int, factor: float) -> float:
-        sizes = levels.discrepancy.copy()
-        sizes[c] = max(sizes[c] * factor, levels.sizes[0][c])
         try:
-            return marginal(linears, state, replace(levels, discrepancy=sizes), precision, keep=False).value
+            return marginal(linears, state, without(levels, c, factor), precision, keep=False).value
         except np.linalg.LinAlgError:  # far from any motion
             return -math.inf
 
@@ -151,6 +153,8 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     discrepancies = []
     for c, size in enumerate(levels.kappa.tolist()):
         gain = 2.0 * (here.value - log_likelihood(c, 0.0))
+        if LEAST_GAIN < gain < math.inf:
+            gain = min(gain, 2.0 * gain_of(task, replace(state, levels=levels), c))
         p = 0.0 if gain > 0.0 else 1.0
         if 0.0 < gain < math.inf:
             p = chance_of(gain, _length(task, state, linears, precision, c))
@@ -160,7 +164,7 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
         discrepancies.append(Discrepancy(size, size / factor, size * factor, p, _main_octave(paths, interval)))
 
     # inputs first: their course need not be that of low-passed noise
-    noisy = len(layout.noisy)
+    noisy = len(layout.roles.inputs)
     order = np.roll(np.arange(len(layout.channels)), noisy)
     noise = levels.noise._replace(channels=levels.noise.channels[order])
     filtered = [
@@ -189,6 +193,55 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
         else:
             octaves += octaves_of(channel, left, interval, otherwise if kind < 0 else set())
     return Adequacy(tuple(discrepancies), tuple(octaves))
+
+
+def without(levels: Levels, c: int, factor: float = 0.0) -> Levels:
+    """Levels with a factor of the discrepancy of equation c, 0 for as good as none."""
+    sizes = levels.discrepancy.copy()
+    sizes[c] = max(sizes[c] * factor, levels.sizes[0][c])
+    return replace(levels, discrepancy=sizes)
+
+
+def gain_of(task: Task, state: State, c: int) -> float:
+    """ln ratio of the likelihoods, given the inputs, with the discrepancy of equation c and without.
+
+    Other levels are learned again without. The samples of an input tell its noise by the model of its course, which is
+    a convenience: any noise is plausible up to the power of the input in the octave in which it has least.
+    """
+    linears, precision = task.linearised(state), task.precision[task.number(state.chosen)]
+    held = np.zeros(len(state.levels.free), dtype=np.bool_)
+    held[len(state.levels.channels) + c] = True
+
+    def value(levels: Levels) -> float:
+        return marginal(linears, state, levels, precision, keep=False).value - of_inputs(linears, levels)
+
+    levels = maximised(linears, replace(state, levels=without(state.levels, c)), precision, held)[0]
+    best = value(levels)
+    first = len(levels.channels) - len(task.layout.roles.inputs)
+    for i in (np.flatnonzero(levels.learned[first:]) + first).tolist():
+        most = _least_power(task, state, i)
+        while levels.channels[i] < most:
+            channels = levels.channels.copy()
+            channels[i] = min(NOISIER * channels[i], most)
+            other = replace(levels, channels=channels)
+            found = value(other)
+            if found < best:
+                break
+            levels, best = other, found
+    return value(state.levels) - best
+
+
+def _least_power(task: Task, state: State, i: int) -> float:
+    """Variance that the samples of channel i, an input, would have if they were no louder in any octave than in one."""
+    own = task.layout.kinds[i]
+    pieces = [
+        np.where(np.isnan(one.samples[:, i]), path[:, own], one.samples[:, i])
+        for one, path in zip(task.series, state.paths, strict=True)
+    ]
+    power, below = _spectrum([piece / math.sqrt(len(piece)) for piece in pieces])
+    bins = np.bincount(below)
+    means = np.bincount(below, weights=power)[bins >= LEAST_BINS] / bins[bins >= LEAST_BINS]
+    return float(means.min(initial=math.inf)) if len(means) else 0.0
 
 
 def chance_of(gain: float, length: float) -> float:

@@ -145,8 +145,8 @@ def _batches(task: Task, state: State, k: int, linear: Linear, found: Adjoint) -
 def _power(task: Task, pieces: Sequence[MotionRows]) -> tuple[Floats, int]:
     """Sums of the periodograms of the noisy inputs, and their number."""
     layout, segments = task.layout, 0
-    power = np.zeros((len(layout.noisy), (SEGMENT - 1) // 2))
-    for k, (name, centre) in enumerate(zip(layout.noisy, layout.centres, strict=True)):
+    power = np.zeros((len(layout.roles.inputs), (SEGMENT - 1) // 2))
+    for k, (name, centre) in enumerate(zip(layout.roles.inputs, layout.centres, strict=True)):
         segments = 0
         for piece in pieces:
             part, count = periodograms(piece.columns[name] - centre, SEGMENT)

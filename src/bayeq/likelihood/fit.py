@@ -26,6 +26,8 @@ __all__ = [
     "information",
     "marginal",
     "maximised",
+    "of_inputs",
+    "over_sizes",
     "solved",
 ]
 
@@ -170,6 +172,19 @@ def marginal(
     value = q.level + 0.5 * float(pull @ delta) - 0.5 * float(state.theta @ (precision * state.theta))
     value += 0.5 * float(np.log(precision).sum()) - float(np.log(np.diagonal(root)).sum()) + float(np.log(scale).sum())
     return Statistics(value, delta, covariance, filtered)
+
+
+def of_inputs(linears: Sequence[Linear], levels: Levels) -> float:
+    """ln p of the samples of inputs alone."""
+    layout = levels.layout
+    if not layout.roles.inputs:
+        return 0.0
+    alone, nothing = [], layout.everything.take(np.zeros(0, dtype=np.intp))
+    for linear in linears:
+        residual = linear.residual.copy()
+        residual[:, : -len(layout.roles.inputs)] = np.nan
+        alone.append(run_filter(linear._replace(residual=residual), nothing, levels.noise, keep=False))
+    return quadratic(alone).level
 
 
 def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value: float) -> tuple[float, Levels]:

@@ -1,8 +1,7 @@
 """`Layout`: the state vector of a system, and its equations as a tape.
 
 The states are, in this order: the derivatives of every chain but its highest; a discrepancy d of every equation; every
-input that is measured with noise, with its derivatives. Between samples discrepancies and the highest derivatives of
-inputs are constant.
+input with its derivatives. Between samples discrepancies and the highest derivatives of inputs are constant.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +18,14 @@ from bayeq.expressions import Binary, Call, Expression, Node, Number, Symbol, Ta
 from bayeq.expressions.functions import TIME
 from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import jumps_of, mean_of_jumps
-from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Roles, rates
 
-__all__ = ["Candidates", "Layout"]
+__all__ = ["Candidates", "Course", "Layout"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+Course = Literal["smooth", "linear", "hold", "cubic", "band-limited"]
 
 
 class Candidates(NamedTuple):
@@ -57,28 +57,25 @@ class Layout:
         The P candidate terms, the same for every equation.
     gains : tuple of (K+1,) arrays
         Of each chain, see `bayeq.states.unit_gains`.
-    noisy : tuple of str
-        Inputs whose noise is part of the model; the others are taken as they were measured.
     smoothness : tuple of int
-        Number of derivatives of each noisy input that are states: it is low-passed noise, see
-        `bayeq.likelihood.low_pass`. 0 stands for a sequence of independent samples joined by straight lines, whose
-        slope is a state all the same.
+        Number of derivatives of each input that are states: it is low-passed noise, see `bayeq.likelihood.low_pass`. 0
+        stands for a sequence of independent samples joined by straight lines, whose slope is a state all the same.
     centres : tuple of float
-        Mean of each noisy input.
+        Mean of each input.
     corners : tuple of float
-        Of the spectrum of each noisy input [rad/s]; not used of a random sequence.
-    interpolation : "cubic", "band-limited", "linear" or "hold"
-        The other inputs between their samples.
+        Of the spectrum of each input [rad/s]; not used of a random sequence.
+    courses : tuple of str
+        Of each input between its samples: "smooth", as its derivatives say; "linear"; "hold"; or a straight line and
+        what the "cubic" or "band-limited" interpolation of the samples has beside one.
     """
 
     roles: Roles
     terms: tuple[Expression, ...]
     gains: tuple[Floats, ...]
-    noisy: tuple[str, ...] = ()
     smoothness: tuple[int, ...] = ()
     centres: tuple[float, ...] = ()
     corners: tuple[float, ...] = ()
-    interpolation: Interpolation = "cubic"
+    courses: tuple[Course, ...] = ()
 
     @cached_property
     def chains(self) -> int:
@@ -107,21 +104,21 @@ class Layout:
 
     @cached_property
     def widths(self) -> Ints:
-        """Number of states of each noisy input, (L,)."""
+        """Number of states of each input, (L,)."""
         return 1 + np.maximum(np.array(self.smoothness, dtype=np.int64), 1)
 
     @cached_property
     def driven(self) -> Ints:
-        """The noisy inputs, (L,)."""
+        """The inputs, (L,)."""
         return self.motion + self.chains + np.cumsum(self.widths) - self.widths
 
     @cached_property
     def slope(self) -> Ints:
-        """The highest derivative of each noisy input, (L,)."""
+        """The highest derivative of each input, (L,)."""
         return self.driven + self.widths - 1
 
     def feedback(self, k: int, intervals: Floats) -> Floats:
-        """What the highest derivative of noisy input k becomes at the end of steps, on average: factors of its states.
+        """What the highest derivative of input k becomes at the end of steps, on average: factors of its states.
 
         Of a random sequence straight lines lead from any sample back to its mean.
         """
@@ -130,14 +127,9 @@ class Layout:
         return feedback(int(self.widths[k]), self.corners[k], intervals)
 
     @cached_property
-    def exact(self) -> tuple[str, ...]:
-        """Inputs that are taken as measured."""
-        return tuple(name for name in self.roles.inputs if name not in self.noisy)
-
-    @cached_property
     def given(self) -> tuple[str, ...]:
-        """What terms use that is no state: the exact inputs, and t where it is used."""
-        return (*self.exact, TIME) if self.roles.timed else self.exact
+        """What terms use that is no state: t where it is used."""
+        return (TIME,) if self.roles.timed else ()
 
     @cached_property
     def jumps(self) -> tuple[Call, ...]:
@@ -164,7 +156,7 @@ class Layout:
     def names(self) -> tuple[str, ...]:
         """Names of the states; those that are no channels have names that no channel can have."""
         extra = [f"d[{c}]" for c in range(self.chains)]
-        for name, width in zip(self.noisy, self.widths, strict=True):
+        for name, width in zip(self.roles.inputs, self.widths, strict=True):
             extra += [name, *(f"{name}[{k}]" for k in range(1, width))]
         return (*self.roles.states, *extra)
 
@@ -177,7 +169,7 @@ class Layout:
             for k, name in enumerate(chain.measured):
                 if name is not None:
                     out.append((name, first + k if k < chain.order else -1 - c))
-        out += [(name, int(i)) for name, i in zip(self.noisy, self.driven, strict=True)]
+        out += [(name, int(i)) for name, i in zip(self.roles.inputs, self.driven, strict=True)]
         return tuple(out)
 
     @cached_property
@@ -199,7 +191,7 @@ class Layout:
         return tuple(Expression(mean_of_jumps(term.tree, widths)) for term in self.terms)
 
     def tape(self, chosen: Candidates) -> Tape:
-        """Rates of the states, targets, chosen terms, in states, exact inputs, widths and the terms' coefficients."""
+        """Rates of the states, targets, chosen terms, in states, t, widths and the terms' coefficients."""
         parameters = [f"theta[{j}]" for j in range(len(chosen.chain))]
         targets: list[Node] = [Symbol(f"d[{c}]") for c in range(self.chains)]
         terms: list[Node] = [self.blurred[j].tree if j < len(self.terms) else number(1) for j in chosen.term]
@@ -210,7 +202,7 @@ class Layout:
             for factor, node in zip(factors, [*map(Symbol, chain.states[1:]), target], strict=True):
                 out.append(node if factor == 1.0 else Binary("*", number(factor), node))
         out += [Number(0)] * self.chains
-        for name, width in zip(self.noisy, self.widths, strict=True):
+        for name, width in zip(self.roles.inputs, self.widths, strict=True):
             out += [*(Symbol(f"{name}[{k}]") for k in range(1, width)), Number(0)]
         return Tape.compile(
             map(Expression, [*out, *targets, *terms]), [*self.names, *self.given, *self.jump_widths, *parameters]
@@ -225,7 +217,14 @@ class Layout:
         return out
 
     @cached_property
+    def straight(self) -> Ints:
+        """See `bayeq.likelihood.linear.Steps`, (S,)."""
+        out = np.zeros(self.size, dtype=np.int64)
+        out[self.driven] = [0 if course == "smooth" else 2 if course == "hold" else 1 for course in self.courses]
+        return out
+
+    @cached_property
     def terms_tape(self) -> Tape:
-        """The candidate terms and the constant, in states, exact inputs and widths of jumps."""
+        """The candidate terms and the constant, in states, t and widths of jumps."""
         trees: Sequence[Node] = [*(term.tree for term in self.blurred), Number(1)]
         return Tape.compile(map(Expression, trees), [*self.names, *self.given, *self.jump_widths])

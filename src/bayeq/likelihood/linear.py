@@ -36,6 +36,10 @@ class Steps(NamedTuple):
         The candidates and the constant, in states and inputs.
     inputs : (n, m, 4) array
         Those of the `Series`, then the widths of jumps.
+    bends : (n, L, 2) array
+        As in `Series`.
+    driven : (L,) int array
+        See `Layout.driven`.
     intervals : (n - 1,) array
         Between samples [s].
     substeps : (n - 1,) int array
@@ -48,17 +52,22 @@ class Steps(NamedTuple):
         Number of states that are derivatives of chains: the first ones, which alone depend on coefficients.
     rising : (S,) bool array
         Whether the rate of a state behind them is the next one, and not 0.
+    straight : (S,) int array
+        Whether a state behind them goes straight from one sample to the next, 1, or is held until that, 2.
     """
 
     program: Program
     basis: Program
     inputs: Floats
+    bends: Floats
+    driven: Ints
     intervals: Floats
     substeps: Ints
     last: Ints
     factors: Floats
     motion: int
     rising: NDArray[np.bool_]
+    straight: Ints
 
     def fresh(self) -> Steps:
         """The same with registers of its own."""
@@ -134,7 +143,7 @@ class Linear(NamedTuple):
 
 @kernel(borrowing=True)
 def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction: float) -> None:
-    """Exact inputs and widths, a fraction of the interval after a sample, into the registers behind the states."""
+    """What is given, and widths, a fraction of the interval after a sample, into the registers behind the states."""
     rest = 1.0 - fraction
     for k in range(inputs.shape[1]):
         p = inputs[row, k]
@@ -142,22 +151,27 @@ def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction:
 
 
 @kernel(borrowing=True)
-def _drift(steps: Steps, path: Floats, row: int, time: float, powers: Floats) -> None:
-    """States that are no derivatives of chains, a time after a sample, into the registers of the program.
+def _drift(steps: Steps, path: Floats, row: int, interval: float, fraction: float, last: bool, powers: Floats) -> None:
+    """States that are no derivatives of chains, a fraction of an interval after a sample, into the program's registers.
 
-    Each is constant or has the next one as its rate: Taylor's series. `powers` (S, S) receive its terms' derivatives by
-    the states at the sample.
+    Each is constant or has the next one as its rate: Taylor's series; but inputs may go straight to where that ends, or
+    be held until then (at the `last`). `powers` (S, S) receive derivatives by the states at the sample.
     """
     size = path.shape[1]
     for i in range(steps.motion, size):
         value, power, j = path[row, i], 1.0, i
+        straight = 0 if last else steps.straight[i]
+        time, share = (fraction * interval, 1.0) if straight == 0 else (interval, fraction if straight == 1 else 0.0)
         powers[i, i] = 1.0
         while steps.rising[j]:
             j += 1
             power *= time / (j - i)
-            powers[i, j] = power
-            value += power * path[row, j]
+            powers[i, j] = share * power
+            value += share * power * path[row, j]
         steps.program.registers[i] = value
+    for k in range(len(steps.driven)):
+        bend = steps.bends[row, k, 0] + fraction * steps.bends[row, k, 1]
+        steps.program.registers[steps.driven[k]] += fraction * (1.0 - fraction) * bend
 
 
 @kernel(borrowing=True)
@@ -241,7 +255,7 @@ def _integrate(
         share = 1.0 / count
         for step in range(count):
             whole = steps.intervals[row] if row < n - 1 else 0.0
-            _drift(steps, path, row, step * share * whole, work.powers)
+            _drift(steps, path, row, whole, step * share, False, work.powers)
             _rates(steps, chosen, own, row, step * share, work, x, k1)
             if step == 0:
                 for c in range(target.shape[1]):
@@ -253,18 +267,20 @@ def _integrate(
                 break
             h = whole * share
             _ahead(x, 0.5 * h, k1, y)
-            _drift(steps, path, row, (step + 0.5) * h, work.powers)
+            _drift(steps, path, row, whole, (step + 0.5) * share, False, work.powers)
             _rates(steps, chosen, own, row, (step + 0.5) * share, work, y, k2)
             _ahead(x, 0.5 * h, k2, y)
             _rates(steps, chosen, own, row, (step + 0.5) * share, work, y, k3)
             _ahead(x, h, k3, y)
-            _drift(steps, path, row, (step + 1.0) * h, work.powers)
+            _drift(steps, path, row, whole, (step + 1.0) * share, False, work.powers)
             _rates(steps, chosen, own, row, (step + 1.0) * share, work, y, k4)
             for i in range(motion):
                 for j in range(1 + size + r):
                     x[i, j] += h / 6.0 * (k1[i, j] + 2.0 * (k2[i, j] + k3[i, j]) + k4[i, j])
         if row < n - 1:
             at = row - first
+            if end.shape[1]:
+                _drift(steps, path, row, whole, 1.0, True, work.powers)
             for i in range(end.shape[1]):
                 end[at, i] = x[i, 0] if i < motion else steps.program.registers[i]
                 for j in range(size):
@@ -311,12 +327,15 @@ def linearise(
         program,
         basis,
         inputs,
+        series.bends,
+        layout.driven,
         series.intervals,
         np.where(jumping, max(substeps, JUMP_STEPS), substeps),
         layout.last,
         np.array([rates[-1] for rates in layout.rates]),
         layout.motion,
         layout.rising,
+        layout.straight,
     )
     end, transition, sources, target, gradient = arrays(
         (n - 1, size), (n - 1, size, size), (n - 1, layout.motion, len(theta)), (n, chains), (n, chains, size)
@@ -413,7 +432,7 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
 
 
 def terms_at(layout: Layout, path: Floats, inputs: Floats) -> Floats:
-    """Candidates and the constant at the states of a path, (n, P + 1), inputs (n, m, 4) with the widths of jumps."""
+    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps."""
     columns = dict(zip(layout.names, np.asfortranarray(path).T, strict=True))
     columns |= dict(zip((*layout.given, *layout.jump_widths), inputs[:, :, 0].T, strict=True))
     out = np.ones((len(path), len(layout.terms) + 1))
@@ -435,7 +454,7 @@ def _derivatives(steps: Steps, start: Floats, end: Floats, directions: Floats, b
         for node in range(count):
             fraction = (node + 0.5) / count if between else 0.0
             for i in range(size):
-                moved = end[row, i] - start[row, i] if between else 0.0
+                moved = end[row, i] - start[row, i] if between and steps.straight[i] < 2 else 0.0
                 program.registers[i] = start[row, i] + fraction * moved
                 for c in range(chains):
                     tangents[i, c] = directions[row, c, i] / count

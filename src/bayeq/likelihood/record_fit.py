@@ -32,9 +32,8 @@ from bayeq.likelihood.search import (
     with_model,
 )
 from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, among_fitted, averaged
-from bayeq.likelihood.start import carried_over, start_from, with_exact_inputs
+from bayeq.likelihood.start import carried_over, start_from, with_courses
 from bayeq.likelihood.student import with_heavy_tails
-from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Motion
 
 __all__ = ["RecordFit", "fit_record", "refit_record", "suits"]
@@ -59,9 +58,6 @@ HARDLY = 0.1
 # The noise of an input is read from the record if the likelihoods of none, of that found and of 5 %, as a share of the
 # variance, differ by more nats than this: two standard errors.
 SOME, READ = 0.05**2, 2.0
-
-# Ways in which inputs without noise may go on between samples.
-EXACT: tuple[Interpolation, ...] = ("cubic", "band-limited", "linear", "hold")
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +163,8 @@ class RecordFit:
         task, state = self.task, self.fitted.state
         layout, levels = task.layout, state.levels
         linears, precision = task.linearised(state), task.precision[task.number(state.chosen)]
-        first, known = len(levels.channels) - len(layout.noisy), set()
-        for i, name in enumerate(layout.noisy, first):
+        first, known = len(levels.channels) - len(layout.roles.inputs), set()
+        for i, name in enumerate(layout.roles.inputs, first):
             values = []
             for variance in (levels.channels[i], *(share * levels.scales.channels[i] for share in (LEAST_NOISE, SOME))):
                 channels = levels.channels.copy()
@@ -186,7 +182,7 @@ class RecordFit:
         """Least standard deviation of the noise of a chain's channel, as a share of the channel's."""
         layout, levels = self.task.layout, self.fitted.state.levels
         states = layout.kinds >= 0
-        states[len(states) - len(layout.noisy) :] = False
+        states[len(states) - len(layout.roles.inputs) :] = False
         return float(np.sqrt((levels.channels / levels.scales.channels)[states].min()))
 
     @cached_property
@@ -347,10 +343,8 @@ def fit_record(
             log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
             start = start_from(some, terms, grams, log_odds[:, :-1] > -np.inf)
             odds = log_odds.ravel()
-            known = all(map(motion.sensors.noisy, motion.roles.inputs))
-            others = [] if known else [partial(with_exact_inputs, some, kind=kind) for kind in EXACT]
             task = Task(start.layout, start.series, start.precision, odds, tolerance=tolerance)
-            found = search(task, start.states, others)
+            found = search(task, start.states, partial(with_courses, some))
             if some is not motion:
                 return _resumed(motion, *found, places)
             if motion.sensors.tails == "student":

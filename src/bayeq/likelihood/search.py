@@ -7,7 +7,7 @@ fit.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -20,7 +20,6 @@ from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.prior import Prior
-from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import (
     Quadratic,
     State,
@@ -29,8 +28,8 @@ from bayeq.likelihood.fit import (
     linearised,
     marginal,
     maximised,
+    of_inputs,
     over_sizes,
-    quadratic,
     solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout
@@ -95,15 +94,6 @@ WIDER, CLEARLY = (10.0, 100.0), 3.0
 
 # Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
-
-# Inputs with less noise, as a share of their standard deviation, may as well be taken as measured.
-LEAST_INPUT_NOISE = 0.02
-
-# Inputs with no more smooth derivatives may be switched, and what a smooth course misses be taken for noise.
-ROUGH = 1
-
-# An input of which this share of the samples repeats the one before is a command that is held, and has no noise.
-HELD = 0.1
 
 # In a discrepancy that is hardly there the likelihood is flat, and a search does not leave it: of many samples a fit is
 # compared with one that starts from a discrepancy of this share of its target, and this memory. If that is as likely it
@@ -233,8 +223,8 @@ class Fitted:
         return self.expand()
 
 
-# Another treatment of the inputs, from a task and its fit.
-Alternative = Callable[[Task, Fitted], tuple[Task, State]]
+# Tasks with other courses of an input, with starts for them, from a task, its fit, and the number of the input.
+Alternatives = Callable[[Task, Fitted, int], Iterable[tuple[Task, State]]]
 
 
 def fit(task: Task, state: State, coarse: bool = False, further: bool = True, calm: int = 0) -> Fitted:
@@ -434,66 +424,38 @@ def finer(task: Task, state: State) -> Task:
 
 
 def of_motion(task: Task, fitted: Fitted) -> float:
-    """ln p(data, model) less what the samples of noisy inputs have in it: of the motion, given the inputs."""
-    layout, levels = task.layout, fitted.state.levels
-    if not layout.noisy:
-        return fitted.evidence
-    alone = 0.0
-    nothing = layout.everything.take(np.zeros(0, dtype=np.intp))
-    for linear in task.linearised(fitted.state):
-        residual = linear.residual.copy()
-        residual[:, : -len(layout.noisy)] = np.nan
-        found = run_filter(linear._replace(residual=residual), nothing, levels.noise, keep=False)
-        alone += quadratic([found]).level
-    return fitted.evidence - alone
+    """ln p(data, model) less what the samples of inputs have in it: of the motion, given the inputs."""
+    return fitted.evidence - of_inputs(task.linearised(fitted.state), fitted.state.levels)
 
 
-def with_other_inputs(
-    task: Task, best: Fitted, others: Sequence[Alternative], log: Callable[..., None]
-) -> tuple[Task, Fitted]:
-    """The fit, or one with inputs as measured where the motion is then likelier.
-
-    Where inputs have the noise that the fit has found, or noise that is known, no other is tried.
-    """
-    layout, levels = task.layout, best.state.levels
-    if not layout.roles.inputs:
-        return task, best
-    first = len(levels.channels) - len(layout.noisy)
-    learned = levels.learned[first:]
-    share = (levels.channels / levels.scales.channels)[first:][learned]
-    rough = np.array(layout.smoothness, dtype=np.int64)[learned] <= ROUGH
-    doubtful = (
-        bool(layout.exact) or (share < LEAST_INPUT_NOISE**2).any() or rough.any() or levels.kappa.max() > ADEQUATE
-    )
-    if not doubtful and repeated(task) < HELD:
-        return task, best
-    pairs = [(task, best)]
-    for other in others:
-        try:
-            found = settle(*other(task, best), log)
-        except np.linalg.LinAlgError:
-            continue
-        pairs.append(found)
-    return max(pairs, key=lambda pair: of_motion(*pair))
+def with_other_inputs(task: Task, best: Fitted, others: Alternatives, log: Callable[..., None]) -> tuple[Task, Fitted]:
+    """The fit, or one with other courses of inputs between samples where the motion is then likelier."""
+    for k, name in enumerate(task.layout.roles.inputs):
+        tried = [(task, best)]
+        for there, state in others(task, best, k):
+            try:
+                tried.append((there, fit(there, calmed(state), coarse=True)))
+            except np.linalg.LinAlgError:
+                continue
+            log(f"  {name} {there.layout.courses[k]} {there.layout.smoothness[k]}", tried[-1][1])
+        likeliest = max(tried, key=lambda pair: of_motion(*pair))
+        if likeliest[1] is not best:
+            try:
+                found = settle(likeliest[0], likeliest[1].state, log)
+            except np.linalg.LinAlgError:
+                continue
+            task, best = max([(task, best), found], key=lambda pair: of_motion(*pair))
+    return task, best
 
 
 def _no_log(word: str, fitted: Fitted) -> None:
     """No trace kept."""
 
 
-def repeated(task: Task) -> float:
-    """Share of the samples of an input that are exactly the ones before, of the input that repeats most."""
-    if not task.layout.noisy:
-        return 0.0
-    inputs = [one.samples[:, -len(task.layout.noisy) :] for one in task.series]
-    same = np.concatenate([np.diff(columns, axis=0) == 0.0 for columns in inputs])
-    return float(same.mean(axis=0).max())
-
-
 def search(
     task: Task,
     starts: Sequence[State],
-    others: Sequence[Alternative] = (),
+    others: Alternatives = lambda task, fitted, k: (),
     log: Callable[..., None] = _no_log,
 ) -> tuple[Task, Fitted]:
     """The best model that rounds of selection lead to.
@@ -505,8 +467,8 @@ def search(
     starts : sequence of State
         Where rounds start: from the next one too where those before left a discrepancy. The last one has no terms;
         the fit of all candidates from there is a further start if these are few.
-    others : sequence of callables
-        Each makes of a task and its fit another treatment of the inputs, and a start for it.
+    others : callable, optional
+        Gives what may be tried in place of a fit: tasks with other courses of an input, and starts for them.
     log : callable, optional
         Called with a word and every fit, as a trace.
 

@@ -25,9 +25,13 @@ class Series(NamedTuple):
         What `Layout.given` names, from `bayeq.ode.rk4.interpolant`.
     spread : (n, M) array
         Variance of the noise of each sample as a multiple of its channel's.
+    bends : (n, L, 2) array
+        What the course of each input has beside a straight line: a fraction f after a sample, f (1 - f) times the first
+        and f times the second.
     """
 
     intervals: Floats
     samples: Floats
     inputs: Floats
     spread: Floats
+    bends: Floats

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +19,22 @@ from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, marginal, maximised
-from bayeq.likelihood.layout import Candidates, Layout
+from bayeq.likelihood.layout import Candidates, Course, Layout
 from bayeq.likelihood.levels import LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.likelihood.series import Series
-from bayeq.ode.rk4 import Interpolation, interpolant, with_time
+from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
-__all__ = ["Start", "carried_over", "series_and_paths", "start_from", "with_exact_inputs", "with_spectra"]
+__all__ = [
+    "Start",
+    "carried_over",
+    "series_and_paths",
+    "start_from",
+    "with_courses",
+    "with_spectra",
+]
 
 Floats = NDArray[np.float64]
 
@@ -41,9 +50,13 @@ FAR_FROM_ZERO = 10.0
 FIRST_NOISE, INPUT_NOISE = 1e-3, 2.5e-3
 
 # Derivatives of an input that are states: a random sequence joined by straight lines, or a smooth force. Which of them
-# is decided by this many of its samples.
+# is decided at first by this many of its samples.
 SMOOTHNESS = (0, 1, 2, 3)
 INPUT_ROWS = 2000
+
+# Courses of an input between samples that its derivatives do not tell, and those of a random sequence.
+OTHERWISE: tuple[Course, ...] = ("linear", "hold")
+BENT: tuple[Course, ...] = ("cubic", "band-limited")
 
 # Memory of discrepancies at first.
 LEAST_MEMORY, MOST_MEMORY = 0.05, 0.99
@@ -87,20 +100,15 @@ def start_from(
     """
     roles, pieces = motion.roles, motion.train
     known = motion.sensors.noise
-    noisy = tuple(name for name in roles.inputs if known.get(name) != 0.0)
-    inputs = [_input(name, pieces, known.get(name)) for name in noisy]
-    alone = [levels for levels, _ in inputs]
-    smoothness = tuple(one.layout.smoothness[0] for one in alone)
-    centres = tuple(one.layout.centres[0] for one in alone)
-    corners = tuple(one.layout.corners[0] for one in alone)
-    layout = Layout(roles, tuple(terms), motion.unit_gains, noisy, smoothness, centres, corners)
+    inputs = [_input(name, pieces, known.get(name)) for name in roles.inputs]
+    layout = _with_inputs(Layout(roles, tuple(terms), motion.unit_gains), inputs)
     series = tuple(_series(layout, rows) for rows in pieces)
-    paths = tuple(_path(layout, rows, [found[i] for _, found in inputs]) for i, rows in enumerate(pieces))
+    paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
     targets = _targets(roles, pieces)
     interval = _interval([one.intervals for one in series])
     scales = _scales(layout, paths, targets.var(axis=0), np.concatenate([one.samples for one in series]), interval)
     noise = FIRST_NOISE * scales.channels
-    noise[len(noise) - len(inputs) :] = [one.channels[0] for one in alone]
+    noise[len(noise) - len(inputs) :] = [one.noise for one in inputs]
     held = np.array([name in known for name, _ in layout.channels])
     for i in np.flatnonzero(held):
         noise[i] = max(known[layout.channels[i][0]] ** 2, LEAST_NOISE * scales.channels[i])
@@ -111,7 +119,7 @@ def start_from(
         noise,
         scales.variance[layout.discrepancy],
         np.clip(lag1, LEAST_MEMORY, MOST_MEMORY),
-        np.array([one.slope[0] for one in alone]),
+        np.array([one.slope for one in inputs]),
         held=held,
     )
     none = np.zeros(0, dtype=np.int64)
@@ -140,50 +148,72 @@ def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_] | N
     return replace(empty, chosen=chosen, theta=np.array(theta), levels=replace(levels, discrepancy=size))
 
 
-def with_exact_inputs(motion: Motion, task: Task, fitted: Fitted, kind: Interpolation) -> tuple[Task, State]:
-    """The task with inputs as measured, interpolated in one way, and a fit as its start.
+class _Input(NamedTuple):
+    """An input: its smoothness, mean, corner and course, as in `Layout`; variances of noise and steps, as in `Levels`;
+    its states in each record."""
 
-    Inputs whose noise is known keep it.
-    """
-    old, state = task.layout, fitted.state
-    stay = [k for k, name in enumerate(old.noisy) if motion.sensors.noisy(name)]
-    layout = replace(
-        old,
-        noisy=tuple(old.noisy[k] for k in stay),
-        smoothness=tuple(old.smoothness[k] for k in stay),
-        centres=tuple(old.centres[k] for k in stay),
-        corners=tuple(old.corners[k] for k in stay),
-        interpolation=kind,
+    smoothness: int
+    centre: float
+    corner: float
+    course: Course
+    noise: float
+    slope: float
+    paths: tuple[Floats, ...]
+
+
+def _with_inputs(layout: Layout, inputs: Sequence[_Input]) -> Layout:
+    return replace(
+        layout,
+        smoothness=tuple(one.smoothness for one in inputs),
+        centres=tuple(one.centre for one in inputs),
+        corners=tuple(one.corner for one in inputs),
+        courses=tuple(one.course for one in inputs),
     )
-    levels, first = state.levels, old.motion + old.chains
-    kept = [*range(first), *(i for k in stay for i in range(old.driven[k], old.driven[k] + old.widths[k]))]
-    before = len(old.channels) - len(old.noisy)
-    channels = [*range(before), *(before + k for k in stay)]
-    known = levels.scales
-    scales = replace(
-        known,
-        mean=known.mean[kept],
-        variance=known.variance[kept],
-        channels=known.channels[channels],
-        rounding=np.broadcast_to(known.rounding, known.channels.shape)[channels],
-    )
-    return (
-        replace(task, layout=layout, series=tuple(_series(layout, rows) for rows in motion.train)),
-        replace(
-            state,
-            paths=tuple(np.ascontiguousarray(path[:, kept]) for path in state.paths),
-            blurs=(),
-            levels=Levels(
-                layout,
-                scales,
-                levels.channels[channels],
-                levels.discrepancy,
-                levels.memory,
-                levels.slope[stay],
-                held=~levels.learned[channels],
-            ),
-        ),
-    )
+
+
+def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator[tuple[Task, State]]:
+    """The task with other courses of input k, and the fit as a start for each."""
+    inputs, name = _inputs_of(fitted.state), task.layout.roles.inputs[k]
+    random = _of_course(name, motion.train, 0, motion.sensors.noise.get(name))
+    # from much noise, lest a discrepancy stands in for it
+    own = inputs[k]._replace(noise=max(inputs[k].noise, random.noise))
+    others = [own._replace(course=course) for course in OTHERWISE]
+    others += [random._replace(course=course) for course in (*OTHERWISE, *BENT)]
+    for other in others:
+        yield _with_others(motion, task, fitted.state, [*inputs[:k], other, *inputs[k + 1 :]])
+
+
+def _inputs_of(state: State) -> list[_Input]:
+    """The inputs of a fit."""
+    layout, levels = state.levels.layout, state.levels
+    before = len(layout.channels) - len(layout.roles.inputs)
+    return [
+        _Input(
+            layout.smoothness[k],
+            layout.centres[k],
+            layout.corners[k],
+            layout.courses[k],
+            float(levels.channels[before + k]),
+            float(levels.slope[k]),
+            tuple(path[:, first : last + 1] for path in state.paths),
+        )
+        for k, (first, last) in enumerate(zip(layout.driven, layout.slope, strict=True))
+    ]
+
+
+def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Input]) -> tuple[Task, State]:
+    """The task and the fit with other inputs."""
+    layout, levels = _with_inputs(task.layout, inputs), state.levels
+    first, before = layout.motion + layout.chains, len(layout.channels) - len(inputs)
+    series = tuple(_series(layout, rows) for rows in motion.train)
+    paths = tuple(np.hstack([path[:, :first], *(one.paths[i] for one in inputs)]) for i, path in enumerate(state.paths))
+    samples = np.concatenate([one.samples for one in series])
+    scales = _scales(layout, paths, levels.target, samples, levels.scales.interval)
+    scales.mean[:first], scales.variance[:first] = levels.scales.mean[:first], levels.scales.variance[:first]
+    noise = np.append(levels.channels[:before], [one.noise for one in inputs])
+    slope = np.array([one.slope for one in inputs])
+    levels = Levels(layout, scales, noise, levels.discrepancy, levels.memory, slope, held=levels.held)
+    return replace(task, layout=layout, series=series, recent=[]), replace(state, paths=paths, blurs=(), levels=levels)
 
 
 def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> tuple[Task, State]:
@@ -201,13 +231,13 @@ def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tu
     series, paths = series_and_paths(task.layout, motion.train)
     for path, (record, first) in zip(fitted.state.paths, places, strict=True):
         paths[record][first : first + len(path)] = path
-    spectra = [_spectrum(name, motion.train, task.layout.centres[k]) for k, name in enumerate(task.layout.noisy)]
+    spectra = [_spectrum(name, motion.train, task.layout.centres[k]) for k, name in enumerate(task.layout.roles.inputs)]
     return with_spectra(replace(task, series=series), replace(fitted.state, paths=paths, blurs=()), spectra)
 
 
 def series_and_paths(layout: Layout, pieces: Sequence[MotionRows]) -> tuple[tuple[Series, ...], tuple[Floats, ...]]:
     """Samples of some rows, and the smoothed motion as their paths."""
-    paths = tuple(_path(layout, rows, [rows.columns[name][:, None] for name in layout.noisy]) for rows in pieces)
+    paths = tuple(_path(layout, rows, [rows.columns[name][:, None] for name in layout.roles.inputs]) for rows in pieces)
     return tuple(_series(layout, rows) for rows in pieces), paths
 
 
@@ -216,11 +246,14 @@ def _series(layout: Layout, rows: MotionRows) -> Series:
     samples = np.empty((rows.n, len(layout.channels)))
     for i, (name, _) in enumerate(layout.channels):
         samples[:, i] = rows.samples[name]
-    exact = np.column_stack([rows.columns[name] for name in layout.exact]) if layout.exact else np.zeros((rows.n, 0))
-    inputs = interpolant(rows.time, exact, layout.interpolation)
+    given = np.zeros((rows.n, 0, 4))
     if layout.roles.timed:
-        inputs = with_time(rows.time, inputs)
-    return Series(np.diff(rows.time), samples, inputs, np.ones(samples.shape))
+        given = with_time(rows.time, given)
+    bends = np.zeros((rows.n, len(layout.courses), 2))
+    for k, (name, course) in enumerate(zip(layout.roles.inputs, layout.courses, strict=True)):
+        if course == "cubic" or course == "band-limited":
+            bends[:, k] = interpolant(rows.time, rows.columns[name][:, None], course)[:, 0, 2:]
+    return Series(np.diff(rows.time), samples, given, np.ones(samples.shape), bends)
 
 
 def _path(layout: Layout, rows: MotionRows, inputs: Sequence[Floats]) -> Floats:
@@ -239,7 +272,7 @@ def _scales(layout: Layout, paths: Sequence[Floats], targets: Floats, samples: F
     mean[layout.driven] = whole[:, layout.driven].mean(axis=0)
     variance[layout.discrepancy] = targets
     rounding = np.array([_rounding(column) for column in samples.T])
-    rounding[samples.shape[1] - len(layout.noisy) :] = 0.0  # a force may be switched
+    rounding[samples.shape[1] - len(layout.roles.inputs) :] = 0.0  # a force may be switched
     return Scales(mean, np.maximum(variance, 1e-300), np.nanvar(samples, axis=0), interval, rounding)
 
 
@@ -272,13 +305,18 @@ def _targets(roles: Roles, pieces: Sequence[MotionRows]) -> Floats:
     return np.concatenate([np.column_stack([rows.observed[t] for t in roles.targets]) for rows in pieces])
 
 
-def _input(name: str, pieces: Sequence[MotionRows], known: float | None = None) -> tuple[Levels, tuple[Floats, ...]]:
-    """The smoothness of an input that makes its own samples likeliest, as levels of it alone, and its paths."""
-    mean = float(np.concatenate([rows.columns[name] for rows in pieces]).mean())
-    spectrum = _spectrum(name, pieces, mean)
-    found = [_alone(name, pieces, smoothness, spectrum, known) for smoothness in SMOOTHNESS]
-    _, state, series = max(found, key=lambda one: one[0])
-    return state.levels, _smoothed(series, state)
+def _input(name: str, pieces: Sequence[MotionRows], known: float | None) -> _Input:
+    """An input of the smoothness that makes its own samples likeliest."""
+    found = [_alone(name, pieces, smoothness, known) for smoothness in SMOOTHNESS]
+    # Schwarz (1978): a random sequence has neither corner nor noise, which white samples would be taken for
+    rows = sum(min(len(one.samples), INPUT_ROWS) for one in found[0][2])
+    extra = math.log(rows) * np.sign(SMOOTHNESS)
+    return _smoothed(*found[int(np.argmax([one[0] for one in found] - extra))][1:])
+
+
+def _of_course(name: str, pieces: Sequence[MotionRows], smoothness: int, known: float | None) -> _Input:
+    """An input of some smoothness."""
+    return _smoothed(*_alone(name, pieces, smoothness, known)[1:])
 
 
 def _spectrum(name: str, pieces: Sequence[MotionRows], mean: float) -> Spectrum:
@@ -308,7 +346,7 @@ def with_spectra(task: Task, state: State, spectra: Sequence[Spectrum]) -> tuple
 
 
 def _alone(
-    name: str, pieces: Sequence[MotionRows], smoothness: int, spectrum: Spectrum, known: float | None = None
+    name: str, pieces: Sequence[MotionRows], smoothness: int, known: float | None
 ) -> tuple[float, State, list[Series]]:
     """Levels of an input by the likelihood of its own samples, nothing else in the model; that likelihood first."""
     values = np.concatenate([rows.columns[name] for rows in pieces])
@@ -318,12 +356,12 @@ def _alone(
     sizes = [variance, slope]
     if smoothness:
         order = smoothness + 1
-        corner, level, noise = spectrum_of(spectrum, order, step, variance)
+        corner, level, noise = spectrum_of(_spectrum(name, pieces, mean), order, step, variance)
         slope = step_variance(order, corner, step, level)
         sizes = [variance * corner ** (2 * k) for k in range(order)]
     if known is not None:
-        noise = known**2
-    layout = Layout(Roles((), (name,)), (), (), (name,), (smoothness,), (mean,), (corner,))
+        noise = max(known**2, LEAST_NOISE * variance)
+    layout = Layout(Roles((), (name,)), (), (), (smoothness,), (mean,), (corner,), ("smooth",))
     scales = Scales(np.array([mean, *[0.0] * (len(sizes) - 1)]), np.array(sizes), np.array([variance]))
     none = np.zeros(0)
     levels = Levels(layout, scales, np.array([noise]), none, none, np.array([slope]))
@@ -340,12 +378,14 @@ def _alone(
     return found.value, replace(state, levels=levels), series
 
 
-def _smoothed(series: Sequence[Series], state: State) -> tuple[Floats, ...]:
-    """The paths of an input alone: deviations from zero."""
+def _smoothed(state: State, series: Sequence[Series]) -> _Input:
+    """An input alone as its own samples have it; its paths are deviations from zero."""
     levels = state.levels
-    linears = linearised(levels.layout, series, state)
+    layout, linears = levels.layout, linearised(levels.layout, series, state)
     found = marginal(linears, state, levels, np.zeros(0))
-    return tuple(one.deviation for one in adjoints(linears, levels, found, found.delta))
+    paths = tuple(one.deviation for one in adjoints(linears, levels, found, found.delta))
+    sizes = float(levels.channels[0]), float(levels.slope[0])
+    return _Input(layout.smoothness[0], layout.centres[0], layout.corners[0], layout.courses[0], *sizes, paths)
 
 
 def _stretch(series: Series, rows: int) -> Series:

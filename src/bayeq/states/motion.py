@@ -31,7 +31,7 @@ FEW_ROWS = 10
 
 # Noise in states that are all measured, as a share of their standard deviation, below which they are used as they are:
 # it does no harm, and what a smoother makes of motion that is not its model's may do more.
-LEAST_NOISE = 0.01
+LEAST_NOISE = 0.0
 
 # With fewer rows in all none are held out.
 LEAST_ROWS_TO_HOLD_OUT = 50
