@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, adjoints, marginal, maximised, of_inputs
-from bayeq.likelihood.levels import MEMORY, Levels
+from bayeq.likelihood.levels import LEAST_DISCREPANCY, MEMORY, Levels
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.numerics.beta import incomplete_beta
@@ -81,6 +81,8 @@ class Octave(NamedTuple):
         The power over that of white noise.
     p : float
         Probability by chance of a share so far from its median.
+    share : float
+        Of all frequencies.
     """
 
     channel: str
@@ -88,6 +90,7 @@ class Octave(NamedTuple):
     high: float
     ratio: float
     p: float
+    share: float
 
 
 @dataclass(frozen=True)
@@ -190,8 +193,11 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
             left.append((innovation[:, 0] - innovation[:, 1:] @ here.delta) / np.sqrt(found.variance[measured, k]))
         if k < noisy:
             otherwise |= {(one.low, one.high) for one in octaves_of(channel, left, interval) if one.p < LEVEL}
-        else:
-            octaves += octaves_of(channel, left, interval, otherwise if kind < 0 else set())
+            continue
+        # as of discrepancies, less than that is none
+        least = LEAST_DISCREPANCY * levels.scales.channels[order[k]] / levels.channels[order[k]]
+        tested = octaves_of(channel, left, interval, otherwise if kind < 0 else set())
+        octaves += [one for one in tested if abs(one.ratio - 1.0) * one.share > least]
     return Adequacy(tuple(discrepancies), tuple(octaves))
 
 
@@ -337,7 +343,9 @@ def octaves_of(
             continue
         share = float(power[inside].sum()) / total
         lower = incomplete_beta(bins, len(power) - bins, share)
-        out.append(Octave(channel, low, high, share * len(power) / bins, 2.0 * min(lower, 1.0 - lower)))
+        out.append(
+            Octave(channel, low, high, share * len(power) / bins, 2.0 * min(lower, 1.0 - lower), bins / len(power))
+        )
     return out
 
 

@@ -46,6 +46,8 @@ class Noise(NamedTuple):
         Variances of what is then added.
     mean, start : (S,) arrays
         Mean and variance of the states at the first sample.
+    courses : (L,) array
+        Variance of what the course of each input between samples errs by, as a share of the square of its bends.
     """
 
     channels: Floats
@@ -53,6 +55,7 @@ class Noise(NamedTuple):
     steps: Floats
     mean: Floats
     start: Floats
+    courses: Floats
 
 
 class Filtered(NamedTuple):
@@ -266,8 +269,11 @@ def _forward(
                 work[now, i, start + i] += steps[i]
             _add_sources(sources, k - max(first, 1), work, now)
             for c in range(force.shape[1]):
-                if force[k - 1, c] > 0.0:
-                    _add_force(transition, k - 1, discrepancy[c], force[k - 1, c], sources.shape[1], work, now, start)
+                variance_c = force[k - 1, c]
+                for i in range(len(noise.courses)):
+                    variance_c += noise.courses[i] * linear.bends[k - 1, c, i]
+                if variance_c > 0.0:
+                    _add_force(transition, k - 1, discrepancy[c], variance_c, sources.shape[1], work, now, start)
         for channel in range(len(kinds)):
             S, kind = 0.0, kinds[channel]
             if not np.isnan(residual[k, channel]):
@@ -337,6 +343,8 @@ class Adjoint(NamedTuple):
     ----------
     channels : (M,) array
         By the variances R.
+    courses : (L,) array
+        By those of the courses.
     memory, steps, start : (S,) arrays
         By the entries of `Noise`; the first for states that stay what they are between samples, and 0 for those that
         have neither memory nor steps.
@@ -350,6 +358,7 @@ class Adjoint(NamedTuple):
     """
 
     channels: Floats
+    courses: Floats
     memory: Floats
     steps: Floats
     start: Floats
@@ -413,6 +422,23 @@ def _excess(work: Floats, then: int, i: int, start: int) -> float:
     total = -work[then, i, start + i]
     for j in range(start):
         total += work[then, i, j] ** 2
+    return total
+
+
+@kernel(borrowing=True)
+def _excess_of_force(
+    transition: Floats, k: int, d: int, motion: int, work: Floats, then: int, lines: Floats, start: int
+) -> float:
+    """The same of a force over a step."""
+    total = 0.0
+    for j in range(start + work.shape[1]):
+        lines[1, j] = 0.0
+        for i in range(motion):
+            lines[1, j] += transition[k, i, d] * work[then, i, j]
+        if j < start:
+            total += lines[1, j] ** 2
+        elif j < start + motion:
+            total -= lines[1, j] * transition[k, j - start, d]
     return total
 
 
@@ -548,7 +574,7 @@ def _backward(
     variance, gain, covariance = found.variance, found.gain, found.covariance
     work, step, lines, innovation, lasting, mean = at
     motion = linear.steps.motion
-    by_channels, by_memory, by_steps, _, deviation, smoothed, at_samples, between = out
+    by_channels, by_courses, by_memory, by_steps, _, deviation, smoothed, at_samples, between = out
     (n, size), start = path.shape, innovation.shape[2]
     for k in range(stop - 1, first - 1, -1):
         now = k % 2
@@ -568,6 +594,11 @@ def _backward(
                 for j in range(1, start):
                     total += work[then, i, j] * (lines[0, j] - mean[k - first, s, j - 1])
                 by_memory[i] += total
+            if len(lasting) > 0:
+                for c in range(len(forces) if len(by_courses) > 0 else 0):
+                    total = _excess_of_force(transition, k, forces[c], motion, work, then, lines, start)
+                    for i in range(len(by_courses)):
+                        by_courses[i] += 0.5 * linear.bends[k, c, i] * total
             if len(between) > 0:
                 for c in range(between.shape[1]):
                     for i in range(size):
@@ -627,6 +658,7 @@ def adjoint(
     chains, root = linear.gradient.shape[1], np.zeros((r, 0)) if V is None else _root(V)
     out = Adjoint(
         channels=np.zeros(len(linear.kinds)),
+        courses=np.zeros(len(noise.courses)),
         memory=np.zeros(size),
         steps=np.zeros(size),
         start=np.zeros(size),
@@ -643,7 +675,7 @@ def adjoint(
         np.matmul(found.mean[rows].reshape(-1, 1 + r), np.append(1.0, delta), out=out.deviation[rows].reshape(-1))
         _backward(linear, noise, found, first, rows.stop, at, out)
     if V is None:
-        out.channels[:] = 0.0
+        out.channels[:], out.courses[:] = 0.0, 0.0
         return out
     adjoints = at.work[0]
     out.start[:] = 0.5 * ((adjoints[:, : 1 + r] ** 2).sum(axis=1) - np.diagonal(adjoints[:, 1 + r : 1 + r + size]))

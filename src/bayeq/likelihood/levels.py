@@ -21,11 +21,12 @@ Floats = NDArray[np.float64]
 VAGUE = 10.0
 
 # Bounds: of noise and discrepancy as shares of the variance of channel and target, of what is left of a discrepancy
-# after a sample, and of an input's steps.
+# after a sample, and of what the course of an input errs by: at most as much as it bends.
 LEAST_NOISE, MOST_NOISE = 1e-10, 1e2
 LEAST_DISCREPANCY, MOST_DISCREPANCY = 1e-8, 1e2
 MOST_POSSIBLE = 1e1
 MEMORY = (0.02, 0.999)
+COURSES = (1e-6, 1.0)
 
 # A discrepancy forgets in this share of the motion's own time: one that remembers longer relaxes as a law does, and
 # replaces it; one that forgets sooner leaves a slow force that nobody measured to false terms
@@ -76,6 +77,8 @@ class Levels:
         What is left of a discrepancy after a sample.
     slope : (L,) array
         Variance of what is added to the highest derivative of each noisy input at a sample.
+    courses : (L,) array
+        Variance of what the course of each noisy input between samples errs by, as a share of the square of its bends.
     hessian : (F, F) array or None
         How the likelihood curves downwards in `free`, as the search that led here has found it, in the units of that
         search.
@@ -89,6 +92,7 @@ class Levels:
     discrepancy: Floats
     memory: Floats
     slope: Floats
+    courses: Floats
     hessian: Floats | None = None
     held: NDArray[np.bool_] | None = None
 
@@ -102,7 +106,7 @@ class Levels:
         steps[layout.discrepancy] = self.discrepancy * (1.0 - self.memory**2)
         start[layout.discrepancy] = self.discrepancy
         steps[layout.slope] = self.slope
-        return Noise(self.channels, memory, steps, self.scales.mean, start)
+        return Noise(self.channels, memory, steps, self.scales.mean, start, self.courses)
 
     @property
     def target(self) -> Floats:
@@ -151,7 +155,7 @@ class Levels:
     def of_discrepancies(self) -> NDArray[np.bool_]:
         """Those of `free` that are sizes and memories of discrepancies, (F,)."""
         out = np.zeros(len(self.free), dtype=np.bool_)
-        out[len(self.channels) : len(self.free) - len(self.slope)] = True
+        out[len(self.channels) : len(self.channels) + 2 * len(self.discrepancy)] = True
         return out
 
     @property
@@ -163,13 +167,14 @@ class Levels:
                 np.log(self.discrepancy),
                 _logit(self.memory),
                 np.log(self.slope),
+                np.log(self.courses),
             ]
         )
 
     def moved(self, free: Floats) -> Levels:
         """The levels of other numbers."""
         m, c = len(self.channels), len(self.discrepancy)
-        parts = np.split(free, np.cumsum([m, c, c]))
+        parts = np.split(free, np.cumsum([m, c, c, len(self.slope)]))
         channels = np.exp(parts[0])
         return Levels(
             self.layout,
@@ -178,6 +183,7 @@ class Levels:
             np.exp(parts[1]),
             1.0 / (1.0 + np.exp(-parts[2])),
             np.exp(parts[3]),
+            np.exp(parts[4]),
             held=self.held,
         )
 
@@ -191,12 +197,14 @@ class Levels:
             np.log(LEAST_DISCREPANCY * target),
             np.full(len(target), _logit(np.array(MEMORY[0]))),
             np.log(LEAST_DISCREPANCY * slope),
+            np.full(len(slope), np.log(COURSES[0])),
         ]
         high = [
             np.log(MOST_NOISE * self.scales.channels),
             np.log(MOST_DISCREPANCY * target),
             _logit(self.longest),
             np.log(1e4 * slope),
+            np.full(len(slope), np.log(COURSES[1])),
         ]
         return np.concatenate(low), np.concatenate(high)
 
@@ -205,7 +213,7 @@ class Levels:
         samples = np.asarray(sum(np.isfinite(linear.residual).sum(axis=0) for linear in linears), dtype=np.float64)
         inputs = samples[len(samples) - len(self.slope) :]
         few = np.full(2 * len(self.discrepancy), np.sqrt(samples.mean()))
-        return np.concatenate([0.5 * samples, few, STEP_SHARPNESS * inputs])
+        return np.concatenate([0.5 * samples, few, STEP_SHARPNESS * inputs, np.sqrt(inputs)])
 
     def slopes(self, found: Adjoint) -> Floats:
         """Derivatives of the likelihood by `free`."""
@@ -219,6 +227,7 @@ class Levels:
                 by_size * size,
                 by_memory * memory * (1.0 - memory),
                 found.steps[s] * self.slope,
+                found.courses * self.courses,
             ]
         )
 

@@ -105,6 +105,8 @@ class Linear(NamedTuple):
         As in `Series`.
     unresolved, force : (n, M) and (n - 1, C) arrays
         As in `Blur`.
+    bends : (n - 1, C, L) array
+        Squares of what the target of each equation changes by as an input bends between samples.
     discrepancy : (C,) int array
         See `Layout.discrepancy`.
     terms : (n, P + 1) array
@@ -132,6 +134,7 @@ class Linear(NamedTuple):
     spread: Floats
     unresolved: Floats
     force: Floats
+    bends: Floats
     discrepancy: Ints
     terms: Floats
     open_to: Floats
@@ -368,6 +371,7 @@ def linearise(
         spread=series.spread,
         unresolved=blur.unresolved,
         force=blur.force,
+        bends=(gradient[:-1, :, layout.driven] * _bends(path[:, layout.driven])[:, None]) ** 2,
         discrepancy=layout.discrepancy,
         terms=terms_at(layout, path, inputs),
         open_to=open_to,
@@ -376,6 +380,13 @@ def linearise(
         steps=steps,
         holds=tuple(holds),
     )
+
+
+def _bends(path: Floats) -> Floats:
+    """How far inputs are from straight lines halfway between samples, about, (n - 1, L): the larger of both ends."""
+    bend = np.zeros(path.shape)
+    bend[1:-1] = np.abs(np.diff(path, 2, axis=0)) / 8.0
+    return np.maximum(bend[1:], bend[:-1])
 
 
 def _hold_targets(layout: Layout, hold: Hold, path: Floats, target: Floats, gradient: Floats, open_to: Floats) -> None:

@@ -58,6 +58,9 @@ INPUT_ROWS = 2000
 OTHERWISE: tuple[Course, ...] = ("linear", "hold")
 BENT: tuple[Course, ...] = ("cubic", "band-limited")
 
+# What courses err by at first, as a share of the square of their bends.
+FIRST_COURSE = 1e-2
+
 # Memory of discrepancies at first.
 LEAST_MEMORY, MOST_MEMORY = 0.05, 0.99
 
@@ -120,6 +123,7 @@ def start_from(
         scales.variance[layout.discrepancy],
         np.clip(lag1, LEAST_MEMORY, MOST_MEMORY),
         np.array([one.slope for one in inputs]),
+        np.full(len(inputs), FIRST_COURSE),
         held=held,
     )
     none = np.zeros(0, dtype=np.int64)
@@ -212,7 +216,8 @@ def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Inp
     scales.mean[:first], scales.variance[:first] = levels.scales.mean[:first], levels.scales.variance[:first]
     noise = np.append(levels.channels[:before], [one.noise for one in inputs])
     slope = np.array([one.slope for one in inputs])
-    levels = Levels(layout, scales, noise, levels.discrepancy, levels.memory, slope, held=levels.held)
+    courses = np.full(len(inputs), FIRST_COURSE)
+    levels = Levels(layout, scales, noise, levels.discrepancy, levels.memory, slope, courses, held=levels.held)
     return replace(task, layout=layout, series=series, recent=[]), replace(state, paths=paths, blurs=(), levels=levels)
 
 
@@ -364,7 +369,7 @@ def _alone(
     layout = Layout(Roles((), (name,)), (), (), (smoothness,), (mean,), (corner,), ("smooth",))
     scales = Scales(np.array([mean, *[0.0] * (len(sizes) - 1)]), np.array(sizes), np.array([variance]))
     none = np.zeros(0)
-    levels = Levels(layout, scales, np.array([noise]), none, none, np.array([slope]))
+    levels = Levels(layout, scales, np.array([noise]), none, none, np.array([slope]), np.ones(1))
     series = [_series(layout, rows) for rows in pieces]
     nothing = Candidates(none.astype(np.int64), none.astype(np.int64))
     zero = tuple(np.zeros((len(one.samples), layout.size)) for one in series)
@@ -373,7 +378,7 @@ def _alone(
     few_rows = replace(state, paths=tuple(path[: len(one.samples)] for path, one in zip(zero, short, strict=True)))
     linears = linearised(layout, short, few_rows)
     # of a random sequence noise cannot be told
-    held = np.array([not smoothness or known is not None, False])
+    held = np.array([not smoothness or known is not None, False, True])
     levels, found = maximised(linears, few_rows, none, held, steps=20, tolerance=1e-5)
     return found.value, replace(state, levels=levels), series
 
