@@ -159,6 +159,11 @@ def random_problem(rng, n=None, P=None, rho=None, noise=None, active=None):
     return D, y - y.mean(), truth
 
 
+def force_of(linear, noise):
+    """Variance of what is left out of each equation over each step, (n - 1, C)."""
+    return linear.force + linear.bends @ noise.courses
+
+
 def state_space_gaussian(linear, chosen, noise):
     """The joint Gaussian of all samples of a linearised record: level, slope and information of the coefficients.
 
@@ -179,7 +184,7 @@ def state_space_gaussian(linear, chosen, noise):
         cov[k + 1] = np.tensordot(A, cov[k], 1)
         cov[: k + 1, :, k + 1] = cov[k + 1, :, : k + 1].transpose(1, 2, 0)
         push = linear.transition[k][:, linear.discrepancy] * (np.arange(size) < len(own))[:, None]
-        cov[k + 1, :, k + 1] = A @ cov[k, :, k] @ A.T + np.diag(noise.steps) + push * linear.force[k] @ push.T
+        cov[k + 1, :, k + 1] = A @ cov[k, :, k] @ A.T + np.diag(noise.steps) + push * force_of(linear, noise)[k] @ push.T
     H, X, y, R = [], [], [], []
     for k, channel in zip(*np.nonzero(np.isfinite(linear.residual)), strict=True):
         kind, row, own = linear.kinds[channel], np.zeros((n, size)), np.zeros(r)

@@ -137,7 +137,7 @@ def test_several_records_share_what_is_learned():
     assert together.posterior.sd[j] == pytest.approx(alone.posterior.sd[k] / np.sqrt(3), rel=0.35)
 
 
-def test_an_input_without_noise_is_interpolated_as_the_motion_asks():
+def test_an_input_takes_the_course_between_samples_that_the_motion_asks_for():
     rng = np.random.default_rng(1)
     fine = 1600
     u = np.repeat(rng.normal(size=400), 4)  # held for ten samples
@@ -154,7 +154,7 @@ def test_an_input_without_noise_is_interpolated_as_the_motion_asks():
     (one,) = quietly(record, chains=["x::"], inputs=["u"], dictionary=["x", "dx", "u"])
     assert one.shown_coef["u"] == pytest.approx(1.0, rel=0.01)
     assert one.shown_coef["x"] == pytest.approx(-40.0, rel=0.01)
-    assert not one.fit.regression.record.task.layout.noisy
+    assert one.fit.regression.record.task.layout.courses == ("hold",)
 
 
 def test_a_missing_term_leaves_a_discrepancy():

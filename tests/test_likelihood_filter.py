@@ -17,7 +17,6 @@ from bayeq.likelihood.levels import Levels, Scales
 from bayeq.likelihood.linear import sources_of
 from bayeq.likelihood.search import Task
 from bayeq.likelihood.series import Series
-from bayeq.ode.rk4 import interpolant
 from bayeq.states import Roles
 
 from . import reference
@@ -36,17 +35,17 @@ TRUTH = {
 }
 
 
-def layout_of(smoothness=3):
-    """Chains of orders 2 and 1, the highest derivative of one measured; an input with noise, and an exact one."""
+def layout_of(smoothness=3, course="smooth"):
+    """Chains of orders 2 and 1, the highest derivative of one measured; a smooth input, and another one."""
     roles = Roles.parse(chains=["x:v:a", "z"], inputs=["u", "w"])
     terms = build_dictionary("polynomial:2", Variables(roles.states, roles.inputs))
     gains = (np.array([1.0, 2.0, 0.5]), np.ones(2))
-    return Layout(roles, terms, gains, noisy=("u",), smoothness=(smoothness,), centres=(0.2,), corners=(2.0,))
+    return Layout(roles, terms, gains, (3, smoothness), (0.2, -0.1), (2.0, 1.5), ("smooth", course))
 
 
-def system(n, seed=0, step=0.1, gaps=0.15, smoothness=3):
+def system(n, seed=0, step=0.1, gaps=0.15, smoothness=3, course="smooth"):
     """A layout, a record whose samples are near a path, and a fit that stands there."""
-    layout, rng = layout_of(smoothness), np.random.default_rng(seed)
+    layout, rng = layout_of(smoothness, course), np.random.default_rng(seed)
     time = np.cumsum(step * rng.uniform(0.8, 1.2, n))
     path = np.zeros((n, layout.size))
     for i in range(layout.size):
@@ -60,7 +59,8 @@ def system(n, seed=0, step=0.1, gaps=0.15, smoothness=3):
     samples[rng.random(samples.shape) < gaps] = np.nan
     spread = rng.uniform(0.5, 3.0, samples.shape)
     unresolved = rng.exponential(0.01, samples.shape)
-    series = Series(np.diff(time), samples, interpolant(time, np.sin(time)[:, None], "cubic"), spread)
+    bends = 0.1 * rng.normal(size=(n, 2, 2)) * (course == "cubic")
+    series = Series(np.diff(time), samples, np.zeros((n, 0, 4)), spread, bends)
     scales = Scales(0.1 * rng.normal(size=layout.size), rng.uniform(0.5, 2.0, layout.size), np.ones(samples.shape[1]))
     levels = Levels(
         layout,
@@ -68,7 +68,8 @@ def system(n, seed=0, step=0.1, gaps=0.15, smoothness=3):
         channels=rng.uniform(0.005, 0.05, samples.shape[1]),
         discrepancy=np.array([0.1, 0.05]),
         memory=np.array([0.8, 0.6]),
-        slope=np.array([0.5]),
+        slope=np.array([0.5, 0.2]),
+        courses=np.array([0.3, 0.1]),
     )
     texts = [term.text for term in layout.terms]
     chosen = Candidates(np.array([c for c, _ in TRUTH]), np.array([texts.index(text) for _, text in TRUTH]))
@@ -127,7 +128,7 @@ def test_the_likeliest_levels_come_with_their_likelihood():
     assert found.value > marginal(linears, state, state.levels, precision).value
     # a search that starts there with what was learnt has nothing to do
     again, same = maximised(linears, replace(state, levels=levels), precision)
-    assert same.value - found.value < 0.01
+    assert same.value - found.value < 0.05
     np.testing.assert_allclose(again.free, levels.free, atol=0.1)
 
 
@@ -183,9 +184,9 @@ def test_the_path_and_the_directions_need_no_columns():
         adjoint(linear, noise, found, delta, np.eye(r), True, True),
         adjoint(linear, noise, found, delta, None, True, True),
     )
-    for one, other in zip(lean[4:], whole[4:], strict=True):
+    for one, other in zip(lean[5:], whole[5:], strict=True):
         close(one, other, 1e-10)
-    assert not any(part.any() for part in lean[:4])
+    assert not any(part.any() for part in lean[:5])
 
 
 def test_sums_need_no_rows():
@@ -246,6 +247,8 @@ def parts(found):
 def errors_of_the_score(step):
     """Of the determinant's and the quadratic form's derivatives by all coefficients, as shares of the largest."""
     layout, series, state = system(40, 3, step)
+    # what courses err by scales with their coefficients as with its own size, which is learned
+    state = replace(state, levels=replace(state.levels, courses=np.full(2, 1e-12)))
     every = layout.everything
     theta = np.zeros(len(every.chain))
     theta[state.chosen.chain * (len(layout.terms) + 1) + state.chosen.term] = state.theta
@@ -283,9 +286,11 @@ def shifted(layout, series, state, direction):
     return (ends[0] - ends[1]) / 2e-5, (seen[0] - seen[1]) / 2e-5
 
 
-@pytest.mark.parametrize("smoothness", [0, 1, 3])
-def test_a_linearisation_has_the_derivatives_of_its_steps_and_predictions(smoothness):
-    layout, series, state = system(15, smoothness=smoothness)
+@pytest.mark.parametrize(
+    ("smoothness", "course"), [(0, "linear"), (0, "cubic"), (1, "smooth"), (3, "smooth"), (3, "linear"), (2, "hold")]
+)
+def test_a_linearisation_has_the_derivatives_of_its_steps_and_predictions(smoothness, course):
+    layout, series, state = system(15, smoothness=smoothness, course=course)
     [linear] = linearised(layout, [series], state)
     np.testing.assert_array_equal(np.isnan(linear.residual), np.isnan(series.samples))
     for i in range(layout.size):
@@ -332,7 +337,7 @@ def drawn(linear, chosen, noise, delta, rng):
     e[0] = noise.mean - linear.path[0] + np.sqrt(noise.start) * rng.normal(size=size)
     for k in range(n - 1):
         push = linear.transition[k][:, linear.discrepancy] * (np.arange(size) < linear.steps.motion)[:, None]
-        sources[k + 1] += push @ (np.sqrt(linear.force[k]) * rng.normal(size=2))
+        sources[k + 1] += push @ (np.sqrt(reference.force_of(linear, noise)[k]) * rng.normal(size=2))
         ahead = linear.end[k] + linear.transition[k] @ e[k] + sources[k + 1]
         e[k + 1] = noise.memory * ahead - linear.path[k + 1] + np.sqrt(noise.steps) * rng.normal(size=size)
     samples = np.sqrt(noise.channels * linear.spread + linear.unresolved) * rng.normal(size=linear.residual.shape)
@@ -377,7 +382,7 @@ def solutions(layout, series, state, draws, rng):
         paths[:, k] = at
         step = series.intervals[min(k, n - 2)]
         zeros = np.zeros((draws + 1, samples.shape[2]))
-        rows = Series(np.full(draws, step), zeros, series.inputs[[k] * (draws + 1)], 1.0 + zeros)
+        rows = Series(np.full(draws, step), zeros, series.inputs[[k] * (draws + 1)], 1.0 + zeros, series.bends[[k] * (draws + 1)])
         [linear] = linearised(layout, [rows], replace(state, paths=(at,), blurs=()))
         sd = np.sqrt(noise.channels * series.spread[k] + state.blurs[0].unresolved[k])
         samples[:, k] = -linear.residual + sd * rng.normal(size=samples[:, k].shape)
@@ -389,7 +394,8 @@ def solutions(layout, series, state, draws, rng):
 def test_scores_at_the_truth_are_those_of_draws_from_the_model_itself():
     layout, series, state = system(50, step=0.05)
     start = np.where(np.isin(np.arange(layout.size), layout.discrepancy), 1.0, 1e-4)
-    state = replace(state, levels=replace(state.levels, scales=replace(state.levels.scales, variance=start)))
+    scales = replace(state.levels.scales, variance=start)
+    state = replace(state, levels=replace(state.levels, scales=scales, courses=np.full(2, 1e-12)))
     scores, informations, without = [], [], []
     for path, samples in zip(*solutions(layout, series, state, 200, np.random.default_rng(8)), strict=True):
         one = series._replace(samples=samples)
