@@ -184,7 +184,9 @@ def state_space_gaussian(linear, chosen, noise):
         cov[k + 1] = np.tensordot(A, cov[k], 1)
         cov[: k + 1, :, k + 1] = cov[k + 1, :, : k + 1].transpose(1, 2, 0)
         push = linear.transition[k][:, linear.discrepancy] * (np.arange(size) < len(own))[:, None]
-        cov[k + 1, :, k + 1] = A @ cov[k, :, k] @ A.T + np.diag(noise.steps) + push * force_of(linear, noise)[k] @ push.T
+        cov[k + 1, :, k + 1] = (
+            A @ cov[k, :, k] @ A.T + np.diag(noise.steps) + push * force_of(linear, noise)[k] @ push.T
+        )
     H, X, y, R = [], [], [], []
     for k, channel in zip(*np.nonzero(np.isfinite(linear.residual)), strict=True):
         kind, row, own = linear.kinds[channel], np.zeros((n, size)), np.zeros(r)

@@ -78,7 +78,7 @@ def test_octaves_of_hum():
 
 def test_many_tests_reject_at_their_level_together():
     # the least of 20 probabilities of 0.002 is no surprise, of 0.0002 it is
-    chance = [Octave("x", 1.0, 2.0, 1.1, p) for p in (0.002, *np.linspace(0.05, 1.0, 19))]
+    chance = [Octave("x", 1.0, 2.0, 1.1, p, 0.1) for p in (0.002, *np.linspace(0.05, 1.0, 19))]
     assert Adequacy((NOTHING,), tuple(chance)).coloured(["x"]) is None
     chance[0] = chance[0]._replace(p=0.0002)
     adequacy = Adequacy((NOTHING,), tuple(chance))
@@ -92,7 +92,7 @@ def test_verdicts_from_the_worst():
     found = Verdict("found", "R2 1")
     others = Alternatives(0.2, ("v**3",), ("v",))
     lacking = NOTHING._replace(size=0.03, low=0.02, high=0.04, p=1e-9)
-    hum = Octave("v", 40.0, 80.0, 4.0, 1e-9)
+    hum = Octave("v", 40.0, 80.0, 4.0, 1e-9, 0.1)
     none = Alternatives(0.0)
     (chain,) = Roles.parse("x:v:a").chains
 

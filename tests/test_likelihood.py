@@ -299,7 +299,7 @@ def blurred(texts, theta, columns, covariance, push=0.0, substeps=1):
     layout = Layout(roles, tuple(map(parse, texts)), (np.ones(3),))
     n = len(columns["x"])
     path = np.column_stack([columns["x"], columns["v"], np.zeros(n)])
-    series = Series(np.full(n - 1, 0.01), np.zeros((n, 3)), np.zeros((n, 0, 4)), np.ones((n, 3)))
+    series = Series(np.full(n - 1, 0.01), np.zeros((n, 3)), np.zeros((n, 0, 4)), np.ones((n, 3)), np.zeros((n, 0, 2)))
     force = np.zeros((n - 1, 3, 1))
     force[:, 1, 0] = push
     whole = np.zeros((n, 3, 3))

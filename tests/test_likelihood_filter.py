@@ -129,7 +129,8 @@ def test_the_likeliest_levels_come_with_their_likelihood():
     # a search that starts there with what was learnt has nothing to do
     again, same = maximised(linears, replace(state, levels=levels), precision)
     assert same.value - found.value < 0.05
-    np.testing.assert_allclose(again.free, levels.free, atol=0.1)
+    sharp = ~levels.optional
+    np.testing.assert_allclose(again.free[sharp], levels.free[sharp], atol=0.1)
 
 
 def test_where_a_fit_has_stood_it_is_not_linearised_again():
@@ -382,7 +383,9 @@ def solutions(layout, series, state, draws, rng):
         paths[:, k] = at
         step = series.intervals[min(k, n - 2)]
         zeros = np.zeros((draws + 1, samples.shape[2]))
-        rows = Series(np.full(draws, step), zeros, series.inputs[[k] * (draws + 1)], 1.0 + zeros, series.bends[[k] * (draws + 1)])
+        rows = Series(
+            np.full(draws, step), zeros, series.inputs[[k] * (draws + 1)], 1.0 + zeros, series.bends[[k] * (draws + 1)]
+        )
         [linear] = linearised(layout, [rows], replace(state, paths=(at,), blurs=()))
         sd = np.sqrt(noise.channels * series.spread[k] + state.blurs[0].unresolved[k])
         samples[:, k] = -linear.residual + sd * rng.normal(size=samples[:, k].shape)

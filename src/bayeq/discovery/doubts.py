@@ -40,7 +40,7 @@ def warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
     if unused and not motion.smoothing:
         log.warn(
             f"the noise given of {', '.join(unused)} is not used: states and targets are taken as measured here; of"
-            " inputs it would be; leave it out, or use smooth='auto' with time and 40 rows, which takes 1 % or more",
+            " inputs it would be; leave it out, or use smooth='auto' with time and 10 rows or more",
             DataWarning,
         )
 

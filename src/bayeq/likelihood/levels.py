@@ -152,10 +152,11 @@ class Levels:
         return out
 
     @property
-    def of_discrepancies(self) -> NDArray[np.bool_]:
-        """Those of `free` that are sizes and memories of discrepancies, (F,)."""
-        out = np.zeros(len(self.free), dtype=np.bool_)
-        out[len(self.channels) : len(self.channels) + 2 * len(self.discrepancy)] = True
+    def optional(self) -> NDArray[np.bool_]:
+        """Those of `free` that may be nothing, about which the likelihood is flat: discrepancies and courses, (F,)."""
+        inputs = len(self.slope)
+        out = np.ones(len(self.free), dtype=np.bool_)
+        out[: len(self.channels)] = out[len(out) - 2 * inputs : len(out) - inputs] = False
         return out
 
     @property

@@ -168,7 +168,7 @@ def relearned(task: Task, state: State, block: Block, curve: Curvature) -> Relea
     H = q.information[np.ix_(included, included)] + np.diag(known)
     carried = np.linalg.solve(H, np.column_stack([B[included, :count], slope[included] - known * theta[included]]))
     A = -S[:, :count] - B[included, :count].T @ carried[:, :-1]
-    others = ~levels.of_discrepancies[curve.moving]
+    others = ~levels.optional[curve.moving]
     longest = np.where(others, LONGEST, OF_DISCREPANCIES)
     moved[:count] += _uphill(0.5 * (A + A.T), score + B[included, :count].T @ carried[:, -1], longest)
     quadratic = replace(q, slope=q.slope + B @ moved)

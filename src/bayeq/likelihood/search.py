@@ -238,7 +238,7 @@ def fit(task: Task, state: State, coarse: bool = False, further: bool = True, ca
     number = task.number(state.chosen)
     precision, before, last, halved = task.precision[number], -np.inf, None, 0
     for step in range(STEPS if coarse else MOST_STEPS + calm):
-        held = state.levels.of_discrepancies if step < calm else None
+        held = state.levels.optional if step < calm else None
         while True:
             linears = task.linearised(state)
             try:

@@ -29,10 +29,6 @@ Bools = NDArray[np.bool_]
 # In fewer rows of all records together nothing distinguishes noise from motion: they are differentiated as they are.
 FEW_ROWS = 10
 
-# Noise in states that are all measured, as a share of their standard deviation, below which they are used as they are:
-# it does no harm, and what a smoother makes of motion that is not its model's may do more.
-LEAST_NOISE = 0.0
-
 # With fewer rows in all none are held out.
 LEAST_ROWS_TO_HOLD_OUT = 50
 
@@ -186,10 +182,8 @@ def estimate_motion(
     With "auto" the kinematic smoother fuses all measured channels of a chain (`bayeq.states.kinematic`), and samples
     that were dropped from a uniform grid, or are missing (NaN), are bridged: the states then have a row for each. Where
     nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Less than 10 rows in
-    all are differentiated as they are. Records without time, and states and targets that are all measured with hardly
-    any noise, are left to `derive_states`, whose errors are those of this function, unless an input has known noise.
-    Noise levels are learned from the
-    training rows; the rows held out are smoothed apart.
+    all are differentiated as they are. Records without time are left to `derive_states`, whose errors are those of this
+    function. Noise levels are learned from the training rows; the rows held out are smoothed apart.
 
     Parameters
     ----------
@@ -204,7 +198,7 @@ def estimate_motion(
     sensors : Sensors, optional
         Noise levels that are known are not learned.
     band : (float, float), optional
-        Frequencies [Hz] between which equations are to be fitted, for which motion is smoothed in any case.
+        Frequencies [Hz] between which equations are to be fitted.
 
     Raises
     ------
@@ -215,7 +209,7 @@ def estimate_motion(
     if all(record.time is not None for record in records) and sum(record.n for record in records) < FEW_ROWS:
         smooth = "none"
         records = records if whole else [complete_rows(record, roles) for record in records]
-    smoothed = _smoothed(records, roles, smooth, share, sensors, always=band is not None)
+    smoothed = _smoothed(records, roles, smooth, share, sensors)
     if band is not None and (smoothed is None or any(one.fs is None for one in smoothed[2])):
         raise RecordError(
             f"{records[0].name or 'record'}: a band of frequencies needs records of {FEW_ROWS} rows or more, sampled"
@@ -252,9 +246,9 @@ def _as_measured(record: Record, roles: Roles, smooth: Smooth) -> MotionRows:
 
 
 def _smoothed(
-    records: Sequence[Record], roles: Roles, smooth: Smooth, share: float, sensors: Sensors, always: bool = False
+    records: Sequence[Record], roles: Roles, smooth: Smooth, share: float, sensors: Sensors
 ) -> tuple[tuple[MotionRows, ...], tuple[int, ...], tuple[ChainSmoothing, ...]] | None:
-    """Rows by the kinematic smoother; None where records are better taken as measured, unless `always`."""
+    """Rows by the kinematic smoother; None where records are taken as measured."""
     timed = all(record.time is not None for record in records)
     wanted = timed and smooth != "none"
     # what is checked is checked before the work
@@ -274,11 +268,6 @@ def _smoothed(
     except RecordError:
         if integrated:  # which only the smoother can do
             raise
-        return None
-    measured_all = all(name is not None for chain in roles.chains for name in chain.measured)
-    forced = any(map(sensors.noisy, roles.inputs))
-    clean = all(smoothing.noise_ratio < LEAST_NOISE for _, smoothing in found)
-    if measured_all and clean and not forced and not always:
         return None
     rows = tuple(_rows(record, roles, [means[i] for means, _ in found]) for i, record in enumerate(filled))
     return rows, cuts, tuple(smoothing for _, smoothing in found)
