@@ -1,13 +1,14 @@
 """Oscillators with terms drawn at random: are the probabilities and intervals of the default pipeline right?
 
 A unit mass on a spring under the paper's force, with none to three further terms of the 36 and coefficients that give
-each a share of the acceleration's variance, log-uniform from 1e-4 to 0.3, in the motion of the mass on the spring
-alone; drawn again until the motion is stable, not held by friction, and resolved by the integration and the samples.
-4,000 rows at 1 kHz, 5 % noise on displacement, velocity, acceleration and force, all rows used. Lines of the table:
-candidates by their posterior inclusion probability, with the share of them that is true and its standard error
-(records are the units of chance); the terms above 0.99; and the intervals of included terms, and those that are
-printed of the terms shown, those of false terms
-among them, which ought to cover zero.
+each a share of the acceleration, log-uniform, in the motion of the mass on the spring alone; drawn again until the
+motion is stable, not held by friction, and resolved by the integration and the samples. 4,000 rows at 1 kHz, noise on
+displacement, velocity, acceleration and force, all rows used. "auto": terms of 1 to 55 % of the standard deviation, 5 %
+noise; "weak": one to three terms without jumps of 0.05 to 40 %, noise log-uniform from 0.5 to 10 %; "signs": the same,
+one of them with a jump. Lines of the table: candidates by their posterior inclusion probability, with the share of them
+that is true and its standard error (records are the units of chance); the terms above 0.99; and the intervals of
+included terms, and those that are printed of the terms shown, those of false terms among them, which ought to cover
+zero. An answer is right if it shows no false term, and every true one or a bound that it is below.
 
     python -m studies.random_truths > docs/tables/random_truths.csv
 """
@@ -15,7 +16,7 @@ among them, which ought to cover zero.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
@@ -26,8 +27,8 @@ from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
 from bayeq.errors import InputError
+from bayeq.likelihood.signs import jumps_of
 from bayeq.records import Record
-from bayeq.states import Smooth
 from bayeq.systems import simulate
 from bayeq.systems.force import BandLimitedForce
 from bayeq.systems.system import System
@@ -39,14 +40,27 @@ __all__ = ["draw_record", "draw_system", "main"]
 Floats = NDArray[np.float64]
 
 RECORDS = 300
-ROWS, RATE, NOISE = 4000, 1000.0, 0.05
+ROWS, RATE = 4000, 1000.0
 SUBSTEPS = 4
 STIFFNESS, DAMPING = 1000.0, 2.0
 FORCE = BandLimitedForce(50.0, (0.0, 100.0))
 
-# Further terms, and the share of the acceleration's variance that each is to have.
-MOST_MORE = 3
-LEAST_SHARE, MOST_SHARE = 1e-4, 0.3
+
+@dataclass(frozen=True)
+class Kind:
+    """Numbers of further terms; the share of the acceleration's standard deviation that each is to have; noise.
+
+    `signs`: whether one of them jumps, or none; None for any.
+    """
+
+    terms: tuple[int, int] = (0, 3)
+    share: tuple[float, float] = (0.01, 0.55)
+    noise: tuple[float, float] = (0.05, 0.05)
+    signs: bool | None = None
+
+
+WEAK = Kind((1, 3), (0.0005, 0.4), (0.005, 0.1), False)
+KINDS = {"auto": Kind(), "weak": WEAK, "signs": replace(WEAK, signs=True)}
 
 # Motion further than this multiple of that of the mass on the spring is not stable.
 MOST_RANGE = 5.0
@@ -56,14 +70,14 @@ MOST_RANGE = 5.0
 MOST_CHANGES = 0.1
 
 # Steps this many times smaller change the motion by no more than this share of the noise, else it is not what the
-# equation says.
-FINER, SAME = 8, 0.1
+# equation says; velocities are those of the sampled accelerations to this share of their standard deviation.
+FINER, SAME, SAMPLED = 8, 0.1, 0.05
 
 BINS = np.linspace(0.0, 1.0, 11)
 CERTAIN = 0.99
 
 
-def _system(coefficients: Mapping[str, float]) -> System:
+def _system(coefficients: Mapping[str, float], noise: float = 0.0) -> System:
     law = "+".join(f"({value!r})*({term})" for term, value in coefficients.items())
     return System(
         name="random",
@@ -77,26 +91,30 @@ def _system(coefficients: Mapping[str, float]) -> System:
         force=FORCE,
         n=ROWS,
         fs=RATE,
-        noise=NOISE,
+        noise=noise,
         substeps=SUBSTEPS,
         citation="none",
     )
 
 
-def draw_system(seed: int) -> System:
+def draw_system(seed: int, kind: Kind) -> System:
     """An oscillator whose clean motion under the force of the same seed is stable."""
     rng = np.random.default_rng([seed, 1])
+    noise = float(np.exp(rng.uniform(*np.log(kind.noise))))
     alone = simulate(_system({"x": -STIFFNESS, "v": -DAMPING, "u": 1.0}), seed=seed, noise=0.0)
     terms = [
         term for term in build_dictionary("oscillator", Variables(("x", "v"), ("u",))) if term.text not in ("x", "u")
     ]
     spread = evaluate_terms(terms, {name: alone[name] for name in ("x", "v", "u")}).std(axis=0) / alone["a"].std()
+    jumps = np.array([bool(jumps_of(term.tree)) for term in terms])
     while True:
-        chosen = rng.choice(len(terms), size=rng.integers(0, MOST_MORE, endpoint=True), replace=False)
-        shares = np.exp(rng.uniform(np.log(LEAST_SHARE), np.log(MOST_SHARE), len(chosen)))
-        values = rng.choice([-1.0, 1.0], len(chosen)) * np.sqrt(shares) / spread[chosen]
+        chosen = rng.choice(len(terms), size=rng.integers(*kind.terms, endpoint=True), replace=False)
+        if kind.signs is not None and jumps[chosen].sum() != kind.signs:
+            continue
+        shares = np.exp(rng.uniform(*np.log(kind.share), len(chosen)))
+        values = rng.choice([-1.0, 1.0], len(chosen)) * shares / spread[chosen]
         found = {"x": -STIFFNESS, "u": 1.0} | {terms[j].text: float(v) for j, v in zip(chosen, values, strict=True)}
-        system = _system(found)
+        system = _system(found, noise)
         try:
             clean = simulate(system, seed=seed, noise=0.0)
         except InputError:  # it diverges
@@ -118,15 +136,15 @@ def _resolved(system: System, clean: Record, seed: int) -> bool:
     except InputError:  # it diverges
         return False
     for name in ("x", "v"):
-        if np.std(finer[name] - clean[name]) > SAME * NOISE * clean[name].std():
+        if np.std(finer[name] - clean[name]) > SAME * system.noise * clean[name].std():
             return False
     missed = np.diff(clean["v"]) - 0.5 / RATE * (clean["a"][1:] + clean["a"][:-1])
-    return bool(np.sqrt(np.mean(missed**2)) < NOISE * clean["v"].std())
+    return bool(np.sqrt(np.mean(missed**2)) < SAMPLED * clean["v"].std())
 
 
-def draw_record(seed: int) -> Record:
+def draw_record(seed: int, kind: Kind) -> Record:
     """A noisy record of the oscillator of that seed."""
-    return simulate(draw_system(seed), seed=seed)
+    return simulate(draw_system(seed, kind), seed=seed)
 
 
 def _judged(eqs: Equations, truth: Mapping[str, float]) -> dict[str, object]:
@@ -137,7 +155,15 @@ def _judged(eqs: Equations, truth: Mapping[str, float]) -> dict[str, object]:
     def covers(ci: Floats, kept: Sequence[bool]) -> list[bool]:
         return [low <= value <= high for (low, high), value, k in zip(ci.tolist(), true, kept, strict=True) if k]
 
+    shown_true = dict(zip((term.text for term in eq.terms), true, strict=True))
+    unseen = {name: value for name, value in truth.items() if name not in eq.shown}
+    limits = np.full(len(eq.terms), np.nan) if eq.bound is None else eq.bound
+    bound = dict(zip((term.text for term in eq.terms), np.nan_to_num(limits).tolist(), strict=True))
     return {
+        "right": all(shown_true[name] for name in eq.shown)
+        and all(abs(value) <= bound.get(name, 0.0) for name, value in unseen.items()),
+        "unseen": len(unseen),
+        "below": sum(abs(value) <= bound.get(name, 0.0) for name, value in unseen.items()),
         "pips": [[round(float(p), 6), value != 0.0] for p, value in zip(pip, true, strict=True)],
         "covers": covers(eq.ci95, support.tolist()),
         "printed": covers(eq.printed_ci95, shown.tolist()),
@@ -146,8 +172,8 @@ def _judged(eqs: Equations, truth: Mapping[str, float]) -> dict[str, object]:
     }
 
 
-def _measure(smooth: Smooth, seed: int) -> Outcome:
-    record = draw_record(seed)
+def _measure(kind: Kind, seed: int) -> Outcome:
+    record = draw_record(seed, kind)
     assert record.truth is not None
     truth = record.truth.coefficients["a"]
     fit = partial(
@@ -157,7 +183,6 @@ def _measure(smooth: Smooth, seed: int) -> Outcome:
         velocity="v",
         acceleration="a",
         force="u",
-        smooth=smooth,
         holdout=0.0,
     )
     return timed(fit, lambda eqs: _judged(eqs, truth))
@@ -203,6 +228,13 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
         "count": len(known),
         "found": percent(sum(bool(outcome["exact"]) for outcome in known), len(known)),
     }
+    unseen = sum(int(outcome["unseen"]) for outcome in known)
+    below = sum(int(outcome["below"]) for outcome in known)
+    yield {
+        "line": "true terms not shown, below their bound, per cent",
+        "count": unseen,
+        "found": percent(below, unseen),
+    }
     for kind in sorted({str(outcome["verdict"]) for outcome in known}):
         some = [outcome for outcome in known if outcome["verdict"] == kind]
         yield {
@@ -210,11 +242,16 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
             "count": len(some),
             "found": percent(sum(bool(outcome["exact"]) for outcome in some), len(some)),
         }
+        yield {
+            "line": f"of verdict {kind}: right, per cent",
+            "count": len(some),
+            "found": percent(sum(bool(outcome["right"]) for outcome in some), len(some)),
+        }
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and write the table to standard output."""
-    cells = [Cell({"method": smooth}, RECORDS, partial(_measure, smooth)) for smooth in ("auto", "band")]
+    cells = [Cell({"method": name}, RECORDS, partial(_measure, kind)) for name, kind in KINDS.items()]
     run_study(
         "random_truths", "Probabilities and intervals where terms are drawn at random.", cells, _summary, arguments
     )

@@ -14,7 +14,7 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.forecast.windows import correlation_time, typical_period, window_runs
 from bayeq.likelihood.adequacy import Discrepancy, Octave
-from bayeq.likelihood.spike import IMPROBABLE
+from bayeq.likelihood.spike import IMPROBABLE, LEAST
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
 from bayeq.selection.alternatives import Alternatives
@@ -224,7 +224,7 @@ def doubted(
         )
     share = left if left is not None else 0.0 if lacking is None else lacking.size
     size = f"{100 * share:.2g} % of the standard deviation of {target} ({share * spread:.2g})"
-    if exact < IMPROBABLE:
+    if exact < IMPROBABLE and not share < LEAST:
         return Verdict(
             "nearly true",
             f"the law holds to {size}; what it lacks depends on the states",

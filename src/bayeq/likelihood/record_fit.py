@@ -31,7 +31,7 @@ from bayeq.likelihood.search import (
     search,
     with_model,
 )
-from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, among_fitted, averaged
+from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, among_fitted, averaged, soft_of
 from bayeq.likelihood.start import carried_over, start_from, with_courses
 from bayeq.likelihood.student import with_heavy_tails
 from bayeq.states import Motion
@@ -90,11 +90,13 @@ class RecordFit:
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
         """What the best model and those it was compared with tell."""
-        found = cls(task, fitted, *averaged(task, fitted))
+        soft = soft_of(task, fitted)
+        found = cls(task, fitted, *averaged(task, fitted, soft))
         if not max(found.nearly.exact) < IMPROBABLE:
             # otherwise to be likelier under an exact law, as more terms are, says nothing
-            fitted = among_neighbours(task, fitted)
-            found = cls(task, fitted, *averaged(task, fitted))
+            best = among_neighbours(task, fitted)
+            soft = soft if best is fitted else soft_of(task, best)
+            fitted, found = best, cls(task, best, *averaged(task, best, soft))
         included = found.about(found.posterior.support)
         if included.own and included.fitted.evidence > fitted.evidence - found.worse(included.fitted.model) - WINDOW:
             return included
@@ -125,7 +127,7 @@ class RecordFit:
         state = replace(state, paths=self.fitted.state.paths)
         fitted = replace(self.fitted, expand=partial(replace, quadratic), state=state, tried={})
         more = task.model(state.chosen), block
-        posterior, nearly = averaged(task, fitted)
+        posterior, nearly = averaged(task, fitted, soft_of(task, fitted))
         found = replace(self, task=task, fitted=fitted, posterior=posterior, nearly=nearly, more=more)
         return found.about(found.posterior.support)
 

@@ -39,7 +39,17 @@ from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.likelihood.series import Series
 
-__all__ = ["IMPROBABLE", "Nearly", "Soft", "among_fitted", "averaged", "isotropic", "softened", "softened_rows"]
+__all__ = [
+    "IMPROBABLE",
+    "Nearly",
+    "Soft",
+    "among_fitted",
+    "averaged",
+    "isotropic",
+    "soft_of",
+    "softened",
+    "softened_rows",
+]
 
 Floats = NDArray[np.float64]
 Sizes = tuple[float, ...]
@@ -252,9 +262,8 @@ class Soft:
         if tau not in self.sets:
             q, largest = self.quadratic(tau)
             found = average_models(self.task.problem(q))
-            found = replace(found, log_posterior=found.log_posterior + largest)
-            self.sets[tau] = found if any(tau) else as_fitted(found, self.fitted)
-        return self.sets[tau]
+            self.sets[tau] = replace(found, log_posterior=found.log_posterior + largest)
+        return self.sets[tau] if any(tau) else as_fitted(self.sets[tau], self.fitted)
 
     def evidence(self, tau: Sizes) -> float:
         """ln p(data | sizes) up to the same constant."""
@@ -304,19 +313,26 @@ def _sorted(found: ModelSet, models: NDArray[np.bool_], values: Floats) -> Model
     return replace(found, models=models[order], log_posterior=values[order], inclusion=None)
 
 
-def averaged(task: Task, fitted: Fitted) -> tuple[Posterior, Nearly]:
+def soft_of(task: Task, fitted: Fitted) -> Soft | None:
+    """The likelihood beside functions; None where the law is to be exact, or where it cannot be evaluated."""
+    try:
+        return None if task.tolerance == 0.0 else Soft.of(task, fitted)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def averaged(task: Task, fitted: Fitted, soft: Soft | None) -> tuple[Posterior, Nearly]:
     """Models averaged over, and over the size of the function in each equation, the others' at their most probable."""
     chains = task.layout.chains
-    alone = partial(as_fitted, fitted=fitted)
-    if task.tolerance == 0.0:
-        return _of_gram(task, fitted.quadratic, alone), Nearly((0.0,) * chains, (1.0,) * chains)
-    try:
-        search = Soft.of(task, fitted)
-        tau, exact, lines = _most_probable(search)
-        q, _ = search.quadratic(tau)
-    except np.linalg.LinAlgError:
-        return _of_gram(task, fitted.quadratic, alone), Nearly.unknown(chains)
-    return _of_gram(task, q, partial(_mixed, search=search, lines=lines)), Nearly(tau, tuple(exact.tolist()))
+    nearly = Nearly((0.0,) * chains, (1.0,) * chains) if task.tolerance == 0.0 else Nearly.unknown(chains)
+    if soft is not None:
+        try:
+            tau, exact, lines = _most_probable(soft)
+            mixed = partial(_mixed, search=soft, lines=lines)
+            return _of_gram(task, soft.quadratic(tau)[0], mixed), Nearly(tau, tuple(exact.tolist()))
+        except np.linalg.LinAlgError:
+            nearly = Nearly.unknown(chains)
+    return _of_gram(task, fitted.quadratic, partial(as_fitted, fitted=fitted)), nearly
 
 
 def _of_gram(task: Task, q: Quadratic, revise: Callable[[ModelSet], ModelSet]) -> Posterior:
