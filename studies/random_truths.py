@@ -106,7 +106,7 @@ def draw_system(seed: int, kind: Kind) -> System:
         term for term in build_dictionary("oscillator", Variables(("x", "v"), ("u",))) if term.text not in ("x", "u")
     ]
     spread = evaluate_terms(terms, {name: alone[name] for name in ("x", "v", "u")}).std(axis=0) / alone["a"].std()
-    jumps = np.array([bool(jumps_of(term.tree)) for term in terms])
+    jumps = np.array([any(True for _ in jumps_of(term.tree)) for term in terms])
     while True:
         chosen = rng.choice(len(terms), size=rng.integers(*kind.terms, endpoint=True), replace=False)
         if kind.signs is not None and jumps[chosen].sum() != kind.signs:
