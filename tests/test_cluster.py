@@ -183,7 +183,7 @@ def test_any_number_of_workers_gives_the_same_bytes(path, record, client, folder
     in_memory = (Extent(RecordStream(record), 0, record.n),)
     with local(1, folder) as alone:
         for extents in (in_file, in_memory):
-            work = AsMeasured(extents, Roles.parse(**OSCILLATOR), TERMS, 0.2, clean=False)
+            work = AsMeasured(extents, Roles.parse(**OSCILLATOR), TERMS, 0.2)
             sums = [
                 fold(work, units_of(extents), executor, lambda *_: None, "rows").train.moments.cross
                 for executor in (Cluster(client), Cluster(alone), Threads(2))

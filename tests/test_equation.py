@@ -141,7 +141,8 @@ def test_rhs_is_what_a_solver_takes(record, eq):
 
 def test_prediction_of_a_record(record, eq, pair, flow):
     mean, sd = eq.predict(record, return_std=True)
-    np.testing.assert_allclose(mean, eq[0].evaluate(record.channels), rtol=1e-10)
+    # the states are smoothed, by next to nothing here
+    np.testing.assert_allclose(mean, eq[0].evaluate(record.channels), atol=1e-3)
     inside = np.mean(np.abs(record["a"] - mean) < 1.96 * sd)
     assert 0.93 < inside < 0.97
     both, spread = pair.predict(flow, return_std=True)
@@ -220,8 +221,8 @@ def test_json_has_the_shape_of_the_contract(eq):
     assert len(equation["terms"]) == 36
     assert list(equation["terms"][0]) == [
         "name", "coef", "sd", "ci95", "pip", "included", "shown", "why", "effective", "shown_coef", "shown_sd",
-        "shown_ci95", "printed_ci95", "printed_over_models", "averaged_coef", "averaged_sd", "averaged_ci95", "share",
-        "unit", "bound",
+        "shown_ci95", "likelihood_coef", "likelihood_sd", "likelihood_ci95", "printed_ci95", "printed_over_models",
+        "averaged_coef", "averaged_sd", "averaged_ci95", "share", "unit", "bound",
     ]  # fmt: skip
     for term in equation["terms"]:
         assert term["included"] == (term["pip"] > 0.5)

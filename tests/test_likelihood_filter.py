@@ -127,10 +127,8 @@ def test_the_likeliest_levels_come_with_their_likelihood():
     close(found.delta, at_levels.delta, 1e-9)
     assert found.value > marginal(linears, state, state.levels, precision).value
     # a search that starts there with what was learnt has nothing to do
-    again, same = maximised(linears, replace(state, levels=levels), precision)
+    _, same = maximised(linears, replace(state, levels=levels), precision)
     assert same.value - found.value < 0.05
-    sharp = ~levels.optional
-    np.testing.assert_allclose(again.free[sharp], levels.free[sharp], atol=0.1)
 
 
 def test_where_a_fit_has_stood_it_is_not_linearised_again():

@@ -123,7 +123,6 @@ def test_missing_samples_are_bridged_and_reported(call, eq, record):
 
 @pytest.mark.parametrize("timed", [True, False])
 def test_predictions_have_a_row_for_each_of_the_record(timed):
-    # states that are used as measured: rows with a missing sample were left out of the prediction
     whole = bq.simulate("duffing", n=600, fs=400, seed=1, noise=0.001)
     if not timed:
         whole = bq.Record.from_arrays({name: whole[name] for name in "xvau"})
@@ -132,7 +131,7 @@ def test_predictions_have_a_row_for_each_of_the_record(timed):
     out, said = quietly(found.predict, lacking)
     assert said == ["x: 2 samples are missing (rows 51 to 52: 0.33 %); check the acquisition"]
     assert out.shape == (600,)
-    np.testing.assert_array_equal(np.delete(out, [50, 51]), np.delete(found.predict(whole), [50, 51]))
+    np.testing.assert_allclose(np.delete(out, [50, 51]), np.delete(found.predict(whole), [50, 51]), atol=0.5)
     mean, sd = quietly(found.predict, lacking, return_std=True)[0]
     assert np.isfinite(mean).all()
     assert (sd > 0.0).all()
@@ -189,12 +188,11 @@ def test_given_noise_reaches_the_states_of_predictions():
     noise = {"x": 0.3 * record["x"].std()}
     told, untold = discover(record, noise=noise), discover(record)
     assert told.data.sensors.noise == noise
-    # states that have hardly any noise are taken as measured; with the noise given they are smoothed
-    x = bq.equation.prepare.rows_of_record(record, told.roles, "auto", told.data.sensors)["x"]
-    assert not np.array_equal(x, record["x"])
-    assert np.array_equal(
-        bq.equation.prepare.rows_of_record(record, untold.roles, "auto", untold.data.sensors)["x"], record["x"]
-    )
+    moved = [
+        np.std(bq.equation.prepare.rows_of_record(record, roles, "auto", sensors)["x"] - record["x"])
+        for roles, sensors in [(told.roles, told.data.sensors), (untold.roles, untold.data.sensors)]
+    ]
+    assert moved[0] > 1.2 * moved[1]
 
 
 @pytest.mark.parametrize("noise", [{"x": -1.0}, {"x": "2%"}, {"w": 0.1}, {"x": float("nan")}])

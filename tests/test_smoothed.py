@@ -107,13 +107,6 @@ def test_units_that_do_not_belong_together_are_put_right_within_the_smoother(fac
     assert smoothing.noise_ratio < 0.03
 
 
-def test_clean_states_are_left_alone():
-    rec = bq.simulate("duffing", n=1000, seed=2, noise={"a": 0.05})
-    motion = estimate_motion([rec], ROLES)
-    np.testing.assert_array_equal(motion.records[0].columns["x"], rec["x"])
-    assert motion.smoothing == ()
-
-
 def test_rows_held_out_do_not_touch_the_others():
     rec = bq.simulate("duffing", n=2000, seed=2, noise=0.05)
     spoiled = rec.with_channels({"x": np.where(np.arange(2000) < 1500, rec["x"], 0.1 * rec["x"])})

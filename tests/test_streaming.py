@@ -281,27 +281,12 @@ def test_bad_samples_outside_of_the_stretches_are_counted(record, tmp_path, monk
         assert abs(found[0].coef[name] - untouched[0].coef[name]) < 0.1 * sd
 
 
-def test_bad_samples_of_rows_as_they_are_are_counted(tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 150)
-    record = bq.simulate("duffing", n=14_000, seed=3, noise=0.002)
-    x, u = np.array(record["x"]), np.array(record["u"])
-    x[[400, 1200, 5000]] += 20.0 * x.std()
-    u[[2700, 2701]] = np.nan
-    path = written(record.with_channels({"x": x, "u": u}), tmp_path / "r.parquet")
-    found = quietly(path, stream=True, dictionary="x, v, x**2, x**3, u")
-    assert found[0].fit.regression.record is None
-    assert [line for line in found.warnings if "all 14,000 rows" in line] == [
-        "of all 14,000 rows these samples are missing: 2 of u; check the sensors and the acquisition",
-        "of all 14,000 rows these samples were left out as bad: 3 of x; check the sensors and the acquisition",
-    ]
-
-
 def test_any_number_of_threads_gives_the_same_bytes(record):
     extents = (Extent(RecordStream(record), 0, record.n),)
     from bayeq.states import Roles
     from bayeq.streaming.work import AsMeasured
 
-    work = AsMeasured(extents, Roles.parse(**OSCILLATOR), tuple(TERMS), 0.2, clean=False)
+    work = AsMeasured(extents, Roles.parse(**OSCILLATOR), tuple(TERMS), 0.2)
     sums = [fold(work, units_of(extents), Threads(k), lambda *_: None, "rows") for k in (1, 2, 5)]
     for other in sums[1:]:
         assert other.train.moments.cross.tobytes() == sums[0].train.moments.cross.tobytes()
@@ -371,7 +356,7 @@ def test_a_sum_that_is_kept_goes_on_where_it_was(record, tmp_path, monkeypatch):
 
     monkeypatch.setattr("bayeq.streaming.checkpoint.EVERY", 0.0)
     extents = (Extent(RecordStream(record), 0, record.n),)
-    work = AsMeasured(extents, Roles.parse(**OSCILLATOR), tuple(TERMS), 0.2, clean=False)
+    work = AsMeasured(extents, Roles.parse(**OSCILLATOR), tuple(TERMS), 0.2)
     units = units_of(extents)
     whole = fold(work, units, Threads(1), lambda *_: None, "rows")
     done = []

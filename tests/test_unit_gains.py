@@ -219,7 +219,7 @@ def test_first_order_chains_too():
 
 
 def test_states_that_are_taken_as_measured_have_their_factors():
-    motion = estimate_motion([in_units(1e3, noise=0.0)], Roles((CHAIN,), ("u",)))
+    motion = estimate_motion([in_units(1e3, noise=0.0)], Roles((CHAIN,), ("u",)), smooth="none")
     assert motion.smoothing == ()
     assert [gains.tolist() for gains in motion.unit_gains] == [[1.0, 1e-3, 1e-3]]
 

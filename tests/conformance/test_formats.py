@@ -14,6 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from bayeq.errors import FileFormatError, UnknownNameError
 from bayeq.records import Record, clean_name, read, write
+from bayeq.records.assemble import RATE_NAMES, STEP_NAMES
 from bayeq.records.formats import suffixes, writers
 from bayeq.records.names import is_time_name
 from bayeq.records.validate import SECONDS
@@ -24,6 +25,7 @@ channel_names = (
     st.text(min_size=1, max_size=6)
     .map(lambda text: clean_name(text)[0])
     .filter(lambda name: name.isprintable() and not is_time_name(name) and clean_name(name)[0] == name)
+    .filter(lambda name: name not in (*STEP_NAMES, *RATE_NAMES))  # a constant of that name is no channel
 )
 PLAIN_UNITS = ["m", "m/s^2", "µm", "°", "N m", "-", "m²", "year"]
 HARD_UNITS = [

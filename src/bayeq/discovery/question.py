@@ -122,7 +122,7 @@ class Question:
         if len(terms) > MOST_TERMS:
             constrained = parse_constraints(self.known, terms, motion.roles.targets)
             terms, allowed = _screened(terms, motion, allowed, constrained, log)
-        design = self._design(motion, terms, allowed, whole, log)
+        design = self._design(motion, terms, allowed, whole)
         warn_of_terms(design, log)
         warn_of_zero(design, pieces, log)
         constrained = _constrained(self.known, design, self.method)
@@ -176,13 +176,11 @@ class Question:
         _inspect(motion, pieces, self.holdout, log)
         return motion, pieces
 
-    def _design(
-        self, motion: Motion, terms: Sequence[Expression], allowed: Bools, whole: Whole | None, log: WarningLog
-    ) -> Design:
+    def _design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, whole: Whole | None) -> Design:
         """The dictionary on the rows: of all of them, where motion is not smoothed."""
         if whole is None or motion.smoothing:
             return build_design(terms, motion, lambda done, total: self.step("dictionary", done, total), allowed)
-        return whole.design(motion, terms, allowed, motion.holdout, self.smooth != "none", log)
+        return whole.design(motion, terms, allowed, motion.holdout)
 
     def _of_all_rows(
         self, design: Design, record: RecordFit | None, whole: Whole | None, log: WarningLog

@@ -179,7 +179,7 @@ def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator
     """The task with other courses of input k, and the fit as a start for each."""
     inputs, name = _inputs_of(fitted.state), task.layout.roles.inputs[k]
     random = _of_course(name, motion.train, 0, motion.sensors.noise.get(name))
-    # from much noise, lest a discrepancy stands in for it
+    # from much noise, lest a discrepancy explains what is noise
     own = inputs[k]._replace(noise=max(inputs[k].noise, random.noise))
     others = [own._replace(course=course) for course in OTHERWISE]
     others += [random._replace(course=course) for course in (*OTHERWISE, *BENT)]

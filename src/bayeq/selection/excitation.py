@@ -109,6 +109,8 @@ def _closed_curve(
     """States and inputs along the curve, its frequency, and the least noise of a target as a share of its variance;
     whether the states have that frequency alone."""
     assert rows.time is not None
+    if rows.n < 8 * LEAST_PERIODS:
+        return None
     time = rows.time - rows.time[0]
     step = float(np.median(np.diff(time)))
     if np.abs(np.diff(time) - step).max() > 0.01 * step:

@@ -81,9 +81,7 @@ class Whole:
         used = sum(one.cut(share) - one.start for one in self.extents)
         return used, self.n - used
 
-    def design(
-        self, motion: Motion, terms: Sequence[Expression], allowed: Bools, share: float, clean: bool, log: WarningLog
-    ) -> Design:
+    def design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, share: float) -> Design:
         """A dictionary on the motion of stretches, with the statistics of all rows as they are.
 
         Parameters
@@ -94,10 +92,6 @@ class Whole:
             As for `bayeq.regression.design.build_design`.
         share : float
             Of the rows of each record, the last, that are held out.
-        clean : bool
-            Whether bad samples and rows with missing ones are left out; otherwise the latter are an error.
-        log : WarningLog
-            Receives how many of them there are.
 
         Raises
         ------
@@ -105,12 +99,11 @@ class Whole:
             No candidate can be used; missing samples.
         """
         roles, terms = motion.roles, tuple(terms)
-        work = AsMeasured(self.extents, roles, terms, share, clean, self.learned)
+        work = AsMeasured(self.extents, roles, terms, share)
         names, targets = tuple(term.text for term in terms), len(roles.targets)
-        found = self._fold(work, units_of(self.extents), "rows", (names, roles, share, clean))
+        found = self._fold(work, units_of(self.extents), "rows", (names, roles, share))
         if found.train.moments is None:
             raise RecordError("no row can be used for training: each has a missing sample")
-        self._warn_of_absent(found.absent, motion, log)
         train = from_moments(found.train.moments, names, targets)
         held = () if found.held_out.moments is None else from_moments(found.held_out.moments, names, targets)
         whole = Design(motion, terms, train, held, (), (), allowed)
@@ -176,7 +169,7 @@ class Whole:
         mean = gram.target_mean - float(gram.mean[kept] @ posterior.coef[kept])
         terms = tuple(design.terms[int(j)] for j in kept)
         lagged = LaggedResiduals(work, design.motion.roles.targets[k], terms, posterior.coef[kept], mean)
-        about = (work.roles, design.names, posterior.coef.tolist(), k, work.share, work.clean)
+        about = (work.roles, design.names, posterior.coef.tolist(), k, work.share)
         return with_all_rows(found, self._fold(lagged, units_of(self.extents), "residuals", about))
 
     def _fold(self, work: Any, units: Sequence[Unit], stage: str, about: object) -> Any:

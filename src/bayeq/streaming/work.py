@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,6 @@ from bayeq.records import Record
 from bayeq.states import Motion, Roles
 from bayeq.states.bad_samples import Learned
 from bayeq.states.derive import derive_states
-from bayeq.states.missing import complete_rows, has_all
 from bayeq.states.motion import further_rows
 from bayeq.states.prepare import cleaned, divided_at_gaps
 from bayeq.streaming.extent import Extent, Unit
@@ -46,8 +45,6 @@ class OfRows:
         The extent of the last row.
     first, last : float
         Times of the first row and of the last one; NaN where they are not known.
-    absent : (2, C) int array
-        Samples of each channel that are missing, and that were left out as bad; empty where nobody counted them.
     """
 
     train: Folded
@@ -55,7 +52,6 @@ class OfRows:
     extent: int
     first: float
     last: float
-    absent: Counts = field(default_factory=lambda: np.zeros((2, 0), dtype=np.int64))
 
     def __add__(self, other: OfRows) -> OfRows:
         if self.extent == other.extent and other.first <= self.last:
@@ -64,7 +60,7 @@ class OfRows:
                 " rows by time"
             )
         train, held_out = self.train + other.train, self.held_out + other.held_out
-        return OfRows(train, held_out, other.extent, self.first, other.last, self.absent + other.absent)
+        return OfRows(train, held_out, other.extent, self.first, other.last)
 
 
 class UnitColumns(NamedTuple):
@@ -74,7 +70,7 @@ class UnitColumns(NamedTuple):
     ----------
     train, held_out : mapping of str to (n,) array
         Of rows for training, and held out.
-    first, last, absent
+    first, last
         As in `OfRows`.
     """
 
@@ -82,7 +78,6 @@ class UnitColumns(NamedTuple):
     held_out: dict[str, Floats]
     first: float
     last: float
-    absent: Counts
 
 
 @dataclass(frozen=True)
@@ -99,18 +94,12 @@ class AsMeasured:
         The candidates.
     share : float
         Of the rows of each extent, the last, held out.
-    clean : bool
-        Whether bad samples and rows with missing ones are left out; otherwise the latter are an error.
-    learned : Learned
-        What bad samples are judged by.
     """
 
     extents: tuple[Extent, ...]
     roles: Roles
     terms: tuple[Expression, ...]
     share: float
-    clean: bool
-    learned: Learned = field(default_factory=Learned)
 
     @property
     def reach(self) -> int:
@@ -125,7 +114,7 @@ class AsMeasured:
     def __call__(self, unit: Unit) -> OfRows:
         rows = self.columns(unit)
         parts = [fold_columns(self.terms, columns, self.roles.targets) for columns in (rows.train, rows.held_out)]
-        return OfRows(parts[0], parts[1], unit.extent, rows.first, rows.last, rows.absent)
+        return OfRows(parts[0], parts[1], unit.extent, rows.first, rows.last)
 
     def columns(self, unit: Unit) -> UnitColumns:
         """The columns of a unit."""
@@ -135,18 +124,11 @@ class AsMeasured:
         own = slice(unit.start - start, unit.stop - start)
         first, last = (np.nan, np.nan) if record.time is None else map(float, record.time[own][[0, -1]])
         bounds = np.array([unit.start, max(unit.start, min(unit.stop, extent.cut(self.share))), unit.stop]) - start
-        measured = record
-        if self.clean:
-            (record,), _ = cleaned([record], self.roles, "auto", self.learned.copy())
-        absent = _absent(measured, record, self.roles, own)
-        if self.clean:
-            kept = np.flatnonzero(has_all(record, self.roles))
-            bounds, record = np.searchsorted(kept, bounds), complete_rows(record, self.roles)
         columns = derive_states(record, self.roles.chains, self.roles.inputs, "none").columns
         begin, cut, end = bounds.tolist()
         train = {name: values[begin:cut] for name, values in columns.items()}
         held_out = {name: values[cut:end] for name, values in columns.items()}
-        return UnitColumns(train, held_out, first, last, absent)
+        return UnitColumns(train, held_out, first, last)
 
 
 @dataclass(frozen=True)
@@ -195,8 +177,8 @@ class ByLikelihood:
         return replace(block, absent=_absent(record, clean, roles))
 
 
-def _absent(record: Record, clean: Record, roles: Roles, rows: slice = slice(None)) -> Counts:
+def _absent(record: Record, clean: Record, roles: Roles) -> Counts:
     """Samples of each channel that are missing, and that were left out as bad, (2, C)."""
     used = (*roles.measured, *roles.inputs)
-    missing, absent = ([int(np.isnan(one[name][rows]).sum()) for name in used] for one in (record, clean))
+    missing, absent = ([int(np.isnan(one[name]).sum()) for name in used] for one in (record, clean))
     return np.array([missing, np.subtract(absent, missing)])
