@@ -95,6 +95,9 @@ WIDER, CLEARLY = (10.0, 100.0), 3.0
 # Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
 
+# Noise of inputs at first, as a share of their variance, where their spectrum does not tell it.
+INPUT_NOISE = 2.5e-3
+
 # In a discrepancy that is hardly there the likelihood is flat, and a search does not leave it: of many samples a fit is
 # compared with one that starts from a discrepancy of this share of its target, and this memory. If that is as likely it
 # is taken: from there more rows lead to less of it as well as to more. One that begins worse by FLAT nats is left.
@@ -223,8 +226,8 @@ class Fitted:
         return self.expand()
 
 
-# Tasks with other courses of an input, with starts for them, from a task, its fit, and the number of the input.
-Alternatives = Callable[[Task, Fitted, int], Iterable[tuple[Task, State]]]
+# Tasks with other courses of an input, in groups, with starts for them; from a task, its fit, and the input's number.
+Alternatives = Callable[[Task, Fitted, int], Iterable[list[tuple[Task, State]]]]
 
 
 def fit(task: Task, state: State, coarse: bool = False, further: bool = True, calm: int = 0) -> Fitted:
@@ -428,13 +431,32 @@ def of_motion(task: Task, fitted: Fitted) -> float:
     return fitted.evidence - of_inputs(task.linearised(fitted.state), fitted.state.levels)
 
 
+def at_once(task: Task, state: State) -> float:
+    """The same of a fit that goes no further than its start."""
+    try:
+        linears, precision = task.linearised(state), task.precision[task.number(state.chosen)]
+        return marginal(linears, state, state.levels, precision, keep=False).value - of_inputs(linears, state.levels)
+    except np.linalg.LinAlgError:
+        return -math.inf
+
+
+def noisier(task: Task, state: State, k: int) -> State:
+    """The state with much noise in input k, lest a discrepancy explains what is noise."""
+    levels, i = state.levels, len(task.layout.channels) - len(task.layout.roles.inputs) + k
+    channels = levels.channels.copy()
+    if levels.learned[i]:
+        channels[i] = max(channels[i], INPUT_NOISE * levels.scales.channels[i])
+    return replace(state, levels=replace(levels, channels=channels))
+
+
 def with_other_inputs(task: Task, best: Fitted, others: Alternatives, log: Callable[..., None]) -> tuple[Task, Fitted]:
     """The fit, or one with other courses of inputs between samples where the motion is then likelier."""
     for k, name in enumerate(task.layout.roles.inputs):
         tried = [(task, best)]
-        for there, state in others(task, best, k):
+        for group in others(task, best, k):
+            there, state = max(group, key=lambda pair: at_once(*pair))
             try:
-                tried.append((there, fit(there, calmed(state), coarse=True)))
+                tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
             except np.linalg.LinAlgError:
                 continue
             log(f"  {name} {there.layout.courses[k]} {there.layout.smoothness[k]}", tried[-1][1])

@@ -22,7 +22,7 @@ from bayeq.likelihood.fit import State, adjoints, linearised, marginal, maximise
 from bayeq.likelihood.layout import Candidates, Course, Layout
 from bayeq.likelihood.levels import LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
-from bayeq.likelihood.search import Fitted, Task
+from bayeq.likelihood.search import INPUT_NOISE, Fitted, Task
 from bayeq.likelihood.series import Series
 from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
@@ -46,8 +46,8 @@ SLAB = 5.0
 # makes up for it.
 FAR_FROM_ZERO = 10.0
 
-# Noise of channels at first, as a share of their variance; that of inputs, where their spectrum does not tell it.
-FIRST_NOISE, INPUT_NOISE = 1e-3, 2.5e-3
+# Noise of channels at first, as a share of their variance.
+FIRST_NOISE = 1e-3
 
 # Derivatives of an input that are states: a random sequence joined by straight lines, or a smooth force. Which of them
 # is decided at first by this many of its samples.
@@ -175,16 +175,13 @@ def _with_inputs(layout: Layout, inputs: Sequence[_Input]) -> Layout:
     )
 
 
-def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator[tuple[Task, State]]:
-    """The task with other courses of input k, and the fit as a start for each."""
+def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator[list[tuple[Task, State]]]:
+    """The task with other courses of input k, smooth as it is and a random sequence; the fit as a start."""
     inputs, name = _inputs_of(fitted.state), task.layout.roles.inputs[k]
-    random = _of_course(name, motion.train, 0, motion.sensors.noise.get(name))
-    # from much noise, lest a discrepancy explains what is noise
-    own = inputs[k]._replace(noise=max(inputs[k].noise, random.noise))
-    others = [own._replace(course=course) for course in OTHERWISE]
-    others += [random._replace(course=course) for course in (*OTHERWISE, *BENT)]
-    for other in others:
-        yield _with_others(motion, task, fitted.state, [*inputs[:k], other, *inputs[k + 1 :]])
+    random = _of_course(name, motion.train, 0, motion.sensors.noise.get(name))._replace(noise=inputs[k].noise)
+    for own, courses in ((inputs[k], OTHERWISE), (random, (*OTHERWISE, *BENT))):
+        others = [own._replace(course=course) for course in courses]
+        yield [_with_others(motion, task, fitted.state, [*inputs[:k], one, *inputs[k + 1 :]]) for one in others]
 
 
 def _inputs_of(state: State) -> list[_Input]:
