@@ -13,16 +13,20 @@ from bayeq.inference.collapsed.problem import Bools, Floats, Problem
 from bayeq.inference.collapsed.tableau import drifted, flip, renew, swept
 from bayeq.kernels import kernel
 
-__all__ = ["SCALES", "gains"]
+__all__ = ["SCALES", "SLAB", "gains"]
 
-# Standard deviations of the slabs as shares of the wide one's, of equal probability: effects of 2.2, 0.2 and 0.02 of
-# the target's standard deviation.
-SCALES = (1.0, 0.09, 0.009)
+# A coefficient that is not zero has a prior variance by which its term explains this many times the variance of the
+# target: terms may cancel each other. Of 1, 3, 5 and 10, those above 1 found Lorenz's equations most often.
+SLAB = 5.0
+
+# Standard deviations of the slabs as shares of that one's, of equal probability: effects of 2.2, 0.2 and 0.02 of the
+# target's standard deviation.
+SCALES = (1.0, 0.2 / SLAB**0.5, 0.02 / SLAB**0.5)
 
 
 @kernel
-def _gains(p: Problem, models: Bools, excess: Floats, log_scales: Floats) -> Floats:
-    """What the mixture adds to the log evidence of each model, (K,); `excess` is 1/scale^2 - 1."""
+def _gains(p: Problem, models: Bools, scales: Floats, least: Floats) -> Floats:
+    """What the mixture adds to the log evidence of each model, (K,); the widest scale stands first."""
     out, terms = np.zeros(len(models)), len(p.Dty)
     current = np.zeros(terms, np.bool_)
     T = swept(p, current)
@@ -37,19 +41,25 @@ def _gains(p: Problem, models: Bools, excess: Floats, log_scales: Floats) -> Flo
         for m in range(T.size[0]):
             a = T.term[m]
             mean, variance = T.partial[a], -noise * T.diagonal[a]
-            total = 0.0
-            for i in range(len(excess)):
-                wider = 1.0 + variance * excess[i]
-                total += np.exp(-log_scales[i] - 0.5 * mean * mean * excess[i] / wider) / np.sqrt(wider)
-            out[k] += np.log(total / len(excess))
+            total, count = 0.0, 0
+            for i in range(len(scales)):
+                if i > 0 and scales[i] < least[a]:
+                    continue
+                excess = 1.0 / scales[i] ** 2 - 1.0
+                wider = 1.0 + variance * excess
+                total += np.exp(-0.5 * mean * mean * excess / wider) / (scales[i] * np.sqrt(wider))
+                count += 1
+            out[k] += np.log(total / count)
     return out
 
 
-def gains(problem: Problem, models: Bools) -> Floats:
-    """What slabs of several scales add to the log evidence of models (K, P) with the wide slab, (K,)."""
-    scales = np.array(SCALES)
+def gains(problem: Problem, models: Bools, least: Floats) -> Floats:
+    """What slabs of several scales add to the log evidence of models (K, P) with the wide slab, (K,).
+
+    `least` (P,) are scales below which an effect is no larger than that of a function that a law may lack: no slab.
+    """
     # in the order of their bits, so that few flips lead from one to the next
     order = np.lexsort(np.packbits(models, axis=1).T)
     out = np.empty(len(models))
-    out[order] = _gains(problem, models[order], scales**-2.0 - 1.0, np.log(scales))
+    out[order] = _gains(problem, models[order], np.array(SCALES), least)
     return out
