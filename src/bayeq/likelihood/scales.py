@@ -25,8 +25,8 @@ SCALES = (1.0, 0.2 / SLAB**0.5, 0.02 / SLAB**0.5)
 
 
 @kernel
-def _gains(p: Problem, models: Bools, scales: Floats, least: Floats) -> Floats:
-    """What the mixture adds to the log evidence of each model, (K,); the widest scale stands first."""
+def _gains(p: Problem, models: Bools, scales: Floats, several: Bools) -> Floats:
+    """What the mixture adds to the log evidence of each model, (K,)."""
     out, terms = np.zeros(len(models)), len(p.Dty)
     current = np.zeros(terms, np.bool_)
     T = swept(p, current)
@@ -41,25 +41,22 @@ def _gains(p: Problem, models: Bools, scales: Floats, least: Floats) -> Floats:
         for m in range(T.size[0]):
             a = T.term[m]
             mean, variance = T.partial[a], -noise * T.diagonal[a]
-            total, count = 0.0, 0
-            for i in range(len(scales)):
-                if i > 0 and scales[i] < least[a]:
-                    continue
+            total = 0.0
+            for i in range(len(scales) if several[a] else 0):
                 excess = 1.0 / scales[i] ** 2 - 1.0
                 wider = 1.0 + variance * excess
                 total += np.exp(-0.5 * mean * mean * excess / wider) / (scales[i] * np.sqrt(wider))
-                count += 1
-            out[k] += np.log(total / count)
+            out[k] += np.log(total / len(scales)) if several[a] else 0.0
     return out
 
 
-def gains(problem: Problem, models: Bools, least: Floats) -> Floats:
+def gains(problem: Problem, models: Bools, several: Bools) -> Floats:
     """What slabs of several scales add to the log evidence of models (K, P) with the wide slab, (K,).
 
-    `least` (P,) are scales below which an effect is no larger than that of a function that a law may lack: no slab.
+    `several` (P,) tells which terms have them: of a law that may lack a function a small effect is that function's.
     """
     # in the order of their bits, so that few flips lead from one to the next
     order = np.lexsort(np.packbits(models, axis=1).T)
     out = np.empty(len(models))
-    out[order] = _gains(problem, models[order], np.array(SCALES), least)
+    out[order] = _gains(problem, models[order], np.array(SCALES), several)
     return out

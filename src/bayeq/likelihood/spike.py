@@ -36,7 +36,7 @@ from bayeq.likelihood.fit import (
     solved,
 )
 from bayeq.likelihood.layout import Layout
-from bayeq.likelihood.scales import SLAB, gains
+from bayeq.likelihood.scales import gains
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.likelihood.series import Series
 
@@ -265,14 +265,11 @@ class Soft:
             problem = self.task.problem(q)
             found = average_models(problem)
             found = replace(found, log_posterior=found.log_posterior + largest)
-            self.sets[tau] = found, gains(problem, found.models, self.least(tau))
+            exact = np.repeat(np.array(tau) == 0.0, len(self.visible) // len(tau))
+            self.sets[tau] = found, gains(problem, found.models, exact)
         found, more = self.sets[tau]
         values = found.log_posterior if any(tau) else as_fitted(found, self.fitted)
         return _sorted(found, found.models, values + more)
-
-    def least(self, tau: Sizes) -> Floats:
-        """Sizes as scales of each coefficient's slab, whose effect has the variance SLAB of the target."""
-        return np.repeat(tau, len(self.visible) // len(tau)) / np.sqrt(SLAB)
 
     def evidence(self, tau: Sizes) -> float:
         """ln p(data | sizes) up to the same constant."""
@@ -344,7 +341,9 @@ def averaged(task: Task, fitted: Fitted, soft: Soft | None) -> tuple[Posterior, 
 
     def revise(found: ModelSet) -> ModelSet:
         return _sorted(
-            found, found.models, as_fitted(found, fitted) + gains(problem, found.models, np.zeros(len(task.log_odds)))
+            found,
+            found.models,
+            as_fitted(found, fitted) + gains(problem, found.models, np.ones(len(task.log_odds), dtype=np.bool_)),
         )
 
     return _of_gram(task, fitted.quadratic, revise), nearly
