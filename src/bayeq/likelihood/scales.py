@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayeq.inference.collapsed.problem import Bools, Floats, Problem
+from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.collapsed.tableau import drifted, flip, renew, swept
 from bayeq.kernels import kernel
 
@@ -21,11 +21,14 @@ SLAB = 5.0
 
 # Standard deviations of the slabs as shares of that one's, of equal probability: effects of 2.2, 0.2 and 0.02 of the
 # target's standard deviation.
-SCALES = (1.0, 0.2 / SLAB**0.5, 0.02 / SLAB**0.5)
+SCALES: tuple[float, ...] = (1.0, 0.2 / SLAB**0.5, 0.02 / SLAB**0.5)
+
+# The first of these are of effects larger than any function that a law may lack.
+LARGE = 2
 
 
 @kernel
-def _gains(p: Problem, models: Bools, scales: Floats, several: Bools) -> Floats:
+def _gains(p: Problem, models: Bools, scales: Floats, first: Ints) -> Floats:
     """What the mixture adds to the log evidence of each model, (K,)."""
     out, terms = np.zeros(len(models)), len(p.Dty)
     current = np.zeros(terms, np.bool_)
@@ -42,21 +45,21 @@ def _gains(p: Problem, models: Bools, scales: Floats, several: Bools) -> Floats:
             a = T.term[m]
             mean, variance = T.partial[a], -noise * T.diagonal[a]
             total = 0.0
-            for i in range(len(scales) if several[a] else 0):
+            for i in range(first[a]):
                 excess = 1.0 / scales[i] ** 2 - 1.0
                 wider = 1.0 + variance * excess
                 total += np.exp(-0.5 * mean * mean * excess / wider) / (scales[i] * np.sqrt(wider))
-            out[k] += np.log(total / len(scales)) if several[a] else 0.0
+            out[k] += np.log(total / len(scales))
     return out
 
 
-def gains(problem: Problem, models: Bools, several: Bools) -> Floats:
+def gains(problem: Problem, models: Bools, exact: Bools) -> Floats:
     """What slabs of several scales add to the log evidence of models (K, P) with the wide slab, (K,).
 
-    `several` (P,) tells which terms have them: of a law that may lack a function a small effect is that function's.
+    `exact` (P,) tells which terms are of exact laws; an effect as small as a function that a law may lack is no term's.
     """
     # in the order of their bits, so that few flips lead from one to the next
     order = np.lexsort(np.packbits(models, axis=1).T)
     out = np.empty(len(models))
-    out[order] = _gains(problem, models[order], np.array(SCALES), several)
+    out[order] = _gains(problem, models[order], np.array(SCALES), np.where(exact, len(SCALES), LARGE))
     return out
