@@ -71,7 +71,6 @@ def test_an_exact_law_is_exact(lorenz):
     assert min(nearly.exact) > 0.4
 
 
-@pytest.mark.filterwarnings("ignore::bayeq.errors.AmbiguityWarning")  # of forms of a constant
 def test_a_smooth_misfit_is_one_function():
     record, _ = draw_record(5, 0.02)
     ask = {"chains": "x::a", "inputs": ["u"], "dictionary": "oscillator", "holdout": 0}

@@ -36,7 +36,6 @@ from bayeq.likelihood.fit import (
     solved,
 )
 from bayeq.likelihood.layout import Layout
-from bayeq.likelihood.scales import gains
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.likelihood.series import Series
 
@@ -201,7 +200,7 @@ class Soft:
     about: Floats
     spreads: list[Floats]
     likeliest: dict[Sizes, float] = field(default_factory=dict)
-    sets: dict[Sizes, tuple[ModelSet, Floats]] = field(default_factory=dict)
+    sets: dict[Sizes, ModelSet] = field(default_factory=dict)
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> Soft:
@@ -262,14 +261,9 @@ class Soft:
         """The models given sizes, with ln p(data, model | sizes) up to the same constant."""
         if tau not in self.sets:
             q, largest = self.quadratic(tau)
-            problem = self.task.problem(q)
-            found = average_models(problem)
-            found = replace(found, log_posterior=found.log_posterior + largest)
-            exact = np.repeat(np.array(tau) == 0.0, len(self.visible) // len(tau))
-            self.sets[tau] = found, gains(problem, found.models, exact)
-        found, more = self.sets[tau]
-        values = found.log_posterior if any(tau) else as_fitted(found, self.fitted)
-        return _sorted(found, found.models, values + more)
+            found = average_models(self.task.problem(q))
+            self.sets[tau] = replace(found, log_posterior=found.log_posterior + largest)
+        return self.sets[tau] if any(tau) else as_fitted(self.sets[tau], self.fitted)
 
     def evidence(self, tau: Sizes) -> float:
         """ln p(data | sizes) up to the same constant."""
@@ -294,16 +288,17 @@ def moved_columns(
     return [np.concatenate(candidates(layout, series, one, step)) - columns for one in moved]
 
 
-def as_fitted(found: ModelSet, fitted: Fitted) -> Floats:
-    """Log posteriors of the models by the evidence of their own fit, where they were fitted."""
+def as_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
+    """The models with the evidence of their own fit, where they were fitted."""
     keys = [model.tobytes() for model in found.models]
     own = fitted.model.tobytes()
     if own not in keys:
-        return found.log_posterior
+        return found
     level = found.log_posterior[keys.index(own)] - fitted.evidence
-    return np.array(
-        [level + fitted.tried.get(key, value - level) for key, value in zip(keys, found.log_posterior, strict=True)]
-    )
+    values = [
+        level + fitted.tried.get(key, value - level) for key, value in zip(keys, found.log_posterior, strict=True)
+    ]
+    return _sorted(found, found.models, np.array(values))
 
 
 def among_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
@@ -337,16 +332,7 @@ def averaged(task: Task, fitted: Fitted, soft: Soft | None) -> tuple[Posterior, 
             return _of_gram(task, soft.quadratic(tau)[0], mixed), Nearly(tau, tuple(exact.tolist()))
         except np.linalg.LinAlgError:
             nearly = Nearly.unknown(chains)
-    problem = task.problem(fitted.quadratic)
-
-    def revise(found: ModelSet) -> ModelSet:
-        return _sorted(
-            found,
-            found.models,
-            as_fitted(found, fitted) + gains(problem, found.models, np.ones(len(task.log_odds), dtype=np.bool_)),
-        )
-
-    return _of_gram(task, fitted.quadratic, revise), nearly
+    return _of_gram(task, fitted.quadratic, partial(as_fitted, fitted=fitted)), nearly
 
 
 def _of_gram(task: Task, q: Quadratic, revise: Callable[[ModelSet], ModelSet]) -> Posterior:

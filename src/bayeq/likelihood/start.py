@@ -22,7 +22,6 @@ from bayeq.likelihood.fit import State, adjoints, linearised, marginal, maximise
 from bayeq.likelihood.layout import Candidates, Course, Layout
 from bayeq.likelihood.levels import LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
-from bayeq.likelihood.scales import SLAB
 from bayeq.likelihood.search import INPUT_NOISE, Fitted, Task
 from bayeq.likelihood.series import Series
 from bayeq.ode.rk4 import interpolant, with_time
@@ -38,6 +37,10 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+
+# A coefficient that is not zero has a prior variance by which its term explains this many times the variance of the
+# target: terms may cancel each other. Of 1, 3, 5 and 10, those above 1 found Lorenz's equations most often.
+SLAB = 5.0
 
 # Channels whose squared mean is above this many times their variance, as a pressure or a preload, need a constant that
 # makes up for it.
