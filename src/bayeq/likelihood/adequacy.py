@@ -227,9 +227,7 @@ def gain_of(task: Task, state: State, c: int) -> float:
     for i in (np.flatnonzero(levels.learned[first:]) + first).tolist():
         most = _least_power(task, state, i)
         while levels.channels[i] < most:
-            channels = levels.channels.copy()
-            channels[i] = min(NOISIER * channels[i], most)
-            other = replace(levels, channels=channels)
+            other = levels.with_noise(i, min(NOISIER * float(levels.channels[i]), most))
             found = value(other)
             if found < best:
                 break

@@ -108,6 +108,12 @@ class Levels:
         steps[layout.slope] = self.slope
         return Noise(self.channels, memory, steps, self.scales.mean, start, self.courses)
 
+    def with_noise(self, i: int, variance: float) -> Levels:
+        """The levels with another variance of the noise of channel i."""
+        channels = self.channels.copy()
+        channels[i] = variance
+        return replace(self, channels=channels)
+
     @property
     def target(self) -> Floats:
         """Variance of the target of each equation, (C,)."""

@@ -169,10 +169,8 @@ class RecordFit:
         for i, name in enumerate(layout.roles.inputs, first):
             values = []
             for variance in (levels.channels[i], *(share * levels.scales.channels[i] for share in (LEAST_NOISE, SOME))):
-                channels = levels.channels.copy()
-                channels[i] = variance
                 try:
-                    values.append(marginal(linears, state, replace(levels, channels=channels), precision, False).value)
+                    values.append(marginal(linears, state, levels.with_noise(i, variance), precision, False).value)
                 except np.linalg.LinAlgError:  # far from any motion: noise that cannot be
                     values.append(-np.inf)
             if max(values) > min(values) + READ:

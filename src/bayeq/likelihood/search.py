@@ -443,10 +443,9 @@ def at_once(task: Task, state: State) -> float:
 def noisier(task: Task, state: State, k: int) -> State:
     """The state with much noise in input k, lest a discrepancy explains what is noise."""
     levels, i = state.levels, len(task.layout.channels) - len(task.layout.roles.inputs) + k
-    channels = levels.channels.copy()
-    if levels.learned[i]:
-        channels[i] = max(channels[i], INPUT_NOISE * levels.scales.channels[i])
-    return replace(state, levels=replace(levels, channels=channels))
+    if not levels.learned[i]:
+        return state
+    return replace(state, levels=levels.with_noise(i, max(levels.channels[i], INPUT_NOISE * levels.scales.channels[i])))
 
 
 def with_other_inputs(task: Task, best: Fitted, others: Alternatives, log: Callable[..., None]) -> tuple[Task, Fitted]:
