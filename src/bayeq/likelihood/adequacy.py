@@ -223,7 +223,7 @@ def gain_of(task: Task, state: State, c: int) -> float:
 
     levels = maximised(linears, replace(state, levels=without(state.levels, c)), precision, held)[0]
     best = value(levels)
-    first = len(levels.channels) - len(task.layout.roles.inputs)
+    first = task.layout.first_input
     for i in (np.flatnonzero(levels.learned[first:]) + first).tolist():
         most = _least_power(task, state, i)
         while levels.channels[i] < most:

@@ -172,6 +172,11 @@ class Layout:
         out += [(name, int(i)) for name, i in zip(self.roles.inputs, self.driven, strict=True)]
         return tuple(out)
 
+    @property
+    def first_input(self) -> int:
+        """The channel of the first input; the others follow."""
+        return len(self.channels) - len(self.roles.inputs)
+
     @cached_property
     def kinds(self) -> Ints:
         """The second entry of each channel, (M,)."""

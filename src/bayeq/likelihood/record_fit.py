@@ -165,8 +165,8 @@ class RecordFit:
         task, state = self.task, self.fitted.state
         layout, levels = task.layout, state.levels
         linears, precision = task.linearised(state), task.precision[task.number(state.chosen)]
-        first, known = len(levels.channels) - len(layout.roles.inputs), set()
-        for i, name in enumerate(layout.roles.inputs, first):
+        known = set()
+        for i, name in enumerate(layout.roles.inputs, layout.first_input):
             values = []
             for variance in (levels.channels[i], *(share * levels.scales.channels[i] for share in (LEAST_NOISE, SOME))):
                 try:
@@ -182,7 +182,7 @@ class RecordFit:
         """Least standard deviation of the noise of a chain's channel, as a share of the channel's."""
         layout, levels = self.task.layout, self.fitted.state.levels
         states = layout.kinds >= 0
-        states[len(states) - len(layout.roles.inputs) :] = False
+        states[layout.first_input :] = False
         return float(np.sqrt((levels.channels / levels.scales.channels)[states].min()))
 
     @cached_property

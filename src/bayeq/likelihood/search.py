@@ -442,7 +442,7 @@ def at_once(task: Task, state: State) -> float:
 
 def noisier(task: Task, state: State, k: int) -> State:
     """The state with much noise in input k, lest a discrepancy explains what is noise."""
-    levels, i = state.levels, len(task.layout.channels) - len(task.layout.roles.inputs) + k
+    levels, i = state.levels, task.layout.first_input + k
     if not levels.learned[i]:
         return state
     return replace(state, levels=levels.with_noise(i, max(levels.channels[i], INPUT_NOISE * levels.scales.channels[i])))

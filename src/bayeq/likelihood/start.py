@@ -27,14 +27,7 @@ from bayeq.likelihood.series import Series
 from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
-__all__ = [
-    "Start",
-    "carried_over",
-    "series_and_paths",
-    "start_from",
-    "with_courses",
-    "with_spectra",
-]
+__all__ = ["Start", "carried_over", "series_and_paths", "start_from", "with_courses", "with_spectra"]
 
 Floats = NDArray[np.float64]
 
@@ -187,14 +180,13 @@ def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator
 def _inputs_of(state: State) -> list[_Input]:
     """The inputs of a fit."""
     layout, levels = state.levels.layout, state.levels
-    before = len(layout.channels) - len(layout.roles.inputs)
     return [
         _Input(
             layout.smoothness[k],
             layout.centres[k],
             layout.corners[k],
             layout.courses[k],
-            float(levels.channels[before + k]),
+            float(levels.channels[layout.first_input + k]),
             float(levels.slope[k]),
             tuple(path[:, first : last + 1] for path in state.paths),
         )
@@ -205,13 +197,13 @@ def _inputs_of(state: State) -> list[_Input]:
 def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Input]) -> tuple[Task, State]:
     """The task and the fit with other inputs."""
     layout, levels = _with_inputs(task.layout, inputs), state.levels
-    first, before = layout.motion + layout.chains, len(layout.channels) - len(inputs)
+    first = layout.motion + layout.chains
     series = tuple(_series(layout, rows) for rows in motion.train)
     paths = tuple(np.hstack([path[:, :first], *(one.paths[i] for one in inputs)]) for i, path in enumerate(state.paths))
     samples = np.concatenate([one.samples for one in series])
     scales = _scales(layout, paths, levels.target, samples, levels.scales.interval)
     scales.mean[:first], scales.variance[:first] = levels.scales.mean[:first], levels.scales.variance[:first]
-    noise = np.append(levels.channels[:before], [one.noise for one in inputs])
+    noise = np.append(levels.channels[: layout.first_input], [one.noise for one in inputs])
     slope = np.array([one.slope for one in inputs])
     courses = np.full(len(inputs), FIRST_COURSE)
     levels = Levels(layout, scales, noise, levels.discrepancy, levels.memory, slope, courses, held=levels.held)
@@ -274,7 +266,7 @@ def _scales(layout: Layout, paths: Sequence[Floats], targets: Floats, samples: F
     mean[layout.driven] = whole[:, layout.driven].mean(axis=0)
     variance[layout.discrepancy] = targets
     rounding = np.array([_rounding(column) for column in samples.T])
-    rounding[samples.shape[1] - len(layout.roles.inputs) :] = 0.0  # a force may be switched
+    rounding[layout.first_input :] = 0.0  # a force may be switched
     return Scales(mean, np.maximum(variance, 1e-300), np.nanvar(samples, axis=0), interval, rounding)
 
 
