@@ -1,4 +1,4 @@
-"""``--band`` and ``band=``: equations fitted between two frequencies."""
+"""``--band`` and ``band=``: frequencies in which a record is believed; hum is taken out, drift is a state."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pytest
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.cli.progress import COMPILING, PROGRESS
+from bayeq.states.believed import low_passed
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 
@@ -41,10 +42,11 @@ def test_a_band_leaves_hum_out(hum, tmp_path, capsys):
     eq = tmp_path / "eq.json"
     assert main(["discover", str(hum), *channels, "--band", "0.5:40", "--save", str(eq)]) == 0
     out = capsys.readouterr().out
-    assert "band: spectra between 0.5 and 40 Hz were fitted, by the band regression" in out
+    assert "band: the record is believed between 0.5 and 40 Hz" in out
     found = bq.load(eq)
     assert found.data.band == (0.5, 40.0)
-    assert found.smooth == "band"
+    assert found.smooth == "auto"
+    assert found[0].verdict.kind == "found"
     assert set(found[0].shown) == set(law)
     for k, name in enumerate(t.text for t in found[0].terms):
         if name in law:
@@ -53,6 +55,41 @@ def test_a_band_leaves_hum_out(hum, tmp_path, capsys):
             assert low - (high - low) < law[name] < high + (high - low)
     direct = bq.discover(bq.read(hum), chains="x:v:a", inputs=["u"], band=(0.5, 40))
     assert direct[0].shown_coef == pytest.approx(found[0].shown_coef)
+
+
+@pytest.mark.parametrize("drifting", ["x", "a"])
+def test_channels_may_drift_below_the_band(drifting):
+    rec = bq.simulate("duffing", n=4000, seed=2, noise=0.02)
+    walk = np.cumsum(np.random.default_rng(2).normal(size=rec.n))
+    drift = 0.5 * rec[drifting].std() * walk / walk.std()
+    record = rec.with_channels({drifting: rec[drifting] + drift}, rec.units)
+    found = bq.discover(record, chains="x:v:a", inputs=["u"], band=(0.5, 1000))[0]
+    law = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}
+    assert set(found.shown) == set(law)
+    assert found.verdict.kind == "found"  # judged without the drift: it explains little of a otherwise
+    sd = dict(zip(found.posterior.names, found.shown_posterior.sd, strict=True))
+    for name, value in law.items():
+        assert abs(found.shown_coef[name] - value) < 3.5 * sd[name]
+
+
+def test_what_is_faster_than_the_band_is_filtered_out_of_all_channels_alike():
+    n, fs, band = 8000, 1000.0, (0.0, 40.0)
+    time = np.arange(n) / fs
+    rng = np.random.default_rng(3)
+    slow, fast = np.sin(2 * np.pi * 37.0 * time + 1.0), 3.0 * np.sin(2 * np.pi * 49.0 * time)
+    noise = rng.normal(size=n)
+    missing = np.where(np.arange(n) == 4000, np.nan, slow)
+    record = bq.Record({"slow": slow, "both": slow + fast, "noise": noise, "missing": missing}, time + 5.0)
+    [found], factor = low_passed([record], ["slow", "both", "noise", "missing"], *band, 10)
+    assert found.n == pytest.approx(n / fs * 96.0, abs=40)
+    at = np.sin(2 * np.pi * 37.0 * (found.time - 5.0) + 1.0)
+    np.testing.assert_allclose(found["slow"], at, atol=0.01)
+    np.testing.assert_allclose(found["both"], at, atol=0.03)  # 50 dB of 3, and what 37 Hz leaves
+    np.testing.assert_allclose(found["missing"], at, atol=0.1)
+    assert found["noise"].std() == pytest.approx(factor, rel=0.1)
+    [same], one = low_passed([record], ["slow"], 0.0, 450.0, 10)
+    assert same is record
+    assert one == 1.0
 
 
 def test_a_band_is_fitted_where_nothing_is_noisy():
@@ -71,9 +108,10 @@ def test_a_band_is_fitted_where_nothing_is_noisy():
         (["--band", "-1:5"], "band -1 to 5 Hz"),
         (["--band", "nan:5"], "band nan to 5 Hz"),
         (["--band", "1:inf"], "band 1 to inf Hz"),
-        (["--band", "900:1000"], "the band 900 to 1000 Hz holds too few lines of the spectra"),
-        (["--band", "5:40", "--smooth", "none"], "fitted by the band regression"),
-        (["--band", "5:40", "--rows", "0:8"], "8 rows: too few for a regression (at least 10)"),
+        (["--band", "900:1000"], "the band 900 to 1000 Hz is above half of the sampling rate, 500 Hz"),
+        (["--band", "0:2"], "of frequencies up to 2 Hz alone fewer than 10 rows are left; widen the band"),
+        (["--band", "5:40", "--smooth", "none"], "band= needs the likelihood of the record"),
+        (["--band", "5:400", "--rows", "0:8"], "8 rows: too few for a regression (at least 10)"),
     ],
 )
 def test_bands_that_cannot_be_fitted(record, capsys, options, part):

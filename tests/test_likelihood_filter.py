@@ -35,17 +35,17 @@ TRUTH = {
 }
 
 
-def layout_of(smoothness=3, course="smooth"):
-    """Chains of orders 2 and 1, the highest derivative of one measured; a smooth input, and another one."""
+def layout_of(smoothness=3, course="smooth", drift=0.0):
+    """Chains of orders 2 and 1, the highest derivative of one measured; a smooth input, and another one; drifts."""
     roles = Roles.parse(chains=["x:v:a", "z"], inputs=["u", "w"])
     terms = build_dictionary("polynomial:2", Variables(roles.states, roles.inputs))
     gains = (np.array([1.0, 2.0, 0.5]), np.ones(2))
-    return Layout(roles, terms, gains, (3, smoothness), (0.2, -0.1), (2.0, 1.5), ("smooth", course))
+    return Layout(roles, terms, gains, (3, smoothness), (0.2, -0.1), (2.0, 1.5), ("smooth", course), drift)
 
 
-def system(n, seed=0, step=0.1, gaps=0.15, smoothness=3, course="smooth"):
+def system(n, seed=0, step=0.1, gaps=0.15, smoothness=3, course="smooth", drift=0.0):
     """A layout, a record whose samples are near a path, and a fit that stands there."""
-    layout, rng = layout_of(smoothness, course), np.random.default_rng(seed)
+    layout, rng = layout_of(smoothness, course, drift), np.random.default_rng(seed)
     time = np.cumsum(step * rng.uniform(0.8, 1.2, n))
     path = np.zeros((n, layout.size))
     for i in range(layout.size):
@@ -70,6 +70,7 @@ def system(n, seed=0, step=0.1, gaps=0.15, smoothness=3, course="smooth"):
         memory=np.array([0.8, 0.6]),
         slope=np.array([0.5, 0.2]),
         courses=np.array([0.3, 0.1]),
+        drifts=rng.uniform(0.02, 0.2, len(layout.drifts)),
     )
     texts = [term.text for term in layout.terms]
     chosen = Candidates(np.array([c for c, _ in TRUTH]), np.array([texts.index(text) for _, text in TRUTH]))
@@ -91,7 +92,7 @@ def some(chosen, seed):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("which", ["chosen", "mixed", "every", "none"])
 def test_is_the_joint_gaussian_of_all_samples(seed, which):
-    layout, series, state = system(12, seed)
+    layout, series, state = system(12, seed, drift=0.9 * (seed == 2))
     [linear] = linearised(layout, [series], state)
     linear = linear._replace(force=np.random.default_rng(seed).exponential(size=linear.force.shape))
     chosen = {
@@ -211,8 +212,9 @@ def test_coefficients_of_no_uncertainty_leave_their_columns_out():
             close(part, other, 1e-10)
 
 
-def test_slopes_of_the_levels_are_those_of_the_marginal_likelihood():
-    layout, series, state = system(60)
+@pytest.mark.parametrize("drift", [0.0, 0.9])
+def test_slopes_of_the_levels_are_those_of_the_marginal_likelihood(drift):
+    layout, series, state = system(60, drift=drift)
     levels, linears = state.levels, linearised(layout, [series], state)
     precision = 1.0 / (1.0 + state.theta**2)
     found = marginal(linears, state, levels, precision)
@@ -243,9 +245,9 @@ def parts(found):
     return -0.5 * np.array([np.log(S).sum(), (E**2 / S).sum()])
 
 
-def errors_of_the_score(step):
+def errors_of_the_score(step, drift):
     """Of the determinant's and the quadratic form's derivatives by all coefficients, as shares of the largest."""
-    layout, series, state = system(40, 3, step)
+    layout, series, state = system(40, 3, step, drift=drift)
     # what courses err by scales with their coefficients as with its own size, which is learned
     state = replace(state, levels=replace(state.levels, courses=np.full(2, 1e-12)))
     every = layout.everything
@@ -265,8 +267,9 @@ def errors_of_the_score(step):
     return np.abs(scores - differences).max(axis=0) / np.abs(differences).max(axis=0)
 
 
-def test_the_score_of_all_coefficients_converges_to_differences_of_the_model_linearised_again():
-    coarse, fine = errors_of_the_score(0.05), errors_of_the_score(0.0125)
+@pytest.mark.parametrize("drift", [0.0, 0.9])
+def test_the_score_of_all_coefficients_converges_to_differences_of_the_model_linearised_again(drift):
+    coarse, fine = errors_of_the_score(0.05, drift), errors_of_the_score(0.0125, drift)
     # the determinant's gradient is taken in the middle of steps, the quadratic form's is exact
     assert coarse[0] < 0.03
     assert fine[0] < min(1e-3, coarse[0] / 4.0)
@@ -286,10 +289,18 @@ def shifted(layout, series, state, direction):
 
 
 @pytest.mark.parametrize(
-    ("smoothness", "course"), [(0, "linear"), (0, "cubic"), (1, "smooth"), (3, "smooth"), (3, "linear"), (2, "hold")]
+    ("smoothness", "course", "drift"),
+    [
+        (0, "linear", 0.0),
+        (0, "cubic", 0.0),
+        (1, "smooth", 0.9),
+        (3, "smooth", 0.0),
+        (3, "linear", 0.0),
+        (2, "hold", 0.9),
+    ],
 )
-def test_a_linearisation_has_the_derivatives_of_its_steps_and_predictions(smoothness, course):
-    layout, series, state = system(15, smoothness=smoothness, course=course)
+def test_a_linearisation_has_the_derivatives_of_its_steps_and_predictions(smoothness, course, drift):
+    layout, series, state = system(15, smoothness=smoothness, course=course, drift=drift)
     [linear] = linearised(layout, [series], state)
     np.testing.assert_array_equal(np.isnan(linear.residual), np.isnan(series.samples))
     for i in range(layout.size):

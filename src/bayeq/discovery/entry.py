@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
 from typing import Any, get_args
@@ -88,11 +89,10 @@ def discover(
     method : str
         ``"auto"`` (the optimum of variational Bayes, probabilities by model averaging), ``"vb"``, ``"bma"``,
         ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
-    smooth : "auto", "band" or "none"
-        "auto" is the likelihood of the record where it can be used, "band" the regression of smoothed rows.
-        How derivatives that are not measured are estimated, see `bayeq.states.estimate_motion`. Spikes, stuck and
-        clipped stretches are left out first, and missing samples (NaN) are bridged; with "none" nothing is left out,
-        and NaN is an error.
+    smooth : "auto" or "none"
+        "auto" is the likelihood of the record, "none" the regression of rows as measured. Spikes, stuck and clipped
+        stretches are left out first, and missing samples (NaN) are bridged; with "none" nothing is left out, and NaN is
+        an error. "band", a regression that was here before, is "auto", with a DeprecationWarning.
     holdout : float
         Share of the rows, the last of each record, that the equations of the other rows are judged by. Under the
         likelihood of the record the equations are then found once more, from all rows. 0 skips that.
@@ -127,9 +127,9 @@ def discover(
         Distribution of the channels' noise: normal, or Student's t with degrees of freedom that are estimated per
         channel, for noise of many outliers. Needs the likelihood of the record. Single spikes are left out in any case.
     band : (float, float), optional
-        Frequencies [Hz] between which the spectra of target and terms are fitted, as where hum or drift lie outside.
-        This is the band regression, which ``smooth="auto"`` then means too; its own band, in which states follow the
-        motion, is narrowed to this. Fits, free runs and the verdict are judged by the rows, all frequencies in them.
+        Frequencies [Hz] in which the record is believed. Every channel may drift more slowly than the lower one, by
+        how much is learned. What is faster than the higher one, hum for example, is taken out of all channels, which
+        are then sampled 2.4 times in its period (`bayeq.states.believed`).
     seed : int
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional
@@ -236,7 +236,8 @@ def question_of(
     noise, gain_sd = {} if noise is None else noise, {} if gain_sd is None else gain_sd
     check_sensors(noise, gain_sd, roles)
     _check_tails(tails, smooth)
-    smooth = _smooth_in(band, smooth)
+    smooth = _smoothed(smooth)
+    _check_band(band, smooth)
     variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
     if is_library(dictionary):
         dictionary = terms_of(dictionary, variables.names)
@@ -304,16 +305,22 @@ def _check_tails(tails: str, smooth: str) -> None:
         raise InputError(f"tails='student' needs the likelihood of the record, smooth='auto', not {smooth!r}")
 
 
-def _smooth_in(band: tuple[float, float] | None, smooth: Smooth) -> Smooth:
-    """How motion is smoothed: where a band is given by the regression in it."""
-    if band is None:
+def _smoothed(smooth: Smooth) -> Smooth:
+    """How motion is smoothed, by the names of today."""
+    if smooth != "band":
         return smooth
+    warnings.warn("smooth='band' is now smooth='auto', the likelihood of the record", DeprecationWarning, stacklevel=4)
+    return "auto"
+
+
+def _check_band(band: tuple[float, float] | None, smooth: Smooth) -> None:
+    if band is None:
+        return
     if smooth == "none":
-        raise InputError("band= is fitted by the band regression, smooth='band' or 'auto', not smooth='none'")
+        raise InputError("band= needs the likelihood of the record, smooth='auto', not smooth='none'")
     try:
         low, high = (float(end) for end in band)
     except (TypeError, ValueError):
         raise InputError(f"band is a pair of frequencies [Hz], such as (0.5, 40), not {band!r}") from None
     if not 0.0 <= low < high < np.inf:
         raise InputError(f"band {low:g} to {high:g} Hz: give two frequencies, the lower one first, 0 or more")
-    return "band"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.results import Scores
 from bayeq.inference.prior import SIGNED, Prior
+from bayeq.likelihood.drifts import without_drifts
 from bayeq.likelihood.record_fit import RecordFit, refit_record, suits
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows
 from bayeq.regression.constraints import Constraints, parse_constraints
@@ -42,8 +43,9 @@ from bayeq.states import (
     require_varying,
 )
 from bayeq.states.bad_samples import Learned
+from bayeq.states.believed import low_passed
 from bayeq.states.missing import bridged_record, require_enough
-from bayeq.states.motion import held_out_share
+from bayeq.states.motion import FEW_ROWS, held_out_share
 from bayeq.states.prepare import cleaned, divided_at_gaps
 from bayeq.streaming.whole import Whole
 
@@ -136,7 +138,8 @@ class Question:
         _require_likelihood(motion, record, whole)
         first = WarningLog()
         units = _units(pieces, motion.roles, log)
-        equations, scores, selections = self._found(design, record, constrained, units, first)
+        judged = self._judged(design, record)
+        equations, scores, selections = self._found(judged, record, constrained, units, first)
         found = self._of_all_rows(design, record, whole, log)
         if found is not None:
             scored, first = equations, WarningLog()
@@ -171,6 +174,9 @@ class Question:
                 raise
             raise RecordError(f"{error} (found in stretches of a long record: choose its rows, --rows)") from None
         sensors = known_sensors(self.noise, self.gain_sd, roles, pieces, self.tails)
+        if self.band is not None:
+            pieces, factor = low_passed(pieces, [*roles.measured, *roles.inputs], *self.band, FEW_ROWS)
+            sensors = replace(sensors, noise={name: factor * sd for name, sd in sensors.noise.items()})
         motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
         warn_of_sensors(motion, {*self.noise, *self.gain_sd}, log)
         _inspect(motion, pieces, self.holdout, log)
@@ -198,7 +204,15 @@ class Question:
         if whole is not None:
             return of_all, whole.record(record, motion, log)
         found = refit_record(motion.whole, record, of_all.terms, of_all.train)
-        return None if found is None else (of_all, found)
+        return None if found is None else (self._judged(of_all, found), found)
+
+    def _judged(self, design: Design, record: RecordFit | None) -> Design:
+        """The dictionary on the motion that equations are judged by."""
+        motion = without_drifts(design.motion, record)
+        if motion is design.motion:
+            return design
+        judged = build_design(design.terms, motion, allowed=design.allowed)
+        return judged if judged.names == design.names else design
 
     def _found(
         self,

@@ -90,10 +90,10 @@ def _whole_streams(streams: Iterable[Stream]) -> tuple[Extent, ...]:
 def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, folder: Any) -> Whole:
     if question.roles.timed:
         raise NotStreamed("a term uses t, the time, which is not known from row to row of long records; use some rows")
-    if question.smooth == "band" or question.tails == "student":
+    if question.band is not None or question.tails == "student":
         raise NotStreamed(
-            "records that are read some rows at a time are fitted by smooth='auto' or 'none' with tails='gauss'; use"
-            " some rows (--rows), or leave these options out"
+            "records that are read some rows at a time are fitted with tails='gauss' and in no band; use some rows"
+            " (--rows), or leave these options out"
         )
     place = cache_folder() if folder is None else Path(folder)
     if folder is None:

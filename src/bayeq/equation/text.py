@@ -82,7 +82,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     console.print(f"{eq.data.n} rows{_rate(eq)}{source}, {used}; method: {ENGINES[eq.method].title}")
     if eq.data.band is not None:
         low, high = eq.data.band
-        console.print(f"band: spectra between {low:g} and {high:g} Hz were fitted, by the band regression")
+        console.print(f"band: the record is believed between {low:g} and {high:g} Hz")
     if eq.data.estimated:
         how = "smoothing" if eq.data.smoothed else "central differences"
         console.print(f"not measured, estimated by {how}: {escape(', '.join(eq.data.estimated))}")

@@ -18,7 +18,7 @@ from bayeq.likelihood.search import Task
 from bayeq.likelihood.start import series_and_paths
 from bayeq.states import MotionRows
 
-__all__ = ["Block", "adjoints_of", "block_of", "statistics"]
+__all__ = ["Block", "at_its_path", "adjoints_of", "block_of", "statistics"]
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -111,7 +111,7 @@ def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
     try:
         series, paths = series_and_paths(task.layout, pieces)
         own, here = replace(task, series=series, recent=[]), replace(state, paths=paths, blurs=())
-        here, linears, adjoints = _at_its_path(own, here)
+        here, linears, adjoints = at_its_path(own, here)
         found, score = statistics(own, here, linears, adjoints)
         parts = [
             _batches(own, here, k, linear, adj) for k, (linear, adj) in enumerate(zip(linears, adjoints, strict=True))
@@ -155,7 +155,7 @@ def _power(task: Task, pieces: Sequence[MotionRows]) -> tuple[Floats, int]:
     return power, segments
 
 
-def _at_its_path(task: Task, state: State) -> tuple[State, list[Linear], list[Adjoint]]:
+def at_its_path(task: Task, state: State) -> tuple[State, list[Linear], list[Adjoint]]:
     """The model linearised about the path that the coefficients and the samples make likeliest."""
     spread = np.sqrt(state.levels.scales.variance)
     for _ in range(STEPS):

@@ -609,7 +609,7 @@ def _backward(
             _smooth(covariance, k, work, now, lines, start, smoothed)
         if len(at_samples) > 0:
             for channel in range(len(kinds)):
-                if kinds[channel] < 0 and variance[k, channel] > 0.0:
+                if -len(forces) <= kinds[channel] < 0 and variance[k, channel] > 0.0:
                     _curve_at(gradient, covariance, k, -1 - kinds[channel], work, now, lines, at_samples, start)
                     own = added[channel] * linear.spread[k, channel] + linear.unresolved[k, channel]
                     for i in range(size):
@@ -655,7 +655,7 @@ def adjoint(
         Whether `covariance` is.
     """
     (n, size), r = linear.path.shape, len(delta)
-    chains, root = linear.gradient.shape[1], np.zeros((r, 0)) if V is None else _root(V)
+    chains, root = len(linear.discrepancy), np.zeros((r, 0)) if V is None else _root(V)
     out = Adjoint(
         channels=np.zeros(len(linear.kinds)),
         courses=np.zeros(len(noise.courses)),

@@ -1,7 +1,8 @@
 """`Layout`: the state vector of a system, and its equations as a tape.
 
-The states are, in this order: the derivatives of every chain but its highest; a discrepancy d of every equation; every
-input with its derivatives. Between samples discrepancies and the highest derivatives of inputs are constant.
+The states are, in this order: the derivatives of every chain but its highest; a discrepancy d of every equation; the
+drift of every channel, where they drift; every input with its derivatives. Between samples discrepancies, drifts and
+the highest derivatives of inputs are constant.
 """
 
 from __future__ import annotations
@@ -67,6 +68,8 @@ class Layout:
     courses : tuple of str
         Of each input between its samples: "smooth", as its derivatives say; "linear"; "hold"; or a straight line and
         what the "cubic" or "band-limited" interpolation of the samples has beside one.
+    drift : float
+        What is left after a sample of the drift of every channel; 0 where there is none.
     """
 
     roles: Roles
@@ -76,6 +79,7 @@ class Layout:
     centres: tuple[float, ...] = ()
     corners: tuple[float, ...] = ()
     courses: tuple[Course, ...] = ()
+    drift: float = 0.0
 
     @cached_property
     def chains(self) -> int:
@@ -90,7 +94,7 @@ class Layout:
     @cached_property
     def size(self) -> int:
         """S, the number of states."""
-        return self.motion + self.chains + int(sum(self.widths))
+        return self.before_inputs + int(sum(self.widths))
 
     @cached_property
     def last(self) -> Ints:
@@ -103,6 +107,19 @@ class Layout:
         return np.arange(self.motion, self.motion + self.chains, dtype=np.int64)
 
     @cached_property
+    def drifts(self) -> Ints:
+        """The drift of each channel, (M,), or (0,)."""
+        count = 0
+        if self.drift:
+            count = len(self.roles.measured) + len(self.roles.inputs)
+        return np.arange(count, dtype=np.int64) + self.motion + self.chains
+
+    @cached_property
+    def before_inputs(self) -> int:
+        """Number of states before those of the inputs."""
+        return self.motion + self.chains + len(self.drifts)
+
+    @cached_property
     def widths(self) -> Ints:
         """Number of states of each input, (L,)."""
         return 1 + np.maximum(np.array(self.smoothness, dtype=np.int64), 1)
@@ -110,7 +127,7 @@ class Layout:
     @cached_property
     def driven(self) -> Ints:
         """The inputs, (L,)."""
-        return self.motion + self.chains + np.cumsum(self.widths) - self.widths
+        return self.before_inputs + np.cumsum(self.widths) - self.widths
 
     @cached_property
     def slope(self) -> Ints:
@@ -155,7 +172,7 @@ class Layout:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the states; those that are no channels have names that no channel can have."""
-        extra = [f"d[{c}]" for c in range(self.chains)]
+        extra = [f"d[{c}]" for c in range(self.chains)] + [f"b[{i}]" for i in range(len(self.drifts))]
         for name, width in zip(self.roles.inputs, self.widths, strict=True):
             extra += [name, *(f"{name}[{k}]" for k in range(1, width))]
         return (*self.roles.states, *extra)
@@ -206,7 +223,7 @@ class Layout:
         for chain, factors, target in zip(self.roles.chains, self.rates, targets, strict=True):
             for factor, node in zip(factors, [*map(Symbol, chain.states[1:]), target], strict=True):
                 out.append(node if factor == 1.0 else Binary("*", number(factor), node))
-        out += [Number(0)] * self.chains
+        out += [Number(0)] * (self.before_inputs - self.motion)
         for name, width in zip(self.roles.inputs, self.widths, strict=True):
             out += [*(Symbol(f"{name}[{k}]") for k in range(1, width)), Number(0)]
         return Tape.compile(

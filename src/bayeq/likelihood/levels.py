@@ -79,6 +79,8 @@ class Levels:
         Variance of what is added to the highest derivative of each noisy input at a sample.
     courses : (L,) array
         Variance of what the course of each noisy input between samples errs by, as a share of the square of its bends.
+    drifts : (M,) or (0,) array
+        Variance of the drift of each channel.
     hessian : (F, F) array or None
         How the likelihood curves downwards in `free`, as the search that led here has found it, in the units of that
         search.
@@ -93,6 +95,7 @@ class Levels:
     memory: Floats
     slope: Floats
     courses: Floats
+    drifts: Floats
     hessian: Floats | None = None
     held: NDArray[np.bool_] | None = None
 
@@ -105,6 +108,9 @@ class Levels:
         memory[layout.discrepancy] = self.memory
         steps[layout.discrepancy] = self.discrepancy * (1.0 - self.memory**2)
         start[layout.discrepancy] = self.discrepancy
+        memory[layout.drifts] = layout.drift
+        steps[layout.drifts] = self.drifts * (1.0 - layout.drift**2)
+        start[layout.drifts] = self.drifts
         steps[layout.slope] = self.slope
         return Noise(self.channels, memory, steps, self.scales.mean, start, self.courses)
 
@@ -159,10 +165,10 @@ class Levels:
 
     @property
     def optional(self) -> NDArray[np.bool_]:
-        """Those of `free` that may be nothing, about which the likelihood is flat: discrepancies and courses, (F,)."""
-        inputs = len(self.slope)
+        """Those of `free` that may be nothing, about which the likelihood is flat: discrepancies, courses, drifts."""
+        m, c, inputs = len(self.channels), len(self.discrepancy), len(self.slope)
         out = np.ones(len(self.free), dtype=np.bool_)
-        out[: len(self.channels)] = out[len(out) - 2 * inputs : len(out) - inputs] = False
+        out[:m] = out[m + 2 * c : m + 2 * c + inputs] = False
         return out
 
     @property
@@ -175,13 +181,14 @@ class Levels:
                 _logit(self.memory),
                 np.log(self.slope),
                 np.log(self.courses),
+                np.log(self.drifts),
             ]
         )
 
     def moved(self, free: Floats) -> Levels:
         """The levels of other numbers."""
         m, c = len(self.channels), len(self.discrepancy)
-        parts = np.split(free, np.cumsum([m, c, c, len(self.slope)]))
+        parts = np.split(free, np.cumsum([m, c, c, len(self.slope), len(self.courses)]))
         channels = np.exp(parts[0])
         return Levels(
             self.layout,
@@ -191,6 +198,7 @@ class Levels:
             1.0 / (1.0 + np.exp(-parts[2])),
             np.exp(parts[3]),
             np.exp(parts[4]),
+            np.exp(parts[5]),
             held=self.held,
         )
 
@@ -198,13 +206,14 @@ class Levels:
     def bounds(self) -> tuple[Floats, Floats]:
         """Least and most of `free`."""
         target = self.target
-        slope = self.scales.variance[self.layout.slope]
+        slope, drifting = self.scales.variance[self.layout.slope], self.scales.channels[: len(self.drifts)]
         low = [
             np.log(np.maximum(LEAST_NOISE * self.scales.channels, self.scales.rounding)),
             np.log(LEAST_DISCREPANCY * target),
             np.full(len(target), _logit(np.array(MEMORY[0]))),
             np.log(LEAST_DISCREPANCY * slope),
             np.full(len(slope), np.log(COURSES[0])),
+            np.log(LEAST_NOISE * drifting),
         ]
         high = [
             np.log(MOST_NOISE * self.scales.channels),
@@ -212,6 +221,7 @@ class Levels:
             _logit(self.longest),
             np.log(1e4 * slope),
             np.full(len(slope), np.log(COURSES[1])),
+            np.log(MOST_NOISE * drifting),
         ]
         return np.concatenate(low), np.concatenate(high)
 
@@ -220,11 +230,12 @@ class Levels:
         samples = np.asarray(sum(np.isfinite(linear.residual).sum(axis=0) for linear in linears), dtype=np.float64)
         inputs = samples[len(samples) - len(self.slope) :]
         few = np.full(2 * len(self.discrepancy), np.sqrt(samples.mean()))
-        return np.concatenate([0.5 * samples, few, STEP_SHARPNESS * inputs, np.sqrt(inputs)])
+        drifts = np.sqrt(samples[: len(self.drifts)])
+        return np.concatenate([0.5 * samples, few, STEP_SHARPNESS * inputs, np.sqrt(inputs), drifts])
 
     def slopes(self, found: Adjoint) -> Floats:
         """Derivatives of the likelihood by `free`."""
-        d, s = self.layout.discrepancy, self.layout.slope
+        d, b, s = self.layout.discrepancy, self.layout.drifts, self.layout.slope
         size, memory = self.discrepancy, self.memory
         by_size = found.steps[d] * (1.0 - memory**2) + found.start[d]
         by_memory = found.memory[d] - 2.0 * memory * size * found.steps[d]
@@ -235,6 +246,7 @@ class Levels:
                 by_memory * memory * (1.0 - memory),
                 found.steps[s] * self.slope,
                 found.courses * self.courses,
+                (found.steps[b] * (1.0 - self.layout.drift**2) + found.start[b]) * self.drifts,
             ]
         )
 

@@ -94,11 +94,12 @@ class Linear(NamedTuple):
     transition : (n - 1, S, S) array
         Derivatives of `end` by the states.
     gradient : (n, C, S) array
-        Derivatives of each target by the states.
+        Derivatives of each target by the states; where channels drift, of what is measured of it, and behind these of
+        each state.
     residual : (n, M) array
         Samples less what the path gives; NaN where there is none.
     kinds : (M,) array
-        See `Layout.channels`.
+        See `Layout.channels`; -1 - i for a channel of which ``gradient[:, i]`` tells.
     follows, leads : (S, S) int arrays
         Of each state, how many others its next value may depend on, and which; and how many depend on it, and which.
     spread : (n, M) array
@@ -355,9 +356,13 @@ def linearise(
             sources[rows] = left @ sources[rows]
             holds.append((rows, left))
     _to_mean(layout, series.intervals, end, transition)
-    seen = path[:, np.maximum(layout.kinds, 0)]
+    bends = (gradient[:-1, :, layout.driven] * _bends(path[:, layout.driven])[:, None]) ** 2
+    seen, kinds = path[:, np.maximum(layout.kinds, 0)], layout.kinds
     for channel in np.flatnonzero(layout.kinds < 0):
         seen[:, channel] = target[:, -1 - layout.kinds[channel]]
+    if layout.drift:
+        seen += path[:, layout.drifts]
+        kinds, gradient = _with_drifts(layout, gradient)
     related = (transition != 0.0).any(axis=0)
     return Linear(
         path=path,
@@ -365,13 +370,13 @@ def linearise(
         transition=transition,
         gradient=gradient,
         residual=series.samples - seen,
-        kinds=layout.kinds,
+        kinds=kinds,
         follows=_others(related),
         leads=_others(related.T),
         spread=series.spread,
         unresolved=blur.unresolved,
         force=blur.force,
-        bends=(gradient[:-1, :, layout.driven] * _bends(path[:, layout.driven])[:, None]) ** 2,
+        bends=bends,
         discrepancy=layout.discrepancy,
         terms=terms_at(layout, path, inputs),
         open_to=open_to,
@@ -380,6 +385,20 @@ def linearise(
         steps=steps,
         holds=tuple(holds),
     )
+
+
+def _with_drifts(layout: Layout, gradient: Floats) -> tuple[Ints, Floats]:
+    """Kinds and gradients of channels that drift: states are rows behind those of the targets."""
+    kinds, rows = layout.kinds.copy(), [gradient]
+    for i, drift in enumerate(layout.drifts):
+        if kinds[i] < 0:
+            gradient[:, -1 - kinds[i], drift] = 1.0
+        else:
+            row = np.zeros((len(gradient), 1, layout.size))
+            row[:, :, [kinds[i], drift]] = 1.0
+            kinds[i] = -layout.chains - len(rows)
+            rows.append(row)
+    return kinds, np.concatenate(rows, axis=1)
 
 
 def _bends(path: Floats) -> Floats:

@@ -54,6 +54,9 @@ BENT: tuple[Course, ...] = ("cubic", "band-limited")
 # What courses err by at first, as a share of the square of their bends.
 FIRST_COURSE = 1e-2
 
+# The spectrum of a drift falls, as that of a random walk, from this share of the lowest frequency that is believed.
+SLOWEST = 0.1
+
 # Memory of discrepancies at first.
 LEAST_MEMORY, MOST_MEMORY = 0.05, 0.99
 
@@ -97,7 +100,7 @@ def start_from(
     roles, pieces = motion.roles, motion.train
     known = motion.sensors.noise
     inputs = [_input(name, pieces, known.get(name)) for name in roles.inputs]
-    layout = _with_inputs(Layout(roles, tuple(terms), motion.unit_gains), inputs)
+    layout = _with_inputs(Layout(roles, tuple(terms), motion.unit_gains, drift=_drift(motion)), inputs)
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
     targets = _targets(roles, pieces)
@@ -117,6 +120,7 @@ def start_from(
         np.clip(lag1, LEAST_MEMORY, MOST_MEMORY),
         np.array([one.slope for one in inputs]),
         np.full(len(inputs), FIRST_COURSE),
+        noise[: len(layout.drifts)],
         held=held,
     )
     none = np.zeros(0, dtype=np.int64)
@@ -197,7 +201,7 @@ def _inputs_of(state: State) -> list[_Input]:
 def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Input]) -> tuple[Task, State]:
     """The task and the fit with other inputs."""
     layout, levels = _with_inputs(task.layout, inputs), state.levels
-    first = layout.motion + layout.chains
+    first = layout.before_inputs
     series = tuple(_series(layout, rows) for rows in motion.train)
     paths = tuple(np.hstack([path[:, :first], *(one.paths[i] for one in inputs)]) for i, path in enumerate(state.paths))
     samples = np.concatenate([one.samples for one in series])
@@ -206,7 +210,7 @@ def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Inp
     noise = np.append(levels.channels[: layout.first_input], [one.noise for one in inputs])
     slope = np.array([one.slope for one in inputs])
     courses = np.full(len(inputs), FIRST_COURSE)
-    levels = Levels(layout, scales, noise, levels.discrepancy, levels.memory, slope, courses, held=levels.held)
+    levels = replace(levels, layout=layout, scales=scales, channels=noise, slope=slope, courses=courses, hessian=None)
     return replace(task, layout=layout, series=series, recent=[]), replace(state, paths=paths, blurs=(), levels=levels)
 
 
@@ -268,6 +272,13 @@ def _scales(layout: Layout, paths: Sequence[Floats], targets: Floats, samples: F
     rounding = np.array([_rounding(column) for column in samples.T])
     rounding[layout.first_input :] = 0.0  # a force may be switched
     return Scales(mean, np.maximum(variance, 1e-300), np.nanvar(samples, axis=0), interval, rounding)
+
+
+def _drift(motion: Motion) -> float:
+    """What is left after a sample of what varies slower than the band that the records are believed in."""
+    low = motion.band[0] if motion.band else 0.0
+    intervals = [np.diff(rows.time) for rows in motion.train if rows.time is not None]
+    return math.exp(-2.0 * math.pi * SLOWEST * low * _interval(intervals)) if low else 0.0
 
 
 def _rounding(samples: Floats) -> float:
@@ -358,7 +369,7 @@ def _alone(
     layout = Layout(Roles((), (name,)), (), (), (smoothness,), (mean,), (corner,), ("smooth",))
     scales = Scales(np.array([mean, *[0.0] * (len(sizes) - 1)]), np.array(sizes), np.array([variance]))
     none = np.zeros(0)
-    levels = Levels(layout, scales, np.array([noise]), none, none, np.array([slope]), np.ones(1))
+    levels = Levels(layout, scales, np.array([noise]), none, none, np.array([slope]), np.ones(1), none)
     series = [_series(layout, rows) for rows in pieces]
     nothing = Candidates(none.astype(np.int64), none.astype(np.int64))
     zero = tuple(np.zeros((len(one.samples), layout.size)) for one in series)

@@ -102,7 +102,7 @@ class Motion:
     sensors : Sensors
         What is known of the channels.
     band : (float, float) or None
-        Frequencies [Hz] between which equations are to be fitted.
+        Frequencies [Hz] in which the records are believed.
     """
 
     roles: Roles
@@ -198,7 +198,7 @@ def estimate_motion(
     sensors : Sensors, optional
         Noise levels that are known are not learned.
     band : (float, float), optional
-        Frequencies [Hz] between which equations are to be fitted.
+        Frequencies [Hz] in which the records are believed, low-passed already.
 
     Raises
     ------
@@ -210,11 +210,6 @@ def estimate_motion(
         smooth = "none"
         records = records if whole else [complete_rows(record, roles) for record in records]
     smoothed = _smoothed(records, roles, smooth, share, sensors)
-    if band is not None and (smoothed is None or any(one.fs is None for one in smoothed[2])):
-        raise RecordError(
-            f"{records[0].name or 'record'}: a band of frequencies needs records of {FEW_ROWS} rows or more, sampled"
-            " evenly and all at one rate; leave the band out, or resample"
-        )
     no_smoothing: tuple[ChainSmoothing, ...] = ()
     if smoothed is None:
         records = records if whole else [complete_rows(record, roles) for record in records]
