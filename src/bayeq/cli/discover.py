@@ -86,12 +86,12 @@ Examples:
     group=SURE,
     type=click.Choice(["auto", "band", "none"]),
     default="auto",
-    help="Likelihood of the record (auto), regression of smoothed rows (band), or channels as measured (none).",
+    help="Likelihood of the record (auto, formerly band), or channels as measured (none).",
 )
 @option(
     "--band",
     group=SURE,
-    help="Frequencies that are fitted, LO:HI [Hz], where hum or drift lie outside; by the band regression.",
+    help="Frequencies in which the record is believed, LO:HI [Hz], where hum or drift lie outside.",
 )
 @option(
     "--constraint",

@@ -11,6 +11,7 @@ from bayeq.cli.cluster import cluster_client, dask_option
 from bayeq.cli.options import FILE, Command, option
 from bayeq.cli.streams import say
 from bayeq.errors import InputError, InterruptedRun
+from bayeq.states.derive import current
 
 __all__ = ["study"]
 
@@ -42,7 +43,7 @@ def study(context: click.Context) -> None:
     "--smooth",
     type=click.Choice(["none", "auto", "band"]),
     default="none",
-    help="The paper's raw noisy channels (none), smoothed ones (band), or the likelihood of the record (auto).",
+    help="The paper's raw noisy channels (none), or the likelihood of the record (auto, formerly band).",
 )
 def table2(
     realisations: int,
@@ -71,7 +72,7 @@ def table2(
                 algorithms=_names(algorithms),
                 realisations=realisations,
                 jobs=jobs,
-                config=StudyConfig(seed=seed, smooth=smooth),
+                config=StudyConfig(seed=seed, smooth=current(smooth)),
                 progress=progress,
                 client=client,
             )

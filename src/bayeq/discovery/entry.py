@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
 from typing import Any, get_args
@@ -28,6 +27,7 @@ from bayeq.inference.prior import Prior
 from bayeq.regression.constraints import parse_constraints
 from bayeq.selection.select import Rules
 from bayeq.states import Roles, Smooth, Tails, check_sensors
+from bayeq.states.derive import current
 
 __all__ = ["discover", "question_of"]
 
@@ -235,8 +235,8 @@ def question_of(
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
     noise, gain_sd = {} if noise is None else noise, {} if gain_sd is None else gain_sd
     check_sensors(noise, gain_sd, roles)
+    smooth = current(smooth)
     _check_tails(tails, smooth)
-    smooth = _smoothed(smooth)
     _check_band(band, smooth)
     variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
     if is_library(dictionary):
@@ -303,14 +303,6 @@ def _check_tails(tails: str, smooth: str) -> None:
         raise InputError(f"tails is 'gauss' or 'student', got {tails!r}")
     if tails == "student" and smooth != "auto":
         raise InputError(f"tails='student' needs the likelihood of the record, smooth='auto', not {smooth!r}")
-
-
-def _smoothed(smooth: Smooth) -> Smooth:
-    """How motion is smoothed, by the names of today."""
-    if smooth != "band":
-        return smooth
-    warnings.warn("smooth='band' is now smooth='auto', the likelihood of the record", DeprecationWarning, stacklevel=4)
-    return "auto"
 
 
 def _check_band(band: tuple[float, float] | None, smooth: Smooth) -> None:

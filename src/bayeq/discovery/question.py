@@ -21,13 +21,13 @@ from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.results import Scores
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.drifts import without_drifts
-from bayeq.likelihood.record_fit import RecordFit, refit_record, suits
+from bayeq.likelihood.record_fit import MOST_CANDIDATES, RecordFit, refit_record
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.joint import fit_equations, record_of
 from bayeq.regression.regression import Regression
-from bayeq.regression.screening import MOST_TERMS, screened
+from bayeq.regression.screening import screened
 from bayeq.selection.select import Rules, Selection, select
 from bayeq.selection.tolerance import TOLERANCE
 from bayeq.states import (
@@ -54,13 +54,13 @@ __all__ = ["NotStreamed", "Question"]
 Bools = NDArray[np.bool_]
 Progress = Callable[[str, int, int], None]
 NO_LIKELIHOOD = (
-    "the likelihood of the record could not be evaluated near its motion: the regression of smoothed rows is used"
-    " instead, whose intervals and probabilities are less sure; give fewer terms"
+    "the likelihood of the record could not be evaluated near its motion: a regression of its smoothed rows was used,"
+    " as many as their residuals are worth. Its intervals and probabilities are less sure; give fewer terms"
 )
 
 NO_TAILS = (
-    "tails='student' makes no difference: it is part of the likelihood of the record, which is not used here; use fewer"
-    " rows or terms"
+    "tails='student' makes no difference: it is part of the likelihood of the record, which is not used here; use more"
+    " rows, or fewer terms"
 )
 
 # With fewer training rows there is no regression.
@@ -96,7 +96,9 @@ class Question:
     seed: int
     step: Progress
 
-    def answer(self, records: Sequence[Record], whole: Whole | None = None) -> tuple[Equations, WarningLog]:
+    def answer(
+        self, records: Sequence[Record], whole: Whole | None = None, because: str | None = None
+    ) -> tuple[Equations, WarningLog]:
         """The equations, and the warnings that go with them.
 
         Parameters
@@ -105,6 +107,8 @@ class Question:
             Measured channels.
         whole : Whole, optional
             All rows, where the records are stretches of longer ones.
+        because : str, optional
+            What to say of the choice of the records.
 
         Raises
         ------
@@ -115,15 +119,17 @@ class Question:
         """
         log, step = WarningLog(), self.step
         measured = list(records)
+        if because is not None:
+            log.warn(because, DataWarning)
         if any(map(counts_rows, measured)):
             log.warn(UNKNOWN_TIME, DataWarning)
         _require_unambiguous(self.terms, measured, self.roles)
         step("states", 0, 1)
         motion, pieces = self._motion(measured, log, whole)
-        terms, allowed = self.terms, self.allowed
-        if len(terms) > MOST_TERMS:
+        terms, allowed, most = self.terms, self.allowed, MOST_CANDIDATES // len(motion.roles.chains) - 1
+        if len(terms) > most:
             constrained = parse_constraints(self.known, terms, motion.roles.targets)
-            terms, allowed = _screened(terms, motion, allowed, constrained, log)
+            terms, allowed = _screened(terms, motion, allowed, constrained, most, log)
         design = self._design(motion, terms, allowed, whole)
         warn_of_terms(design, log)
         warn_of_zero(design, pieces, log)
@@ -131,7 +137,7 @@ class Question:
 
         step("likelihood", 0, 1)
         record = record_of(design, self.smooth, self.dictionary, self.prior, self.rules.tolerance)
-        if record is None and self.smooth == "auto" and suits(motion, len(design.terms)):
+        if record is None and motion.smoothing:
             log.warn(NO_LIKELIHOOD, DataWarning)
         if record is None and self.tails == "student":
             log.warn(NO_TAILS, DataWarning)
@@ -236,11 +242,11 @@ class Question:
 
 
 def _require_likelihood(motion: Motion, record: RecordFit | None, whole: Whole | None) -> None:
-    """Refuse stretches where the band regression would be about all rows together."""
+    """Refuse stretches without a likelihood, which all rows are summed by."""
     if whole is not None and motion.smoothing and record is None:
         raise NotStreamed(
-            "these channels are fitted by the band regression, which takes all rows together, and not for records that"
-            " are read some rows at a time: give fewer terms, or use some rows (--rows)"
+            "the likelihood of the record could not be evaluated near its motion, and records that are read some rows"
+            " at a time are fitted by it alone: give fewer terms, or use some rows (--rows)"
         )
 
 
@@ -277,12 +283,6 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
     log.extend(
         check_messages(present, [chain.measured for chain in motion.roles.chains], motion.roles.inputs), DataWarning
     )
-    if any(smoothing.fs is None for smoothing in motion.smoothing):
-        log.warn(
-            "steps of time are uneven, or differ between records: the regression goes row by row instead of in the band"
-            " that the smoother follows, and small terms are harder to find; resample evenly, all records at one rate",
-            DataWarning,
-        )
 
 
 def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Constraints, ...]:
@@ -295,11 +295,16 @@ def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Con
 
 
 def _screened(
-    terms: Sequence[Expression], motion: Motion, allowed: Bools, constrained: Sequence[Constraints], log: WarningLog
+    terms: Sequence[Expression],
+    motion: Motion,
+    allowed: Bools,
+    constrained: Sequence[Constraints],
+    most: int,
+    log: WarningLog,
 ) -> tuple[tuple[Expression, ...], Bools]:
     """The candidates of a large dictionary that explain most, and those that something is known of."""
     forced = np.any([one.concerned for one in constrained], axis=0)
-    kept = screened(terms, motion, allowed, forced, MOST_TERMS)
+    kept = screened(terms, motion, allowed, forced, most)
     targets = ", ".join(motion.roles.targets)
     log.warn(
         f"{len(terms):,} candidates: {len(kept):,} were kept, the simplest and those that explain most of {targets}"

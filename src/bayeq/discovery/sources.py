@@ -11,7 +11,6 @@ from typing import Any
 from bayeq.discovery.question import NotStreamed, Question
 from bayeq.equation.equations import Equations
 from bayeq.errors import InputError, WarningLog
-from bayeq.likelihood.record_fit import MOST_ROWS
 from bayeq.records import as_records, with_row_numbers
 from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_unasked
 from bayeq.streaming.checkpoint import Checkpoints, cache_folder
@@ -22,6 +21,9 @@ from bayeq.streaming.partitions import dask_streams, is_dask
 from bayeq.streaming.whole import Whole
 
 __all__ = ["answer_of", "extents_of"]
+
+# Longer records in memory are taken in units, as large files are.
+MOST_ROWS = 200_000
 
 
 def answer_of(
@@ -57,8 +59,10 @@ def answer_of(
         rows = of_channels(_whole_streams(map(RecordStream, measured)), channels)
         try:
             return question.answer(stretches(rows), _whole(question, rows, executor, None))
-        except NotStreamed:
-            return question.answer(measured)
+        except NotStreamed as why:
+            some = stretches(rows)
+            used, given = sum(record.n for record in some), sum(record.n for record in measured)
+            return question.answer(some, because=f"{used:,} of {given:,} rows are used, {len(some)} stretches: {why}")
     return question.answer(measured)
 
 

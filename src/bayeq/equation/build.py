@@ -27,10 +27,6 @@ from bayeq.selection.select import Selection
 
 __all__ = ["build_equations", "with_doubts"]
 
-# The residual of an adequate model has 0.9 to 1.3 times the power that the noise of the channels explains; a multiple
-# above this one is reported in a warning.
-INADEQUATE = 1.75
-
 # Share of the residuals of rows as measured that are worth an independent one, at least.
 INDEPENDENT = 0.5
 
@@ -68,7 +64,7 @@ def build_equations(
     """
     design = selections[0].fit.regression.design
     motion = design.motion
-    dynamics = Dynamics.on(motion, design.terms, [one.reported[0] for one in selections])
+    dynamics = Dynamics.on(motion, design.terms, [one.reported for one in selections])
     windows: Sequence[tuple[float, str] | None] = window_errors(dynamics, motion) or [None] * len(selections)
     equations = []
     for k, (selection, window) in enumerate(zip(selections, windows, strict=True)):
@@ -104,9 +100,9 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
     """
     fit = selection.fit
     regression, motion = fit.regression, fit.regression.motion
-    shown, excess = selection.reported
+    shown = selection.reported
     same = selection.shown is fit.posterior
-    posterior = shown if same else fit.reported(fit.posterior)[0]
+    posterior = shown if same else fit.reported(fit.posterior)
     train, held_out = regression.fit(shown), regression.held_out_fit(shown)
     # of a few rows that are held out an estimated target knows next to nothing
     by_rest = held_out is not None and _numbers(regression) * held_out.n >= LEAST_NUMBERS
@@ -132,7 +128,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         shown_posterior=shown,
         train=train,
         held_out=held_out,
-        residuals=replace(residuals, excess=excess, discrepancy=_discrepancy(regression)),
+        residuals=replace(residuals, discrepancy=_discrepancy(regression)),
         verdict=verdict,
         runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.method].spike_slab else (),
         fit=fit,
@@ -186,7 +182,6 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     # as the likelihood has it, which other equations are compared by
     others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), max(tolerance, equation.tau))
     spread = regression.rows.target_deviation
-    excess = equation.residuals.excess if (equation.residuals.excess or 0.0) > INADEQUATE else None
     exact = 1.0 - (equation.error_probability or 0.0)
     verdict = doubted(
         equation.verdict,
@@ -195,7 +190,6 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         lacking,
         coloured,
         spread,
-        excess,
         again,
         exact,
         equation.error_share,
@@ -217,8 +211,7 @@ def _reversed(equation: Equation) -> str | None:
 def _dependent(equation: Equation, regression: Regression) -> tuple[float, int] | None:
     """Effective number of residuals of rows as measured, and their number, where most do not tell anything new."""
     found = equation.residuals
-    plain = regression.record is None and regression.band is None
-    matters = plain and equation.train.nrmse > LEAST_SHOWN
+    matters = regression.record is None and equation.train.nrmse > LEAST_SHOWN
     return (found.n_eff, found.n) if matters and found.n_eff < INDEPENDENT * found.n else None
 
 
@@ -312,23 +305,15 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
     target, residuals, regression = equation.target, equation.residuals, selection.fit.regression
     if residuals.discrepancy is not None:
         return
-    if residuals.correlated and residuals.excess is None:
-        reduced = regression.band is None and regression.gram.n < equation.train.n
-        counted = ", which is what the rows count for" if reduced else ""
+    if residuals.correlated:
+        counted = ", which is what the rows count for" if regression.gram.n < equation.train.n else ""
+        measured = "" if regression.motion.smoothing else "use smooth='auto', or "
         log.warn(
             f"{target}: the residuals are correlated in time (lag-1 autocorrelation {residuals.lag1:.2f},"
             f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}{counted}): standard deviations and"
-            " intervals may be too narrow, and terms may be included that only fit the correlation; use smooth='auto',"
-            " or add terms or inputs that may be missing",
+            f" intervals may be too narrow, and terms may be included that only fit the correlation; {measured}add"
+            " terms or inputs that may be missing",
             CorrelatedResidualsWarning,
-        )
-    if residuals.excess is not None and residuals.excess > INADEQUATE:
-        log.warn(
-            f"{target}: the residual has {residuals.excess_text} times the power that the noise of the channels"
-            " explains: the equation is only nearly true, or the channels do not fit each other. Included"
-            " terms may compensate for what is missing, and intervals do not cover that; add terms or inputs, and check"
-            " the channels against each other",
-            DataWarning,
         )
     if residuals.driven and residuals.driver is not None:
         log.warn(

@@ -384,7 +384,6 @@ def _restored_residuals(saved: Mapping[str, Any]) -> Residuals:
         kurtosis=float(saved.get("kurtosis", 0.0)),
         normality=float(saved.get("normality", 1.0)),
         driver=None if driver is None else _record(Driver, driver),
-        excess=None if saved.get("excess") is None else float(saved["excess"]),
         discrepancy=None if saved.get("discrepancy") is None else float(saved["discrepancy"]),
     )
 

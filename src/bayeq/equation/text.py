@@ -258,8 +258,6 @@ def _residuals(found: Residuals, error_share: float | None) -> list[str]:
     if share_left is not None:
         share = f"{100 * share_left:.2g}" if share_left > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g}"
         lines.append(f"discrepancy, what the dictionary does not hold: {share} % of the target's standard deviation")
-    if found.excess is not None:
-        lines.append(f"residuals: {found.excess_text} times the power that the noise of the channels explains")
     if found.driver is not None and found.driver.p_value < DOUBTFUL:
         lines.append(f"residuals: follow {found.driver} ({_chance(found.driver.p_value)})")
     elif found.driver is not None:

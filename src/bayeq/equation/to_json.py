@@ -193,6 +193,7 @@ def _diagnostics(equation: Equation) -> dict[str, Any]:
         },
         "residuals": {
             **asdict(equation.residuals),
+            "excess": None,  # of a regression that is gone
             "correlated": equation.residuals.correlated,
             "driven": equation.residuals.driven,
         },

@@ -156,7 +156,6 @@ def doubted(
     lacking: Discrepancy | None,
     coloured: Octave | None,
     spread: float,
-    excess: float | None = None,
     again: Repeating | None = None,
     exact: float = 1.0,
     left: float | None = None,
@@ -179,8 +178,6 @@ def doubted(
         Where what is left of a channel is not white.
     spread : float
         Standard deviation of the target, in its unit.
-    excess : float, optional
-        Power of the residual over that of the noise, in a band, where it is too large.
     again : Repeating, optional
         Motion that repeats itself and does not tell the candidates apart.
     exact : float
@@ -243,12 +240,6 @@ def doubted(
             f"what is left of {coloured.channel} is not white noise: {coloured.ratio:.2g} times as much between"
             f" {coloured.low:.2g} and {coloured.high:.2g} Hz (p {_chance(coloured.p)})",
             f"check {coloured.channel} against the other channels: calibration, timing, filters, hum",
-        )
-    if excess is not None:
-        return Verdict(
-            "nearly true",
-            f"the residual of {target} has {excess:.2g} times the power that the noise of the channels explains",
-            "add terms or inputs that may be missing, and check the channels against each other",
         )
     if n_eff is not None:
         return Verdict(

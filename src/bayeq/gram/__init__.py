@@ -1,4 +1,4 @@
-"""Sufficient statistics of a regression: of rows, of wide data, of a band of frequencies."""
+"""Sufficient statistics of a regression: of rows, of wide data."""
 
 from bayeq.gram.gram import Gram, GramLike, Standardised
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -45,8 +46,7 @@ def without_drifts(motion: Motion, record: RecordFit | None) -> Motion:
 def _without(rows: MotionRows, names: list[str], drifts: Floats) -> MotionRows:
     of = dict(zip(names, drifts.T, strict=True))
 
-    def freed(columns: dict[str, Floats]) -> dict[str, Floats]:
+    def freed(columns: Mapping[str, Floats]) -> dict[str, Floats]:
         return {name: values - of[name] if name in of else values for name, values in columns.items()}
 
-    parts = (dict(columns) for columns in (rows.columns, rows.observed, rows.samples))
-    return MotionRows(rows.name, rows.time, *map(freed, parts), rows.known)
+    return replace(rows, columns=freed(rows.columns), observed=freed(rows.observed), samples=freed(rows.samples))

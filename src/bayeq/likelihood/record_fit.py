@@ -36,13 +36,12 @@ from bayeq.likelihood.start import carried_over, start_from, with_courses
 from bayeq.likelihood.student import with_heavy_tails
 from bayeq.states import Motion
 
-__all__ = ["RecordFit", "fit_record", "refit_record", "suits"]
+__all__ = ["MOST_CANDIDATES", "RecordFit", "fit_record", "refit_record"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-# Beyond these numbers of rows and of candidates of all equations together, records are left to the band regression.
-MOST_ROWS = 200_000
+# Candidates of all equations together, constants among them: of four channels and 4000 rows they take a minute.
 MOST_CANDIDATES = 1000
 
 # Longer records are searched at first in stretches: rows in all, and number of stretches.
@@ -296,17 +295,6 @@ def _marginal(q: Quadratic, own: NDArray[np.intp], rest: NDArray[np.intp], preci
     return A - across @ carried[:, :-1], b - across @ carried[:, -1]
 
 
-def suits(motion: Motion, terms: int) -> bool:
-    """Whether the likelihood of the records is used: not too many rows and candidates."""
-    rows = sum(piece.n for piece in motion.train)
-    return (
-        motion.timed
-        and bool(motion.smoothing)
-        and rows <= MOST_ROWS
-        and (terms + 1) * len(motion.roles.chains) <= MOST_CANDIDATES
-    )
-
-
 def fit_record(
     motion: Motion,
     terms: Sequence[Expression],
@@ -321,7 +309,7 @@ def fit_record(
     Parameters
     ----------
     motion : Motion
-        One that `suits`.
+        With time, smoothed.
     terms : sequence of Expression
         The P candidates.
     log_odds : (P + 1,) or (C, P + 1) array

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
-from bayeq.gram.band import noise_floor
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.fit import solved
 from bayeq.regression.regression import Regression
@@ -93,15 +92,14 @@ def _change_by_factor(
 
 
 def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tuple[str, ...]:
-    """Inputs in the terms of a posterior whose noise neither was given nor can be read from the record."""
+    """Inputs in the terms of a posterior whose noise neither was given nor is told by the likelihood of the record."""
+    if regression.record is None:
+        return ()
     motion, terms = regression.motion, regression.design.terms
     used = {name for j in np.flatnonzero(posterior.support) for name in terms[j].names}
     inputs = [name for name in motion.roles.inputs if name in used and name not in motion.sensors.noise]
     inputs = [name for name in inputs if _may_hide_noise([rows.columns[name] for rows in motion.train])]
-    if regression.record is not None:
-        seen = regression.record.inputs_of_known_noise
-        return tuple(name for name in inputs if name not in seen)
-    return tuple(name for name in inputs if noise_floor([rows.columns[name] for rows in motion.train]) is None)
+    return tuple(name for name in inputs if name not in regression.record.inputs_of_known_noise)
 
 
 def _may_hide_noise(pieces: Sequence[Floats]) -> bool:

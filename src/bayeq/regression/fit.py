@@ -21,7 +21,6 @@ from bayeq.likelihood.record_fit import RecordFit
 from bayeq.likelihood.spike import softened_rows
 from bayeq.regression.channel_errors import calibrated
 from bayeq.regression.constraints import Constraints
-from bayeq.regression.covariance import propagated_covariance
 from bayeq.regression.regression import Regression
 
 __all__ = ["RegressionFit", "fit_regression"]
@@ -40,7 +39,7 @@ class RegressionFit:
     Attributes
     ----------
     regression : Regression
-        Rows and bins, in original units.
+        Rows, in original units.
     constraints : Constraints
         What is known of the coefficients.
     standard : Standardised
@@ -101,32 +100,20 @@ class RegressionFit:
         """A posterior of `standard` in original units and of all P terms."""
         return self.constraints.expand(posterior.rescaled(self.standard), self.regression.gram)
 
-    def reported(self, posterior: Posterior) -> tuple[Posterior, float | None]:
-        """A posterior of `standard` as it is reported, and the `Residuals.excess` of a band.
+    def reported(self, posterior: Posterior) -> Posterior:
+        """A posterior of `standard` as it is reported: the uncertainty of the sensors' calibration is added to it."""
+        found = self._reported(posterior)
+        return calibrated(self.regression, found, self.constraints.equalities.basis(found.support))
 
-        In a band its covariance is that which the noise of the channels makes, and its noise variance that of the
-        residual over the rows. The uncertainty of the sensors' calibration is added to any.
-        """
-        found, excess = self._reported(posterior)
-        return calibrated(self.regression, found, self.constraints.equalities.basis(found.support)), excess
-
-    def _reported(self, posterior: Posterior) -> tuple[Posterior, float | None]:
+    def _reported(self, posterior: Posterior) -> Posterior:
         found = self.expanded(posterior)
         record, k = self.regression.record, self.regression.k
-        if record is not None:
-            found = replace(found, target_mean_variance=found.noise_variance / found.n)
-            if self.coarsen == 1.0 and record.projectable(k, found.support):
-                found = self._projected(record, found, free=not self._truncated(posterior.support))
-            return replace(found, noise_variance=self.regression.noise_variance(found)), None
-        if self.regression.band is None:
-            return found, None
-        excess = None
-        if found.support.any() and not self._truncated(posterior.support):
-            found, excess = self._propagated(found)
-            if self._inputs_of_unknown_noise(found):
-                # it is in the residual too
-                excess = None
-        return replace(found, noise_variance=self.regression.noise_variance(found)), excess
+        if record is None:
+            return found
+        found = replace(found, target_mean_variance=found.noise_variance / found.n)
+        if self.coarsen == 1.0 and record.projectable(k, found.support):
+            found = self._projected(record, found, free=not self._truncated(posterior.support))
+        return replace(found, noise_variance=self.regression.noise_variance(found))
 
     def _projected(self, record: RecordFit, found: Posterior, free: bool) -> Posterior:
         """The posterior of the terms that the record was fitted with, by projection (`bayeq.likelihood.projection`).
@@ -192,28 +179,6 @@ class RegressionFit:
         from bayeq.inference.signs.truncation import Truncation
 
         return bool(Truncation(self.problem, signs, model[None, :]).needed.any())
-
-    def _inputs_of_unknown_noise(self, posterior: Posterior) -> set[str]:
-        """Inputs in the terms of a posterior whose noise could not be read from their spectrum."""
-        design, band = self.regression.design, self.regression.band
-        assert band is not None
-        used = {name for j in np.flatnonzero(posterior.support) for name in design.terms[j].names}
-        return (used & set(design.motion.roles.inputs)) - {design.terms[j].text for j in band.noise}
-
-    def _propagated(self, posterior: Posterior) -> tuple[Posterior, float]:
-        """The posterior with the covariance that the noise of the channels makes, and the excess of the residual."""
-        basis = self.constraints.equalities.basis(posterior.support)
-        covariance, excess = propagated_covariance(self.regression, posterior, basis)
-        covariance = covariance / self.coarsen
-        averaged = posterior.averaged_sd
-        if averaged is not None:
-            # within the model shown; between models it stays
-            kept = posterior.support
-            within = posterior.pip[kept] * np.diagonal(covariance)
-            change = within - posterior.pip[kept] * np.diagonal(posterior.covariance)
-            averaged = averaged.copy()
-            averaged[kept] = np.sqrt(np.maximum(averaged[kept] ** 2 + change, within))
-        return replace(posterior, covariance=covariance, averaged_sd=averaged), excess
 
 
 def fit_regression(

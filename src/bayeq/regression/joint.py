@@ -17,7 +17,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.likelihood.record_fit import RecordFit, fit_record, suits
+from bayeq.likelihood.record_fit import RecordFit, fit_record
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design
 from bayeq.regression.fit import RegressionFit, fit_regression
@@ -50,8 +50,8 @@ def record_of(
     prior: Prior | None = None,
     tolerance: float | None = None,
 ) -> RecordFit | None:
-    """The likelihood of the records of a design; None where it is not used."""
-    if smooth != "auto" or not suits(design.motion, len(design.terms)):
+    """The likelihood of the records of a design; None where it is not used, or cannot be evaluated."""
+    if smooth != "auto" or not design.motion.smoothing:
         return None
     return fit_record(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train, tolerance)
 

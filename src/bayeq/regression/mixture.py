@@ -31,8 +31,8 @@ def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = N
     fit : RegressionFit
         With the models that were averaged over, or draws.
     reported : Posterior
-        Of one model, as it is reported: in a band with the standard deviations that the noise of the channels makes, by
-        the likelihood of the record by projection. Its terms differ in other models by the same factor and change.
+        Of one model, as it is reported: by the likelihood of the record by projection. Its terms differ in other models
+        by the same factor and change.
     struck : (F,) bool array, optional
         Terms that are taken out of every model, the others estimated again.
 
@@ -99,13 +99,11 @@ def _mean_variance(reported: Posterior) -> float:
 def _moved(fit: RegressionFit, reported: Posterior) -> tuple[Floats, Floats]:
     """What a model as it is reported differs by from its posterior: factors of deviations, changes of means."""
     factor, change = np.ones(len(reported.names)), np.zeros(len(reported.names))
-    if (fit.regression.band is not None or reported.freedom is not None) and reported.support.any():
+    if reported.freedom is not None and reported.support.any():
         exact = fit.expanded(fit.conditional(reported.support[fit.constraints.equalities.kept]))
         known = exact.sd > 0.0
-        wide = 1.0 if reported.freedom is None else t95(reported.freedom[known]) / Z95
-        factor[known] = wide * reported.sd[known] / exact.sd[known]
-        if reported.freedom is not None:
-            change[known] = (reported.coef - exact.coef)[known]
+        factor[known] = t95(reported.freedom[known]) / Z95 * reported.sd[known] / exact.sd[known]
+        change[known] = (reported.coef - exact.coef)[known]
     return factor, change
 
 

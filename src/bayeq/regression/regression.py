@@ -1,4 +1,4 @@
-"""`Regression`: one equation's rows, or bins of a band, from which its Gram, residuals and fits come."""
+"""`Regression`: one equation's rows, from which its Gram, residuals and fits come."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bayeq.likelihood.record_fit import RecordFit
 from bayeq.regression.design import Design
 from bayeq.regression.filtered_terms import filtered_terms
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
-from bayeq.regression.weights import InBand, regress_in_band, thinned_gram, without_noise
+from bayeq.regression.thinning import thinned_gram, without_noise
 from bayeq.states import Chain, ChainSmoothing, Motion, MotionRows
 
 __all__ = ["Regression"]
@@ -45,11 +45,8 @@ class Regression:
     rows, held_out : Gram, Gram or None
         Statistics that the equation is judged by: of the training rows and of those held out. Where the target was
         estimated both sides went through the smoother.
-    band : InBand or None
-        The band regression, where states were smoothed.
     gram : Gram
-        What counts as data: the likelihood of the records, the bins of the band, or as many rows as the residuals are
-        worth.
+        What counts as data: the likelihood of the records, or as many rows as the residuals are worth.
     record : RecordFit or None
         The likelihood of the records, where it is used.
     """
@@ -58,27 +55,23 @@ class Regression:
     k: int
     rows: Gram
     held_out: Gram | None
-    band: InBand | None
     gram: Gram
     record: RecordFit | None = None
 
     @classmethod
     def of(cls, design: Design, k: int, record: RecordFit | None = None) -> Regression:
-        """The regression of chain number `k` of the design's motion, every row or bin counting in full."""
+        """The regression of chain number `k` of the design's motion, every row counting in full."""
         motion = design.motion
         rows, held_out = design.train[k], design.held_out[k] if design.held_out else None
         if motion.estimated_by(k) is not None:
             rows = _filtered_gram(design, k, motion.train, kept=True)
             held_out = _filtered_gram(design, k, motion.held_out) if motion.held_out else None
         if record is not None:
-            return cls(design, k, rows, held_out, None, record.standards[k].source, record)
-        band = regress_in_band(design, k)
-        if band is not None:
-            return cls(design, k, rows, held_out, band, band.gram)
+            return cls(design, k, rows, held_out, record.standards[k].source, record)
         known = motion.sensors.noise
         inputs = {name for name in motion.roles.inputs if name in known}
         noise = {j: known[name] ** 2 for j, name in enumerate(design.names) if name in inputs}
-        return cls(design, k, rows, held_out, None, without_noise(rows, noise))
+        return cls(design, k, rows, held_out, without_noise(rows, noise))
 
     @property
     def motion(self) -> Motion:
@@ -92,7 +85,7 @@ class Regression:
 
     def thinned(self) -> Regression:
         """The regression with rows that count for the effective sample size, where their residuals are correlated."""
-        if self.record is not None or self.band is not None or len(self.design.terms) > MOST_TERMS_TO_THIN:
+        if self.record is not None or len(self.design.terms) > MOST_TERMS_TO_THIN:
             return self
         return replace(self, gram=thinned_gram(self.gram, self._all_residuals))
 
@@ -114,7 +107,7 @@ class Regression:
         return None if self.held_out is None else _fit(self.held_out, posterior)
 
     def noise_variance(self, posterior: Posterior) -> float:
-        """Variance of the residual over the training rows: what the spectrum of the band does not tell."""
+        """Variance of the residual over the training rows."""
         spare = max(self.rows.n - 1.0 - float(posterior.support.sum()), 1.0)
         return self.rows.squared_error(posterior.coef, posterior.intercept) / spare
 

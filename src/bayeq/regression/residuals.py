@@ -92,9 +92,6 @@ class Residuals:
         (Lobato and Velasco 2004).
     driver : Driver or None
         The input or state that they follow most, where channels were given.
-    excess : float or None
-        Of a regression on smoothed states: the power of the residual over what the noise of the channels makes, bin by
-        bin of the band, 1 for an adequate model. None elsewhere, and where the noise of an input is not known.
     discrepancy : float or None
         Of the likelihood of the record: standard deviation of what the dictionary does not hold, as a share of the
         target's.
@@ -107,15 +104,7 @@ class Residuals:
     kurtosis: float = 0.0
     normality: float = 1.0
     driver: Driver | None = None
-    excess: float | None = None
     discrepancy: float | None = None
-
-    @property
-    def excess_text(self) -> str:
-        """The excess as text."""
-        if self.excess is None:
-            return "unknown"
-        return f"{self.excess:.2g}" if self.excess < 10 else f"{self.excess:,.0f}"
 
     @property
     def correlated(self) -> bool:

@@ -19,13 +19,10 @@ from bayeq.dictionary.polynomial import degree
 from bayeq.expressions import Expression
 from bayeq.states import Motion
 
-__all__ = ["MOST_TERMS", "screened"]
+__all__ = ["screened"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-# Candidates of all equations that are compared; of five equations and 4000 rows that takes about a minute.
-MOST_TERMS = 1000
 
 # Rows that candidates are judged by, at most, spread over the records.
 ROWS = 4000
@@ -37,9 +34,7 @@ NEARLY_NOTHING = 1e-8
 ROUNDS = 20
 
 
-def screened(
-    terms: Sequence[Expression], motion: Motion, allowed: Bools, forced: Bools, most: int = MOST_TERMS
-) -> NDArray[np.intp]:
+def screened(terms: Sequence[Expression], motion: Motion, allowed: Bools, forced: Bools, most: int) -> NDArray[np.intp]:
     """Candidates to keep.
 
     Parameters

@@ -144,8 +144,8 @@ class Selection:
         )
 
     @cached_property
-    def reported(self) -> tuple[Posterior, float | None]:
-        """What is shown in original units, and the `Residuals.excess` of a band."""
+    def reported(self) -> Posterior:
+        """What is shown in original units."""
         return self.shown_fit.reported(self.shown)
 
     def given(self, shown: Posterior, rule: str) -> Selection:

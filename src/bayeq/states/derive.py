@@ -1,13 +1,15 @@
 """From measured channels to states: what is measured is taken, derivatives that are missing are estimated.
 
-This is the one place where derivatives come from; `smoothing` holds the filters.
+Measured channels are used as they are. A derivative that is not measured comes from the highest measured one below it
+by central differences.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +17,11 @@ from numpy.typing import NDArray
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
 from bayeq.records import Record
 from bayeq.states.chain import Chain
-from bayeq.states.savitzky_golay import smooth_derivative
 
 __all__ = [
     "Smooth",
     "States",
+    "current",
     "derive_states",
     "known",
     "require_in_range",
@@ -65,9 +67,7 @@ class States:
         return len(next(iter(self.columns.values())))
 
 
-def derive_states(
-    record: Record, chains: Sequence[Chain], inputs: Sequence[str] = (), smooth: Smooth = "auto"
-) -> States:
+def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str] = ()) -> States:
     """States, targets and inputs of a record.
 
     Parameters
@@ -78,10 +78,6 @@ def derive_states(
         Coordinates and their derivatives.
     inputs : sequence of str
         Channels of forces or other inputs.
-    smooth : "auto", "band" or "none"
-        Measured channels are used as they are. A derivative that is not measured comes from the highest
-        measured one below it: with "auto" from a smoother tuned by generalised cross-validation (both sides of
-        the equation then see the smoothed channel), with "none" by central differences.
 
     Raises
     ------
@@ -90,8 +86,6 @@ def derive_states(
     RecordError
         NaN or infinite samples, no time where derivatives are needed, or too few rows.
     """
-    if smooth not in get_args(Smooth):
-        raise InputError(f"smooth must be one of {', '.join(get_args(Smooth))}, got {smooth!r}")
     measured = [m for chain in chains for m in chain.measured if m is not None]
     wanted = [*measured, *inputs]
     for name in inputs:
@@ -111,9 +105,25 @@ def derive_states(
                 )
             below = max(k for k in range(order) if chain.measured[k] is not None)
             source = chain.names[below]
-            _fill(columns, record, source, name, order - below, smooth)
+            _fill(columns, record, source, name, order - below)
             estimated.append(name)
     return States(columns=columns, estimated=tuple(estimated))
+
+
+def current(smooth: str) -> Smooth:
+    """How motion is smoothed, by the names of today.
+
+    Raises
+    ------
+    InputError
+        None of these.
+    """
+    if smooth not in get_args(Smooth):
+        raise InputError(f"smooth must be one of {', '.join(get_args(Smooth))}, got {smooth!r}")
+    if smooth != "band":
+        return cast(Smooth, smooth)
+    warnings.warn("smooth='band' is now smooth='auto', the likelihood of the record", DeprecationWarning, stacklevel=5)
+    return "auto"
 
 
 def known(values: Floats) -> Floats:
@@ -214,7 +224,7 @@ def require_usable(record: Record, names: Sequence[str]) -> None:
             )
 
 
-def _fill(columns: dict[str, Floats], record: Record, source: str, name: str, order: int, smooth: Smooth) -> None:
+def _fill(columns: dict[str, Floats], record: Record, source: str, name: str, order: int) -> None:
     """Put the `order`-th derivative of the measured channel `source` into `columns`."""
     where = record.name or "record"
     if record.time is None:
@@ -224,15 +234,12 @@ def _fill(columns: dict[str, Floats], record: Record, source: str, name: str, or
             f"{where}: {record.n} rows are too few to estimate {name!r} (at least {LEAST_ROWS_TO_DIFFERENTIATE})"
         )
     with np.errstate(all="ignore"):
-        smoothed = values = record[source]
-        if smooth == "none":
-            for _ in range(order):
-                values = np.gradient(values, record.time)
-        else:
-            smoothed, values = smooth_derivative(record.time, values, order)
+        values = record[source]
+        for _ in range(order):
+            values = np.gradient(values, record.time)
     if not (np.abs(values) <= LARGEST).all():
         raise RecordError(
             f"{where}: {name!r}, estimated from {source!r}, is out of range: steps of time are about {record.dt:g} s;"
             " check the time column or fs"
         )
-    columns[source], columns[name] = smoothed, values
+    columns[name] = values

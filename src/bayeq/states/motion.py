@@ -213,7 +213,7 @@ def estimate_motion(
     no_smoothing: tuple[ChainSmoothing, ...] = ()
     if smoothed is None:
         records = records if whole else [complete_rows(record, roles) for record in records]
-        pieces = tuple(_as_measured(record, roles, smooth) for record in records)
+        pieces = tuple(_as_measured(record, roles) for record in records)
         cuts, smoothing = tuple(cut_at(rows.n, share) for rows in pieces), no_smoothing
         even = [on_grid(record, roles.measured, ()) for record in records]
         gains = tuple(unit_gains(even, chain, [cut_at(record.n, share) for record in even]) for chain in roles.chains)
@@ -231,9 +231,9 @@ def further_rows(record: Record, motion: Motion) -> MotionRows:
     return _rows(filled, roles, [smooth_further(filled, chain, smoothing) for chain, smoothing in chains])
 
 
-def _as_measured(record: Record, roles: Roles, smooth: Smooth) -> MotionRows:
-    """States and targets as measured, missing derivatives by a filter of each record."""
-    columns = derive_states(record, roles.chains, roles.inputs, smooth).columns
+def _as_measured(record: Record, roles: Roles) -> MotionRows:
+    """States and targets as measured, missing derivatives by differences."""
+    columns = derive_states(record, roles.chains, roles.inputs).columns
     samples = {name: np.asarray(record[name]) for name in (*roles.measured, *roles.inputs)}
     observed = {target: columns[target] for target in roles.targets}
     columns = {**columns, **_time(record, roles)}
@@ -250,7 +250,7 @@ def _smoothed(
     whole = [chain for chain in roles.chains if chain.lowest == 0]
     present = records if smooth == "none" else [bridged_record(record, roles) for record in records]
     for record in present:
-        derive_states(record, whole, roles.inputs, "none" if timed else smooth)
+        derive_states(record, whole, roles.inputs)
     integrated = [chain for chain in roles.chains if chain.lowest > 0]
     for chain in integrated:
         _require_integrable(present, chain, smooth)

@@ -124,7 +124,7 @@ class AsMeasured:
         own = slice(unit.start - start, unit.stop - start)
         first, last = (np.nan, np.nan) if record.time is None else map(float, record.time[own][[0, -1]])
         bounds = np.array([unit.start, max(unit.start, min(unit.stop, extent.cut(self.share))), unit.stop]) - start
-        columns = derive_states(record, self.roles.chains, self.roles.inputs, "none").columns
+        columns = derive_states(record, self.roles.chains, self.roles.inputs).columns
         begin, cut, end = bounds.tolist()
         train = {name: values[begin:cut] for name, values in columns.items()}
         held_out = {name: values[cut:end] for name, values in columns.items()}

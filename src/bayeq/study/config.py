@@ -30,7 +30,7 @@ class StudyConfig:
     ----------
     seed : int
         Seed of the study; a realisation is drawn from (seed, system, index).
-    smooth : "auto", "band" or "none"
+    smooth : "auto" or "none"
         See `bayeq.states.derive_states`; "none" is the paper's raw noisy channels.
     noise : float
         Noise on every channel, relative to the clean signal's standard deviation.
@@ -81,8 +81,8 @@ class StudyConfig:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise InputError(f"{name} must be a finite number, not negative, got {value!r}")
-        if self.smooth not in ("auto", "band", "none"):
-            raise InputError(f"smooth must be auto, band or none, got {self.smooth!r}")
+        if self.smooth not in ("auto", "none"):
+            raise InputError(f"smooth must be auto or none, got {self.smooth!r}")
 
     def to_dict(self) -> dict[str, Any]:
         """Field -> value, in the order of the fields."""

@@ -23,8 +23,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.adapters.pysindy.in_band import Band, band_gram, residual_spectrum, taper, to_band
 from bayeq.gram import Gram
-from bayeq.gram.band import Band, band_gram, residual_spectrum, taper, to_band
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
