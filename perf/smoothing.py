@@ -17,11 +17,11 @@ import platform
 from pathlib import Path
 
 import numpy as np
+from studies.savitzky_golay import smooth_derivative
 from threadpoolctl import threadpool_limits
 
 import bayeq as bq
 from bayeq.states.kinematic.smoother import ChainSeries, fit_kinematic, kinematic_log_likelihood, smooth_kinematic
-from bayeq.states.savitzky_golay import smooth_derivative
 from perf.timing import medians
 
 RESULTS = Path(__file__).parent / "results" / "smoothing.csv"

@@ -1,9 +1,8 @@
 """Which channels are needed, and how fast must they be sampled? The paper's oscillators with channels left out.
 
 Simulated at 2 kHz or finer with 5 % noise and a force of pass band min(100 Hz, fs/4), decimated to fs. Beside the
-likelihood of the record stand the kinematic smoother with regression in its band, and derivatives by central
-differences and by Savitzky-Golay filters; where the acceleration alone is measured, integrals by the trapezoidal rule
-("differences").
+likelihood of the record stand derivatives by central differences and by Savitzky-Golay filters; where the acceleration
+alone is measured, integrals by the trapezoidal rule ("differences").
 
     python -m studies.channels --records 5 --methods likelihood > docs/tables/channels_likelihood.csv
     python -m studies.channels --records 5 > docs/tables/channels.csv
@@ -21,11 +20,12 @@ from numpy.polynomial import Polynomial
 from bayeq.discovery import discover
 from bayeq.errors import BayeqError, BayeqWarning
 from bayeq.records import Record
-from bayeq.states import Smooth, derive_states, parse_chains
+from bayeq.states import derive_states, parse_chains
 from bayeq.study.config import STUDY_SYSTEMS
 from bayeq.systems import get_system, simulate
 from bayeq.systems.force import band_limited_noise
 from studies.lines import print_table
+from studies.savitzky_golay import smooth_derivative
 
 __all__ = ["CHAINS", "METHODS", "RATES", "draw_record", "measure_cell"]
 
@@ -39,9 +39,7 @@ CHAINS = {
 }
 RATES = (1000.0, 500.0, 200.0, 100.0)
 FILTER = "savitzky-golay"
-METHODS = ("smoother", FILTER, "differences")
-# How `discover` takes the channels as they are.
-SMOOTH: dict[str, Smooth] = {"likelihood": "auto", "smoother": "band"}
+METHODS = ("likelihood", FILTER, "differences")
 
 # Rows of a record, and the rate that the motion is simulated at.
 ROWS = 4000
@@ -73,8 +71,13 @@ def _differentiated(record: Record, chain: str, method: str) -> Record:
     (parsed,) = parse_chains([chain])
     if parsed.lowest > 0:
         return _integrated(record)
-    states = derive_states(record, (parsed,), ("u",), "auto" if method == "savitzky-golay" else "none")
+    states = derive_states(record, (parsed,), ("u",))
     columns = {name: states.columns[name] for name in (*parsed.names, "u")}
+    if method == FILTER:
+        assert record.time is not None
+        below, channel = [(k, name) for k, name in enumerate(parsed.measured) if name is not None][-1]
+        for order, name in enumerate(parsed.names[below + 1 :], 1):
+            columns[channel], columns[name] = smooth_derivative(record.time, record[channel], order)
     return Record.from_arrays(columns, time=record.time)
 
 
@@ -104,8 +107,8 @@ def measure_cell(system: str, channels: str, fs: float, method: str, records: in
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", BayeqWarning)
             try:
-                if method in SMOOTH:
-                    eq = discover(record, chains=[chain], inputs=["u"], smooth=SMOOTH[method], holdout=0.0)[0]
+                if method == "likelihood":
+                    eq = discover(record, chains=[chain], inputs=["u"], holdout=0.0)[0]
                 else:
                     ready = _differentiated(record, chain, method)
                     full = ":".join(parsed.names)

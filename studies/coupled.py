@@ -19,7 +19,6 @@ import numpy as np
 
 from bayeq.discovery import discover
 from bayeq.records import Record
-from bayeq.states import Smooth
 from bayeq.systems import BandLimitedForce, System, simulate
 from bayeq.systems.force import band_limited_noise
 from studies.judge import judged, rates, timed
@@ -29,7 +28,7 @@ __all__ = ["CASES", "draw_record", "main"]
 
 ROWS, RATE, FINER = 1500, 200.0, 10
 NOISE = 0.05
-RECORDS = {"auto": 20, "band": 20}
+RECORDS = 20
 
 MASSES = System(
     name="three-masses",
@@ -132,16 +131,14 @@ def draw_record(system: System, seed: int) -> Record:
     return simulate(system, fs=rate, seed=seed, noise=NOISE, force=force).slice(0, None, FINER)
 
 
-def _measure(case: str, smooth: Smooth, seed: int) -> Outcome:
+def _measure(case: str, seed: int) -> Outcome:
     system, chains, terms = CASES[case]
     full = draw_record(system, seed)
     assert full.truth is not None
     truth = full.truth.coefficients
     measured = [name for chain in chains for name in chain.split(":") if name]
     record = Record.from_arrays({name: full[name] for name in (*measured, *system.inputs)}, time=full.time)
-    fit = partial(
-        discover, record, chains=chains, inputs=list(system.inputs), dictionary=terms, smooth=smooth, holdout=0.0
-    )
+    fit = partial(discover, record, chains=chains, inputs=list(system.inputs), dictionary=terms, holdout=0.0)
     return timed(fit, lambda eqs: judged(eqs, truth))
 
 
@@ -151,11 +148,7 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and write the table to standard output."""
-    cells = [
-        Cell({"case": case, "method": smooth}, records, partial(_measure, case, smooth))
-        for smooth, records in RECORDS.items()
-        for case in CASES
-    ]
+    cells = [Cell({"case": case, "method": "auto"}, RECORDS, partial(_measure, case)) for case in CASES]
     run_study("coupled", "Exact rates of coupled oscillators.", cells, _summary, arguments)
 
 

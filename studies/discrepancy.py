@@ -97,7 +97,7 @@ def measure_record(discrepancy: str, noise: float, seed: int, rows: int = ROWS) 
     record = draw_record(discrepancy, noise, seed, rows)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)
-        eq = discover(record, displacement="x", velocity="v", acceleration="a", force="u", smooth="band")[0]
+        eq = discover(record, displacement="x", velocity="v", acceleration="a", force="u")[0]
     truth = {"x": -1e3, "v": -2.0, "x**3": -1e5, "u": 1.0}
     error = max(abs(eq.shown_coef.get(name, 0.0) / value - 1.0) for name, value in truth.items())
     return set(eq.shown) == TRUE, eq.shown, error

@@ -64,11 +64,11 @@ class Case:
 
 
 CASES = (
-    Case("x:v:a", 0.0, "band", False),
-    Case("x::", 0.0, "band", False),
+    Case("x:v:a", 0.0, "auto", False),
+    Case("x::", 0.0, "auto", False),
     Case("x::", 0.0, "none", True),
-    Case("x:v:a", NOISE, "band", False),
-    Case("x::", NOISE, "band", False),
+    Case("x:v:a", NOISE, "auto", False),
+    Case("x::", NOISE, "auto", False),
 )
 
 

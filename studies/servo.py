@@ -23,7 +23,6 @@ import numpy as np
 from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
 from bayeq.records import Record
-from bayeq.states import Smooth
 from studies.judge import timed
 from studies.resumable import Cell, Outcome, percent, run_study
 
@@ -128,9 +127,9 @@ def _errors(eqs: Equations) -> dict[str, float | None]:
     }
 
 
-def _measure(smooth: Smooth, seed: int) -> Outcome:
+def _measure(seed: int) -> Outcome:
     record = draw_record(seed)
-    fit = partial(discover, record, chains=["q::"], inputs=["F"], dictionary=TERMS, smooth=smooth, holdout=0.0)
+    fit = partial(discover, record, chains=["q::"], inputs=["F"], dictionary=TERMS, holdout=0.0)
     return timed(fit, lambda eqs: {"errors": _errors(eqs), "included": list(eqs[0].included)})
 
 
@@ -155,7 +154,7 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and write the table to standard output."""
-    cells = [Cell({"method": smooth}, RECORDS, partial(_measure, smooth)) for smooth in ("auto", "band")]
+    cells = [Cell({"method": "auto"}, RECORDS, _measure)]
     run_study("servo", "Mass and friction of a servo stage in closed loop.", cells, _summary, arguments)
 
 

@@ -3,8 +3,8 @@
 Lorenz (order 2 of the polynomials), Van der Pol (3), Roessler (2) and Lotka-Volterra (3), the constant among the
 candidates. Noise is a ratio of the standard deviation of all states together about one common mean (Fung 2025), and for
 Lotka-Volterra of each state's own. All rows are used. Exact: the true terms in every equation, no other, and no
-constant but Roessler's. Beside the default stands the band regression, and PySINDy's STLSQ with smoothed differences
-and in weak form at the threshold, of 20, that is best in the cell: chosen by the truth.
+constant but Roessler's. Beside the default stands PySINDy's STLSQ with smoothed differences and in weak form at the
+threshold, of 20, that is best in the cell: chosen by the truth.
 
     python -m studies.states_only > docs/tables/states_only.csv
 """
@@ -21,7 +21,6 @@ import numpy as np
 
 from bayeq.discovery import discover
 from bayeq.records import Record
-from bayeq.states import Smooth
 from bayeq.systems import System, get_system, simulate
 from studies.judge import CONSTANT, judged, rates, timed
 from studies.resumable import Cell, Outcome, run_study
@@ -78,7 +77,7 @@ CELLS = (
     ("lotka-volterra", 20.0, (0.1, 0.2, 0.3)),
 )
 
-RECORDS = {"auto": 64, "band": 20, "pysindy differences": 20, "pysindy weak": 20}
+RECORDS = {"auto": 64, "pysindy differences": 20, "pysindy weak": 20}
 
 THRESHOLDS = np.geomspace(0.01, 5.0, 20)
 
@@ -97,14 +96,13 @@ def _truth(record: Record) -> Mapping[str, Mapping[str, float]]:
     return record.truth.coefficients
 
 
-def _measure(system: str, seconds: float, noise: float, smooth: Smooth, seed: int) -> Outcome:
+def _measure(system: str, seconds: float, noise: float, seed: int) -> Outcome:
     record = draw_record(system, seconds, noise, seed)
     fit = partial(
         discover,
         record,
         chains=list(record.names),
         dictionary=f"polynomial:{ORDERS[system]}",
-        smooth=smooth,
         holdout=0.0,
     )
     return timed(fit, lambda eqs: judged(eqs, _truth(record)))
@@ -163,8 +161,8 @@ def _cells() -> Iterator[Cell]:
         for system, seconds, ratios in CELLS:
             for noise in ratios:
                 labels = {"system": system, "seconds": seconds, "noise_percent": 100 * noise, "method": method}
-                if method in ("auto", "band"):
-                    measure = partial(_measure, system, seconds, noise, method)
+                if method == "auto":
+                    measure = partial(_measure, system, seconds, noise)
                 else:
                     measure = partial(_measure_sindy, system, seconds, noise, method == "pysindy weak")
                 yield Cell(labels, records, measure)

@@ -15,7 +15,6 @@ import numpy as np
 
 from bayeq.discovery import discover
 from bayeq.records import Record
-from bayeq.states import Smooth
 from bayeq.systems import simulate
 from studies.judge import coefficient_lines, judged, rates, timed
 from studies.resumable import Cell, Outcome, run_study
@@ -34,7 +33,7 @@ def draw_record(rows: int, seed: int) -> Record:
     return simulate("duffing", seed=seed, noise=NOISE, force=force)
 
 
-def _measure(rows: int, smooth: Smooth, seed: int) -> Outcome:
+def _measure(rows: int, seed: int) -> Outcome:
     record = draw_record(rows, seed)
     assert record.truth is not None
     truth = record.truth.coefficients
@@ -45,7 +44,6 @@ def _measure(rows: int, smooth: Smooth, seed: int) -> Outcome:
         velocity="v",
         acceleration="a",
         force="u",
-        smooth=smooth,
         holdout=0.0,
     )
     return timed(fit, lambda eqs: judged(eqs, truth))
@@ -59,11 +57,7 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and write the table to standard output."""
-    cells = [
-        Cell({"rows": rows, "method": smooth}, RECORDS, partial(_measure, rows, smooth))
-        for rows in ROWS
-        for smooth in ("auto", "band")
-    ]
+    cells = [Cell({"rows": rows, "method": "auto"}, RECORDS, partial(_measure, rows)) for rows in ROWS]
     run_study(
         "white_force", "Coverage under a force that is white up to half the sampling rate.", cells, _summary, arguments
     )

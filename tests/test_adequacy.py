@@ -105,7 +105,6 @@ def test_verdicts_from_the_worst():
         (verdict_of(none, lacking, hum, exact=1e-3, left=0.02), "nearly true", "the law holds to 2 % of the standard"),
         (verdict_of(none, lacking, hum), "nearly true", "a force of 3 % of the standard deviation of a (0.06) that no"),
         (verdict_of(none, None, hum), "nearly true", "what is left of v is not white noise: 4 times"),
-        (verdict_of(none, None, None, excess=5.0), "nearly true", "5 times the power"),
         (verdict_of(none, None, None, n_eff=(40.2, 100)), "nearly true", "100 rows tell as much as 40 independent"),
         (verdict_of(none, None, None, left=0.3), "nearly true", "the terms leave 30 % of the standard deviation"),
         (verdict_of(none, None, None, left=0.1), "found", "R2 1"),

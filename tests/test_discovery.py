@@ -114,9 +114,9 @@ def test_several_records_are_used_together():
 def test_held_out_rows_are_the_last_and_not_used():
     rec = bq.simulate("linear", n=1000, seed=0)
     spoiled = rec.with_channels({"a": np.where(np.arange(1000) < 750, rec["a"], -rec["a"])})
-    for smooth in ("auto", "band"):
+    for smooth in ("auto", "none"):
         a, b = (quietly(r, **OSCILLATOR, holdout=0.25, smooth=smooth)[0] for r in (rec, spoiled))
-        assert (a.scored is None) == (smooth == "band")
+        assert (a.scored is None) == (smooth == "none")
         assert (a.scored or a).coef == (b.scored or b).coef
         assert b.held_out.r2 < 0.5 < a.held_out.r2
     everything = quietly(rec, **OSCILLATOR, holdout=0.0)

@@ -15,10 +15,9 @@ import bayeq as bq
 from bayeq.expressions import Evaluator, Expression, number, parse
 from bayeq.likelihood.blur import blur_of
 from bayeq.likelihood.layout import Layout
-from bayeq.likelihood.record_fit import suits
 from bayeq.likelihood.series import Series
 from bayeq.likelihood.signs import half_of_jump, jumps_of, mean_of_jumps, unresolved_share
-from bayeq.states import Roles, estimate_motion
+from bayeq.states import Roles
 from bayeq.systems import get_system
 
 OSCILLATOR = {"chains": ["x:v:a"], "inputs": ["u"]}
@@ -170,15 +169,6 @@ def test_a_missing_term_leaves_a_discrepancy():
     (whole,) = quietly(record, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
     assert whole.residuals.discrepancy < 0.02
     assert whole.verdict.kind == "found"
-
-
-def test_where_it_is_not_used():
-    record = bq.simulate("duffing", n=4000, seed=1)
-    assert suits(estimate_motion([record], Roles.parse(["x:v:a"], inputs=["u"])), 36)
-    assert not suits(estimate_motion([record], Roles.parse(["x:v:a"], inputs=["u"])), 2000)
-    # displacement need not be measured
-    assert suits(estimate_motion([record], Roles.parse(["::a"], inputs=["u"])), 36)
-    assert quietly(record, **OSCILLATOR, smooth="band")[0].fit.regression.record is None
 
 
 # --- all rows --------------------------------------------------------------------------------------------------------

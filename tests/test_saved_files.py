@@ -36,7 +36,7 @@ def saved(tmp_path_factory):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for name, record, options in (
-            ("band", oscillator, {**driven, "smooth": "band"}),
+            ("band", oscillator, {**driven, "band": (0.1, 400.0)}),
             ("limit", oscillator, {**driven, "smooth": "none", "max_terms": 2, "method": "vb"}),
             ("chains", cycle, {"chains": list(cycle.names), "dictionary": "polynomial:2"}),
         ):

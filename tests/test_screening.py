@@ -76,7 +76,7 @@ def record(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_true_terms_that_are_not_simple_are_kept(seed):
     roles = Roles.parse(**OSCILLATOR)
-    motion = estimate_motion([record(seed)], roles, "band", 0.2)
+    motion = estimate_motion([record(seed)], roles, share=0.2)
     terms = build_dictionary("polynomial:20", Variables(roles.states, roles.inputs))
     forced = np.zeros(len(terms), dtype=bool)
     forced[-2] = True
@@ -90,11 +90,11 @@ def test_true_terms_that_are_not_simple_are_kept(seed):
 
 
 def test_discover_keeps_what_explains_and_says_so(monkeypatch):
-    monkeypatch.setattr("bayeq.discovery.question.MOST_TERMS", 30)
+    monkeypatch.setattr("bayeq.discovery.question.MOST_CANDIDATES", 31)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         eq = bq.discover(
-            record(1), **OSCILLATOR, dictionary="polynomial:12", smooth="band", constraints="v**12 == 0", holdout=0.0
+            record(1), **OSCILLATOR, dictionary="polynomial:12", smooth="none", constraints="v**12 == 0", holdout=0.0
         )
     assert set(LAW) <= {term.text for term in eq[0].terms}
     assert len(eq[0].terms) <= 31

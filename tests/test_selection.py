@@ -267,7 +267,7 @@ def test_how_nearly_true_is_in_the_answer_and_its_file(weak, tmp_path):
 def test_terms_without_which_a_nearly_true_law_runs_as_well_are_not_shown():
     # a hysteretic force, which takes many terms
     rec = draw_record("bouc-wen", 0.05, seed=0, rows=40_000)
-    strict, loose = (discover(rec, **OSCILLATOR, smooth="band", tolerance=t)[0] for t in (0, 0.05))
+    strict, loose = (discover(rec, **OSCILLATOR, tolerance=t)[0] for t in (0, 0.05))
     assert strict.shown == strict.included
     assert set(loose.shown) >= DUFFING
     assert len(loose.shown) < len(strict.shown)

@@ -1,17 +1,15 @@
-"""Smoothed states, and regression in the band that they follow."""
+"""Smoothed states, and the band that the PySINDy plug-in fits."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 import bayeq as bq
+from bayeq.adapters.pysindy.in_band import Band, band_gram, taper, to_band
 from bayeq.errors import DataWarning
 from bayeq.gram import Gram
-from bayeq.gram.band import Band, band_gram, noise_floor, taper, to_band
 from bayeq.records import split_at_gaps
-from bayeq.regression.weights import Piece, weighted_gram
 from bayeq.states import Roles, estimate_motion, parse_chains
 from bayeq.states.kinematic.chain_smoother import smooth_chain
 from bayeq.states.uniform_grid import on_grid
@@ -27,7 +25,7 @@ def white(seed, n=2000, P=3):
 
 def test_a_whole_band_without_a_taper_is_the_gram_of_the_rows(monkeypatch):
     # Parseval's theorem: sums of products over rows are sums over bins
-    monkeypatch.setattr("bayeq.gram.band.taper", lambda n, memory: np.ones(n))
+    monkeypatch.setattr("bayeq.adapters.pysindy.in_band.taper", lambda n, memory: np.ones(n))
     D, rng = white(0, n=501)
     y = D @ [1.0, -2.0, 0.0] + rng.normal(size=501)
     ours = band_gram([to_band(D, y, 100.0, (0.0, 1e9))], ("a", "b", "c"))
@@ -38,36 +36,6 @@ def test_a_whole_band_without_a_taper_is_the_gram_of_the_rows(monkeypatch):
     assert ours.yty == pytest.approx(theirs.yty, rel=1e-9)
     assert ours.target_mean == pytest.approx(theirs.target_mean, rel=1e-9)
     assert ours.n == pytest.approx(theirs.n)
-
-
-def test_a_noisy_input_is_not_attenuated():
-    rng = np.random.default_rng(3)
-    n = 20_000
-    spectrum = np.fft.rfft(rng.normal(size=n))
-    spectrum[n // 10 :] = 0.0
-    u = np.fft.irfft(spectrum, n)
-    u /= u.std()
-    measured = u + 0.3 * rng.normal(size=n)
-    floor = noise_floor([measured])
-    assert floor == pytest.approx(0.09, rel=0.05)
-    band = to_band(measured[:, None], 2.0 * u, 1.0, (0.0, 0.1))
-    plain = band_gram([band], ("u",))
-    corrected = band_gram([band], ("u",), None, {0: floor}, np.array([2.0]))
-    attenuated = plain.Dty[0] / plain.DtD[0, 0]
-    # noise of variance 0.09 x 0.2 within the band, beside a signal of variance 1
-    assert attenuated == pytest.approx(2.0 / (1.0 + 0.09 * 0.2), rel=5e-3)
-    assert corrected.Dty[0] / corrected.DtD[0, 0] == pytest.approx(2.0, rel=3e-3)
-    # what was taken from D'D is in the residual
-    residual = corrected.yty - corrected.Dty[0] ** 2 / corrected.DtD[0, 0]
-    assert residual / corrected.dof == pytest.approx(4.0 * 0.09, rel=0.1)
-
-
-def test_no_floor_is_read_where_the_band_is_full():
-    rng = np.random.default_rng(0)
-    assert noise_floor([rng.normal(size=4000)]) is None
-    slow = lfilter([1.0], [1.0, -0.4], rng.normal(size=4000))  # rolls off slowly, by a factor of five in all
-    assert noise_floor([slow]) is None
-    assert noise_floor([rng.normal(size=100)]) is None
 
 
 def test_the_taper_is_smooth_and_whole_in_the_middle():
@@ -114,31 +82,6 @@ def test_rows_held_out_do_not_touch_the_others():
     for name in ("x", "v", "a"):
         np.testing.assert_array_equal(a.columns[name][:1500], b.columns[name][:1500])
         assert not np.array_equal(a.columns[name][1500:], b.columns[name][1500:])
-
-
-def test_too_few_numbers_in_the_band():
-    rec = bq.simulate("duffing", n=300, seed=2, noise=0.05)
-    motion = estimate_motion([rec], ROLES)
-    D = np.random.default_rng(0).normal(size=(300, 36))
-    names = tuple(f"d{j}" for j in range(36))
-    assert (
-        weighted_gram(
-            [Piece(D, motion.records[0].columns["a"], np.zeros((300, 2)), np.zeros((300, 0)))],
-            names,
-            motion.smoothing[0],
-            (0.0, 20.0),
-        )
-        is None
-    )
-    more = weighted_gram(
-        [Piece(D, motion.records[0].columns["a"], np.zeros((300, 2)), np.zeros((300, 0)))],
-        names,
-        motion.smoothing[0],
-        (0.0, 60.0),
-    )
-    # fewer numbers than terms are no obstacle to a sparse model
-    assert more is not None
-    assert 16 < more.gram.dof < 36
 
 
 def test_a_band_counts_real_numbers():

@@ -305,7 +305,7 @@ def test_stretches_are_spread_over_all_rows(record, monkeypatch):
     ("options", "message"),
     [
         ({"dictionary": "x, v, sin(t)"}, "time"),
-        ({"smooth": "band"}, "smooth"),
+        ({"band": (0.5, 40)}, "in no band"),
         ({"tails": "student"}, "tails"),
     ],
 )

@@ -47,7 +47,7 @@ def driven(begin=0.0, n=1200, h=0.02):
     return bq.Record.from_arrays(noisy, time=time), clean
 
 
-@pytest.fixture(scope="module", params=["auto", "band", "none"])
+@pytest.fixture(scope="module", params=["auto", "none"])
 def found(request):
     record, clean = driven()
     return quietly(record, **CHANNELS, dictionary=TERMS, smooth=request.param), record, clean

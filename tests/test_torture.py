@@ -18,7 +18,7 @@ ROLES = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"
 TERMS = ["x", "v", "x**3", "u"]
 POWERS = {"x": (1, 0), "v": (1, 1), "a": (1, 2), "u": (1, 2)}  # of the unit of length, and of 1/time
 METHODS = ["auto", "vb", "bma", "gibbs", "rvm", "stlsq"]
-SMOOTH = ["none", "band", "auto"]
+SMOOTH = ["none", "auto"]
 
 quiet = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 

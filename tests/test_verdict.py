@@ -43,7 +43,7 @@ def test_none_where_little_is_explained(tmp_path):
     rng = np.random.default_rng(0)
     noise = bq.Record.from_arrays(x=rng.normal(size=300), v=rng.normal(size=300), fs=10.0)
     with pytest.warns(DataWarning, match="v: no equation found: the terms explain little of v on the held-out rows"):
-        eq = bq.discover(noise, chains="x:v", dictionary="polynomial:2", smooth="band")
+        eq = bq.discover(noise, chains="x:v", dictionary="polynomial:2", smooth="none")
     assert eq.verdict.kind == "none"
     assert str(eq).startswith("verdict: none: no equation found: ")
     assert "-0 %" not in str(eq)
@@ -275,27 +275,7 @@ def with_unmeasured_force(n, share, seed=3):
     return rec.with_channels({"u": rec["u"] - share * np.std(rec["u"]) * other / other.std()})
 
 
-@pytest.mark.parametrize(("n", "smooth"), [(4000, "auto"), (4000, "band"), (70_000, "band")])
-def test_an_unmeasured_force_is_warned_of_at_any_length(n, smooth):
-    rec = with_unmeasured_force(n, 0.3)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        eq = bq.discover(rec, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"], smooth=smooth)
-    assert smooth == "auto" or eq[0].residuals.excess > 1.75
+@pytest.mark.parametrize("n", [4000, 30_000])
+def test_an_unmeasured_force_is_told_at_any_length(n):
+    eq = bq.discover(with_unmeasured_force(n, 0.3), **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
     assert eq.verdict.kind == "nearly true"
-    assert smooth == "auto" or any("nearly true" in str(w.message) for w in caught)
-
-
-def test_an_adequate_residual_of_a_long_record():
-    record = bq.simulate("duffing", n=70_000, seed=3)
-    eq = bq.discover(record, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"], smooth="band")
-    assert eq[0].residuals.excess == pytest.approx(1.0, abs=0.15)
-
-
-def test_only_inputs_in_the_equation_decide_whether_the_noise_is_known():
-    # noise of the force is read above its band; that of a second input, white to half the sampling rate, never
-    rec = bq.simulate("duffing", seed=1)
-    other = rec.with_channels({"w": np.random.default_rng(0).normal(size=rec.n)})
-    eq = bq.discover(other, chains="x:v:a", inputs=["u", "w"], dictionary=["x", "v", "x**3", "u", "w"], smooth="band")
-    assert "w" not in eq[0].shown
-    assert eq[0].residuals.excess == pytest.approx(1.0, abs=0.15)

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 import bayeq as bq
-from bayeq.gram.band import band_gram, residual_spectrum, to_band
+from bayeq.adapters.pysindy.in_band import band_gram, residual_spectrum, to_band
 from tests.statistical.limits import assert_coverage, assert_spread, fewest
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")

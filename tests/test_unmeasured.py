@@ -1,4 +1,4 @@
-"""Band regression: shapes of residual spectra, and intervals by propagated noise."""
+"""Coordinates that no channel measures."""
 
 from __future__ import annotations
 
@@ -7,45 +7,8 @@ import pytest
 
 import bayeq as bq
 from bayeq.errors import ChainError, InputError, RecordError
-from bayeq.gram.band import added_floor, residual_spectrum, to_band
 from bayeq.states import parse_chain
 from bayeq.states.kinematic.chain_smoother import smooth_chain
-
-
-def test_a_floor_is_found_under_a_known_shape():
-    shape = 1.0 / (0.01 + np.linspace(0.0, 1.0, 2000) ** 2)
-    count, found, absent = np.full(2000, 2.0), [], []
-    for seed in range(40):
-        # a periodogram's bins are exponential about the density
-        noise = np.random.default_rng(seed).exponential(size=2000)
-        found.append(added_floor((shape + 2.0) * noise, shape, count))
-        absent.append(added_floor(shape * noise, shape, count))
-    # Fisher information of a floor f: sum 1/(shape + f)^2. Standard errors 5.6 % of 2, and 0.05 where there is none.
-    error, least = (1.0 / np.sqrt(np.sum((shape + f) ** -2.0)) for f in (2.0, 0.0))
-    assert np.mean(found) == pytest.approx(2.0, abs=3 * error / np.sqrt(40))
-    # the spread of 40 numbers has a standard error of 11 %
-    assert np.std(found) == pytest.approx(error, rel=0.35)
-    assert max(absent) < 4 * least
-
-
-def test_a_known_shape_keeps_what_is_narrower_than_the_average():
-    rng = np.random.default_rng(4)
-    y = rng.normal(size=4000)
-    band = to_band(np.empty((4000, 0)), y, 1.0, (0.0, 0.49))
-    dip = np.where(np.abs(band.frequency - 0.2) < 0.002, 0.01, 1.0)
-    dipped = band.__class__(band.frequency, band.count, band.columns * np.sqrt(dip)[:, None], band.gain, band.kept, 0)
-    (plain,) = residual_spectrum([dipped], np.empty(0), 0.0)
-    (shaped,) = residual_spectrum([dipped], np.empty(0), 0.0, [dip])
-    middle = dip < 1.0
-    assert plain[middle].mean() > 0.2  # smeared over 61 bins, of which the dip has 16
-    assert shaped[middle].mean() == pytest.approx(0.01, rel=0.4)
-
-
-@pytest.mark.filterwarnings("ignore::bayeq.errors.AmbiguityWarning")  # x**5 keeps a PIP of 0.09 in 1,500 rows
-def test_propagated_intervals_do_not_depend_on_how_often_one_asks():
-    rec = bq.simulate("duffing", n=1500, seed=2)
-    first, second = (bq.discover(rec, chains="x:v:a", inputs=["u"])[0].posterior.covariance for _ in range(2))
-    np.testing.assert_array_equal(first, second)
 
 
 def test_a_coordinate_that_is_not_measured_is_bounded():
@@ -113,27 +76,3 @@ def test_why_it_cannot_be_integrated():
     assert refused(still) == (
         "run: training rows of chain '::a' cannot be smoothed: derivative 2 is constant: its noise cannot be estimated"
     )
-
-
-def test_an_adequate_residual_is_that_of_the_noise():
-    for seed in range(3):
-        eq = bq.discover(bq.simulate("duffing", seed=seed), chains="x:v:a", inputs=["u"], smooth="band")
-        # chi-square of some 800 numbers
-        assert eq[0].residuals.excess == pytest.approx(1.0, abs=0.15)
-        assert f"{eq[0].residuals.excess_text} times the power that the noise of the channels explains" in str(eq)
-
-
-def test_a_residual_beyond_the_noise_is_warned_of():
-    for system, terms in (("linear", ["x", "u"]), ("duffing", ["x", "v", "u"])):
-        rec = bq.simulate(system, seed=0)
-        with pytest.warns(bq.errors.DataWarning, match="times the power that the noise of the channels explains"):
-            eq = bq.discover(rec, chains="x:v:a", inputs=["u"], dictionary=terms, smooth="band")
-        assert eq[0].residuals.excess > 2
-
-
-def test_of_inputs_of_unknown_noise_no_excess_is_told():
-    # white to half the sampling rate: nothing tells the force's noise from the force
-    rec = bq.simulate("linear", fs=200.0, seed=0, noise=0.05)
-    eq = bq.discover(rec, chains="x:v:a", inputs=["u"])
-    assert eq[0].residuals.excess is None
-    assert "times the power" not in str(eq)
