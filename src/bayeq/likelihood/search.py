@@ -42,6 +42,7 @@ __all__ = [
     "Fitted",
     "Task",
     "among_neighbours",
+    "finer",
     "fit",
     "from_all_levels",
     "resumed",

@@ -20,14 +20,14 @@ from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, marginal, maximised
 from bayeq.likelihood.layout import Candidates, Course, Layout
-from bayeq.likelihood.levels import LEAST_NOISE, Levels, Scales
+from bayeq.likelihood.levels import COURSES, LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
 from bayeq.likelihood.search import INPUT_NOISE, Fitted, Task
 from bayeq.likelihood.series import Series
 from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
-__all__ = ["Start", "carried_over", "series_and_paths", "start_from", "with_courses", "with_spectra"]
+__all__ = ["Start", "carried_over", "series_and_paths", "start_from", "start_of_runs", "with_courses", "with_spectra"]
 
 Floats = NDArray[np.float64]
 
@@ -126,6 +126,49 @@ def start_from(
     none = np.zeros(0, dtype=np.int64)
     empty = State(Candidates(none, none), np.zeros(0), paths, levels)
     return Start(layout, series, (_by_rows(empty, grams, allowed), empty), _precision(motion, layout))
+
+
+def start_of_runs(
+    motion: Motion, terms: Sequence[Expression], course: Course
+) -> tuple[Layout, tuple[Series, ...], Floats, State]:
+    """Where free runs of equations start: inputs are exact and of one course, and there is hardly a discrepancy.
+
+    Parameters
+    ----------
+    motion : Motion
+        With time; of its training rows.
+    terms : sequence of Expression
+        Those of all equations.
+    course : str
+        Of the inputs between samples.
+
+    Returns
+    -------
+    layout, series, precision, state
+        As in `Start`; the state is that of the smoothed motion, without any term.
+    """
+    roles, none = motion.roles, np.zeros(0, dtype=np.int64)
+    count = len(roles.inputs)
+    bare = Layout(
+        roles, tuple(terms), motion.unit_gains, (0,) * count, (0.0,) * count, (0.0,) * count, (course,) * count
+    )
+    series, paths = series_and_paths(bare, motion.train)
+    for one, path in zip(series, paths, strict=True):
+        path[:-1, bare.slope] = np.diff(path[:, bare.driven], axis=0) / one.intervals[:, None]
+    samples, interval = np.concatenate([one.samples for one in series]), _interval([one.intervals for one in series])
+    scales = _scales(bare, paths, _targets(roles, motion.train).var(axis=0), samples, interval)
+    layout = replace(bare, centres=tuple(scales.mean[bare.driven].tolist()))
+    known, noise = motion.sensors.noise, FIRST_NOISE * scales.channels
+    noise[layout.first_input :] = LEAST_NOISE * scales.channels[layout.first_input :]
+    held = np.array([name in known or i >= layout.first_input for i, (name, _) in enumerate(layout.channels)])
+    for i, (name, _) in enumerate(layout.channels[: layout.first_input]):
+        if name in known:
+            noise[i] = max(known[name] ** 2, LEAST_NOISE * scales.channels[i])
+    target = scales.variance[layout.discrepancy]
+    slope = scales.variance[layout.driven] / interval**2
+    memory, exact = np.full(layout.chains, LEAST_MEMORY), np.full(count, COURSES[0])
+    levels = Levels(layout, scales, noise, target, memory, slope, exact, np.zeros(0), held=held)
+    return layout, series, _precision(motion, layout), State(Candidates(none, none), np.zeros(0), paths, levels)
 
 
 def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_] | None) -> State:

@@ -1,65 +1,57 @@
 """Output-error estimation: parameters whose free run comes closest to what was measured, and how well they are known.
 
-The segments of multiple shooting set how long a run is free. Short ones are easy to fit from any start; long ones need
-fewer initial states and say more about the parameters. So segments are made longer from fit to fit while their runs
-follow the record.
+It is the likelihood of the records with exact inputs and without a discrepancy: a path that is free at every sample
+follows them from the first step, and ends as a run that nothing but noise separates from the samples. That is multiple
+shooting (Bock 1981) with a segment for each sample. Discrepancies shrink from fit to fit, to a ten thousandth of the
+target, which errors of the inputs' courses make anyway.
 
-The covariance takes what the runs leave as noise of the channels, independent from sample to sample. Forces that the
-record does not show (noise in a measured one, terms that are missing) drive the true motion away from the run, and what
-is left then has the memory of the system: intervals would be far too narrow, and the parameters no better than those of
-a regression. Whether it is so is tested (White 1982), and such an estimate refused.
+The covariance takes what the run leaves as noise of the channels, independent from sample to sample. Forces that the
+record does not show, noise in a measured one or terms that are missing, drive the true motion away from the run, and
+what is left then has the memory of the system. Whether it is so is tested (White 1982), and the covariance is that
+much wider.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.refine.measured import Measured
-from bayeq.refine.shooting import Segments, Solution, minimise
+from bayeq.forecast.dynamics import Dynamics
+from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, quadratic, solved
+from bayeq.likelihood.layout import Candidates
+from bayeq.likelihood.levels import LEAST_DISCREPANCY
+from bayeq.likelihood.search import Task, finer
+from bayeq.likelihood.start import start_of_runs
+from bayeq.ode.rk4 import Interpolation
+from bayeq.refine.known import Known
+from bayeq.states import Motion
 
 __all__ = ["OutputError", "Unrefined", "output_error"]
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
-# Segments at first, in the longest record: short enough for the errors of a regression to matter little within one.
-# Where runs leave the record within a segment all the same it is halved, down to these rows: an initial state of two
-# and the parameters need more samples than there are unknowns.
-FIRST = 16
-SHORTEST = 8
+# Sizes of discrepancies from fit to fit, as shares of the target.
+SIZES = (1e-2, 1e-3, LEAST_DISCREPANCY**0.5)
 
-# How much longer segments are from fit to fit: a frequency fitted over a segment errs by less than its noise over its
-# length, so that a run four times as long is still in step with the record.
-LONGER = 4
+# Steps of each fit at most, and the step that ends it, in standard deviations of the parameters. Steps to where the
+# likelihood is not finite are halved, at most so often.
+MOST_STEPS, STEP, MOST_HALVED = 30, 1e-2, 8
 
-# A run is lost where it leaves more than this share of a channel's spread, a quarter of its variance: it is out of step
-# somewhere, and least squares ends in a minimum of no meaning.
+# Coefficients have this share of the precision that searches give them.
+FLAT = 1e-9
+
+# A run is lost where it leaves more than this share of a channel's spread, a quarter of its variance.
 LOST = 0.5
 
-# A longer run, too, where it leaves this share more than the first fit did: noise is the same at any length. Noise of a
-# force adds a few per cent, which the test of the covariance sees; chaotic motion out of step adds half of the spread.
-FOLLOWS = 0.2
-
-# Noise of a channel at least, as a share of its spread: runs err by 1e-4 to 1e-3 themselves, since inputs are
-# interpolated between samples (measured on simulated records without noise). Less is correlated without any force.
-LEAST_NOISE = 1e-3
-
-# Other inputs are taken where they make 2 log likelihood greater by this, very strong evidence (Kass and Raftery 1995):
-# by chance, against the truth, less often than once in a thousand records.
+# Other inputs are taken where they make 2 log likelihood greater by this, very strong evidence (Kass and Raftery 1995).
 CLOSER = 10.0
 
-# Relative decrease of the sum of squares at which a fit is done: far below 1/n, that of one standard deviation.
-TOLERANCE = 1e-7
-
-# How often channels are weighted again at most; that is enough when it changes no weight by this share.
-ROUNDS = 5
-SAME_WEIGHT = 1e-2
-
-# Known noise of a channel is not believed where runs leave more than this multiple of its power; see
-# `bayeq.equation.build.INADEQUATE`.
+# Known noise of a channel is not believed where runs leave more than this multiple of its power.
 MISFIT = 1.75
 
 # Blocks of rows that the covariance is tested with: enough for a variance of some certainty, and yet long against the
@@ -67,7 +59,7 @@ MISFIT = 1.75
 BLOCKS = 16
 BLOCK_ROWS = 8
 
-# The covariance is refused where independent noise fails it with this probability.
+# The covariance is widened where independent noise fails it with this probability.
 CHANCE = 0.01
 
 # Parameters are not told apart where the condition number of their scaled information exceeds this: three digits are
@@ -81,42 +73,41 @@ class OutputError:
 
     Attributes
     ----------
-    measured : Measured
-        What they were fitted to.
-    candidate : int
-        Which of those given that is.
     parameters : (p,) array
         As in `Dynamics`; with known signs in doubt the mean of what they leave of the posterior.
     covariance : (p, p) array
-        Inverse of the Gauss-Newton Hessian, initial states eliminated; singular where parameters follow from others.
+        Singular where parameters follow from others.
+    free : (p,) bool array
+        Those that do not.
+    excess : float
+        Factor by which the covariance is wider than that of independent noise; 1 where what is left looks like that.
     at_bound : (p,) bool array
         Parameters that were 0, the end of their known sign, where runs were closest.
     contradicted : bool
         Whether runs speak against these signs, by a likelihood ratio of more than a hundred.
-    noise_sd : (m,) array
+    noise_sd : mapping of str to float
         Standard deviation of each channel's noise.
     misfit : mapping of str to float
         Channels of which runs leave more than the noise that was given, and how many times its standard deviation:
         theirs is what runs leave.
-    segments : int
-        Free runs; one per record where they are longest.
-    longest : int
-        Rows of the longest.
+    interpolation : str
+        Of the inputs.
     converged : bool
-        False if the last fit ended at a limit of steps or of weightings.
+        False if the last fit ended at a limit of steps.
+    log_likelihood : float
     """
 
-    measured: Measured
-    candidate: int
     parameters: Floats
     covariance: Floats
-    at_bound: NDArray[np.bool_]
+    free: Bools
+    excess: float
+    at_bound: Bools
     contradicted: bool
-    noise_sd: Floats
+    noise_sd: Mapping[str, float]
     misfit: Mapping[str, float]
-    segments: int
-    longest: int
+    interpolation: Interpolation
     converged: bool
+    log_likelihood: float
 
 
 @dataclass(frozen=True)
@@ -127,173 +118,192 @@ class Unrefined:
     advice: str
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """A fit, and the root mean square (m,) of what it leaves of each channel."""
-
-    segments: Segments
-    solution: Solution
-    rms: Floats
-
-    @property
-    def ratio(self) -> Floats:
-        """Of channels of known noise, what is left over it, (m,); 1 of others."""
-        measured = self.segments.measured
-        return np.where(np.isfinite(measured.known_noise), self.rms / _levels(measured, self.rms), 1.0)
-
-    @property
-    def misfit(self) -> dict[str, float]:
-        """Channels of which far more is left than their known noise, and how many times its standard deviation."""
-        names = self.segments.measured.names
-        return {n: float(r) for n, r in zip(names, self.ratio, strict=True) if r**2 > MISFIT}
-
-    @property
-    def deviance(self) -> float:
-        """-2 log likelihood up to a constant, each channel's noise at its likeliest level unless it is known."""
-        measured = self.segments.measured
-        return float(measured.samples @ (2.0 * np.log(_levels(measured, self.rms)) + self.ratio**2))
-
-
-def output_error(candidates: Sequence[Measured], parameters: Floats) -> OutputError | Unrefined:
-    """Parameters by output error, starting from those of a regression.
+def output_error(
+    motion: Motion, dynamics: Dynamics, parameters: Floats, known: Known, kinds: Sequence[Interpolation]
+) -> OutputError | Unrefined:
+    """Parameters by output error.
 
     Parameters
     ----------
-    candidates : sequence of Measured
-        The records and the model with inputs interpolated in one way or another. The first is taken, unless others are
-        much likelier.
+    motion : Motion
+        Smoothed; its training rows are fitted.
+    dynamics : Dynamics
+        The equations.
     parameters : (p,) array
-        Of the regression.
-
-    Returns
-    -------
-    OutputError or Unrefined
+        Where to start.
+    known : Known
+        What is known of them.
+    kinds : sequence of str
+        Courses of inputs between samples. The first is taken, unless others are much likelier.
     """
-    first = _longest_fit(candidates[0], candidates[0].known.start(parameters))
-    if first is None:
+    best: OutputError | Unrefined | None = None
+    for kind in kinds:
+        start = parameters if not isinstance(best, OutputError) else best.parameters
+        with np.errstate(all="ignore"):
+            found = _of_course(motion, dynamics, start, known, kind)
+        if best is None or isinstance(best, Unrefined):
+            best = found if best is None or isinstance(found, OutputError) else best
+        elif isinstance(found, OutputError) and 2.0 * (found.log_likelihood - best.log_likelihood) > CLOSER:
+            best = found
+    assert best is not None
+    return best
+
+
+def _of_course(
+    motion: Motion, dynamics: Dynamics, parameters: Floats, known: Known, kind: Interpolation
+) -> OutputError | Unrefined:
+    terms = tuple({term.text: term for own in dynamics.terms for term in own}.values())
+    number = {term.text: j for j, term in enumerate(terms)}
+    chain, term = [], []
+    for c, (own, constant) in enumerate(zip(dynamics.terms, dynamics.intercepts, strict=True)):
+        term += [len(terms)] * constant + [number[one.text] for one in own]
+        chain += [c] * (constant + len(own))
+    chosen = Candidates(np.array(chain, dtype=np.int64), np.array(term, dtype=np.int64))
+    layout, series, precision, state = start_of_runs(motion, terms, kind)
+    phi = known.start(parameters)
+    state = replace(state, chosen=chosen, theta=known.full(phi))
+    task = Task(layout, series, FLAT * precision, np.zeros(len(precision)))
+    misfit: dict[str, float] = {}
+    try:
+        task = finer(task, state)
+        run = _followed(task, known, phi, state)
+        names = [name for name, _ in layout.channels[: layout.first_input]]
+        power = _power(run.found, np.zeros(len(chosen.chain)))
+        for i, name in enumerate(names):
+            if not run.state.levels.learned[i] and power[i] > MISFIT:
+                misfit[name] = float(np.sqrt(power[i]))
+        if misfit:
+            held = ~run.state.levels.learned & ~np.isin([name for name, _ in layout.channels], list(misfit))
+            levels = replace(run.state.levels, held=held)
+            run = _followed(task, known, run.phi, replace(run.state, levels=levels))
+    except np.linalg.LinAlgError:
         return Unrefined("no free run follows the records", "check signs and terms, or sample faster")
-    if first.misfit:
-        learned = [replace(one, noise=_without(one.noise, first.misfit)) for one in candidates]
-        found = output_error(learned, parameters)
-        return found if isinstance(found, Unrefined) else replace(found, misfit=first.misfit)
-    others = [_fit(other, first.solution.free, first.segments.length, first.rms) for other in candidates[1:]]
-    better = [other for other in others if other is not None and other.deviance < first.deviance - CLOSER]
-    best = min(better, key=lambda fit: fit.deviance, default=first)
-    J, residuals = _sensitivity(best.solution)
-    covariance = _inverse(np.einsum("nmp,nmq->pq", J, J))
-    if covariance is None:
+    levels = run.state.levels
+    if (levels.channels > LOST**2 * levels.scales.channels)[: layout.first_input].any():
+        return Unrefined("no free run follows the records", "check signs and terms, or sample faster")
+    A, b = run.information, run.slope
+    scale = 1.0 / np.sqrt(np.diagonal(A))
+    if not np.isfinite(scale).all() or np.linalg.cond(A * scale[:, None] * scale) > SINGULAR:
         return Unrefined(
             "the records do not determine all coefficients in a free run",
             "show fewer terms (max_terms, tolerance), or fix one (constraints)",
         )
-    measured, known, free = best.segments.measured, best.segments.measured.known, best.solution.free
-    samples, unknowns = int(measured.samples.sum()), len(free) + best.solution.starts.size
-    # known noise is no less than it is given; where runs leave more intervals are wider
-    squares = float(measured.samples @ np.maximum(best.ratio, 1.0) ** 2)
+    covariance = solved(A, np.eye(len(A)))
+    covariance = 0.5 * (covariance + covariance.T)
     # where a sign ended the step the runs would come closer beyond
-    beyond = covariance @ np.einsum("nmp,nm->p", J, residuals) if known.at_bound(free).any() else np.zeros(len(free))
-    excess = _excess(J, (residuals - J @ beyond) / np.sqrt(squares / samples))
-    if excess:
-        return Unrefined(
-            "what free runs leave of the channels is correlated in time, as noise of a measured force or a missing term"
-            f" makes it: the variance of the coefficients would be {excess:.2g} times that of their intervals",
-            "add the input or term that is missing, or keep the regression",
-        )
-    freedom = max(samples - unknowns, 1)
-    mean, spread = free, squares / freedom * covariance
+    beyond = covariance @ b if known.at_bound(run.phi).any() else np.zeros(len(b))
+    excess = max(_excess(*_sensitivity(run.found, known.basis, beyond)), 1.0)
+    mean, spread = run.phi, excess * covariance
     if known.signs.any():
         from bayeq.inference.signs.truncated import truncated
 
-        mean, spread = truncated(free + beyond, covariance, known.signs, squares, 0.5 * freedom)
+        freedom = 0.5 * max(task.rows - len(b), 1.0)
+        mean, spread = truncated(run.phi + beyond, covariance, known.signs, 2.0 * freedom * excess, freedom)
     at_bound = np.zeros(len(parameters), dtype=np.bool_)
-    at_bound[known.free] = known.at_bound(free)
-    drop = float(beyond @ np.linalg.solve(covariance, beyond)) * samples / squares
+    at_bound[known.free] = known.at_bound(run.phi)
     return OutputError(
-        measured=measured,
-        candidate=[first, *others].index(best),
         parameters=known.full(mean),
         covariance=known.basis @ spread @ known.basis.T,
+        free=known.free,
+        excess=excess,
         at_bound=at_bound,
-        contradicted=drop > CLOSER,
-        noise_sd=np.where(
-            np.isfinite(measured.known_noise), measured.known_noise, np.sqrt(samples / freedom) * best.rms
-        ),
-        misfit={},
-        segments=best.segments.count,
-        longest=best.segments.longest,
-        converged=best.solution.converged,
+        contradicted=float(beyond @ A @ beyond) > excess * CLOSER,
+        noise_sd={name: float(np.sqrt(levels.channels[i])) for i, name in enumerate(names)},
+        misfit=misfit,
+        interpolation=kind,
+        converged=run.converged,
+        log_likelihood=run.found.value,
     )
 
 
-def _longest_fit(measured: Measured, free: Floats) -> _Fit | None:
-    """The fit of the longest segments whose runs follow the records."""
-    rows = min(max(measured.longest / FIRST, SHORTEST), measured.longest)
-    best = _fit(measured, free, rows, measured.spread)
-    while best is None and rows >= 2 * SHORTEST:  # the regression follows for a shorter time only
-        rows /= 2
-        best = _fit(measured, free, rows, measured.spread)
-    if best is None:
-        return None
-    most = best.rms**2 + (FOLLOWS * measured.spread) ** 2
-    while rows < measured.longest:
-        rows = min(LONGER * rows, measured.longest)
-        longer = _fit(measured, best.solution.free, rows, best.rms)
-        if longer is None or (longer.rms**2 > most).any():
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """Where a fit stands, and what the likelihood there says of the free parameters: slope and information."""
+
+    phi: Floats
+    state: State
+    found: Statistics
+    slope: Floats
+    information: Floats
+    converged: bool
+
+
+def _followed(task: Task, known: Known, phi: Floats, state: State) -> _Run:
+    """The path with less and less of a discrepancy, until nothing but noise separates it from the samples."""
+    run = None
+    for size in SIZES:
+        levels = replace(state.levels, discrepancy=size**2 * state.levels.target, hessian=None)
+        run = _fitted(task, known, phi, replace(state, levels=levels))
+        phi, state = run.phi, run.state
+    assert run is not None
+    return run
+
+
+def _fitted(task: Task, known: Known, phi: Floats, state: State) -> _Run:
+    """Gauss-Newton steps of the free parameters and the path, noise learned about each."""
+    number, before, halved = task.number(state.chosen), None, 0
+    held = np.arange(len(state.levels.free)) >= len(state.levels.channels)
+    for step in range(MOST_STEPS):
+        while True:
+            linears = task.linearised(state)
+            try:
+                levels, found = maximised(linears, state, task.precision[number], held)
+                break
+            except np.linalg.LinAlgError:
+                halved += 1
+                if before is None or halved > MOST_HALVED:
+                    raise
+                phi, state = 0.5 * (phi + before[0]), state.halfway(before[1])
+        before, state = (phi, state), replace(state, levels=levels)
+        q = quadratic(found.filtered)
+        slope, information = known.basis.T @ q.slope, known.basis.T @ q.information @ known.basis
+        moved = _bounded(information, slope, phi, known.signs)
+        near = float(np.max(np.abs(moved) * np.sqrt(np.diagonal(information)), initial=0.0)) < STEP
+        if near or step == MOST_STEPS - 1:
+            return _Run(phi, state, found, slope, information, near)
+        phi, delta = phi + moved, known.basis @ moved
+        smoothed = adjoints(linears, levels, found, delta, smoothed=bool(task.layout.jumps))
+        state = replace(state, theta=known.full(phi)).moved(task.layout, task.series, linears, smoothed)
+    raise AssertionError
+
+
+def _bounded(information: Floats, slope: Floats, phi: Floats, signs: Ints) -> Floats:
+    """The step to the maximum of a quadratic in which no parameter loses its sign: those that would become 0."""
+    step, free = np.zeros(len(phi)), np.ones(len(phi), dtype=np.bool_)
+    while free.any():
+        ends = np.where(free, 0.0, -phi)
+        left = slope - information @ ends
+        step = ends.copy()
+        step[free] = solved(information[np.ix_(free, free)], left[free])
+        lost = free & (signs * (phi + step) < 0.0)
+        if not lost.any():
             break
-        best = longer
-    return best
+        free &= ~lost
+        step = np.where(free, step, -phi)
+    return step
 
 
-def _without(noise: Mapping[str, float], names: Collection[str]) -> dict[str, float]:
-    return {name: sd for name, sd in noise.items() if name not in names}
+def _power(found: Statistics, delta: Floats) -> Floats:
+    """Mean square of each channel's standardised innovations, (M,)."""
+    squares = np.zeros(found.filtered[0].variance.shape[1])
+    numbers = np.zeros(len(squares))
+    for one in found.filtered:
+        left = one.innovation[:, :, 0] - one.innovation[:, :, 1:] @ delta
+        seen = one.variance > 0.0
+        squares += np.sum(np.where(seen, left**2 / np.where(seen, one.variance, 1.0), 0.0), axis=0)
+        numbers += seen.sum(axis=0)
+    return squares / np.maximum(numbers, 1)
 
 
-def _levels(measured: Measured, rms: Floats) -> Floats:
-    """Noise of each channel, (m,): as it is known, else what runs leave; not below what runs err by themselves."""
-    known = measured.known_noise
-    return np.maximum(np.where(np.isfinite(known), known, rms), LEAST_NOISE * measured.spread)
-
-
-def _fit(measured: Measured, free: Floats, length: float, rms: Floats) -> _Fit | None:
-    """Output error, channels weighted by the inverse of what it leaves (at first of `rms`); None if a run is lost."""
-    segments = Segments(measured, length)
-    found = Solution(free, segments.starts(), [], True)
-    for _ in range(ROUNDS):
-        former = _levels(measured, rms)
-        again = minimise(segments, 1.0 / former, found.free, found.starts, TOLERANCE)
-        if again is None:
-            return None
-        found = again
-        rms = segments.rms(found.runs) * former
-        if (np.abs(_levels(measured, rms) - former) <= SAME_WEIGHT * former).all():
-            break
-    else:
-        found = replace(found, converged=False)
-    return None if (rms > LOST * measured.spread).any() else _Fit(segments, found, rms)
-
-
-def _sensitivity(found: Solution) -> tuple[Floats, Floats]:
-    """Derivatives of runs by the free parameters, initial states eliminated, (n, m, f), and the residuals, (n, m)."""
-    d, p = found.starts.shape[1], len(found.free)
-    out = []
-    for run in found.runs:
-        J = run[:, :, 1:].reshape(-1, d + p)
-        J = J[:, d:] - J[:, :d] @ np.linalg.lstsq(J[:, :d], J[:, d:])[0]
-        out.append(J.reshape(*run.shape[:2], p))
-    return np.concatenate(out), np.concatenate([run[:, :, 0] for run in found.runs])
-
-
-def _inverse(information: Floats) -> Floats | None:
-    """Covariance of the parameters; None if they cannot be told apart."""
-    diagonal = np.diagonal(information)
-    if not (np.isfinite(information).all() and (diagonal > 0).all()):
-        return None
-    scale = 1.0 / np.sqrt(diagonal)
-    scaled = information * np.outer(scale, scale)
-    if np.linalg.cond(scaled) > SINGULAR:
-        return None
-    covariance = np.linalg.inv(scaled) * np.outer(scale, scale)
-    return np.asarray(0.5 * (covariance + covariance.T))
+def _sensitivity(found: Statistics, basis: Floats, moved: Floats) -> tuple[Floats, Floats]:
+    """Derivatives of the standardised innovations by the free parameters, (n, M, f); these after a step, (n, M)."""
+    columns, residuals = [], []
+    for one in found.filtered:
+        unit = np.where(one.variance > 0.0, 1.0 / np.sqrt(np.where(one.variance > 0.0, one.variance, 1.0)), 0.0)
+        columns.append(one.innovation[:, :, 1:] @ basis * unit[:, :, None])
+        residuals.append(one.innovation[:, :, 0] * unit)
+    J, left = np.concatenate(columns), np.concatenate(residuals)
+    return J, left - J @ moved
 
 
 def _excess(J: Floats, residuals: Floats) -> float:

@@ -11,22 +11,20 @@ from numpy.typing import NDArray
 
 from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog
 from bayeq.expressions import Expression
-from bayeq.forecast.dynamics import Dynamics, finest_step
-from bayeq.forecast.free_run import state_range
+from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.results import Scores, percentages
 from bayeq.forecast.rows import Rows, predicted_target, rows_of
 from bayeq.forecast.score import score_rows
 from bayeq.forecast.windows import apart, typical_period, window_runs
 from bayeq.inference.posterior import Posterior
-from bayeq.ode.rk4 import Drive, Interpolation
+from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
 from bayeq.refine.known import Known
-from bayeq.refine.measured import Measured, Piece
 from bayeq.refine.output_error import OutputError, Unrefined, output_error
 from bayeq.refine.results import Refinement
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
-from bayeq.states import Sensors, Smooth, estimate_motion
+from bayeq.states import Motion, Sensors, Smooth, estimate_motion
 from bayeq.states.motion import held_out_share
 
 __all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "refine", "runs_are_worse"]
@@ -114,28 +112,36 @@ def refine(
     InputError
         Channels that are missing, no time, too few rows, nothing that constraints leave free.
     """
-    known = Known.of(dynamics, constraints) if any(one.binding for one in constraints) else None
+    known = Known.of(dynamics, constraints) if any(one.binding for one in constraints) else Known.nothing(dynamics.size)
     kinds: list[Interpolation] = ["cubic", "linear"] if dynamics.inputs else ["cubic"]
     if interpolation is not None:
         kinds = [interpolation]
-    rows = _rows(dynamics, records, smooth, holdout, sensors)
-    whole = {kind: [(r.interpolated(dynamics.roles, kind), cut) for r, cut in rows] for kind in kinds}
-    means = dynamics.mean
-    measured = {kind: _measured(dynamics, means, whole[kind], known, sensors) for kind in kinds}
-    found = output_error(list(measured.values()), means)
+    share = held_out_share(holdout, sum(one.n for one in records))
+    motion = estimate_motion(records, dynamics.roles, "auto", share, sensors)
+    found = _fitted(motion, dynamics, known, kinds)
     if isinstance(found, Unrefined):
         return found
-    kind = kinds[found.candidate]
-    train = [each.part(slice(0, cut)) for each, cut in whole[kind]]
-    held_out = [each.part(slice(cut, each.n)) for each, cut in whole[kind] if cut < each.n]
+    whole = [
+        (rows.interpolated(dynamics.roles, found.interpolation), cut)
+        for rows, cut in _rows(dynamics, records, smooth, share, sensors)
+    ]
+    train = [each.part(slice(0, cut)) for each, cut in whole]
+    held_out = [each.part(slice(cut, each.n)) for each, cut in whole if cut < each.n]
     duration = PERIODS * typical_period(dynamics, train)
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
-    if runs_are_worse(*runs):
+    # forces that nobody measured drive the motion: coefficients of runs are worse then, unless the runs say otherwise
+    if runs_are_worse(*runs) or (found.excess > 1.0 and not runs_are_worse(runs[1], runs[0])):
         former, now = (f"{100.0 * apart(pairs):.3g} %" for pairs in runs)
         return Unrefined(
-            f"free runs over windows of the rows used would err by {now} instead of {former}", "keep the regression"
+            f"free runs over windows of the rows used would err by {now} instead of {former}", "keep the equations"
         )
     scores, log = None, WarningLog()
+    if found.excess > 1.0:
+        log.warn(
+            "what free runs leave of the channels is correlated in time, as noise of a measured force or a missing term"
+            f" makes it: variances of the coefficients are {found.excess:.2g} times those of independent noise",
+            DataWarning,
+        )
     if held_out:
         scores = score_rows(dynamics, found.parameters, held_out)
         log.extend(_worse_scores(score_rows(before, before.mean, held_out), scores), ConvergenceWarning)
@@ -158,7 +164,7 @@ def refine(
             DataWarning,
         )
     refined = [_refined(dynamics, k, block, found, (train, held_out)) for k, block in enumerate(dynamics.blocks())]
-    return RefinedEquations(tuple(refined), _summary(found, records, kind, bound), scores, log)
+    return RefinedEquations(tuple(refined), _summary(found, motion, bound), scores, log)
 
 
 def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tuple[Floats, Floats]]) -> bool:
@@ -211,7 +217,7 @@ def _refined(
     train, held_out = parts
     target, terms = dynamics.targets[k], dynamics.terms[k]
     parameters, covariance = found.parameters[block], found.covariance[block, block]
-    free = found.measured.known.free[block]
+    free = found.free[block]
     residuals = [_residual(target, terms, parameters, rows) for rows in train]
     noise = sum(float(e @ e) for e in residuals) / max(sum(map(len, residuals)) - int(free.sum()), 1)
     names = (*dynamics.inputs, *dynamics.chains[k].states)
@@ -233,51 +239,38 @@ def _at_bound(dynamics: Dynamics, found: OutputError) -> tuple[str, ...]:
     )
 
 
-def _summary(
-    found: OutputError, pieces: Sequence[Record], interpolation: Interpolation, bound: tuple[str, ...]
-) -> Refinement:
+def _summary(found: OutputError, motion: Motion, bound: tuple[str, ...]) -> Refinement:
     return Refinement(
-        files=tuple(dict.fromkeys(piece.name for piece in pieces)),
-        n=found.measured.rows,
-        segments=found.segments,
-        longest=found.longest,
-        noise_sd=dict(zip(found.measured.names, found.noise_sd.tolist(), strict=True)),
-        interpolation=interpolation,
+        files=tuple(dict.fromkeys(rows.name for rows in motion.train)),
+        n=sum(rows.n for rows in motion.train),
+        segments=len(motion.train),
+        longest=max(rows.n for rows in motion.train),
+        noise_sd=found.noise_sd,
+        interpolation=found.interpolation,
         converged=found.converged,
         at_bound=bound,
     )
 
 
+def _fitted(
+    motion: Motion, dynamics: Dynamics, known: Known, kinds: Sequence[Interpolation]
+) -> OutputError | Unrefined:
+    for rows in motion.train:
+        if rows.n < LEAST_ROWS:
+            raise RecordError(
+                f"{rows.name or 'record'}: {rows.n} rows are too few to refine on (at least {LEAST_ROWS})"
+            )
+    if not motion.smoothing:
+        return Unrefined("the records are too short, or have no noise that could be told from motion", "measure more")
+    return output_error(motion, dynamics, dynamics.mean, known, kinds)
+
+
 def _rows(
-    dynamics: Dynamics, pieces: Sequence[Record], smooth: Smooth, holdout: float, sensors: Sensors
+    dynamics: Dynamics, pieces: Sequence[Record], smooth: Smooth, share: float, sensors: Sensors
 ) -> list[tuple[Rows, int]]:
     """Rows of each record, with the states as `discover` has them, and the first of those that are held out."""
-    share = held_out_share(holdout, sum(piece.n for piece in pieces))
     motion = estimate_motion(pieces, dynamics.roles, smooth, share, sensors)
-    out = []
-    for piece, rows, cut in zip(pieces, rows_of(motion, "refine"), motion.cuts, strict=True):
-        if cut < LEAST_ROWS:
-            raise RecordError(f"{piece.name or 'record'}: {cut} rows are too few to refine on (at least {LEAST_ROWS})")
-        out.append((rows, cut))
-    return out
-
-
-def _measured(
-    dynamics: Dynamics, means: Floats, whole: Sequence[tuple[Rows, int]], known: Known | None, sensors: Sensors
-) -> Measured:
-    names = tuple(name for chain in dynamics.chains for name in chain.measured if name is not None)
-    pieces = [
-        Piece(
-            rows.time,
-            rows.driven,
-            rows.stack(dynamics.states),
-            np.column_stack([rows.samples[name] for name in names]),
-        )
-        for rows in (each.part(slice(0, cut)) for each, cut in whole)
-    ]
-    limits = state_range(np.concatenate([piece.states for piece in pieces]))
-    step = min(finest_step(dynamics, means, p.states, Drive.over(p.time, p.inputs, *limits)) for p in pieces)
-    return Measured(dynamics, pieces, names, step, *limits, known, sensors.noise)
+    return list(zip(rows_of(motion, "refine"), motion.cuts, strict=True))
 
 
 def _posterior(
