@@ -168,7 +168,7 @@ def _of_course(
         task = finer(task, state)
         run = _followed(task, known, phi, state)
         names = [name for name, _ in layout.channels[: layout.first_input]]
-        power = _power(run.found, np.zeros(len(chosen.chain)))
+        power = _power(run.found)
         for i, name in enumerate(names):
             if not run.state.levels.learned[i] and power[i] > MISFIT:
                 misfit[name] = float(np.sqrt(power[i]))
@@ -181,8 +181,10 @@ def _of_course(
     levels = run.state.levels
     if (levels.channels > LOST**2 * levels.scales.channels)[: layout.first_input].any():
         return Unrefined("no free run follows the records", "check signs and terms, or sample faster")
-    A, b = run.information, run.slope
-    scale = 1.0 / np.sqrt(np.diagonal(A))
+    at_bound, free = known.at_bound(run.phi), run
+    if at_bound.any():  # the runs would come closer beyond
+        free = _followed(task, replace(known, signs=np.zeros_like(known.signs)), run.phi, run.state)
+    A, scale = free.information, 1.0 / np.sqrt(np.diagonal(free.information))
     if not np.isfinite(scale).all() or np.linalg.cond(A * scale[:, None] * scale) > SINGULAR:
         return Unrefined(
             "the records do not determine all coefficients in a free run",
@@ -190,24 +192,22 @@ def _of_course(
         )
     covariance = solved(A, np.eye(len(A)))
     covariance = 0.5 * (covariance + covariance.T)
-    # where a sign ended the step the runs would come closer beyond
-    beyond = covariance @ b if known.at_bound(run.phi).any() else np.zeros(len(b))
-    excess = max(_excess(*_sensitivity(run.found, known.basis, beyond)), 1.0)
-    mean, spread = run.phi, excess * covariance
+    excess = max(_excess(*_sensitivity(free.found, known.basis)), 1.0)
+    mean, spread = free.phi, excess * covariance
     if known.signs.any():
         from bayeq.inference.signs.truncated import truncated
 
-        freedom = 0.5 * max(task.rows - len(b), 1.0)
-        mean, spread = truncated(run.phi + beyond, covariance, known.signs, 2.0 * freedom * excess, freedom)
-    at_bound = np.zeros(len(parameters), dtype=np.bool_)
-    at_bound[known.free] = known.at_bound(run.phi)
+        freedom = 0.5 * max(task.rows - len(A), 1.0)
+        mean, spread = truncated(free.phi, covariance, known.signs, 2.0 * freedom * excess, freedom)
+    ended = np.zeros(len(parameters), dtype=np.bool_)
+    ended[known.free] = at_bound
     return OutputError(
         parameters=known.full(mean),
         covariance=known.basis @ spread @ known.basis.T,
         free=known.free,
         excess=excess,
-        at_bound=at_bound,
-        contradicted=float(beyond @ A @ beyond) > excess * CLOSER,
+        at_bound=ended,
+        contradicted=2.0 * (free.found.value - run.found.value) > excess * CLOSER,
         noise_sd={name: float(np.sqrt(levels.channels[i])) for i, name in enumerate(names)},
         misfit=misfit,
         interpolation=kind,
@@ -218,12 +218,11 @@ def _of_course(
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """Where a fit stands, and what the likelihood there says of the free parameters: slope and information."""
+    """Where a fit stands, and what the likelihood there says of the free parameters."""
 
     phi: Floats
     state: State
     found: Statistics
-    slope: Floats
     information: Floats
     converged: bool
 
@@ -260,7 +259,7 @@ def _fitted(task: Task, known: Known, phi: Floats, state: State) -> _Run:
         moved = _bounded(information, slope, phi, known.signs)
         near = float(np.max(np.abs(moved) * np.sqrt(np.diagonal(information)), initial=0.0)) < STEP
         if near or step == MOST_STEPS - 1:
-            return _Run(phi, state, found, slope, information, near)
+            return _Run(phi, state, found, information, near)
         phi, delta = phi + moved, known.basis @ moved
         smoothed = adjoints(linears, levels, found, delta, smoothed=bool(task.layout.jumps))
         state = replace(state, theta=known.full(phi)).moved(task.layout, task.series, linears, smoothed)
@@ -268,42 +267,43 @@ def _fitted(task: Task, known: Known, phi: Floats, state: State) -> _Run:
 
 
 def _bounded(information: Floats, slope: Floats, phi: Floats, signs: Ints) -> Floats:
-    """The step to the maximum of a quadratic in which no parameter loses its sign: those that would become 0."""
-    step, free = np.zeros(len(phi)), np.ones(len(phi), dtype=np.bool_)
-    while free.any():
-        ends = np.where(free, 0.0, -phi)
-        left = slope - information @ ends
-        step = ends.copy()
-        step[free] = solved(information[np.ix_(free, free)], left[free])
-        lost = free & (signs * (phi + step) < 0.0)
-        if not lost.any():
-            break
-        free &= ~lost
-        step = np.where(free, step, -phi)
-    return step
+    """The step to the maximum of a quadratic among those in which no parameter loses its sign."""
+    step = solved(information, slope)
+    if not (signs * (phi + step) < 0.0).any():
+        return step
+    from scipy.optimize import lsq_linear
+
+    unit = 1.0 / np.sqrt(np.diagonal(information))
+    values, vectors = np.linalg.eigh(information * unit[:, None] * unit)
+    root = np.sqrt(np.maximum(values, np.finfo(np.float64).eps * values.max()))
+    low = np.where(signs > 0, -phi / unit, -np.inf)
+    high = np.where(signs < 0, -phi / unit, np.inf)
+    found = lsq_linear(root[:, None] * vectors.T, (vectors.T @ (unit * slope)) / root, (low, high), method="bvls")
+    step = unit * found.x
+    # at the end of its sign a parameter is 0 to the last bit
+    ends = (signs != 0) & ((found.active_mask != 0) | (signs * (phi + step) <= 0.0))
+    return np.where(ends, -phi, step)
 
 
-def _power(found: Statistics, delta: Floats) -> Floats:
+def _power(found: Statistics) -> Floats:
     """Mean square of each channel's standardised innovations, (M,)."""
     squares = np.zeros(found.filtered[0].variance.shape[1])
     numbers = np.zeros(len(squares))
     for one in found.filtered:
-        left = one.innovation[:, :, 0] - one.innovation[:, :, 1:] @ delta
-        seen = one.variance > 0.0
+        left, seen = one.innovation[:, :, 0], one.variance > 0.0
         squares += np.sum(np.where(seen, left**2 / np.where(seen, one.variance, 1.0), 0.0), axis=0)
         numbers += seen.sum(axis=0)
     return squares / np.maximum(numbers, 1)
 
 
-def _sensitivity(found: Statistics, basis: Floats, moved: Floats) -> tuple[Floats, Floats]:
-    """Derivatives of the standardised innovations by the free parameters, (n, M, f); these after a step, (n, M)."""
+def _sensitivity(found: Statistics, basis: Floats) -> tuple[Floats, Floats]:
+    """Derivatives of the standardised innovations by the free parameters, (n, M, f); these, (n, M)."""
     columns, residuals = [], []
     for one in found.filtered:
         unit = np.where(one.variance > 0.0, 1.0 / np.sqrt(np.where(one.variance > 0.0, one.variance, 1.0)), 0.0)
         columns.append(one.innovation[:, :, 1:] @ basis * unit[:, :, None])
         residuals.append(one.innovation[:, :, 0] * unit)
-    J, left = np.concatenate(columns), np.concatenate(residuals)
-    return J, left - J @ moved
+    return np.concatenate(columns), np.concatenate(residuals)
 
 
 def _excess(J: Floats, residuals: Floats) -> float:

@@ -113,27 +113,27 @@ def refine(
         Channels that are missing, no time, too few rows, nothing that constraints leave free.
     """
     known = Known.of(dynamics, constraints) if any(one.binding for one in constraints) else Known.nothing(dynamics.size)
-    kinds: list[Interpolation] = ["cubic", "linear"] if dynamics.inputs else ["cubic"]
+    kinds: list[Interpolation] = ["cubic", "linear", "band-limited"] if dynamics.inputs else ["cubic"]
     if interpolation is not None:
         kinds = [interpolation]
     share = held_out_share(holdout, sum(one.n for one in records))
+    rows = _rows(dynamics, records, smooth, share, sensors)
     motion = estimate_motion(records, dynamics.roles, "auto", share, sensors)
     found = _fitted(motion, dynamics, known, kinds)
     if isinstance(found, Unrefined):
         return found
-    whole = [
-        (rows.interpolated(dynamics.roles, found.interpolation), cut)
-        for rows, cut in _rows(dynamics, records, smooth, share, sensors)
-    ]
+    whole = [(one.interpolated(dynamics.roles, found.interpolation), cut) for one, cut in rows]
     train = [each.part(slice(0, cut)) for each, cut in whole]
     held_out = [each.part(slice(cut, each.n)) for each, cut in whole if cut < each.n]
     duration = PERIODS * typical_period(dynamics, train)
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
+    former, now = (apart(pairs) for pairs in runs)
     # forces that nobody measured drive the motion: coefficients of runs are worse then, unless the runs say otherwise
-    if runs_are_worse(*runs) or (found.excess > 1.0 and not runs_are_worse(runs[1], runs[0])):
-        former, now = (f"{100.0 * apart(pairs):.3g} %" for pairs in runs)
+    if runs_are_worse(*runs) or (found.excess > 1.0 and not now < former):
         return Unrefined(
-            f"free runs over windows of the rows used would err by {now} instead of {former}", "keep the equations"
+            f"free runs over windows of the rows used would err by {100.0 * now:.3g} % instead of {100.0 * former:.3g}"
+            " %",
+            "keep the equations",
         )
     scores, log = None, WarningLog()
     if found.excess > 1.0:
