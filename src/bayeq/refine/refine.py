@@ -129,7 +129,7 @@ def refine(
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
     former, now = (apart(pairs) for pairs in runs)
     # forces that nobody measured drive the motion: coefficients of runs are worse then, unless the runs say otherwise
-    if runs_are_worse(*runs) or (found.excess > 1.0 and not now < former):
+    if runs_are_worse(*runs) or (found.excess > 1.0 and not runs_are_worse(*reversed(runs))):
         return Unrefined(
             f"free runs over windows of the rows used would err by {100.0 * now:.3g} % instead of {100.0 * former:.3g}"
             " %",
