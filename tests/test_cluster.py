@@ -250,7 +250,7 @@ def test_what_cannot_be_read_by_a_cluster_is_refused(frame, client, path):
         (dates, {"t": "time"}, "'time': holds dates"),
         (whole[whole.t < 0], {}, "no rows"),
         (path, {"client": "tcp://localhost:8786"}, "Client, not str"),
-        (path, {"band": (0.5, 40)}, "in no band"),
+        (path, {"band": (0.5, 40), "smooth": "auto"}, "in no band"),
     ):
         with pytest.raises(InputError, match=message):
             quietly(data, **{"client": client, **options})

@@ -22,7 +22,7 @@ QUICK = {
     "known_terms": "lotka-volterra 1.0",
     "white_force": "4000",
     "coupled": "three masses, displacements auto",
-    "servo": "",
+    "servo": "auto",
     "circuit": "true",
     "adverse": "few rows 60",
     "tracking": "0.0 2000",

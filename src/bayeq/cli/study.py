@@ -11,7 +11,6 @@ from bayeq.cli.cluster import cluster_client, dask_option
 from bayeq.cli.options import FILE, Command, option
 from bayeq.cli.streams import say
 from bayeq.errors import InputError, InterruptedRun
-from bayeq.states.derive import current
 
 __all__ = ["study"]
 
@@ -60,6 +59,7 @@ def table2(
 
     progress = StudyProgress()
     try:
+        from bayeq.states.derive import current
         from bayeq.study.config import StudyConfig
         from bayeq.study.runner import run_study
         from bayeq.study.show import show as render

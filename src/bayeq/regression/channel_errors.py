@@ -92,14 +92,13 @@ def _change_by_factor(
 
 
 def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tuple[str, ...]:
-    """Inputs in the terms of a posterior whose noise neither was given nor is told by the likelihood of the record."""
-    if regression.record is None:
-        return ()
+    """Inputs in the terms of a posterior whose noise was not given, nor known by the likelihood of the record."""
     motion, terms = regression.motion, regression.design.terms
     used = {name for j in np.flatnonzero(posterior.support) for name in terms[j].names}
     inputs = [name for name in motion.roles.inputs if name in used and name not in motion.sensors.noise]
     inputs = [name for name in inputs if _may_hide_noise([rows.columns[name] for rows in motion.train])]
-    return tuple(name for name in inputs if name not in regression.record.inputs_of_known_noise)
+    seen = frozenset[str]() if regression.record is None else regression.record.inputs_of_known_noise
+    return tuple(name for name in inputs if name not in seen)
 
 
 def _may_hide_noise(pieces: Sequence[Floats]) -> bool:

@@ -1,9 +1,9 @@
 """Dictionary columns passed through the smoother, so that both sides of an equation are filtered alike.
 
 A target that was estimated holds what the smoother follows of the motion; an input, and the products of states, hold
-more. In the band regression both sides see the same filter, bin by bin (`bayeq.gram.band`). Here the same is done to
-rows, so that fits, residuals and shares of variance are those of an equation both sides of which went through it. The
-rows at either end, where a smoother knows least, are left out of the judgement.
+more. Here the same filter is applied to these, so that fits, residuals and shares of variance are those of an equation
+both sides of which went through it. The rows at either end, where a smoother knows least, are left out of the
+judgement.
 """
 
 from __future__ import annotations
