@@ -176,14 +176,6 @@ class RecordFit:
                 known.add(name)
         return frozenset(known)
 
-    @property
-    def least_noise(self) -> float:
-        """Least standard deviation of the noise of a chain's channel, as a share of the channel's."""
-        layout, levels = self.task.layout, self.fitted.state.levels
-        states = layout.kinds >= 0
-        states[layout.first_input :] = False
-        return float(np.sqrt((levels.channels / levels.scales.channels)[states].min()))
-
     @cached_property
     def unshrunk(self) -> tuple[State, Floats]:
         """The fit under a prior that does not shrink coefficients, and their covariance."""
