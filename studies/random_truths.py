@@ -5,16 +5,18 @@ each a share of the acceleration, log-uniform, in the motion of the mass on the 
 motion is stable, not held by friction, and resolved by the integration and the samples. 4,000 rows at 1 kHz, noise on
 displacement, velocity, acceleration and force, all rows used. "auto": terms of 1 to 55 % of the standard deviation, 5 %
 noise; "weak": one to three terms without jumps of 0.05 to 40 %, noise log-uniform from 0.5 to 10 %; "signs": the same,
-one of them with a jump. Lines of the table: candidates by their posterior inclusion probability, with the share of them
-that is true and its standard error (records are the units of chance); the terms above 0.99; and the intervals of
-included terms, and those that are printed of the terms shown, those of false terms among them, which ought to cover
-zero. An answer is right if it shows no false term, and every true one or a bound that it is below.
+one of them with a jump; "::a", ":v:", ":v:a": as "auto", with these channels and the force alone. Lines of the table:
+candidates by their posterior inclusion probability, with the share of them that is true and its standard error (records
+are the units of chance); the terms above 0.99; and the intervals of included terms, and those that are printed of the
+terms shown, those of false terms among them, which ought to cover zero. An answer is right if it shows no false term,
+and every true one or a bound that it is below.
 
     python -m studies.random_truths > docs/tables/random_truths.csv
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,8 +29,10 @@ from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
 from bayeq.errors import InputError
+from bayeq.expressions import parse
 from bayeq.likelihood.signs import jumps_of
 from bayeq.records import Record
+from bayeq.states import parse_chain
 from bayeq.systems import simulate
 from bayeq.systems.force import BandLimitedForce
 from bayeq.systems.system import System
@@ -50,17 +54,19 @@ FORCE = BandLimitedForce(50.0, (0.0, 100.0))
 class Kind:
     """Numbers of further terms; the share of the acceleration's standard deviation that each is to have; noise.
 
-    `signs`: whether one of them jumps, or none; None for any.
+    `signs`: whether one of them jumps, or none; None for any. `chain`: what is measured of the motion.
     """
 
     terms: tuple[int, int] = (0, 3)
     share: tuple[float, float] = (0.01, 0.55)
     noise: tuple[float, float] = (0.05, 0.05)
     signs: bool | None = None
+    chain: str = "x:v:a"
 
 
 WEAK = Kind((1, 3), (0.0005, 0.4), (0.005, 0.1), False)
 KINDS = {"auto": Kind(), "weak": WEAK, "signs": replace(WEAK, signs=True)}
+KINDS |= {chain: Kind(chain=chain) for chain in ("::a", ":v:", ":v:a")}
 
 # Motion further than this multiple of that of the mass on the spring is not stable.
 MOST_RANGE = 5.0
@@ -172,19 +178,20 @@ def _judged(eqs: Equations, truth: Mapping[str, float]) -> dict[str, object]:
     }
 
 
+def _renamed(term: str, names: Mapping[str, str]) -> str:
+    """A term with other names of the states."""
+    return parse(re.sub(r"\b[xv]\b", lambda found: names[found[0]], term)).text
+
+
 def _measure(kind: Kind, seed: int) -> Outcome:
     record = draw_record(seed, kind)
     assert record.truth is not None
-    truth = record.truth.coefficients["a"]
-    fit = partial(
-        discover,
-        record,
-        displacement="x",
-        velocity="v",
-        acceleration="a",
-        force="u",
-        holdout=0.0,
-    )
+    chain = parse_chain(kind.chain)
+    names = {"x": chain.names[0], "v": chain.names[1]}
+    truth = {_renamed(term, names): value for term, value in record.truth.coefficients["a"].items()}
+    measured = {name: record[name] for name in (*filter(None, chain.measured), "u")}
+    seen = Record.from_arrays(measured, time=record.time)
+    fit = partial(discover, seen, chains=[kind.chain], inputs=["u"], holdout=0.0)
     return timed(fit, lambda eqs: _judged(eqs, truth))
 
 
