@@ -163,19 +163,18 @@ def _of_course(
     phi = known.start(parameters)
     state = replace(state, chosen=chosen, theta=known.full(phi))
     task = Task(layout, series, FLAT * precision, np.zeros(len(precision)))
-    misfit: dict[str, float] = {}
+    names = [name for name, _ in layout.channels[: layout.first_input]]
     try:
         task = finer(task, state)
         run = _followed(task, known, phi, state)
-        names = [name for name, _ in layout.channels[: layout.first_input]]
-        power = _power(run.found)
-        for i, name in enumerate(names):
-            if not run.state.levels.learned[i] and power[i] > MISFIT:
-                misfit[name] = float(np.sqrt(power[i]))
-        if misfit:
-            held = ~run.state.levels.learned & ~np.isin([name for name, _ in layout.channels], list(misfit))
+        power, given = _power(run.found), np.sqrt(run.state.levels.channels)
+        distrusted = [i for i in range(len(names)) if not run.state.levels.learned[i] and power[i] > MISFIT]
+        if distrusted:
+            held = ~run.state.levels.learned
+            held[distrusted] = False
             levels = replace(run.state.levels, held=held)
             run = _followed(task, known, run.phi, replace(run.state, levels=levels))
+        misfit = {names[i]: float(np.sqrt(run.state.levels.channels[i]) / given[i]) for i in distrusted}
     except np.linalg.LinAlgError:
         return Unrefined("no free run follows the records", "check signs and terms, or sample faster")
     levels = run.state.levels
