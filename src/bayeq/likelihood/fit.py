@@ -187,17 +187,21 @@ def of_inputs(linears: Sequence[Linear], levels: Levels) -> float:
     return quadratic(alone).level
 
 
-def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value: float) -> tuple[float, Levels]:
-    """ln of the likelihood averaged over sizes of discrepancies, less that of the likeliest; levels of the best.
+def over_sizes(
+    linears: Sequence[Linear], state: State, precision: Floats, value: float, former: Floats
+) -> tuple[Floats, Levels]:
+    """ln of the likelihood averaged over sizes of each discrepancy, less that of the likeliest; levels of the best.
 
     The standard deviation of each discrepancy has a flat prior on a logarithmic scale between the bounds of `Levels`. A
     model that needs no discrepancy is as likely at any small one, and one that needs it at its size only. The
-    discrepancies are integrated one by one, about the likeliest sizes.
+    discrepancies are integrated one by one, about the likeliest sizes; those known from a `former` fit, (C,), not
+    again, those that are NaN there.
     """
     levels = state.levels
     bounds = np.log(levels.sizes)
-    total, met = 0.0, levels.discrepancy.copy()
-    for c, likeliest in enumerate(np.log(levels.discrepancy).tolist()):
+    means, met = former.copy(), levels.discrepancy.copy()
+    for c in np.flatnonzero(np.isnan(former)).tolist():
+        likeliest = float(np.log(levels.discrepancy[c]))
 
         def log_ratio(size: float, c: int = c) -> float:
             sizes = levels.discrepancy.copy()
@@ -205,9 +209,9 @@ def over_sizes(linears: Sequence[Linear], state: State, precision: Floats, value
             return marginal(linears, state, replace(levels, discrepancy=sizes), precision, keep=False).value - value
 
         low, high = bounds[:, c].tolist()
-        mean, size = log_mean(log_ratio, low, high, likeliest)
-        total, met[c] = total + mean, np.exp(size)
-    return total, replace(levels, discrepancy=met)
+        means[c], size = log_mean(log_ratio, low, high, likeliest)
+        met[c] = np.exp(size)
+    return means, replace(levels, discrepancy=met)
 
 
 def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: float) -> tuple[float, float]:

@@ -138,7 +138,9 @@ class RecordFit:
         if bool((model == self.fitted.model).all()):
             return self
         try:
-            return replace(self, fitted=from_all_levels(self.task, with_model(self.task, self.fitted, model)))
+            return replace(
+                self, fitted=from_all_levels(self.task, with_model(self.task, self.fitted, model), self.fitted)
+            )
         except np.linalg.LinAlgError:  # motion that it does not stay near: as the likelihood about the former tells it
             return replace(self, fitted=replace(self.fitted, model=model), own=False)
 

@@ -214,6 +214,8 @@ class Fitted:
         ln p(data, model), up to a constant.
     expand : callable
         Gives `quadratic`.
+    averages : (C,) array
+        What averaging over the size of each discrepancy makes of it.
     tried : dict of bytes to float
         Evidence of the models that were fitted to be compared.
     """
@@ -222,6 +224,7 @@ class Fitted:
     state: State
     evidence: float
     expand: Callable[[], Quadratic]
+    averages: Floats
     tried: dict[bytes, float] = field(default_factory=dict)
 
     @cached_property
@@ -234,12 +237,15 @@ class Fitted:
 Alternatives = Callable[[Task, Fitted, int], Iterable[list[tuple[Task, State]]]]
 
 
-def fit(task: Task, state: State, coarse: bool = False, further: bool = True, calm: int = 0) -> Fitted:
+def fit(
+    task: Task, state: State, coarse: bool = False, further: bool = True, calm: int = 0, beside: Fitted | None = None
+) -> Fitted:
     """Fit a model by Gauss-Newton steps, levels learned about each.
 
     Where another size of a discrepancy turns out to be likelier the fit goes on from there, once (`further`): a search
     does not leave a discrepancy of nothing, about which the likelihood is flat. In the first steps, `calm` of them,
     discrepancies stay as they are. A coarse fit takes few steps; its evidence is that of the likeliest discrepancies.
+    Equations that have the same terms in a fit `beside` are averaged over their discrepancies as there.
     """
     layout, series = task.layout, task.series
     number = task.number(state.chosen)
@@ -263,13 +269,17 @@ def fit(task: Task, state: State, coarse: bool = False, further: bool = True, ca
         before = found.value
     linears = task.linearised(state)
     value = marginal(linears, state, state.levels, precision, keep=False).value
+    model, averages = task.model(state.chosen), np.zeros(layout.chains)
     if not coarse:
-        mean, met = over_sizes(linears, state, precision, value)
+        former = np.full(layout.chains, np.nan)
+        if beside is not None:
+            same = (beside.model == model).reshape(layout.chains, -1).all(axis=1)
+            former[same] = beside.averages[same]
+        averages, met = over_sizes(linears, state, precision, value, former)
         if further and marginal(linears, state, met, precision, keep=False).value > value + FLAT:
-            return fit(task, replace(state, levels=met), further=False)
-        value += mean
-    model = task.model(state.chosen)
-    return Fitted(model, state, value + task.prior(model), partial(expanded, task, state, curved))
+            return fit(task, replace(state, levels=met), further=False, beside=beside)
+        value += float(averages.sum())
+    return Fitted(model, state, value + task.prior(model), partial(expanded, task, state, curved), averages)
 
 
 def expanded(task: Task, state: State, curved: Floats) -> Quadratic:
@@ -291,17 +301,17 @@ def calmed(state: State) -> State:
     return replace(state, levels=replace(levels, discrepancy=kappa**2 * levels.target))
 
 
-def from_all_levels(task: Task, state: State) -> Fitted:
+def from_all_levels(task: Task, state: State, beside: Fitted | None = None) -> Fitted:
     """The likelier fit of a model of those that start from the levels as they are, and from less discrepancy.
 
-    Levels of another model may keep a discrepancy that nothing needs any more.
+    Levels of another model may keep a discrepancy that nothing needs any more. `beside` as in `fit`.
     """
-    found = [fit(task, state)]
+    found = [fit(task, state, beside=beside)]
     if (state.levels.kappa < NOTICED).all():
         return found[0]
     much = bool((state.levels.kappa > EXPLAINS_MUCH).any())
     try:
-        found.append(fit(task, calmed(state), calm=CALM_STEPS if much else 0))
+        found.append(fit(task, calmed(state), calm=CALM_STEPS if much else 0, beside=beside))
     except np.linalg.LinAlgError:
         return found[0]
     return max(found, key=lambda one: one.evidence)
@@ -562,7 +572,7 @@ def among_neighbours(task: Task, best: Fitted, log: Callable[..., None] = _no_lo
             if model.tobytes() in tried:
                 continue
             try:
-                other = fit(task, calmed(with_model(task, best, model)))
+                other = fit(task, calmed(with_model(task, best, model)), beside=best)
             except np.linalg.LinAlgError:
                 continue
             tried[model.tobytes()] = other.evidence
