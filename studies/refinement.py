@@ -1,4 +1,4 @@
-"""What output error adds to a regression: free runs on unseen rows at 10 to 20 samples per natural period.
+"""What output error adds to equations: free runs on unseen rows at 10 to 20 samples per natural period.
 
 Linear and Duffing oscillators simulated at 16 times the sampling rate, with a force whose band ends at a quarter of
 that rate and whose spectral density is that of the paper's, then decimated; 5 % noise on the measured motion. For each

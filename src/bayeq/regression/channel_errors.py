@@ -26,8 +26,8 @@ LEAST_HIDDEN = 0.01
 # An input of which more than this share of the samples repeats the one before is a command, not a measurement.
 REPEATED = 0.1
 
-# Noise is seen where the highest of so many parts of the spectrum have less than this share of the strongest; in shorter
-# records nothing is seen.
+# Noise is seen where the highest of so many parts of the spectrum have less than a share of the strongest, if records
+# are longer than this.
 BANDS, HIGHEST, FLOOR, LEAST_ROWS = 40, 6, 0.1, 400
 
 # Half of the step of central differences, as a share of what is changed: their error is about its square.
