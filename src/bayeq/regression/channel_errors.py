@@ -26,7 +26,7 @@ LEAST_HIDDEN = 0.01
 # An input of which more than this share of the samples repeats the one before is a command, not a measurement.
 REPEATED = 0.1
 
-# Noise is seen where the highest of so many parts of the spectrum have less than a share of the strongest, if records
+# Noise is seen where the highest parts of the spectrum, of BANDS, have less than a share of the strongest, if records
 # are longer than this.
 BANDS, HIGHEST, FLOOR, LEAST_ROWS = 40, 6, 0.1, 400
 
