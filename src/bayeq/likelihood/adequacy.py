@@ -148,7 +148,9 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
 
     def log_likelihood(c: int, factor: float) -> float:
         try:
-            return marginal(linears, state, without(levels, c, factor), precision, keep=False).value
+            return marginal(
+                linears, state, levels.with_discrepancy(c, factor * levels.discrepancy[c]), precision, keep=False
+            ).value
         except np.linalg.LinAlgError:  # far from any motion
             return -math.inf
 
@@ -202,13 +204,6 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     return Adequacy(tuple(discrepancies), tuple(octaves))
 
 
-def without(levels: Levels, c: int, factor: float = 0.0) -> Levels:
-    """Levels with a factor of the discrepancy of equation c, 0 for as good as none."""
-    sizes = levels.discrepancy.copy()
-    sizes[c] = max(sizes[c] * factor, levels.sizes[0][c])
-    return replace(levels, discrepancy=sizes)
-
-
 def gain_of(task: Task, state: State, c: int) -> float:
     """ln ratio of the likelihoods, given the inputs, with the discrepancy of equation c and without.
 
@@ -222,7 +217,7 @@ def gain_of(task: Task, state: State, c: int) -> float:
     def value(levels: Levels) -> float:
         return marginal(linears, state, levels, precision, keep=False).value - of_inputs(linears, levels)
 
-    levels = maximised(linears, replace(state, levels=without(state.levels, c)), precision, held)[0]
+    levels = maximised(linears, replace(state, levels=state.levels.with_discrepancy(c, 0.0)), precision, held)[0]
     best = value(levels)
     first = task.layout.first_input
     for i in (np.flatnonzero(levels.learned[first:]) + first).tolist():
@@ -277,10 +272,10 @@ def chance_of(gain: float, length: float) -> float:
 def _length(task: Task, state: State, linears: Sequence[Linear], precision: Floats, c: int) -> float:
     """What `chance_of` takes, of the discrepancy of equation c."""
     levels, d = state.levels, task.layout.discrepancy[c]
-    sizes, memory = levels.discrepancy.copy(), levels.memory.copy()
-    sizes[c], memory[c] = levels.sizes[0][c], MEMORY[0]
+    memory = levels.memory.copy()
+    memory[c] = MEMORY[0]
     # a small discrepancy without memory is, smoothed, what the likelihood would gain by a force at each sample
-    little = replace(levels, discrepancy=sizes, memory=memory)
+    little = replace(levels.with_discrepancy(c, 0.0), memory=memory)
     found = marginal(linears, state, little, precision)
     pulls = [
         path[:, d] + one.deviation[:, d]

@@ -204,9 +204,9 @@ def over_sizes(
         likeliest = float(np.log(levels.discrepancy[c]))
 
         def log_ratio(size: float, c: int = c) -> float:
-            sizes = levels.discrepancy.copy()
-            sizes[c] = np.exp(size)
-            return marginal(linears, state, replace(levels, discrepancy=sizes), precision, keep=False).value - value
+            return (
+                marginal(linears, state, levels.with_discrepancy(c, np.exp(size)), precision, keep=False).value - value
+            )
 
         low, high = bounds[:, c].tolist()
         means[c], size = log_mean(log_ratio, low, high, likeliest)

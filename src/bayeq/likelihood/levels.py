@@ -120,6 +120,12 @@ class Levels:
         channels[i] = variance
         return replace(self, channels=channels)
 
+    def with_discrepancy(self, c: int, variance: float) -> Levels:
+        """The levels with another variance of the discrepancy of equation c, or the least there is."""
+        sizes = self.discrepancy.copy()
+        sizes[c] = max(variance, self.sizes[0][c])
+        return replace(self, discrepancy=sizes)
+
     @property
     def target(self) -> Floats:
         """Variance of the target of each equation, (C,)."""
