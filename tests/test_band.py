@@ -8,7 +8,7 @@ import pytest
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.cli.progress import COMPILING, PROGRESS
-from bayeq.states.believed import low_passed
+from bayeq.states.believed import without_hum
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 
@@ -72,24 +72,37 @@ def test_channels_may_drift_below_the_band(drifting):
         assert abs(found.shown_coef[name] - value) < 3.5 * sd[name]
 
 
-def test_what_is_faster_than_the_band_is_filtered_out_of_all_channels_alike():
-    n, fs, band = 8000, 1000.0, (0.0, 40.0)
-    time = np.arange(n) / fs
-    rng = np.random.default_rng(3)
-    slow, fast = np.sin(2 * np.pi * 37.0 * time + 1.0), 3.0 * np.sin(2 * np.pi * 49.0 * time)
-    noise = rng.normal(size=n)
-    missing = np.where(np.arange(n) == 4000, np.nan, slow)
-    record = bq.Record({"slow": slow, "both": slow + fast, "noise": noise, "missing": missing}, time + 5.0)
-    [found], factor = low_passed([record], ["slow", "both", "noise", "missing"], *band, 10)
-    assert found.n == pytest.approx(n / fs * 96.0, abs=40)
-    at = np.sin(2 * np.pi * 37.0 * (found.time - 5.0) + 1.0)
-    np.testing.assert_allclose(found["slow"], at, atol=0.01)
-    np.testing.assert_allclose(found["both"], at, atol=0.03)  # 50 dB of 3, and what 37 Hz leaves
-    np.testing.assert_allclose(found["missing"], at, atol=0.1)
-    assert found["noise"].std() == pytest.approx(factor, rel=0.1)
-    [same], one = low_passed([record], ["slow"], 0.0, 450.0, 10)
-    assert same is record
-    assert one == 1.0
+def test_hum_is_taken_out_of_all_channels_alike():
+    n, fs = 8000, 1000.0
+    time, rng = np.arange(n) / fs, np.random.default_rng(3)
+    u = rng.normal(size=n)
+    hum = np.sin(2 * np.pi * 49.987 * time + 1.0) + 0.3 * np.sin(2 * np.pi * 150.02 * time)
+    slow = np.sin(2 * np.pi * 3.0 * time)  # a line below the band's end stays
+    missing = np.where(np.arange(n) % 7 == 3, np.nan, u + hum)
+    record = bq.Record({"u": u + hum, "a": 3.0 * u + slow - 2.0 * hum, "half": missing, "slow": slow}, time)
+    [found], messages = without_hum([record], ["u", "a", "half", "slow"], 0.0, 40.0)
+    assert messages == ["hum above the band was taken out of all channels, at 49.99, 150.02 Hz"]
+    # what the channels have at those frequencies goes with it: two numbers of each line
+    assert np.std(found["u"] - u) < 0.05
+    np.testing.assert_allclose(found["a"] - 3.0 * found["u"], slow, atol=0.01)
+    np.testing.assert_allclose(found["slow"], slow, atol=0.01)
+    seen = np.isfinite(missing)
+    assert np.std(found["half"][seen] - u[seen]) < 0.05
+    [same], nothing = without_hum([record], ["u"], 0.0, 160.0)
+    assert nothing == []
+    np.testing.assert_array_equal(same["u"], record["u"])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_and_the_edge_of_a_force_are_no_hum(seed):
+    record = bq.simulate("duffing", n=20_000, seed=seed, noise=0.02)  # the force ends at 100 Hz
+    assert without_hum([record], list("xvau"), 0.0, 40.0)[1] == []
+
+
+def test_the_upper_end_decides_no_terms():
+    record = bq.simulate("duffing", n=3000, seed=5, noise=0.02)
+    found = [bq.discover(record, chains="x:v:a", inputs=["u"], band=(0.0, high))[0].coef for high in (20.0, 400.0)]
+    assert found[0] == found[1]
 
 
 def test_a_band_is_fitted_where_nothing_is_noisy():
@@ -109,7 +122,6 @@ def test_a_band_is_fitted_where_nothing_is_noisy():
         (["--band", "nan:5"], "band nan to 5 Hz"),
         (["--band", "1:inf"], "band 1 to inf Hz"),
         (["--band", "900:1000"], "the band 900 to 1000 Hz is above half of the sampling rate, 500 Hz"),
-        (["--band", "0:2"], "of frequencies up to 2 Hz alone fewer than 10 rows are left; widen the band"),
         (["--band", "5:40", "--smooth", "none"], "band= needs the likelihood of the record"),
         (["--band", "5:400", "--rows", "0:8"], "8 rows: too few for a regression (at least 10)"),
     ],

@@ -128,8 +128,8 @@ def discover(
         channel, for noise of many outliers. Needs the likelihood of the record. Single spikes are left out in any case.
     band : (float, float), optional
         Frequencies [Hz] in which the record is believed. Every channel may drift more slowly than the lower one, by
-        how much is learned. What is faster than the higher one, hum for example, is taken out of all channels, which
-        are then sampled 2.4 times in its period (`bayeq.states.believed`).
+        how much is learned. Hum, lines of the spectra above the higher one, is taken out of all channels
+        (`bayeq.states.believed`).
     seed : int
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional

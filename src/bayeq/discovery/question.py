@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +43,9 @@ from bayeq.states import (
     require_varying,
 )
 from bayeq.states.bad_samples import Learned
-from bayeq.states.believed import low_passed
+from bayeq.states.believed import without_hum
 from bayeq.states.missing import bridged_record, require_enough
-from bayeq.states.motion import FEW_ROWS, held_out_share
+from bayeq.states.motion import held_out_share
 from bayeq.states.prepare import cleaned, divided_at_gaps
 from bayeq.streaming.whole import Whole
 
@@ -181,8 +181,8 @@ class Question:
             raise RecordError(f"{error} (found in stretches of a long record: choose its rows, --rows)") from None
         sensors = known_sensors(self.noise, self.gain_sd, roles, pieces, self.tails)
         if self.band is not None:
-            pieces, factor = low_passed(pieces, [*roles.measured, *roles.inputs], *self.band, FEW_ROWS)
-            sensors = replace(sensors, noise={name: factor * sd for name, sd in sensors.noise.items()})
+            pieces, messages = without_hum(pieces, [*roles.measured, *roles.inputs], *self.band)
+            log.extend(messages, DataWarning)
         motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
         warn_of_sensors(motion, {*self.noise, *self.gain_sd}, log)
         _inspect(motion, pieces, self.holdout, log)

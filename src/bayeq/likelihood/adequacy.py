@@ -194,12 +194,11 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
             innovation = found.innovation[measured, k]
             left.append((innovation[:, 0] - innovation[:, 1:] @ here.delta) / np.sqrt(found.variance[measured, k]))
         if k < noisy:
-            tested = octaves_of(channel, left, interval, most=task.believed)
-            otherwise |= {(one.low, one.high) for one in tested if one.p < LEVEL}
+            otherwise |= {(one.low, one.high) for one in octaves_of(channel, left, interval) if one.p < LEVEL}
             continue
         # as of discrepancies, less than that is none
         least = LEAST_DISCREPANCY * levels.scales.channels[order[k]] / levels.channels[order[k]]
-        tested = octaves_of(channel, left, interval, otherwise if kind < 0 else set(), task.believed)
+        tested = octaves_of(channel, left, interval, otherwise if kind < 0 else set())
         octaves += [one for one in tested if abs(one.ratio - 1.0) * one.share > least]
     return Adequacy(tuple(discrepancies), tuple(octaves))
 
@@ -308,11 +307,7 @@ def turn_of(pulls: Sequence[Floats]) -> float:
 
 
 def octaves_of(
-    channel: str,
-    pieces: Sequence[Floats],
-    interval: float,
-    without: Set[tuple[float, float]] = frozenset(),
-    most: float = math.inf,
+    channel: str, pieces: Sequence[Floats], interval: float, without: Set[tuple[float, float]] = frozenset()
 ) -> list[Octave]:
     """Tests of the octaves of what should be white noise.
 
@@ -327,10 +322,8 @@ def octaves_of(
     without : set of (float, float)
         Octaves that are left out, as if there were none: in a target those in which the course of an input is not that
         of low-passed noise.
-    most : float
-        Frequency up to which the samples are believed [Hz].
     """
-    power, below = _spectrum(pieces, 2.0 * most * interval)
+    power, below = _spectrum(pieces)
     highest, out = 0.5 / interval, []
     edges = [(highest * 0.5 ** (k + 1), highest * 0.5**k) for k in range(OCTAVES)]
     kept = ~np.isin(below, [k for k, edge in enumerate(edges) if edge in without])
@@ -349,13 +342,11 @@ def octaves_of(
     return out
 
 
-def _spectrum(pieces: Sequence[Floats], most: float = math.inf) -> tuple[Floats, NDArray[np.int64]]:
-    """Powers of all bins between 0 and half the sampling rate, or `most` of it, and how many octaves below that they
-    are."""
+def _spectrum(pieces: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
+    """Powers of all bins between 0 and half the sampling rate, and how many octaves below that each lies."""
     power, below = [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
     for values in pieces:
         bins = np.arange(1, (len(values) + 1) // 2)
-        bins = bins[2.0 * bins <= most * len(values)]
         power.append(np.abs(np.fft.rfft(values)[bins]) ** 2)
         below.append(np.minimum(np.floor(-np.log2(2.0 * bins / len(values))).astype(np.int64), OCTAVES - 1))
     return np.concatenate(power), np.concatenate(below)

@@ -325,8 +325,7 @@ def fit_record(
             log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
             start = start_from(some, terms, grams, log_odds[:, :-1] > -np.inf)
             odds = log_odds.ravel()
-            believed = motion.band[1] if motion.band else np.inf
-            task = Task(start.layout, start.series, start.precision, odds, tolerance=tolerance, believed=believed)
+            task = Task(start.layout, start.series, start.precision, odds, tolerance=tolerance)
             found = search(task, start.states, partial(with_courses, some))
             if some is not motion:
                 return _resumed(motion, *found, places)

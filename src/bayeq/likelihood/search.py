@@ -133,8 +133,6 @@ class Task:
         Number of samples that the likelihood is of, where the series are some of them only.
     tolerance : float or None
         See `bayeq.discover`.
-    believed : float
-        Frequency up to which the records are believed [Hz].
     recent : list
         The last two linearisations and what they are of: fits go on from where others have stood.
     """
@@ -146,7 +144,6 @@ class Task:
     substeps: int = 1
     counted: float | None = None
     tolerance: float | None = None
-    believed: float = math.inf
     recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
 
     def linearised(self, state: State) -> list[Linear]:

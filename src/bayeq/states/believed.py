@@ -1,13 +1,12 @@
-"""Records that are believed up to a frequency: what is faster is taken out, hum or the resonance of a sensor.
+"""Records that are believed up to a frequency: hum, lines of the spectra above it, is taken out of them.
 
-All channels go through the same low-pass filter without delay, which leaves an equation between them as it is where the
-motion itself is slower, and are sampled again no finer than what is left: noise stays white, which the likelihood takes
-it for. What varies slower than is believed is a state of the likelihood (`bayeq.likelihood.layout`).
+What is faster and no line stays: it is the noise of a channel, or harmonics of the motion, which tell terms
+apart. What varies slower than is believed is a state of the likelihood (`bayeq.likelihood.layout`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,25 +15,33 @@ from bayeq.errors import RecordError
 from bayeq.records import Record
 from bayeq.states.uniform_grid import on_grid
 
-__all__ = ["low_passed"]
+__all__ = ["without_hum"]
 
 Floats = NDArray[np.float64]
 
-# Samples in a cycle of the highest frequency that is believed. From it to half of them the filter goes down, to
-# ATTENUATION [dB] (Kaiser's window).
-RATE, ATTENUATION = 2.4, 50.0
+# A line has more than this many times the median power of the bins on either side: one bin of white noise in 2^30 does.
+LINE = 30.0
 
-# A sample of which less than this share is known is missing.
-LEAST_KNOWN = 0.8
+# ... and this share of the channel's power: less is nothing, which channels without noise have much of.
+LEAST = 1e-6
 
-# New samples that are worked out at once.
-TOGETHER = 4096
+# Bins on either side, without the nearest, which a line reaches with Hann's window.
+BESIDE, LOBE = 50, 3
+
+# Lines of a record, at most: one whose amplitude varies takes several.
+MOST_LINES = 20
+
+# Lines that a message lists.
+SHOWN = 6
+
+# Turns of the refinement of a frequency between bins.
+TURNS = 40
 
 
-def low_passed(
-    records: Sequence[Record], names: Sequence[str], low: float, high: float, fewest: int
-) -> tuple[list[Record], float]:
-    """Records without what is faster than a frequency.
+def without_hum(
+    records: Sequence[Record], names: Sequence[str], low: float, high: float
+) -> tuple[list[Record], list[str]]:
+    """Records without the lines that stand out of the spectra of channels above a frequency.
 
     Parameters
     ----------
@@ -44,84 +51,85 @@ def low_passed(
         The channels that are wanted.
     low, high : float
         Frequencies that are believed [Hz].
-    fewest : int
-        Rows that a record has to have left.
 
     Returns
     -------
-    list of Record
-        As they are where they are sampled no finer than that.
-    float
-        Factor of the standard deviation of white noise.
+    list of Record, list of str
+        And a message, if there were lines.
 
     Raises
     ------
     RecordError
-        Records that are not sampled evenly and at one rate, or that hold too few periods.
+        Records that are not sampled evenly, or slower than the band.
     """
-    even = [on_grid(record, names, ()) for record in records]
-    steps = np.concatenate([np.diff(np.asarray(record.time)) for record in even if record.time is not None])
-    name = records[0].name or "record"
-    if not len(steps) or np.ptp(steps) > 1e-3 * steps.mean():
-        raise RecordError(
-            f"{name}: a band of frequencies needs records sampled evenly and all at one rate; leave the band out, or"
-            " resample"
+    found, heard = [], set[float]()
+    for record in records:
+        where, even = record.name or "record", on_grid(record, names, ())
+        steps = np.zeros(0) if even.time is None else np.diff(np.asarray(even.time))
+        if not len(steps) or np.ptp(steps) > 1e-3 * steps.mean():
+            raise RecordError(
+                f"{where}: a band of frequencies needs records that are sampled evenly; leave the band out, or resample"
+            )
+        fs = float(1.0 / steps.mean())
+        if low >= 0.5 * fs:
+            raise RecordError(
+                f"{where}: the band {low:g} to {high:g} Hz is above half of the sampling rate, {0.5 * fs:g} Hz"
+            )
+        values = np.column_stack([np.asarray(even[name], dtype=np.float64) for name in names])
+        values, lines = _without_lines(values, high / fs)
+        heard.update(round(fs * line, 2) for line in lines)
+        units = {name: unit for name, unit in even.units.items() if name in names or name == "t"}
+        found.append(Record(dict(zip(names, values.T, strict=True)), even.time, units, even.name))
+    some = sorted(heard)[:SHOWN]
+    listed = ", ".join(f"{line:g}" for line in some) + (f" and {len(heard) - SHOWN} more" if len(heard) > SHOWN else "")
+    return found, [f"hum above the band was taken out of all channels, at {listed} Hz"] if heard else []
+
+
+def _without_lines(values: Floats, above: float) -> tuple[Floats, list[float]]:
+    """Channels (n, M) without what they have at the frequencies of lines, and these [cycles per sample].
+
+    The same is taken out of all: an equation that is linear there stays as it is.
+    """
+    known, rows = np.isfinite(values), np.arange(len(values), dtype=np.float64)
+    rest, lines = values, list[float]()
+    while len(lines) < MOST_LINES:
+        whole = np.column_stack(
+            [np.interp(rows, rows[seen], own[seen]) for own, seen in zip(rest.T, known.T, strict=True)]
         )
-    fs = float(1.0 / steps.mean())
-    if low >= 0.5 * fs:
-        raise RecordError(
-            f"{name}: the band {low:g} to {high:g} Hz is above half of the sampling rate, {0.5 * fs:g} Hz"
-        )
-    if RATE * high >= fs:
-        return list(records), 1.0
-    beta = 0.5842 * (ATTENUATION - 21.0) ** 0.4 + 0.07886 * (ATTENUATION - 21.0)
-    half = (ATTENUATION - 8.0) / (2.285 * 2.0 * np.pi * (0.5 * RATE - 1.0) * high) / 2.0
-    cutoff = 0.5 * (1.0 + 0.5 * RATE) * high
-
-    def weights(lag: Floats) -> Floats:
-        window = np.i0(beta * np.sqrt(np.maximum(1.0 - (lag / half) ** 2, 0.0))) / np.i0(beta)
-        return np.asarray(np.where(np.abs(lag) <= half, 2.0 * cutoff / fs * np.sinc(2.0 * cutoff * lag) * window, 0.0))
-
-    counts = [int(((record.n - 1) / fs - 2.0 * half) * RATE * high) + 1 for record in even]
-    found = [
-        _sampled(record, names, fs, half, RATE * high, count, weights)
-        for record, count in zip(even, counts, strict=True)
-        if count >= fewest
-    ]
-    if not found:
-        raise RecordError(
-            f"{name}: of frequencies up to {high:g} Hz alone fewer than {fewest} rows are left; widen the band, or"
-            " leave it out"
-        )
-    lag = np.arange(-np.floor(half * fs), half * fs) / fs
-    return found, float(np.sqrt(np.sum(weights(lag) ** 2)))
+        windowed = np.hanning(len(values))[:, None] * (whole - whole.mean(axis=0))
+        power = np.abs(np.fft.rfft(windowed, axis=0)) ** 2
+        ratios = np.column_stack([_above_both_sides(own) for own in power.T])
+        ratios[: int(np.ceil(above * len(values)))] = 0.0
+        best, channel = np.unravel_index(int(np.argmax(ratios)), ratios.shape)
+        if not ratios[best, channel] > LINE:
+            break
+        lines.append(_refined(windowed[:, channel], float(best) / len(values)))
+        waves = 2.0 * np.pi * rows[:, None] * np.array(lines)
+        basis = np.hstack([np.cos(waves), np.sin(waves), np.ones((len(rows), 1))])
+        rest = np.empty_like(values)
+        for i, seen in enumerate(known.T):
+            rest[:, i] = values[:, i] - basis[:, :-1] @ np.linalg.lstsq(basis[seen], values[seen, i])[0][:-1]
+    return rest, lines
 
 
-def _sampled(
-    record: Record,
-    names: Sequence[str],
-    fs: float,
-    half: float,
-    rate: float,
-    count: int,
-    weights: Callable[[Floats], Floats],
-) -> Record:
-    """A record filtered and sampled at another rate, as far from its ends as the filter reaches."""
-    time = np.asarray(record.time)
-    places = (half + np.arange(count) / rate) * fs  # in rows
-    reach = int(half * fs)
-    offsets = np.arange(-reach, reach + 1)
-    values = np.column_stack([np.asarray(record[name], dtype=np.float64) for name in names])
-    known = np.isfinite(values)
-    out = np.empty((count, len(names)))
-    for first in range(0, count, TOGETHER):
-        own = places[first : first + TOGETHER, None]
-        rows = np.clip(np.rint(own).astype(np.int64) + offsets, 0, len(time) - 1)
-        factors = weights((rows - own) / fs)[:, :, None] * known[rows]
-        total = factors.sum(axis=1)
-        mean = np.einsum("kij,kij->kj", factors, np.where(known, values, 0.0)[rows])
-        with np.errstate(all="ignore"):
-            out[first : first + TOGETHER] = np.where(total > LEAST_KNOWN, mean / total, np.nan)
-    units = {name: unit for name, unit in record.units.items() if name in names or name == "t"}
-    channels = dict(zip(names, out.T, strict=True))
-    return Record(channels, time[0] + places / fs, units, record.name)
+def _above_both_sides(power: Floats) -> Floats:
+    """Power of each bin over the larger median of the bins on either side."""
+    padded = np.pad(power, BESIDE + LOBE, mode="reflect")
+    sides = np.median(np.lib.stride_tricks.sliding_window_view(padded, BESIDE), axis=1)
+    level = np.maximum(sides[: len(power)], sides[BESIDE + 2 * LOBE + 1 :][: len(power)])
+    seen = (level > 0.0) & (power > LEAST * power.sum())
+    return np.where(seen, power / np.where(seen, level, 1.0), 0.0)
+
+
+def _refined(windowed: Floats, near: float) -> float:
+    """The frequency within a bin at which the transform is greatest, by golden sections."""
+    rows, golden = np.arange(len(windowed)), 0.5 * (np.sqrt(5.0) - 1.0)
+
+    def power(frequency: float) -> float:
+        return float(abs(np.exp(-2j * np.pi * frequency * rows) @ windowed))
+
+    low, high = near - 1.0 / len(rows), near + 1.0 / len(rows)
+    for _ in range(TURNS):
+        left, right = high - golden * (high - low), low + golden * (high - low)
+        low, high = (low, right) if power(left) > power(right) else (left, high)
+    return 0.5 * (low + high)

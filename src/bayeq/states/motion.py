@@ -198,7 +198,7 @@ def estimate_motion(
     sensors : Sensors, optional
         Noise levels that are known are not learned.
     band : (float, float), optional
-        Frequencies [Hz] in which the records are believed, low-passed already.
+        Frequencies [Hz] in which the records are believed.
 
     Raises
     ------
