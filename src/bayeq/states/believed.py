@@ -105,7 +105,9 @@ def _without_lines(values: Floats, above: float) -> tuple[Floats, list[float]]:
             break
         lines.append(_refined(windowed[:, channel], float(best) / len(values)))
         waves = 2.0 * np.pi * rows[:, None] * np.array(lines)
-        basis = np.hstack([np.cos(waves), np.sin(waves), np.ones((len(rows), 1))])
+        both = np.hstack([np.cos(waves), np.sin(waves)])
+        # amplitudes and phases may vary in proportion to time: so do those of a frequency that is a little off
+        basis = np.hstack([both, np.linspace(-1.0, 1.0, len(rows))[:, None] * both, np.ones((len(rows), 1))])
         rest = np.empty_like(values)
         for i, seen in enumerate(known.T):
             rest[:, i] = values[:, i] - basis[:, :-1] @ np.linalg.lstsq(basis[seen], values[seen, i])[0][:-1]
