@@ -552,6 +552,15 @@ def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
     assert found[0].included == ("x", "v", "x**3", "u")
 
 
+def test_long_records_in_memory_with_what_takes_whole_records_are_some_stretches(record, monkeypatch):
+    monkeypatch.setattr("bayeq.discovery.sources.MOST_ROWS", 10_000)
+    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 150)
+    found = quietly(record.take(slice(0, 14_000)), dictionary="x, v, x**3, u, cos(3*t)")
+    assert (found.data.stretches, found.data.n) == (0, 3000)
+    assert found[0].included == ("x", "v", "x**3", "u")
+    assert any(one.startswith("3,000 of 14,000 rows are used, 20 stretches: a term uses t") for one in found.warnings)
+
+
 def test_the_answer_says_what_is_of_stretches_only(record, tmp_path):
     path = written(record.take(slice(0, 21_000)), tmp_path / "r.h5")
     found = quietly(path, smooth="none", stream=True)
