@@ -3,7 +3,8 @@
 Duffing oscillators of the paper, parameters perturbed by 10 %, 4,000 rows at 1 kHz with 2 % noise on all channels, all
 rows used, 36 candidates. "hum": a line near 50 Hz, of phases of its own, in all channels, and its third harmonic;
 "wandering hum": a random walk of its frequency, of 0.03 Hz in a second; "drift": a random walk in one channel, of half
-of its standard deviation; "constant": a load that is not recorded. The band is 0.5 to 40 Hz; without it for comparison.
+of its standard deviation and mean 0 (that of a force is a constant of the equation); "constant": a load that is not
+recorded. The band is 0.5 to 40 Hz; without it for comparison.
 
     python -m studies.band > docs/tables/band.csv
 """
@@ -46,7 +47,7 @@ def draw_record(trouble: str, seed: int) -> Record:
             channels[name] = values + HUM * values.std() * (np.sin(turns + first) + THIRD * np.sin(3.0 * turns + third))
     if trouble.startswith("drift"):
         name, walk = trouble[-1], np.cumsum(rng.normal(size=ROWS))
-        channels[name] = channels[name] + DRIFT * channels[name].std() * walk / walk.std()
+        channels[name] = channels[name] + DRIFT * channels[name].std() * (walk - walk.mean()) / walk.std()
     if trouble == "constant":
         channels["u"] = channels["u"] - LOAD
     return record.with_channels(channels, record.units)

@@ -91,12 +91,12 @@ def _without_lines(values: Floats, above: float) -> tuple[Floats, list[float]]:
     The same is taken out of all: an equation that is linear there stays as it is.
     """
     known, rows = np.isfinite(values), np.arange(len(values), dtype=np.float64)
-    rest, lines = values, list[float]()
+    window, rest, lines = np.hanning(len(values) + 2)[1:-1], values, list[float]()
     while len(lines) < MOST_LINES:
         whole = np.column_stack(
             [np.interp(rows, rows[seen], own[seen]) for own, seen in zip(rest.T, known.T, strict=True)]
         )
-        windowed = np.hanning(len(values))[:, None] * (whole - whole.mean(axis=0))
+        windowed = window[:, None] * (whole - whole.mean(axis=0))
         power = np.abs(np.fft.rfft(windowed, axis=0)) ** 2
         ratios = np.column_stack([_above_both_sides(own) for own in power.T])
         ratios[: int(np.ceil(above * len(values)))] = 0.0
@@ -110,7 +110,10 @@ def _without_lines(values: Floats, above: float) -> tuple[Floats, list[float]]:
         basis = np.hstack([both, np.linspace(-1.0, 1.0, len(rows))[:, None] * both, np.ones((len(rows), 1))])
         rest = np.empty_like(values)
         for i, seen in enumerate(known.T):
-            rest[:, i] = values[:, i] - basis[:, :-1] @ np.linalg.lstsq(basis[seen], values[seen, i])[0][:-1]
+            # with the window, or what is slow and strong would leave a trace at the lines
+            weight = window[seen, None]
+            fitted = np.linalg.lstsq(weight * basis[seen], weight[:, 0] * values[seen, i])[0]
+            rest[:, i] = values[:, i] - basis[:, :-1] @ fitted[:-1]
     return rest, lines
 
 
