@@ -299,3 +299,10 @@ def test_without_time_no_smaller_model_is_shown(weak):
     one = discover(untimed, **RAW)[0]
     assert one.shown == one.included
     assert "x**3" in one.shown
+
+
+def test_of_a_few_rows_included_terms_may_be_copies_of_each_other():
+    # the information on the included coefficients of these 60 rows is singular
+    one = discover(adverse_record(CASES["few rows"], 60, 120007), **OSCILLATOR)[0]
+    assert one.verdict.kind != "found"
+    assert np.isfinite(one.shown_posterior.covariance).all()

@@ -186,7 +186,8 @@ class RecordFit:
         precision = task.precision[included]
         with np.errstate(all="ignore"):
             H = q.information[np.ix_(included, included)] + np.diag(precision)
-            covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
+            covariance = solved(H, np.eye(len(H)))
+            covariance = 0.5 * (covariance + covariance.T)
             theta = covariance @ q.slope[included]
             moved = np.abs(theta - state.theta) / np.sqrt(np.diagonal(covariance))
             if self.more is None and moved.max(initial=0.0) > HARDLY:
