@@ -28,8 +28,8 @@ LEAST = 1e-6
 # Bins on either side, without the nearest, which a line reaches with Hann's window.
 BESIDE, LOBE = 50, 3
 
-# Lines of a record, at most: one whose amplitude varies takes several.
-MOST_LINES = 20
+# Lines of a record, at most: one whose amplitude varies takes several. Shorter records have one in ROWS_EACH rows.
+MOST_LINES, ROWS_EACH = 20, 100
 
 # Lines that a message lists.
 SHOWN = 6
@@ -92,7 +92,7 @@ def _without_lines(values: Floats, above: float) -> tuple[Floats, list[float]]:
     """
     known, rows = np.isfinite(values), np.arange(len(values), dtype=np.float64)
     window, rest, lines = np.hanning(len(values) + 2)[1:-1], values, list[float]()
-    while len(lines) < MOST_LINES:
+    while len(lines) < min(MOST_LINES, len(values) // ROWS_EACH):
         whole = np.column_stack(
             [np.interp(rows, rows[seen], own[seen]) for own, seen in zip(rest.T, known.T, strict=True)]
         )
