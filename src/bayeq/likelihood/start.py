@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -108,9 +108,7 @@ def start_from(
     scales = _scales(layout, paths, targets.var(axis=0), np.concatenate([one.samples for one in series]), interval)
     noise = FIRST_NOISE * scales.channels
     noise[len(noise) - len(inputs) :] = [one.noise for one in inputs]
-    held = np.array([name in known for name, _ in layout.channels])
-    for i in np.flatnonzero(held):
-        noise[i] = max(known[layout.channels[i][0]] ** 2, LEAST_NOISE * scales.channels[i])
+    held = _set_known(noise, layout, scales, known)
     lag1 = [np.corrcoef(column[:-1], column[1:])[0, 1] for column in targets.T]
     levels = Levels(
         layout,
@@ -126,6 +124,14 @@ def start_from(
     none = np.zeros(0, dtype=np.int64)
     empty = State(Candidates(none, none), np.zeros(0), paths, levels)
     return Start(layout, series, (_by_rows(empty, grams, allowed), empty), _precision(motion, layout))
+
+
+def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str, float]) -> NDArray[np.bool_]:
+    """Puts known standard deviations of channels into their variances `noise`, (M,); which channels these are."""
+    held = np.array([name in known for name, _ in layout.channels])
+    for i in np.flatnonzero(held):
+        noise[i] = max(known[layout.channels[i][0]] ** 2, LEAST_NOISE * scales.channels[i])
+    return held
 
 
 def start_of_runs(
@@ -160,10 +166,8 @@ def start_of_runs(
     layout = replace(bare, centres=tuple(scales.mean[bare.driven].tolist()))
     known, noise = motion.sensors.noise, FIRST_NOISE * scales.channels
     noise[layout.first_input :] = LEAST_NOISE * scales.channels[layout.first_input :]
-    held = np.array([name in known or i >= layout.first_input for i, (name, _) in enumerate(layout.channels)])
-    for i, (name, _) in enumerate(layout.channels[: layout.first_input]):
-        if name in known:
-            noise[i] = max(known[name] ** 2, LEAST_NOISE * scales.channels[i])
+    held = _set_known(noise, layout, scales, {name: known[name] for name in known if name not in roles.inputs})
+    held[layout.first_input :] = True
     target = scales.variance[layout.discrepancy]
     slope = scales.variance[layout.driven] / interval**2
     memory, exact = np.full(layout.chains, LEAST_MEMORY), np.full(count, COURSES[0])

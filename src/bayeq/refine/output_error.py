@@ -136,16 +136,18 @@ def output_error(
     kinds : sequence of str
         Courses of inputs between samples. The first is taken, unless others are much likelier.
     """
-    best: OutputError | Unrefined | None = None
+    best: OutputError | None = None
+    failed: Unrefined | None = None
     for kind in kinds:
-        start = parameters if not isinstance(best, OutputError) else best.parameters
         with np.errstate(all="ignore"):
-            found = _of_course(motion, dynamics, start, known, kind)
-        if best is None or isinstance(best, Unrefined):
-            best = found if best is None or isinstance(found, OutputError) else best
-        elif isinstance(found, OutputError) and 2.0 * (found.log_likelihood - best.log_likelihood) > CLOSER:
+            found = _of_course(motion, dynamics, parameters if best is None else best.parameters, known, kind)
+        if isinstance(found, Unrefined):
+            failed = failed or found
+        elif best is None or 2.0 * (found.log_likelihood - best.log_likelihood) > CLOSER:
             best = found
-    assert best is not None
+    if best is None:
+        assert failed is not None
+        return failed
     return best
 
 
@@ -167,7 +169,9 @@ def _of_course(
     try:
         task = finer(task, state)
         run = _followed(task, known, phi, state)
-        power, given = _power(run.found), np.sqrt(run.state.levels.channels)
+        innovations = _sensitivity(run.found, known.basis)[1]
+        power = (innovations**2).sum(axis=0) / np.maximum(np.count_nonzero(innovations, axis=0), 1)
+        given = np.sqrt(run.state.levels.channels)
         distrusted = [i for i in range(len(names)) if not run.state.levels.learned[i] and power[i] > MISFIT]
         if distrusted:
             held = ~run.state.levels.learned
@@ -175,14 +179,14 @@ def _of_course(
             levels = replace(run.state.levels, held=held)
             run = _followed(task, known, run.phi, replace(run.state, levels=levels))
         misfit = {names[i]: float(np.sqrt(run.state.levels.channels[i]) / given[i]) for i in distrusted}
+        at_bound, free = known.at_bound(run.phi), run
+        if at_bound.any():  # the runs would come closer beyond
+            free = _followed(task, replace(known, signs=np.zeros_like(known.signs)), run.phi, run.state)
     except np.linalg.LinAlgError:
         return Unrefined("no free run follows the records", "check signs and terms, or sample faster")
     levels = run.state.levels
     if (levels.channels > LOST**2 * levels.scales.channels)[: layout.first_input].any():
         return Unrefined("no free run follows the records", "check signs and terms, or sample faster")
-    at_bound, free = known.at_bound(run.phi), run
-    if at_bound.any():  # the runs would come closer beyond
-        free = _followed(task, replace(known, signs=np.zeros_like(known.signs)), run.phi, run.state)
     A, scale = free.information, 1.0 / np.sqrt(np.diagonal(free.information))
     if not np.isfinite(scale).all() or np.linalg.cond(A * scale[:, None] * scale) > SINGULAR:
         return Unrefined(
@@ -282,17 +286,6 @@ def _bounded(information: Floats, slope: Floats, phi: Floats, signs: Ints) -> Fl
     # at the end of its sign a parameter is 0 to the last bit
     ends = (signs != 0) & ((found.active_mask != 0) | (signs * (phi + step) <= 0.0))
     return np.where(ends, -phi, step)
-
-
-def _power(found: Statistics) -> Floats:
-    """Mean square of each channel's standardised innovations, (M,)."""
-    squares = np.zeros(found.filtered[0].variance.shape[1])
-    numbers = np.zeros(len(squares))
-    for one in found.filtered:
-        left, seen = one.innovation[:, :, 0], one.variance > 0.0
-        squares += np.sum(np.where(seen, left**2 / np.where(seen, one.variance, 1.0), 0.0), axis=0)
-        numbers += seen.sum(axis=0)
-    return squares / np.maximum(numbers, 1)
 
 
 def _sensitivity(found: Statistics, basis: Floats) -> tuple[Floats, Floats]:

@@ -117,8 +117,10 @@ def refine(
     if interpolation is not None:
         kinds = [interpolation]
     share = held_out_share(holdout, sum(one.n for one in records))
-    rows = _rows(dynamics, records, smooth, share, sensors)
-    motion = estimate_motion(records, dynamics.roles, "auto", share, sensors)
+    motion = estimate_motion(records, dynamics.roles, smooth, share, sensors)
+    rows = list(zip(rows_of(motion, "refine"), motion.cuts, strict=True))
+    if not motion.smoothing:
+        motion = estimate_motion(records, dynamics.roles, "auto", share, sensors)
     found = _fitted(motion, dynamics, known, kinds)
     if isinstance(found, Unrefined):
         return found
@@ -263,14 +265,6 @@ def _fitted(
     if not motion.smoothing:
         return Unrefined("the records are too short, or have no noise that could be told from motion", "measure more")
     return output_error(motion, dynamics, dynamics.mean, known, kinds)
-
-
-def _rows(
-    dynamics: Dynamics, pieces: Sequence[Record], smooth: Smooth, share: float, sensors: Sensors
-) -> list[tuple[Rows, int]]:
-    """Rows of each record, with the states as `discover` has them, and the first of those that are held out."""
-    motion = estimate_motion(pieces, dynamics.roles, smooth, share, sensors)
-    return list(zip(rows_of(motion, "refine"), motion.cuts, strict=True))
 
 
 def _posterior(

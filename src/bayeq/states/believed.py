@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bayeq.errors import RecordError
 from bayeq.records import Record
+from bayeq.records.sampling import even_step
 from bayeq.states.uniform_grid import on_grid
 
 __all__ = ["without_hum"]
@@ -65,12 +66,12 @@ def without_hum(
     found, heard = [], set[float]()
     for record in records:
         where, even = record.name or "record", on_grid(record, names, ())
-        steps = np.zeros(0) if even.time is None else np.diff(np.asarray(even.time))
-        if not len(steps) or np.ptp(steps) > 1e-3 * steps.mean():
+        step = None if even.time is None else even_step(np.asarray(even.time))
+        if step is None:
             raise RecordError(
                 f"{where}: a band of frequencies needs records that are sampled evenly; leave the band out, or resample"
             )
-        fs = float(1.0 / steps.mean())
+        fs = 1.0 / step
         if low >= 0.5 * fs:
             raise RecordError(
                 f"{where}: the band {low:g} to {high:g} Hz is above half of the sampling rate, {0.5 * fs:g} Hz"

@@ -122,7 +122,7 @@ def current(smooth: str) -> Smooth:
         raise InputError(f"smooth must be one of {', '.join(get_args(Smooth))}, got {smooth!r}")
     if smooth != "band":
         return cast(Smooth, smooth)
-    warnings.warn("smooth='band' is now smooth='auto', the likelihood of the record", DeprecationWarning, stacklevel=5)
+    warnings.warn("smooth='band' is now smooth='auto', the likelihood of the record", DeprecationWarning, stacklevel=4)
     return "auto"
 
 

@@ -48,15 +48,12 @@ class Band:
         E|.|^2 = s^2.
     kept : float
         Share of the rows' information that the taper leaves.
-    first : int
-        Number of the first bin in the transform of the rows.
     """
 
     frequency: Floats
     count: Floats
     columns: Complexes
     kept: float
-    first: int
 
 
 def taper(n: int, memory: float = 0.0) -> Floats:
@@ -97,7 +94,7 @@ def to_band(D: Floats, y: Floats, fs: float, span: tuple[float, float]) -> Band:
     if first == 0:
         count[0] = 1.0
     kept = power**2 / (n * float(np.sum(window**4)))
-    return Band(frequency[chosen], count, columns, kept, first)
+    return Band(frequency[chosen], count, columns, kept)
 
 
 def band_gram(
