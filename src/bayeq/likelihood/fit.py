@@ -98,6 +98,10 @@ class Quadratic:
     slope: Floats
     information: Floats
 
+    def raised(self, power: float) -> Quadratic:
+        """That of the likelihood to a power."""
+        return self if power == 1.0 else Quadratic(power * self.level, power * self.slope, power * self.information)
+
 
 @dataclass(frozen=True, eq=False)
 class Statistics:

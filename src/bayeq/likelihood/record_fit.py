@@ -18,6 +18,7 @@ from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.block import Block
 from bayeq.likelihood.fit import Quadratic, State, candidates, marginal, solved
 from bayeq.likelihood.levels import LEAST_NOISE
+from bayeq.likelihood.power import power_of
 from bayeq.likelihood.projection import Leftover, leftover
 from bayeq.likelihood.search import (
     ADEQUATE,
@@ -89,15 +90,17 @@ class RecordFit:
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
         """What the best model and those it was compared with tell."""
+        fitted = replace(fitted, power=power_of(task, fitted))
         soft = soft_of(task, fitted)
         found = cls(task, fitted, *averaged(task, fitted, soft))
-        if not max(found.nearly.exact) < IMPROBABLE:
+        if fitted.power == 1.0 and not max(found.nearly.exact) < IMPROBABLE:
             # otherwise to be likelier under an exact law, as more terms are, says nothing
             best = among_neighbours(task, fitted)
             soft = soft if best is fitted else soft_of(task, best)
             fitted, found = best, cls(task, best, *averaged(task, best, soft))
         included = found.about(found.posterior.support)
-        if included.own and included.fitted.evidence > fitted.evidence - found.worse(included.fitted.model) - WINDOW:
+        lost = fitted.power * (fitted.evidence - included.fitted.evidence)
+        if included.own and lost < found.worse(included.fitted.model) + WINDOW:
             return included
         # what the Gram says of models far from the fitted one is not to be relied on
         revise = partial(among_fitted, fitted=fitted)
@@ -138,9 +141,8 @@ class RecordFit:
         if bool((model == self.fitted.model).all()):
             return self
         try:
-            return replace(
-                self, fitted=from_all_levels(self.task, with_model(self.task, self.fitted, model), self.fitted)
-            )
+            other = from_all_levels(self.task, with_model(self.task, self.fitted, model), self.fitted)
+            return replace(self, fitted=replace(other, power=self.fitted.power))
         except np.linalg.LinAlgError:  # motion that it does not stay near: as the likelihood about the former tells it
             return replace(self, fitted=replace(self.fitted, model=model), own=False)
 
@@ -193,7 +195,8 @@ class RecordFit:
             if self.more is None and moved.max(initial=0.0) > HARDLY:
                 try:
                     state = fit(task, state, coarse=True).state
-                    return state, marginal(task.linearised(state), state, state.levels, precision).covariance
+                    covariance = marginal(task.linearised(state), state, state.levels, precision).covariance
+                    return state, covariance / self.fitted.power
                 except np.linalg.LinAlgError:  # far from any motion
                     state = self.fitted.state
             return replace(state, theta=theta), covariance

@@ -215,6 +215,8 @@ class Fitted:
         What averaging over the size of each discrepancy makes of it.
     tried : dict of bytes to float
         Evidence of the models that were fitted to be compared.
+    power : float
+        That `quadratic` is raised to (`bayeq.likelihood.power`).
     """
 
     model: Bools
@@ -223,11 +225,12 @@ class Fitted:
     expand: Callable[[], Quadratic]
     averages: Floats
     tried: dict[bytes, float] = field(default_factory=dict)
+    power: float = 1.0
 
     @cached_property
     def quadratic(self) -> Quadratic:
         """The likelihood of all candidates about the fit; of most fits nobody asks for it."""
-        return self.expand()
+        return self.expand().raised(self.power)
 
 
 # Tasks with other courses of an input, in groups, with starts for them; from a task, its fit, and the input's number.

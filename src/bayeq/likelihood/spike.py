@@ -218,7 +218,9 @@ class Soft:
         found = marginal(linears, state, state.levels, precision)
         smoothed = adjoints(linears, state.levels, found, found.delta, curved=True, smoothed=True)
         curved = corrections(layout, linears, smoothed)
-        whole = fitted.quadratic if width == P + 1 else information(layout, linears, state, curved)
+        whole = fitted.quadratic
+        if width > P + 1:
+            whole = information(layout, linears, state, curved).raised(fitted.power)
         # the determinant falls by no more than the motion's start is known better for: of J = exp(-a t) over a time T
         # its part of the likelihood, -ln(mean J^2)/2, is a T - (a T)^2/6 per state
         bend = np.outer(curved, curved) / (3.0 * layout.motion)
@@ -292,7 +294,7 @@ def as_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
     """The models with the evidence of their own fit, where they were fitted."""
     keys = [model.tobytes() for model in found.models]
     own = fitted.model.tobytes()
-    if own not in keys:
+    if own not in keys or fitted.power < 1.0:
         return found
     level = found.log_posterior[keys.index(own)] - fitted.evidence
     values = [
