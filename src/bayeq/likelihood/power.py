@@ -1,9 +1,9 @@
 """The power that a likelihood is raised to where its innovations are not independent.
 
-Noise that is not white, or motion that the equations do not hold, leaves scores s_t of the coefficients that are correlated
-in time: their sum has the covariance J = sum over l of E[s_t s_(t-l)'], not the information H that the likelihood states.
-Raised to the power r/tr(H^-1 J), at most 1, the likelihood of r coefficients is as wide as its errors are on average
-(Pauli, Racugno and Ventura 2011, of composite likelihoods). Intervals and probabilities follow from it.
+Noise that is not white, or motion that the equations do not hold, leaves scores s_t of the coefficients that are
+correlated in time. Their sum then has the covariance J = sum over l of E[s_t s_(t-l)'], not the information H that the
+likelihood states. Raised to the power r/tr(H^-1 J), at most 1, the likelihood of r coefficients is as wide as its errors
+are on average (Pauli, Racugno and Ventura 2011, of composite likelihoods); intervals and probabilities follow from it.
 """
 
 from __future__ import annotations
