@@ -2,8 +2,8 @@
 
 Noise that is not white, or motion that the equations do not hold, leaves scores s_t of the coefficients that are
 correlated in time. Their sum then has the covariance J = sum over l of E[s_t s_(t-l)'], not the information H that the
-likelihood states. Raised to the power r/tr(H^-1 J), at most 1, the likelihood of r coefficients is as wide as its errors
-are on average (Pauli, Racugno and Ventura 2011, of composite likelihoods); intervals and probabilities follow from it.
+likelihood states. Raised to the power r/tr(H^-1 J), at most 1, the likelihood of r coefficients is as wide as its
+errors are on average (Pauli, Racugno and Ventura 2011, of composite likelihoods).
 """
 
 from __future__ import annotations
