@@ -23,10 +23,10 @@ from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.drifts import without_drifts
 from bayeq.likelihood.record_fit import MOST_CANDIDATES, RecordFit, refit_record
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows
+from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.regression.joint import fit_equations, record_of
-from bayeq.regression.regression import Regression
 from bayeq.regression.screening import screened
 from bayeq.selection.select import Rules, Selection, select
 from bayeq.selection.tolerance import TOLERANCE
@@ -230,9 +230,8 @@ class Question:
         scored: Sequence[Equation] = (),
     ) -> tuple[tuple[Equation, ...], Scores | None, list[Selection]]:
         """The equations of a likelihood, or of rows; where they were scored before, with those scores."""
-        chains = len(design.motion.roles.chains)
-        regressions = [Regression.of(design, k, record) for k in range(chains)]
-        self.step("inference", 0, chains)
+        regressions = regressions_of(design, record)
+        self.step("inference", 0, len(regressions))
         fits = fit_equations(
             regressions, constrained, self.method, self.prior, self.coarsen, self.rules.tolerance, self.seed
         )

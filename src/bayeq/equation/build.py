@@ -111,14 +111,15 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
     assert judged is not None
     variance, whole = gram.yty / gram.n, regression.rows.select([]) + gram.select([]) if by_rest else gram
     noise, share = noise_share(regression, variance), variance / (whole.yty / whole.n) if whole.yty > 0.0 else 1.0
-    estimated = regression.record is not None and regression.chain.measured[-1] is None
     residuals = regression.residuals(shown, (*motion.roles.inputs, *motion.roles.states))
     differ = {
         term.text: _rule(selection, term.text)
         for term, inside, seen in zip(regression.design.terms, posterior.support, shown.support, strict=True)
         if inside != seen
     }
-    verdict = judge(regression.chain.target, judged, by_rest, noise, window, estimated, share, _numbers(regression))
+    verdict = judge(
+        regression.chain.target, judged, by_rest, noise, window, regression.through_motion, share, _numbers(regression)
+    )
     bound = None if verdict.kind == "none" else bounds(fit)
     return Equation(
         chain=regression.chain,
@@ -128,7 +129,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         shown_posterior=shown,
         train=train,
         held_out=held_out,
-        residuals=replace(residuals, discrepancy=_discrepancy(regression)),
+        residuals=replace(residuals, discrepancy=regression.discrepancy),
         verdict=verdict,
         runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.method].spike_slab else (),
         fit=fit,
@@ -137,8 +138,8 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         why=differ,
         left_out=selection.left_out,
         models=likeliest_models(fit),
-        error_probability=None if math.isnan(fit.exact) else max(1.0 - fit.exact, 0.0),
-        tau=0.0 if regression.record is None else regression.record.nearly.tau[regression.k],
+        error_probability=None if math.isnan(regression.exact) else max(1.0 - regression.exact, 0.0),
+        tau=regression.tau,
         bound=bound,
         undetermined=undetermined(fit, posterior, bound),
     )
@@ -174,11 +175,7 @@ def with_doubts(
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:
     # of terms within the tolerance other equations are those of the model that has them
     full, regression = selection.full or selection, selection.shown_fit.regression
-    lacking, coloured = None, None
-    if regression.record is not None:
-        adequacy = regression.record.adequacy
-        lacking = adequacy.lacks(regression.k)
-        coloured = adequacy.coloured([name for name in regression.chain.measured if name is not None])
+    lacking, coloured = regression.tests()
     # as the likelihood has it, which other equations are compared by
     others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), max(tolerance, equation.tau))
     spread = regression.rows.target_deviation
@@ -211,7 +208,7 @@ def _reversed(equation: Equation) -> str | None:
 def _dependent(equation: Equation, regression: Regression) -> tuple[float, int] | None:
     """Effective number of residuals of rows as measured, and their number, where most do not tell anything new."""
     found = equation.residuals
-    matters = regression.record is None and equation.train.nrmse > LEAST_SHOWN
+    matters = regression.counts_rows and equation.train.nrmse > LEAST_SHOWN
     return (found.n_eff, found.n) if matters and found.n_eff < INDEPENDENT * found.n else None
 
 
@@ -252,8 +249,8 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             " off; give fewer candidate terms, or compare with another method",
             ConvergenceWarning,
         )
-    record = selection.fit.regression.record
-    if record is not None and math.isnan(selection.fit.exact):
+    regression = selection.fit.regression
+    if not regression.counts_rows and math.isnan(regression.exact):
         log.warn(
             f"{target}: whether the law is exact or only nearly true is not known: the likelihood does not hold far"
             " from its fit; a longer record would tell",
@@ -342,10 +339,6 @@ def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: Warni
 
 def _signed_percent(change: float) -> str:
     return f"by {100 * change:+.2g} %"
-
-
-def _discrepancy(regression: Regression) -> float | None:
-    return None if regression.record is None else float(regression.record.kappa[regression.k])
 
 
 def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], log: WarningLog) -> None:

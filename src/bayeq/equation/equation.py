@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayeq.equation.intervals import OverModels, intervals, over_models, unlike
+from bayeq.equation.intervals import Model, OverModels, over_models, unlike
 from bayeq.equation.pip_curve import (
     PipCurve,
     PriorSensitivity,
@@ -165,6 +165,34 @@ class Equation:
         """What a free run needs of the equation: the terms shown."""
         return Law(self.chain, self.terms, self.shown_posterior, self.unit_gains)
 
+    @cached_property
+    def included_model(self) -> Model:
+        """Coefficients given the included terms."""
+        return Model.of(self.posterior, self.posterior.names)
+
+    @cached_property
+    def shown_model(self) -> Model:
+        """Coefficients given the terms shown."""
+        return Model.of(self.shown_posterior, self.posterior.names)
+
+    @cached_property
+    def averaged_model(self) -> Model | None:
+        """Coefficients over all models, 0 in those without the term; None where no models are averaged."""
+        p, ci95 = self.posterior, self.averaged_ci95
+        if p.averaged_coef is None or p.averaged_sd is None or ci95 is None:
+            return None
+        known, constant = p.averaged_coef != 0.0, (self.included_model.intercept, self.included_model.intercept_sd)
+        return Model(p.names, known, p.averaged_coef, p.averaged_sd, ci95, *constant)
+
+    @cached_property
+    def likelihood_model(self) -> Model | None:
+        """Coefficients of the terms shown by the likelihood itself, not projected; None where rows count."""
+        p, shown = self.shown_posterior, self.shown_model
+        if p.likelihood_coef is None or p.likelihood_sd is None:
+            return None
+        ends = p.likelihood_coef[:, None] + Z95 * p.likelihood_sd[:, None] * np.array([-1.0, 1.0])
+        return replace(shown, coef=p.likelihood_coef, sd=p.likelihood_sd, ci95=ends, covariance=None)
+
     @property
     def target(self) -> str:
         """Name of the left-hand side."""
@@ -173,26 +201,22 @@ class Equation:
     @property
     def included(self) -> tuple[str, ...]:
         """Names of the terms whose posterior inclusion probability exceeds 0.5."""
-        return self._names(self.posterior)
+        return self.included_model.names
 
     @property
     def shown(self) -> tuple[str, ...]:
         """Names of the terms of the equation that is printed, evaluated and integrated."""
-        return self._names(self.shown_posterior)
+        return self.shown_model.names
 
     @property
     def coef(self) -> dict[str, float]:
         """Coefficient of each included term given these, in original units."""
-        return dict(zip(self.included, self.posterior.coef[self.posterior.support].tolist(), strict=True))
+        return self.included_model.coefficients
 
     @property
     def shown_coef(self) -> dict[str, float]:
         """Coefficient of each term shown given these, in original units."""
-        p = self.shown_posterior
-        return dict(zip(self.shown, p.coef[p.support].tolist(), strict=True))
-
-    def _names(self, posterior: Posterior) -> tuple[str, ...]:
-        return tuple(t.text for t, kept in zip(self.terms, posterior.support, strict=True) if kept)
+        return self.shown_model.coefficients
 
     @cached_property
     def coef_units(self) -> tuple[str | None, ...]:
@@ -226,12 +250,12 @@ class Equation:
     @property
     def ci95(self) -> Floats:
         """95 % intervals of the coefficients given the included terms, (P, 2); 0 for a term not included."""
-        return intervals(self.posterior)
+        return self.included_model.ci95
 
     @property
     def shown_ci95(self) -> Floats:
         """95 % intervals of the coefficients given the terms shown, (P, 2); 0 for a term not shown."""
-        return intervals(self.shown_posterior)
+        return self.shown_model.ci95
 
     @cached_property
     def over_models(self) -> OverModels:
@@ -286,17 +310,20 @@ class Equation:
     @property
     def intercept_ci95(self) -> tuple[float, float]:
         """95 % interval of the intercept of the equation shown."""
-        return _intercept_interval(self.shown_posterior)
+        return self.shown_model.intercept_ci95
 
     @property
     def intercept_estimate(self) -> tuple[float, float]:
         """Estimate and standard deviation of the intercept, whether it is in the equation or probably zero."""
-        return _intercept(self.shown_posterior)
+        return self.shown_model.intercept, self.shown_model.intercept_sd
 
     @property
     def intercept_matters(self) -> bool:
         """Whether the intercept is written out: it is probably not zero, or else its interval says so."""
-        return _intercept_matters(self.shown_posterior)
+        if self.shown_posterior.intercept_pip is not None:
+            return self.shown_posterior.intercept_pip > 0.5
+        low, high = self.intercept_ci95
+        return low > 0 or high < 0
 
     def table(self) -> pd.DataFrame:
         """All candidates, a row each.
@@ -348,7 +375,7 @@ class Equation:
             for term, value, sd, kept in zip(self.terms, p.coef, p.sd, p.support, strict=True)
             if kept
         ]
-        if _intercept_matters(p):
+        if self.intercept_matters:
             parts.append((round_to(p.intercept, p.intercept_sd), ""))
         pieces: list[str] = []
         for number, term in parts:
@@ -556,22 +583,6 @@ class Equation:
         if self.fit is None:
             raise InputError("a file of equations does not hold what their posterior came from: run discover again")
         return self.fit
-
-
-def _intercept(p: Posterior) -> tuple[float, float]:
-    return p.left_out_intercept or (p.intercept, p.intercept_sd)
-
-
-def _intercept_interval(p: Posterior) -> tuple[float, float]:
-    value, sd = _intercept(p)
-    return value - Z95 * sd, value + Z95 * sd
-
-
-def _intercept_matters(p: Posterior) -> bool:
-    if p.intercept_pip is not None:
-        return p.intercept_pip > 0.5
-    low, high = _intercept_interval(p)
-    return low > 0 or high < 0
 
 
 def _factor(term: str) -> str:

@@ -1,4 +1,4 @@
-"""95 % intervals of coefficients: given one model, and over models, so that they know the doubt about the model."""
+"""Coefficients of one model with their 95 % intervals, and intervals over models, which know the doubt about it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bayeq.numerics.normal import Z95, t95
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.mixture import mixture_of
 
-__all__ = ["OverModels", "intervals", "over_models", "unlike"]
+__all__ = ["Model", "OverModels", "over_models", "unlike"]
 
 Floats = NDArray[np.float64]
 
@@ -42,10 +42,63 @@ class OverModels:
     intercept: Floats | None
 
 
-def intervals(posterior: Posterior) -> Floats:
-    """95 % intervals given a model, (P, 2); 0 for a term that is out."""
-    half = (Z95 if posterior.freedom is None else t95(posterior.freedom)) * posterior.sd
-    return np.column_stack([posterior.coef - half, posterior.coef + half])
+@dataclass(frozen=True, eq=False)
+class Model:
+    """An equation's coefficients under one account of its terms, in original units.
+
+    Attributes
+    ----------
+    terms : tuple of str
+        The P candidates.
+    inside : (P,) bool array
+        Those in the model.
+    coef, sd : (P,) arrays
+        Posterior means and standard deviations, 0 for a term that is out.
+    ci95 : (P, 2) array
+        95 % intervals.
+    intercept, intercept_sd : float
+        Of the constant, whether it is in the model or probably zero.
+    covariance : (r, r) array or None
+        Of the r coefficients in the model; None over models.
+    """
+
+    terms: tuple[str, ...]
+    inside: NDArray[np.bool_]
+    coef: Floats
+    sd: Floats
+    ci95: Floats
+    intercept: float
+    intercept_sd: float
+    covariance: Floats | None = None
+
+    @classmethod
+    def of(cls, posterior: Posterior, terms: tuple[str, ...]) -> Model:
+        """Given the terms in a posterior's support."""
+        half = (Z95 if posterior.freedom is None else t95(posterior.freedom)) * posterior.sd
+        return cls(
+            terms,
+            posterior.support,
+            posterior.coef,
+            posterior.sd,
+            np.column_stack([posterior.coef - half, posterior.coef + half]),
+            *(posterior.left_out_intercept or (posterior.intercept, posterior.intercept_sd)),
+            posterior.covariance,
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the terms in the model."""
+        return tuple(term for term, kept in zip(self.terms, self.inside, strict=True) if kept)
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Of the terms in the model."""
+        return dict(zip(self.names, self.coef[self.inside].tolist(), strict=True))
+
+    @property
+    def intercept_ci95(self) -> tuple[float, float]:
+        """95 % interval of the constant."""
+        return self.intercept - Z95 * self.intercept_sd, self.intercept + Z95 * self.intercept_sd
 
 
 def over_models(

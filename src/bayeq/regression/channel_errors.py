@@ -26,10 +26,6 @@ LEAST_HIDDEN = 0.01
 # An input of which more than this share of the samples repeats the one before is a command, not a measurement.
 REPEATED = 0.1
 
-# Noise is seen where the highest parts of the spectrum, of BANDS, have less than a share of the strongest, if records
-# are longer than this.
-BANDS, HIGHEST, FLOOR, LEAST_ROWS = 40, 6, 0.1, 400
-
 # Half of the step of central differences, as a share of what is changed: their error is about its square.
 STEP = 1e-4
 
@@ -101,9 +97,7 @@ def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tupl
     used = {name for j in np.flatnonzero(posterior.support) for name in terms[j].names}
     inputs = [name for name in motion.roles.inputs if name in used and name not in motion.sensors.noise]
     inputs = [name for name in inputs if _may_hide_noise([rows.columns[name] for rows in motion.train])]
-    if regression.record is not None:
-        return tuple(name for name in inputs if name not in regression.record.inputs_of_known_noise)
-    return tuple(name for name in inputs if not _shows_noise([rows.columns[name] for rows in motion.train]))
+    return tuple(name for name in inputs if regression.hides_noise(name))
 
 
 def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
@@ -116,17 +110,6 @@ def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
         return False
     levels = [lowest_level(np.arange(len(values), dtype=np.float64), values) for values in pieces if len(values) > 2]
     return not levels or min(levels) > LEAST_HIDDEN**2 * float(np.var(np.concatenate(pieces)))
-
-
-def _shows_noise(pieces: Sequence[Floats]) -> bool:
-    """Whether the highest of a channel's frequencies have next to nothing of it: there its noise is seen."""
-    levels = [
-        [float(band.mean()) for band in np.array_split(np.abs(np.fft.rfft(values - values.mean())[1:]) ** 2, BANDS)]
-        for values in pieces
-        if len(values) > LEAST_ROWS
-    ]
-    power = np.sum(levels, axis=0)
-    return bool(len(levels) and power[-HIGHEST:].max() < FLOOR * power.max())
 
 
 def changes_by_noise(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,8 +15,6 @@ from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.engines import Engine
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
-from bayeq.likelihood.projection import projected
-from bayeq.likelihood.record_fit import RecordFit
 from bayeq.likelihood.spike import softened_rows
 from bayeq.regression.channel_errors import calibrated
 from bayeq.regression.constraints import Constraints
@@ -27,9 +24,6 @@ __all__ = ["RegressionFit", "fit_regression"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-# Degrees of freedom of an interval, at least.
-LEAST_FREEDOM = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +42,6 @@ class RegressionFit:
         On standardised columns, with the v_s that was used.
     posterior : Posterior
         The engine's, in units of `standard`.
-    coarsen : float
-        Power that the likelihood was raised to.
     """
 
     regression: Regression
@@ -57,13 +49,6 @@ class RegressionFit:
     standard: Standardised
     prior: Prior
     posterior: Posterior
-    coarsen: float = 1.0
-
-    @property
-    def exact(self) -> float:
-        """Probability that the law lacks nothing, or nothing beyond the tolerance; NaN where that is not known."""
-        record = self.regression.record
-        return math.nan if record is None else record.nearly.exact[self.regression.k]
 
     @cached_property
     def problem(self) -> Problem:
@@ -85,90 +70,19 @@ class RegressionFit:
         noise = noise_given_model(self.problem, model)
         return replace(self.posterior, support=model, coef=coef, covariance=covariance, noise_variance=noise)
 
-    def about(self, record: RecordFit) -> RegressionFit:
-        """The same posterior with the likelihood of the record about another model."""
-        k = self.regression.k
-        standard = record.standards[k]
-        return replace(
-            self,
-            regression=replace(self.regression, gram=standard.source, record=record),
-            standard=standard,
-            posterior=replace(self.posterior, left_out_intercept=record.left_out_intercept(k)),
-        )
-
     def expanded(self, posterior: Posterior) -> Posterior:
         """A posterior of `standard` in original units and of all P terms."""
         return self.constraints.expand(posterior.rescaled(self.standard), self.regression.gram)
 
     def reported(self, posterior: Posterior) -> Posterior:
         """A posterior of `standard` as it is reported: the uncertainty of the sensors' calibration is added to it."""
-        found = self._reported(posterior)
-        return calibrated(self.regression, found, self.constraints.equalities.basis(found.support))
-
-    def _reported(self, posterior: Posterior) -> Posterior:
-        found = self.expanded(posterior)
-        record, k = self.regression.record, self.regression.k
-        if record is None:
-            return found
-        found = replace(found, target_mean_variance=found.noise_variance / found.n)
-        if self.coarsen == 1.0 and record.projectable(k, found.support):
-            found = self._projected(record, found, free=not self._truncated(posterior.support))
-        return replace(found, noise_variance=self.regression.noise_variance(found))
-
-    def _projected(self, record: RecordFit, found: Posterior, free: bool) -> Posterior:
-        """The posterior of the terms that the record was fitted with, by projection (`bayeq.likelihood.projection`).
-
-        What is not `free`, coefficients of known sign, stays as it is but for the discrepancy, as far as signs allow.
-        """
-        k, basis, kept = self.regression.k, self.constraints.equalities.basis(found.support), found.support
-        left, (theta, covariance), r = record.leftover(k), record.own_coefficients(k), int(found.support.sum())
-        with_constant = len(theta) > r
-        whole = np.zeros((len(theta), basis.shape[1] + with_constant))
-        whole[:r, : basis.shape[1]] = basis
-        whole[r:, basis.shape[1] :] = 1.0
-        if not free or basis.shape[1] < r:
-            carried = found.covariance @ found.center[kept]
-            whole_covariance = np.block(
-                [[found.covariance, -carried[:, None]], [-carried[None], np.array([[found.intercept_sd**2]])]]
-            )
-            theta = np.append(found.coef[kept], found.intercept)[: len(theta)]
-            covariance = whole_covariance[: len(theta), : len(theta)]
-        moved = projected(left, whole)
-        change = moved.change
+        found, equalities = self.expanded(posterior), self.constraints.equalities
+        basis, signs = equalities.basis(found.support), None
         if self.prior.known_signs is not None:
-            signs = np.zeros(len(kept))
-            signs[self.constraints.equalities.kept] = self.prior.known_signs
-            known = np.append(signs[kept], np.zeros(int(with_constant)))
-            change = np.where(known * (theta + change) < 0.0, -theta, change)
-        both = covariance + moved.covariance
-        added, total = np.diagonal(moved.covariance), np.diagonal(both)
-        # Satterthwaite, of a part that is known and one that is estimated
-        freedom = moved.freedom * (total / np.maximum(added, 1e-9 * total + np.finfo(float).tiny)) ** 2
-        coef, own, sd = np.zeros((3, len(kept)))
-        coef[kept], own[kept], sd[kept] = (theta + change)[:r], theta[:r], np.sqrt(np.diagonal(covariance))[:r]
-        every = np.full(len(kept), np.inf)
-        every[kept] = np.maximum(freedom[:r], LEAST_FREEDOM)
-        found = replace(
-            found,
-            coef=coef,
-            covariance=both[:r, :r],
-            freedom=every,
-            likelihood_coef=own,
-            likelihood_sd=sd,
-            error_share=moved.share,
-            error_sd=moved.share * math.sqrt(left.target),
-            error_lines=left.lines,
-        )
-        if not with_constant:
-            return found
-        # about the centre the constant and the other coefficients are independent
-        center = np.zeros(len(kept))
-        if r:
-            unit = np.sqrt(np.where(total[:r] > 0.0, total[:r], 1.0))  # coefficients that are given have no variance
-            center[kept] = -np.linalg.lstsq(both[:r, :r] / np.outer(unit, unit), both[:r, r] / unit)[0] / unit
-        mean = float((theta + change)[r] + center @ found.coef)
-        variance = max(float(both[r, r] - center[kept] @ both[:r, :r] @ center[kept]), 0.0)
-        return replace(found, center=center, target_mean=mean, target_mean_variance=variance)
+            signs = np.zeros(len(found.support))
+            signs[equalities.kept] = self.prior.known_signs
+        found = self.regression.reported(found, basis, signs, not self._truncated(posterior.support))
+        return calibrated(self.regression, found, basis)
 
     def _truncated(self, model: Bools) -> bool:
         """Whether known signs change the posterior given a model: they do unless the data leave no doubt of them."""
@@ -213,10 +127,10 @@ def fit_regression(
     regression = regression.raised(coarsen)
     reduced = constraints.reduce(regression.gram)
     standard = reduced.standardise(residual_scale(reduced))
-    if tolerance and isinstance(standard.gram, Gram) and regression.record is None:
+    if tolerance and isinstance(standard.gram, Gram) and regression.counts_rows:
         standard = replace(standard, gram=softened_rows(standard.gram, tolerance))
     used = constraints.prior(prior or Prior())
     if prior is None:
         used = replace(used, slab_variance=learn_slab_variance(standard.gram, used))
     options = {"seed": seed} if engine.random else {}
-    return RegressionFit(regression, constraints, standard, used, engine.run(standard.gram, used, **options), coarsen)
+    return RegressionFit(regression, constraints, standard, used, engine.run(standard.gram, used, **options))

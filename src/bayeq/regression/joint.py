@@ -18,14 +18,16 @@ from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.likelihood.record_fit import RecordFit, fit_record
+from bayeq.regression.by_likelihood import RecordRegression
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design
 from bayeq.regression.fit import RegressionFit, fit_regression
 from bayeq.regression.regression import Regression
 
-__all__ = ["fit_equations", "fit_jointly", "record_of"]
+__all__ = ["fit_equations", "fit_jointly", "record_of", "refitted"]
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 # The ascent of variational Bayes, which gives the evidence lower bound, starts from this many of the best models.
 VB_STARTS = 3
@@ -94,7 +96,7 @@ def fit_equations(
     prior, coarsen, tolerance, seed
         As for `bayeq.regression.fit.fit_regression`.
     """
-    record = regressions[0].record
+    record = regressions[0].record if isinstance(regressions[0], RecordRegression) else None
     free = prior is None and coarsen == 1.0 and not any(one.binding for one in constraints)
     if record is not None and method in JOINT and free:
         return fit_jointly(regressions, record, constraints, method)
@@ -109,6 +111,30 @@ def fit_equations(
     return [
         fit_regression(one, own.among(one.design.allowed[one.k]), engine, prior, coarsen, tolerance, (*first, one.k))
         for one, own in zip(used, constraints, strict=True)
+    ]
+
+
+def refitted(fits: Sequence[RegressionFit], models: Sequence[Bools]) -> list[RegressionFit] | None:
+    """The same posteriors with the likelihood of the records about other models of the terms, (P,) bool each.
+
+    None where rows count, or where equalities tie coefficients: these have no fit of their own.
+    """
+    first = fits[0].regression
+    if not isinstance(first, RecordRegression) or any(len(one.constraints.equalities.eliminated) for one in fits):
+        return None
+    model = first.record.fitted.model.copy()
+    for k, own in enumerate(models):
+        model[first.record.block(k)][:-1] = own
+    record = first.record.about(model)
+    return [
+        replace(
+            one,
+            regression=replace(one.regression, gram=record.standards[k].source, record=record),
+            standard=record.standards[k],
+            posterior=replace(one.posterior, left_out_intercept=record.left_out_intercept(k)),
+        )
+        for k, one in enumerate(fits)
+        if isinstance(one.regression, RecordRegression)
     ]
 
 

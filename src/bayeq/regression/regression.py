@@ -1,10 +1,11 @@
-"""`Regression`: one equation's rows, from which its Gram, residuals and fits come."""
+"""`Regression`: one equation's rows, from which its Gram, residuals and fits come; rows as measured count as data."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +14,14 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.gram import Gram
 from bayeq.gram.gram import grams_from_blocks
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.record_fit import RecordFit
+from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.regression.design import Design
 from bayeq.regression.filtered_terms import filtered_terms
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
 from bayeq.regression.thinning import thinned_gram, without_noise
 from bayeq.states import Chain, ChainSmoothing, Motion, MotionRows
 
-__all__ = ["Regression"]
+__all__ = ["Regression", "judged_by"]
 
 Floats = NDArray[np.float64]
 
@@ -31,10 +32,14 @@ ROUNDING = 1e-6
 # size: the fits that find it would take too long.
 MOST_TERMS_TO_THIN = 500
 
+# Noise is seen where the highest parts of the spectrum, of BANDS, have less than a share of the strongest, if records
+# are longer than this.
+BANDS, HIGHEST, FLOOR, LEAST_ROWS = 40, 6, 0.1, 400
+
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """The regression of one target on the dictionary.
+    """The regression of one target on the dictionary; `bayeq.regression.by_likelihood` has that of the likelihood.
 
     Attributes
     ----------
@@ -46,9 +51,7 @@ class Regression:
         Statistics that the equation is judged by: of the training rows and of those held out. Where the target was
         estimated both sides went through the smoother.
     gram : Gram
-        What counts as data: the likelihood of the records, or as many rows as the residuals are worth.
-    record : RecordFit or None
-        The likelihood of the records, where it is used.
+        What counts as data.
     """
 
     design: Design
@@ -56,19 +59,15 @@ class Regression:
     rows: Gram
     held_out: Gram | None
     gram: Gram
-    record: RecordFit | None = None
+
+    # Whether rows count as data: the likelihood of the records counts samples.
+    counts_rows: ClassVar[bool] = True
 
     @classmethod
-    def of(cls, design: Design, k: int, record: RecordFit | None = None) -> Regression:
+    def of(cls, design: Design, k: int) -> Regression:
         """The regression of chain number `k` of the design's motion, every row counting in full."""
-        motion = design.motion
-        rows, held_out = design.train[k], design.held_out[k] if design.held_out else None
-        if motion.estimated_by(k) is not None:
-            rows = _filtered_gram(design, k, motion.train, kept=True)
-            held_out = _filtered_gram(design, k, motion.held_out) if motion.held_out else None
-        if record is not None:
-            return cls(design, k, rows, held_out, record.standards[k].source, record)
-        known = motion.sensors.noise
+        rows, held_out = judged_by(design, k)
+        known, motion = design.motion.sensors.noise, design.motion
         inputs = {name for name in motion.roles.inputs if name in known}
         noise = {j: known[name] ** 2 for j, name in enumerate(design.names) if name in inputs}
         return cls(design, k, rows, held_out, without_noise(rows, noise))
@@ -83,9 +82,53 @@ class Regression:
         """The coordinate whose highest derivative is the target."""
         return self.motion.roles.chains[self.k]
 
+    @property
+    def exact(self) -> float:
+        """Probability that the law lacks nothing, or nothing beyond the tolerance; NaN where that is not known."""
+        return math.nan
+
+    @property
+    def tau(self) -> float:
+        """Most probable size of what a law lacks that is nearly true, as a share of the target's standard deviation."""
+        return 0.0
+
+    @property
+    def discrepancy(self) -> float | None:
+        """Standard deviation of the discrepancy as a share of the target's; None of rows."""
+        return None
+
+    @property
+    def through_motion(self) -> bool:
+        """Whether data tell of the target by the motion alone that it leads to."""
+        return False
+
+    def tests(self) -> tuple[Discrepancy | None, Octave | None]:
+        """A discrepancy that the motion needs, and innovations that are not white; none of rows."""
+        return None, None
+
+    def hides_noise(self, name: str) -> bool:
+        """Whether the record does not tell the noise of an input; of rows its highest frequencies do."""
+        return not shows_noise([rows.columns[name] for rows in self.motion.train])
+
+    def reported(self, found: Posterior, basis: Floats, signs: Floats | None, free: bool) -> Posterior:
+        """A posterior in original units as it is reported.
+
+        Parameters
+        ----------
+        found : Posterior
+            Of all P terms, r in its support.
+        basis : (r, f) array
+            How coefficients move with those that are free.
+        signs : (P,) array or None
+            Known signs.
+        free : bool
+            Whether no sign changes the posterior.
+        """
+        return found
+
     def thinned(self) -> Regression:
         """The regression with rows that count for the effective sample size, where their residuals are correlated."""
-        if self.record is not None or len(self.design.terms) > MOST_TERMS_TO_THIN:
+        if len(self.design.terms) > MOST_TERMS_TO_THIN:
             return self
         return replace(self, gram=thinned_gram(self.gram, self._all_residuals))
 
@@ -130,6 +173,26 @@ class Regression:
             D = self.design.kept[i][:, kept] if self.design.kept else evaluate_terms(terms, rows.columns)
             out = out - filtered_terms(D, terms, self.motion.roles.chains, smoothing) @ posterior.coef[kept]
         return out[_judged(rows, smoothing)]
+
+
+def judged_by(design: Design, k: int) -> tuple[Gram, Gram | None]:
+    """Statistics that an equation is judged by, of the training rows and of those held out."""
+    motion = design.motion
+    if motion.estimated_by(k) is None:
+        return design.train[k], design.held_out[k] if design.held_out else None
+    held_out = _filtered_gram(design, k, motion.held_out) if motion.held_out else None
+    return _filtered_gram(design, k, motion.train, kept=True), held_out
+
+
+def shows_noise(pieces: Sequence[Floats]) -> bool:
+    """Whether the highest of a channel's frequencies have next to nothing of it: there its noise is seen."""
+    levels = [
+        [float(band.mean()) for band in np.array_split(np.abs(np.fft.rfft(values - values.mean())[1:]) ** 2, BANDS)]
+        for values in pieces
+        if len(values) > LEAST_ROWS
+    ]
+    power = np.sum(levels, axis=0)
+    return bool(len(levels) and power[-HIGHEST:].max() < FLOOR * power.max())
 
 
 def _judged(rows: MotionRows, smoothing: ChainSmoothing | None) -> slice:

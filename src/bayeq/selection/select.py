@@ -30,6 +30,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.spike import IMPROBABLE
 from bayeq.regression.fit import RegressionFit
+from bayeq.regression.joint import refitted
 from bayeq.selection.tolerance import FOLLOWS, SHORT, TOLERANCE, Errors, FreeRuns, hardly_worse, likeliest_instead
 from bayeq.states import Motion
 
@@ -179,7 +180,7 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
     if compared:
         chosen = _decided(chosen, tolerance, FreeRuns(motion, fits) if motion.timed else None)
     chosen = _refitted([_limited(one, rules.max_terms) for one in chosen])
-    nearly = [k for k, fit in enumerate(fits) if rules.tolerance or fit.exact < IMPROBABLE]
+    nearly = [k for k, fit in enumerate(fits) if rules.tolerance or fit.regression.exact < IMPROBABLE]
     return _simplified(chosen, nearly, tolerance, motion) if compared and motion.timed else chosen
 
 
@@ -236,16 +237,11 @@ def _refitted(chosen: list[Selection]) -> list[Selection]:
 
     So the same terms have the same coefficients however they were come by.
     """
-    found = [one.fit for one in chosen]
-    record = found[0].regression.record
-    differ = any(bool((one.shown.support != one.fit.posterior.support).any()) for one in chosen)
-    if record is None or not differ or any(len(fit.constraints.equalities.eliminated) for fit in found):
+    models = [one.shown.support for one in chosen]
+    differ = any(bool((model != one.fit.posterior.support).any()) for one, model in zip(chosen, models, strict=True))
+    fits = refitted([one.fit for one in chosen], models) if differ else None
+    if fits is None:
         return chosen
-    model = record.fitted.model.copy()
-    for k, one in enumerate(chosen):
-        model[record.block(k)][:-1] = one.shown.support
-    about = record.about(model)
-    fits = [fit.about(about) for fit in found]
     return [
         replace(one, own=fit, shown=fit.conditional(one.shown.support)) for one, fit in zip(chosen, fits, strict=True)
     ]

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.expressions import Expression
 from bayeq.records import Truth
+from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.design import build_design
 from bayeq.regression.joint import record_of
-from bayeq.regression.regression import Regression
 from bayeq.states import Roles, Smooth, estimate_motion, parse_chains
 from bayeq.study.algorithms import ALGORITHMS, Realisation
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
@@ -85,7 +85,7 @@ def draw(config: StudyConfig, system: str, index: int) -> Realisation:
     # half a row more, so that rounding down leaves the number of test rows
     share = (config.test_rows + 0.5) / record.n
     design = build_design(terms, estimate_motion([record], roles, cast(Smooth, config.smooth), share))
-    regression = Regression.of(design, 0, record_of(design, config.smooth, config.dictionary))
+    (regression,) = regressions_of(design, record_of(design, config.smooth, config.dictionary))
     assert record.truth is not None
     truth = _truth(record.truth, roles.targets[0], design.names)
     return Realisation(regression, regression.gram, design.held_out[0], truth)

@@ -1,0 +1,148 @@
+"""`RecordRegression`: the regression that the likelihood of the records makes of one equation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.adequacy import Discrepancy, Octave
+from bayeq.likelihood.projection import projected
+from bayeq.likelihood.record_fit import RecordFit
+from bayeq.regression.design import Design
+from bayeq.regression.regression import Regression, judged_by
+
+__all__ = ["RecordRegression", "regressions_of"]
+
+Floats = NDArray[np.float64]
+
+# Degrees of freedom of an interval, at least.
+LEAST_FREEDOM = 3.0
+
+
+def regressions_of(design: Design, record: RecordFit | None) -> list[Regression]:
+    """One regression per equation: of the likelihood of the records, or of their rows where there is none."""
+    chains = range(len(design.motion.roles.chains))
+    if record is None:
+        return [Regression.of(design, k) for k in chains]
+    return [RecordRegression(design, k, *judged_by(design, k), record.standards[k].source, record) for k in chains]
+
+
+@dataclass(frozen=True, eq=False)
+class RecordRegression(Regression):
+    """The regression of one target by the likelihood of the records.
+
+    Attributes
+    ----------
+    record : RecordFit
+        The likelihood.
+    power : float
+        That `gram` is raised to.
+    """
+
+    record: RecordFit
+    power: float = 1.0
+
+    counts_rows: ClassVar[bool] = False
+
+    @property
+    def exact(self) -> float:
+        """As of `Regression`."""
+        return self.record.nearly.exact[self.k]
+
+    @property
+    def tau(self) -> float:
+        """As of `Regression`."""
+        return self.record.nearly.tau[self.k]
+
+    @property
+    def discrepancy(self) -> float | None:
+        """As of `Regression`."""
+        return float(self.record.kappa[self.k])
+
+    @property
+    def through_motion(self) -> bool:
+        """As of `Regression`: of a target that is not measured."""
+        return self.chain.measured[-1] is None
+
+    def tests(self) -> tuple[Discrepancy | None, Octave | None]:
+        """As of `Regression`."""
+        adequacy = self.record.adequacy
+        channels = [name for name in self.chain.measured if name is not None]
+        return adequacy.lacks(self.k), adequacy.coloured(channels)
+
+    def hides_noise(self, name: str) -> bool:
+        """As of `Regression`."""
+        return name not in self.record.inputs_of_known_noise
+
+    def thinned(self) -> Regression:
+        """The same: samples count by their noise."""
+        return self
+
+    def raised(self, power: float) -> Regression:
+        """The regression with the likelihood raised to a power of at most 1."""
+        return replace(self, gram=self.gram.raised(power), power=self.power * power)
+
+    def reported(self, found: Posterior, basis: Floats, signs: Floats | None, free: bool) -> Posterior:
+        """As of `Regression`: of the terms that the record was fitted with by projection."""
+        found = replace(found, target_mean_variance=found.noise_variance / found.n)
+        if self.power == 1.0 and self.record.projectable(self.k, found.support):
+            found = self._projected(found, basis, signs, free)
+        return replace(found, noise_variance=self.noise_variance(found))
+
+    def _projected(self, found: Posterior, basis: Floats, signs: Floats | None, free: bool) -> Posterior:
+        """The posterior by projection (`bayeq.likelihood.projection`).
+
+        What is not `free`, coefficients of known sign, stays as it is but for the discrepancy, as far as signs allow.
+        """
+        kept, left = found.support, self.record.leftover(self.k)
+        (theta, covariance), r = self.record.own_coefficients(self.k), int(kept.sum())
+        with_constant = len(theta) > r
+        whole = np.zeros((len(theta), basis.shape[1] + with_constant))
+        whole[:r, : basis.shape[1]] = basis
+        whole[r:, basis.shape[1] :] = 1.0
+        if not free or basis.shape[1] < r:
+            carried = found.covariance @ found.center[kept]
+            whole_covariance = np.block(
+                [[found.covariance, -carried[:, None]], [-carried[None], np.array([[found.intercept_sd**2]])]]
+            )
+            theta = np.append(found.coef[kept], found.intercept)[: len(theta)]
+            covariance = whole_covariance[: len(theta), : len(theta)]
+        moved = projected(left, whole)
+        change = moved.change
+        if signs is not None:
+            known = np.append(signs[kept], np.zeros(int(with_constant)))
+            change = np.where(known * (theta + change) < 0.0, -theta, change)
+        both = covariance + moved.covariance
+        added, total = np.diagonal(moved.covariance), np.diagonal(both)
+        # Satterthwaite, of a part that is known and one that is estimated
+        freedom = moved.freedom * (total / np.maximum(added, 1e-9 * total + np.finfo(float).tiny)) ** 2
+        coef, own, sd = np.zeros((3, len(kept)))
+        coef[kept], own[kept], sd[kept] = (theta + change)[:r], theta[:r], np.sqrt(np.diagonal(covariance))[:r]
+        every = np.full(len(kept), np.inf)
+        every[kept] = np.maximum(freedom[:r], LEAST_FREEDOM)
+        found = replace(
+            found,
+            coef=coef,
+            covariance=both[:r, :r],
+            freedom=every,
+            likelihood_coef=own,
+            likelihood_sd=sd,
+            error_share=moved.share,
+            error_sd=moved.share * math.sqrt(left.target),
+            error_lines=left.lines,
+        )
+        if not with_constant:
+            return found
+        # about the centre the constant and the other coefficients are independent
+        center = np.zeros(len(kept))
+        if r:
+            unit = np.sqrt(np.where(total[:r] > 0.0, total[:r], 1.0))  # coefficients that are given have no variance
+            center[kept] = -np.linalg.lstsq(both[:r, :r] / np.outer(unit, unit), both[:r, r] / unit)[0] / unit
+        mean = float((theta + change)[r] + center @ found.coef)
+        variance = max(float(both[r, r] - center[kept] @ both[:r, :r] @ center[kept]), 0.0)
+        return replace(found, center=center, target_mean=mean, target_mean_variance=variance)
