@@ -43,7 +43,7 @@ CHANNELS = "--disp x --vel v --acc a --force u --dictionary x,v,x**3,u --smooth 
 # The command with sums kept after every unit of rows, and small units.
 BAYEQ = """
 import sys
-from bayeq.records.stream import text
+from bayeq.records.formats import text
 from bayeq.streaming import checkpoint
 from bayeq.cli.process import run
 text.UNIT_ROWS, checkpoint.EVERY = 4000, 0.0

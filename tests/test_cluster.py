@@ -88,8 +88,8 @@ def path(frame, folder):
 @pytest.fixture(autouse=True)
 def small_units(monkeypatch):
     """Units of few rows, so that short files have several; workers are sent where these begin."""
-    monkeypatch.setattr("bayeq.records.stream.parquet.UNIT_ROWS", 1000)
-    monkeypatch.setattr("bayeq.records.stream.rows.grid.__defaults__", (3000,))
+    monkeypatch.setattr("bayeq.records.formats.parquet.UNIT_ROWS", 1000)
+    monkeypatch.setattr("bayeq.records.formats.protocol.grid.__defaults__", (3000,))
 
 
 def quietly(*args, **options):

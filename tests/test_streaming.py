@@ -42,9 +42,9 @@ def record():
 @pytest.fixture(autouse=True)
 def small_units(monkeypatch):
     """Units of few rows, so that short files have several."""
-    for module in ("rows", "parquet", "text"):
-        monkeypatch.setattr(f"bayeq.records.stream.{module}.UNIT_ROWS", 7000)
-    monkeypatch.setattr("bayeq.records.stream.rows.grid.__defaults__", (7000,))
+    for module in ("parquet", "text"):
+        monkeypatch.setattr(f"bayeq.records.formats.{module}.UNIT_ROWS", 7000)
+    monkeypatch.setattr("bayeq.records.formats.protocol.grid.__defaults__", (7000,))
     monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 300)
 
 

@@ -210,7 +210,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
     outputs.check(files, options, as_json)
     options = cleaned(options)
     announce_compiling(lambda: say(COMPILING))
-    from bayeq.records.unchanged import state_of
+    from bayeq.records.files import state_of
 
     if dask is not None:
         reading = reading.clustered()

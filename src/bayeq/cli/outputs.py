@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from bayeq.equation.equations import Equations
     from bayeq.equation.physical import PhysicalParameters
     from bayeq.records import Record
-    from bayeq.records.unchanged import FileState
+    from bayeq.records.files import FileState
 
 __all__ = ["OUTPUTS", "Outputs", "require_place", "show_equations"]
 
@@ -173,7 +173,7 @@ def _write_report(
     path: Path, answer: Equations, records: Sequence[Record], files: Mapping[Path, FileState | None]
 ) -> None:
     """The report, with the command as it was typed where that is known; standard input has no file to be hashed."""
-    from bayeq.records.unchanged import require_unchanged
+    from bayeq.records.files import require_unchanged
 
     for file, before in files.items():
         require_unchanged(file, before)  # a hash of other rows would be a lie

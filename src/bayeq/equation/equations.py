@@ -24,7 +24,7 @@ from bayeq.export.latex import Uncertainty
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
 from bayeq.records import Record, with_row_numbers
-from bayeq.records.atomic import replacing
+from bayeq.records.files import replacing
 from bayeq.refine.results import Refinement
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import DroppedTerm

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 
 from bayeq.errors import BayeqError, InputError, MissingExtraError
 from bayeq.expressions import parse, to_sympy
-from bayeq.records.atomic import replacing
+from bayeq.records.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

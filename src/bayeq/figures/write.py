@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from bayeq.errors import InputError
 from bayeq.figures.style import UNSIGNED, require_matplotlib, style
-from bayeq.records.atomic import replacing
+from bayeq.records.files import replacing
 
 if TYPE_CHECKING:
     import pandas as pd

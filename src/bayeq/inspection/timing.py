@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from bayeq.records import Record
 from bayeq.records.findings import equal_runs
-from bayeq.records.gaps import GAP, LONG_GAP
 from bayeq.records.names import is_time_name
+from bayeq.records.repair import GAP, LONG_GAP
 from bayeq.records.validate import SECONDS
 
 __all__ = ["Experiments", "Gap", "gaps_of", "sort_rows"]

@@ -183,7 +183,7 @@ class Plan:
         """
         import pandas as pd
 
-        from bayeq.records.atomic import replacing
+        from bayeq.records.files import replacing
 
         with replacing(Path(file)) as part:
             pd.DataFrame({"time": self.time, **self.inputs}).to_csv(part, index=False)

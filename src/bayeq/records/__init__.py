@@ -6,38 +6,23 @@
 
 from bayeq.records.findings import Finding, check_messages, check_record
 from bayeq.records.formats import FORMATS, Format
-from bayeq.records.gaps import split_at_gaps
-from bayeq.records.io import read, write
+from bayeq.records.io import as_record, as_records, read, write
 from bayeq.records.join import join
 from bayeq.records.names import RESERVED, clean_name, clean_names
 from bayeq.records.record import Record
-from bayeq.records.repair import correct_delay, remove_offset
-from bayeq.records.row_numbers import SAMPLES, UNKNOWN_TIME, counts_rows, with_row_numbers
-from bayeq.records.sources import as_record, as_records
+from bayeq.records.repair import (
+    SAMPLES,
+    UNKNOWN_TIME,
+    correct_delay,
+    counts_rows,
+    remove_offset,
+    split_at_gaps,
+    with_row_numbers,
+)
 from bayeq.records.truth import FloatArray, Truth
 
 __all__ = [
-    "FORMATS",
-    "Finding",
-    "FloatArray",
-    "Format",
-    "Record",
-    "RESERVED",
-    "SAMPLES",
-    "Truth",
-    "UNKNOWN_TIME",
-    "as_record",
-    "as_records",
-    "clean_name",
-    "check_messages",
-    "check_record",
-    "clean_names",
-    "correct_delay",
-    "counts_rows",
-    "join",
-    "read",
-    "remove_offset",
-    "split_at_gaps",
-    "with_row_numbers",
-    "write",
-]
+    "FORMATS", "RESERVED", "SAMPLES", "UNKNOWN_TIME", "Finding", "FloatArray", "Format", "Record", "Truth", "as_record",
+    "as_records", "check_messages", "check_record", "clean_name", "clean_names", "correct_delay", "counts_rows", "join",
+    "read", "remove_offset", "split_at_gaps", "with_row_numbers", "write",
+]  # fmt: skip

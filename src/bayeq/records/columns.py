@@ -1,25 +1,33 @@
 """``Columns``: what a file holds before it is a record; every reader returns one.
 
-`Headers` are the names of the columns in the three spellings by which they may be asked for.
+`Headers` are the names of the columns in the three spellings by which they may be asked for; `Request` says which ones
+are asked for.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayeq.errors import FileFormatError, RecordError, UnknownNameError, WordsError
+from bayeq.errors import FileFormatError, InputError, RecordError, UnknownNameError, WordsError
 from bayeq.records.names import clean_name, clean_names, is_time_name
 from bayeq.records.truth import FloatArray
-from bayeq.records.validate import as_column, as_time
+from bayeq.records.validate import SECONDS, as_column, as_time
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Columns", "Headers", "Select", "listed"]
+__all__ = ["STAR", "Columns", "Headers", "Names", "Request", "Select", "listed"]
+
+#: Names of columns; a string is split at commas.
+Names = Sequence[str] | str | None
+
+#: In a path: each of several arrays, one record for each.
+STAR = "[*]"
 
 
 def listed(names: Sequence[str] | str) -> list[str]:
@@ -50,10 +58,12 @@ class Headers:
     where: str = ""
 
     @classmethod
-    def parse(cls, texts: Iterable[str], where: str = "") -> Headers:
-        """Clean the headers' texts."""
+    def parse(cls, texts: Iterable[str], where: str = "", stated: Mapping[str, str] | None = None) -> Headers:
+        """Clean the headers' texts; units that are `stated` elsewhere, by text, come before those in the texts."""
         texts = [str(text).strip() for text in texts]
-        return cls(texts, *clean_names(texts), where)
+        names, units = clean_names(texts)
+        known = stated or {}
+        return cls(texts, names, [known.get(text) or unit for text, unit in zip(texts, units, strict=True)], where)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -87,7 +97,16 @@ class Headers:
         found = [i for i, name in enumerate(self.names) if is_time_name(name) and (name != "T" or i == 0)]
         return next((i for i in found if self.names[i] != "T"), found[0] if found else None)
 
-    def renamed(self, names: Sequence[str] | str | None) -> Headers:
+    def at(self, rows: Sequence[int]) -> Headers:
+        """Some of the columns."""
+        texts, names, units = ([column[i] for i in rows] for column in (self.texts, self.names, self.units))
+        return Headers(texts, names, units, self.where)
+
+    def stated_units(self) -> dict[str, str]:
+        """Units by name, of the columns that have one."""
+        return {name: unit for name, unit in zip(self.names, self.units, strict=True) if unit}
+
+    def renamed(self, names: Names) -> Headers:
         """The same columns under the names that the caller gives, in order."""
         if names is None:
             return self
@@ -109,30 +128,14 @@ Select = Callable[[Headers], Sequence[int]]
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Columns of a file, in order.
-
-    Parameters
-    ----------
-    headers : Headers
-        Names and units.
-    values : list of ndarray, shape (n,)
-        Samples; missing cells are NaN.
-    doubts : tuple of str
-        What to warn of.
-    time : int, optional
-        The column that is time, where something other than its name says so.
-    step : float, optional
-        Time step [s] that the file states.
-    start : float
-        Time of the first row [s], where `step` is given.
-    """
+    """Columns of a file, in order."""
 
     headers: Headers
-    values: list[FloatArray]
-    doubts: tuple[str, ...] = ()
-    time: int | None = None
-    step: float | None = None
-    start: float = 0.0
+    values: list[FloatArray]  # samples, (n,) each; missing cells are NaN
+    doubts: tuple[str, ...] = ()  # what to warn of
+    time: int | None = None  # the column that is time, where something other than its name says so
+    step: float | None = None  # time step [s] that the file states
+    start: float = 0.0  # time of the first row [s], where `step` is given
 
     @property
     def names(self) -> list[str]:
@@ -144,14 +147,14 @@ class Columns:
         """Take the chosen columns; `values(i)` gives the samples of column i, of any numeric type."""
         rows = list(chosen(headers)) if chosen else list(range(len(headers)))
         arrays = []
-        units = list(headers.units)
-        for i in rows:
+        kept = headers.at(rows)
+        for place, i in enumerate(rows):
             raw = np.asanyarray(values(i))
             what = f"column {headers.texts[i] or headers.names[i]!r}"
             try:
                 if raw.dtype.kind in "mM":
                     arrays.append(as_time(raw))
-                    units[i] = "s"
+                    kept.units[place] = "s"
                 else:
                     arrays.append(as_column(raw, what))
             except RecordError as error:
@@ -161,8 +164,6 @@ class Columns:
                 others = [headers.names[j] for j in rows if j != i]
                 hint = "; name the columns to read if this one is not needed"
                 raise WordsError(message + hint, headers.names[i], others) from None
-        parts = [[column[i] for i in rows] for column in (headers.texts, headers.names)]
-        kept = Headers(parts[0], parts[1], [units[i] for i in rows], headers.where)
         return cls(kept, arrays, tuple(headers.clashes(rows)))
 
     @classmethod
@@ -198,3 +199,102 @@ class Columns:
             return series.to_numpy()
 
         return cls.build(headers, values, chosen)
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What `bayeq.records.read` is asked for."""
+
+    columns: Names = None  # to keep, under their own names
+    channels: Mapping[str, str] = field(default_factory=dict)  # to keep, new name to path or header
+    time: str | None = None  # the column that is time
+    group: str | None = None  # the column that numbers the trials
+    fs: float | None = None  # sampling rate [Hz]; no column is time then
+
+    @property
+    def names(self) -> list[str] | None:
+        """The columns that are asked for, time and group aside; None for all of them."""
+        if self.columns is None and not self.channels:
+            return None
+        return [*listed(self.columns or []), *self.channels.values()]
+
+    def rows(self, headers: Headers) -> list[int]:
+        """Which columns to read: those asked for, time (or what may be time) and the group."""
+        if self.names is None:
+            return list(range(len(headers)))
+        needed = {headers.find(name) for name in self.names}
+        needed.update(headers.find(name) for name in (self.time, self.group) if name is not None)
+        if self.time is None and self.fs is None:
+            if headers.time is not None:
+                needed.add(headers.time)
+            else:
+                needed.update(i for i, unit in enumerate(headers.units) if unit in SECONDS)
+        return sorted(needed)
+
+    def kept(self, data: Columns) -> list[str] | None:
+        """The names of the record's channels, after `renamed`; None for all of them."""
+        if self.names is None:
+            return None
+        return [*(data.names[data.headers.find(name)] for name in listed(self.columns or [])), *self.channels]
+
+    def renamed(self, data: Columns) -> Columns:
+        """The columns under the names that `channels` gives them; one named twice comes twice."""
+        if not self.channels:
+            return data
+        headers = data.headers
+        found = {name: headers.find(path) for name, path in self.channels.items()}
+        others = [i for i in range(len(headers)) if i not in found.values()]
+        rows = [*others, *found.values()]
+        names = [*(headers.names[i] for i in others), *found]
+        again = sorted({name for name in names if names.count(name) > 1})
+        if again:
+            raise InputError(f"{headers.where}: the name {again[0]!r} is given to one column and is that of another")
+        new = replace(headers.at(rows), names=names)
+        time = None if data.time is None else rows.index(data.time)
+        return replace(data, headers=new, values=[data.values[i] for i in rows], time=time)
+
+    def each(self, paths: Sequence[str], where: str) -> list[Request]:
+        """This request for each of the arrays that ``[*]`` stands for; itself where no path has one.
+
+        Parameters
+        ----------
+        paths : list of str
+            Paths of all arrays of the file.
+        where : str
+            The file, for messages.
+
+        Raises
+        ------
+        InputError
+            Two stars in one path, or numbers that one path has and another has not.
+        UnknownNameError
+            No array has such a path.
+        """
+        starred = [p for p in (*(self.names or ()), self.time, self.group) if p is not None and STAR in p]
+        numbers: dict[str, set[int]] = {}
+        for path in starred:
+            if path.count(STAR) > 1:
+                raise InputError(f"{where}: {path!r} has two stars; write one")
+            before, after = map(re.escape, path.split(STAR))
+            pattern = re.compile(rf"{before}\[(\d+)\]{after}")
+            numbers[path] = {int(match[1]) for p in paths if (match := pattern.fullmatch(p))}
+            if not numbers[path]:
+                raise UnknownNameError("array", path, paths, where)
+        if not starred:
+            return [self]
+        every = set().union(*numbers.values())
+        for path, have in numbers.items():
+            if have != every:
+                lacking = min(every - have)
+                raise InputError(
+                    f"{where}: there is no {path.replace(STAR, f'[{lacking}]')}; name one record at a time"
+                )
+        return [self._numbered(k) for k in sorted(every)]
+
+    def _numbered(self, k: int) -> Request:
+        def at(path: str | None) -> str | None:
+            return None if path is None else path.replace(STAR, f"[{k}]")
+
+        columns = None if self.columns is None else [str(at(name)) for name in listed(self.columns)]
+        channels = {name: str(at(path)) for name, path in self.channels.items()}
+        return Request(columns, channels, at(self.time), at(self.group), self.fs)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayeq.records.consistency import Frames, Relation, relate, shift_of, uniform_frames
 from bayeq.records.record import Record
-from bayeq.records.row_numbers import counts_rows
+from bayeq.records.repair import counts_rows
 from bayeq.records.units import derivative_ratio
 
 __all__ = ["Clipping", "Finding", "check_messages", "check_record", "clipped_levels", "equal_runs"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
@@ -12,8 +12,7 @@ import numpy as np
 
 from bayeq.errors import RecordError, UnknownNameError, require_kind
 from bayeq.records.assemble import assemble
-from bayeq.records.columns import Columns
-from bayeq.records.request import Request
+from bayeq.records.columns import Columns, Request
 from bayeq.records.sampling import even_step
 from bayeq.records.truth import FloatArray, Truth, frozen_array
 from bayeq.records.validate import (
@@ -29,7 +28,10 @@ from bayeq.records.validate import (
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Record"]
+__all__ = ["Record", "with_only"]
+
+# Channels that a notebook shows.
+SHOWN = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -378,9 +380,14 @@ class Record:
         return pd.DataFrame(dict(zip(columns.names, columns.values, strict=True)))
 
     def _repr_html_(self) -> str:
-        from bayeq.records.html import as_html
+        from bayeq.markup import join, paragraph, table
 
-        return as_html(repr(self), self.channels, self.units)
+        listed = list(self.channels.items())[:SHOWN]
+        rows = [(name, self.units.get(name, ""), *_numbers(values)) for name, values in listed]
+        rest = len(self.channels) - len(listed)
+        more = paragraph(f"and {rest} more channels") if rest else ""
+        header = ("channel", "unit", "min", "max", "mean", "sd", "missing")
+        return join(paragraph(repr(self), strong=True), table(header, rows, left=(0, 1)), more)
 
     def __repr__(self) -> str:
         shown = [f"{c} [{self.units[c]}]" if c in self.units else c for c in self.names[:8]]
@@ -390,3 +397,21 @@ class Record:
             rate = f" at {self.fs:.6g} Hz" if self.is_uniform() else f", median step {self.dt:.6g} s"
         label = f"{self.name!r}: " if self.name else ""
         return f"Record({label}{self.n} row{'s' * (self.n != 1)}{rate}; {', '.join(shown)}{more})"
+
+
+def _numbers(values: FloatArray) -> tuple[str, ...]:
+    """Minimum, maximum, mean and standard deviation of a channel, and how many samples are missing, as text."""
+    known = values[np.isfinite(values)]
+    missing = str(len(values) - len(known) or "")
+    if not len(known):
+        return "", "", "", "", missing
+    with np.errstate(over="ignore"):  # of squares of huge numbers
+        numbers = known.min(), known.max(), known.mean(), known.std()
+    return (*(f"{value:.4g}" for value in numbers), missing)
+
+
+def with_only(record: Record, names: Iterable[str]) -> Record:
+    """These channels of a record, and its time; without what is known of a simulated one."""
+    channels = {name: record[name] for name in names}
+    units = {name: unit for name, unit in record.units.items() if name in channels or name == "t"}
+    return Record(channels, record.time, units, record.name)

@@ -24,7 +24,7 @@ from bayeq.errors import BayeqWarning
 from bayeq.gram.gram import Moments
 from bayeq.likelihood.block import Block
 from bayeq.likelihood.fit import Quadratic
-from bayeq.records.atomic import replacing
+from bayeq.records.files import replacing
 from bayeq.records.stream import FileStream
 from bayeq.streaming.extent import Extent
 from bayeq.streaming.moments import Folded

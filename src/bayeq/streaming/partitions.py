@@ -12,9 +12,8 @@ import numpy as np
 
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record
-from bayeq.records.columns import Columns
+from bayeq.records.columns import Columns, Request
 from bayeq.records.names import clean_name, is_time_name
-from bayeq.records.request import Request
 
 __all__ = ["DaskStream", "Parts", "dask_streams", "is_dask", "parts_between"]
 

@@ -20,7 +20,7 @@ from bayeq.errors import BayeqWarning, InputError
 from bayeq.figures.style import require_matplotlib
 from bayeq.inference.engines import ENGINES
 from bayeq.records import Record
-from bayeq.records.atomic import replacing
+from bayeq.records.files import replacing
 
 __all__ = ["file_hash", "repeat_command", "require_report", "samples_hash", "write_report"]
 

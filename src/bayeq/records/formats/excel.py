@@ -11,46 +11,23 @@ from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
-from bayeq.errors import FileFormatError, MissingExtraError
-from bayeq.records.columns import Columns, Select
+from bayeq.errors import FileFormatError
+from bayeq.records.columns import Columns, Names, Select
 from bayeq.records.formats import text
-from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, reading
+from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, needing, reading
 
-__all__ = ["is_excel", "read_columns"]
+__all__ = ["OLE", "read_columns"]
 
-_OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
+#: The mark of the container of .xls files.
+OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 MOST_ROWS = 1_048_576
 Sheet = tuple[str, Iterable[Iterable[Any]]]
 
 
-def is_excel(path: Path, head: bytes) -> bool:
-    """Whether a file is a workbook: an archive that holds one, or the container of the older format."""
-    if head.startswith(_OLE):
-        return True
-    if not head.startswith(b"PK\x03\x04"):
-        return False
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return "xl/workbook.xml" in archive.namelist()
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
-        return False  # damaged: the suffix tells whose it was
-
-
-def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
+def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None) -> Columns:
     """Read the first sheet that holds numbers, with the rules for text: preamble, header, units, missing cells.
 
-    Parameters
-    ----------
-    path : Path
-        The file. Of a formula the value that Excel saved is read.
-    names : list of str, or str, optional
-        Names instead of the header.
-    chosen : callable, optional
-        Which columns to read.
-
-    Returns
-    -------
-    Columns
+    Of a formula the value that Excel saved is read.
     """
     where = str(path)
     found: Columns | None = None
@@ -75,15 +52,13 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
 
 def _sheets(path: Path) -> Iterator[Sheet]:
     with path.open("rb") as file:
-        old = file.read(8) == _OLE
+        old = file.read(8) == OLE
     yield from _xls(path) if old else _xlsx(path)
 
 
 def _xlsx(path: Path) -> Iterator[Sheet]:
-    try:
+    with needing("openpyxl", "files", "reading Excel files"):
         import openpyxl
-    except ImportError:
-        raise MissingExtraError("openpyxl", "files", "reading Excel files") from None
     with zipfile.ZipFile(path) as archive:
         check_claim(str(path), "the workbook", sum(m.file_size for m in archive.infolist()), path.stat().st_size)
     with path.open("rb") as file:  # by its name openpyxl would judge the suffix
@@ -97,10 +72,8 @@ def _xlsx(path: Path) -> Iterator[Sheet]:
 
 
 def _xls(path: Path) -> Iterator[Sheet]:
-    try:
+    with needing("xlrd", "files", "reading .xls files"):
         import xlrd
-    except ImportError:
-        raise MissingExtraError("xlrd", "files", "reading .xls files") from None
     with xlrd.open_workbook(path, on_demand=True, logfile=io.StringIO()) as book:
         for k in range(book.nsheets):
             sheet = book.sheet_by_index(k)

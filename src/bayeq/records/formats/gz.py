@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from bayeq.errors import FileFormatError
-from bayeq.records.columns import Columns, Select
+from bayeq.records.columns import Columns, Names, Select
 from bayeq.records.formats import text
 from bayeq.records.formats.limits import check_claim, reading
 from bayeq.records.record import Record
@@ -18,31 +18,17 @@ __all__ = ["read_columns", "write"]
 _BYTES_AT_ONCE = 2**20
 
 
-def read_columns(
-    path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None, skip: int = 0
-) -> Columns:
-    """Unpack into a temporary file, as far as the limits allow, and read that as text.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    names : list of str, or str, optional
-        Names instead of the header.
-    chosen : callable, optional
-        Which columns to read.
-    skip : int
-        Lines at the top that are passed over.
-
-    Returns
-    -------
-    Columns
-    """
+def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None, skip: int = 0) -> Columns:
+    """Unpack into a temporary file, as far as the limits allow, and read that as text, below `skip` lines."""
     where = str(path)
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder) / "unpacked"
-        with reading(where, ".gz file"):
-            _unpack(path, plain)
+        stored, written = path.stat().st_size, 0
+        with reading(where, ".gz file"), gzip.open(path) as source, plain.open("wb") as out:
+            while block := source.read(_BYTES_AT_ONCE):
+                written += len(block)
+                check_claim(where, "the text", written, stored)
+                out.write(block)
         try:
             return text.read_columns(plain, names=names, chosen=chosen, where=where, skip=skip)
         except FileFormatError as error:
@@ -51,25 +37,8 @@ def read_columns(
             raise
 
 
-def _unpack(path: Path, target: Path) -> None:
-    stored, written = path.stat().st_size, 0
-    with gzip.open(path) as source, target.open("wb") as out:
-        while block := source.read(_BYTES_AT_ONCE):
-            written += len(block)
-            check_claim(str(path), "the text", written, stored)
-            out.write(block)
-
-
 def write(record: Record, path: Path) -> None:
-    """Write a record as compressed text; the same record gives the same bytes.
-
-    Parameters
-    ----------
-    record : Record
-        What to write.
-    path : Path
-        The file, replaced if it is there.
-    """
+    """Write a record as compressed text; the same record gives the same bytes."""
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder) / "plain.csv"
         text.write(record, plain)

@@ -3,32 +3,38 @@
 from __future__ import annotations
 
 import math
+import mmap
+import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bayeq.errors import FileFormatError, MissingExtraError
+from bayeq.errors import FileFormatError
 from bayeq.records.assemble import RATE_NAMES, STEP_NAMES
-from bayeq.records.formats.hdf5_heaps import require_sound_heaps
-from bayeq.records.formats.limits import check_array, reading
-from bayeq.records.formats.nested import DEEPEST, MOST_ARRAYS, Channel, channels_of, step_of
+from bayeq.records.columns import Columns, Request
+from bayeq.records.formats.limits import check_array, needing, reading
+from bayeq.records.formats.nested import DEEPEST, MOST_ARRAYS, Channel, channels_of, read_pieces, step_of
+from bayeq.records.formats.protocol import FileRows, grid
 from bayeq.records.record import Record
 
-__all__ = ["channels", "write"]
+__all__ = ["Hdf5Rows", "channels", "write"]
 
 _MARK = "bayeq"  # an attribute of files that bayeq wrote: arrays of one number are channels there
 _KIND = "HDF5 file"
 _NUMBERS = frozenset({"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64))})
+# A heap of strings begins so, with its version; HDF5 does not look at the three reserved bytes that follow.
+_HEAP, _OBJECT = b"GCOL\x01", struct.Struct("<HHIQ")
+# Larger files are not searched for heaps.
+LARGEST = 2**30
 
 
 def _h5py() -> Any:
-    try:
+    with needing("h5py", "files", "reading HDF5 and MATLAB v7.3 files"):
         import h5py
-    except ImportError:
-        raise MissingExtraError("h5py", "files", "reading HDF5 and MATLAB v7.3 files") from None
     return h5py
 
 
@@ -65,25 +71,11 @@ def _selected(shape: tuple[int, ...], key: Any) -> tuple[int, ...]:
 def channels(path: Path) -> list[Channel]:
     """List the arrays of a file: datasets, rows of matrices, MATLAB's structs and cells.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    list of Channel
-
-    Raises
-    ------
-    FileFormatError
-        A damaged file; a link or virtual dataset that takes its samples from another file.
-    MissingExtraError
-        h5py is not installed.
+    A link or a virtual dataset that takes its samples from another file is refused.
     """
     h5py = _h5py()
     with reading(str(path), _KIND):
-        require_sound_heaps(path)
+        _require_sound_heaps(path)
         with h5py.File(path, "r") as file:
             tree = _Tree(h5py, file, path).group(file["/"], 0)
     return channels_of(tree, str(path))
@@ -227,16 +219,39 @@ def _text(value: Any) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value if isinstance(value, str) else ""
 
 
-def write(record: Record, path: Path) -> None:
-    """Write a record as HDF5: one dataset for each channel, its unit as the attribute ``unit``.
+def _require_sound_heaps(path: Path) -> None:
+    """Refuse a file with a heap of strings that does not end, as a run that was cut off may leave.
 
-    Parameters
-    ----------
-    record : Record
-        What to write.
-    path : Path
-        The file, replaced if it is there.
+    HDF5 2.0 walks one with a free object of no size for ever, and Ctrl-C does not reach a loop of machine code. The
+    layout is that of section III.E, "Disk Format: Level 1E - Global Heap", of the HDF5 file format specification.
     """
+    if not 0 < path.stat().st_size <= LARGEST:
+        return
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        start = content.find(_HEAP)
+        while start >= 0:
+            if not _ends(content, start):
+                raise FileFormatError(f"{path}: damaged: the strings at byte {start} have no end; write the file again")
+            start = content.find(_HEAP, start + len(_HEAP))
+
+
+def _ends(content: mmap.mmap, start: int) -> bool:
+    """Whether the objects of a heap lead to its end."""
+    if start + 16 > len(content):
+        return True  # which HDF5 says itself
+    stop = min(start + struct.unpack_from("<Q", content, start + 8)[0], len(content))
+    at = start + 16
+    while at + _OBJECT.size <= stop:
+        index, _, _, size = _OBJECT.unpack_from(content, at)
+        needed = _OBJECT.size + -(-size // 8) * 8 if index else size
+        if needed % 2**64 == 0:
+            return False
+        at += needed
+    return True
+
+
+def write(record: Record, path: Path) -> None:
+    """Write a record as HDF5: one dataset for each channel, its unit as the attribute ``unit``."""
     columns = record.to_columns()
     with _h5py().File(path, "w", track_order=True) as file:
         file.attrs[_MARK] = 1
@@ -244,3 +259,23 @@ def write(record: Record, path: Path) -> None:
             dataset = file.create_dataset(name, data=values)
             if unit:
                 dataset.attrs["unit"] = unit
+
+
+class Hdf5Rows(FileRows):
+    """Rows of the arrays of one length that `bayeq.read` takes for the same request."""
+
+    @cached_property
+    def bounds(self) -> tuple[int, ...]:
+        """Units of equal length."""
+        lengths = [replace(one, values=lambda rows, size=one.size: np.array([size])) for one in channels(self.path)]
+        pieces = read_pieces(lengths, str(self.path), self.request)
+        if len(pieces) > 1:
+            raise FileFormatError(f"{self.path}: [*] stands for several records; name one of them to stream it")
+        return grid(int(pieces[0][1].values[0][0]))
+
+    def read(self, start: int, stop: int, request: Request) -> Columns:
+        """Rows `start` to `stop`."""
+        ((_, data),) = read_pieces(channels(self.path), str(self.path), request, rows=slice(start, stop))
+        if len(data.values[0]) != stop - start:
+            raise FileFormatError(f"{self.path}: has changed while it was read; start once more")
+        return data

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 import warnings
@@ -11,9 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import BayeqError, FileFormatError
+from bayeq.errors import BayeqError, FileFormatError, MissingExtraError
 
-__all__ = ["MOST_BYTES", "MOST_COLUMNS", "MOST_RATIO", "check_array", "check_claim", "plain", "reading"]
+__all__ = [
+    "MOST_BYTES", "MOST_COLUMNS", "MOST_RATIO", "SMALL_BYTES", "check_array", "check_claim", "needing", "plain",
+    "reading", "stored_units",
+]  # fmt: skip
 
 #: A file may unpack to this many times its size ...
 MOST_RATIO = 100
@@ -30,14 +34,10 @@ def check_claim(where: str, what: str, claimed: int, stored: int) -> None:
 
     Parameters
     ----------
-    where : str
-        The file.
-    what : str
-        The part of it, for the message.
-    claimed : int
-        Bytes that it would take in memory.
-    stored : int
-        Bytes of the file.
+    where, what : str
+        The file and the part of it, for the message.
+    claimed, stored : int
+        Bytes that it would take in memory, and bytes of the file.
 
     Raises
     ------
@@ -81,6 +81,21 @@ def plain(values: Any, where: str, what: str) -> np.ndarray[Any, np.dtype[Any]]:
     if array.dtype.hasobject:
         raise FileFormatError(f"{where}: {what} holds objects, not numbers; they are refused")
     return array
+
+
+@contextmanager
+def needing(package: str, extra: str, purpose: str) -> Iterator[None]:
+    """Import a package of an extra within; MissingExtraError if it is not installed."""
+    try:
+        yield
+    except ImportError:
+        raise MissingExtraError(package, extra, purpose) from None
+
+
+def stored_units(text: str | bytes) -> dict[str, str]:
+    """Units by name that bayeq wrote into a file as JSON; none of other JSON."""
+    found = json.loads(text)
+    return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,22 +21,7 @@ _SEPARATORS = {"tab": "\t", "comma": ","}
 
 
 def channels(path: Path) -> list[Channel]:
-    """List the channels of a file; of several segments as ``[0].name``, ``[1].name`` ....
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    list of Channel
-
-    Raises
-    ------
-    FileFormatError
-        A header without end, fewer samples than stated, or a cell that is no number.
-    """
+    """List the channels of a file; of several segments as ``[0].name``, ``[1].name`` ...."""
     where = str(path)
     lines = _text(path).splitlines()
     if not lines or not lines[0].startswith("LabVIEW Measurement"):
@@ -59,9 +45,9 @@ def channels(path: Path) -> list[Channel]:
     if len(segments) == 1:
         return segments[0]
     return [
-        Channel(f"[{k}].{c.path}", c.size, c.values, c.label, c.unit, c.step, c.start, main=False)
+        replace(channel, path=f"[{k}].{channel.path}", main=False)
         for k, segment in enumerate(segments)
-        for c in segment
+        for channel in segment
     ]
 
 
@@ -112,22 +98,19 @@ def _segment(
         if not several:
             size = max((i + 1 for i, row in enumerate(rows) if row[column : column + 1] not in ([], [""])), default=0)
         values = _column(rows, column, size, place + 2, names[column], comma, where)
+        label = (about.get("Y_Unit_Label", [])[k : k + 1] or [""])[0]
         step = _number(about.get("Delta_X"), k, np.nan, where)
         found.append(
             Channel(
                 names[column],
                 size,
                 values.__getitem__,
-                unit=_unit((about.get("Y_Unit_Label", [])[k : k + 1] or [""])[0]),
+                unit=unit_cell(label) or label or None,
                 step=step if np.isfinite(step) and step > 0 else None,
                 start=_number(about.get("X0"), k, 0.0, where),
             )
         )
     return found
-
-
-def _unit(label: str) -> str | None:
-    return (unit_cell(label) or label) or None
 
 
 def _number(values: Sequence[str] | None, k: int, otherwise: float, where: str) -> float:

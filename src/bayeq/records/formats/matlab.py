@@ -1,41 +1,38 @@
-"""MATLAB's .mat files of version 5 (also called v6 and v7), by SciPy; v7.3 is HDF5."""
+"""MATLAB's .mat files of version 5 (also called v6 and v7), by SciPy; v7.3 is HDF5.
+
+Every variable is a tree of elements, each with a type and a length; see "MAT-File Format" (The MathWorks). These are
+checked before SciPy relies on them: a wrong type ends the process there (SciPy 1.17; `tests/fuzz/corpus/matlab`).
+"""
 
 from __future__ import annotations
 
 import struct
+import zlib
+from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayeq.errors import FileFormatError
-from bayeq.records.formats.limits import reading
-from bayeq.records.formats.matlab_tags import MATRIX, FileBytes, PackedBytes, check_matrix
-from bayeq.records.formats.nested import Channel, channels_of
+from bayeq.records.formats.limits import MOST_BYTES, MOST_RATIO, SMALL_BYTES, check_claim, reading
+from bayeq.records.formats.nested import DEEPEST, Channel, channels_of
 
 __all__ = ["channels"]
 
-_COMPRESSED = 15
 _KIND = "MATLAB file"
+# Types of elements, and classes of arrays.
+MATRIX, COMPRESSED = 14, 15
+NUMBERS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13})
+TEXT = NUMBERS | {16, 17, 18}
+LETTERS = frozenset({1, 2, 16})
+CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
+NUMERIC = range(6, 16)
+COMPLEX = 0x08
 
 
 def channels(path: Path) -> list[Channel]:
-    """List the arrays of a file: variables, fields of structs, cells, rows of matrices.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    list of Channel
-
-    Raises
-    ------
-    FileFormatError
-        A damaged file, one that unpacks to far more than its size, or one of version 4.
-    """
+    """List the arrays of a file: variables, fields of structs, cells, rows of matrices."""
     from scipy.io import loadmat
     from scipy.io.matlab import matfile_version
 
@@ -44,41 +41,128 @@ def channels(path: Path) -> list[Channel]:
         major = matfile_version(path)[0]
         if major != 1:
             raise FileFormatError(f"{where}: MATLAB's version 4 is not read; save it again in MATLAB with -v7")
-        _check_claims(path)
+        _check_variables(path)
         content = loadmat(path)
         tree = {name: _tree(value) for name, value in content.items() if not name.startswith("__")}
     return channels_of(tree, where)
 
 
-def _check_claims(path: Path) -> None:
-    """Walk over the elements of the file: each ends in it, has the types it should, and unpacks to what is allowed."""
+def _check_variables(path: Path) -> None:
+    """Walk over the variables: each ends in the file, has the types it should, and unpacks to what is allowed."""
     where, size = str(path), path.stat().st_size
     unpacked = 0
     with path.open("rb") as file:
         order = "<" if file.read(128)[126:128] == b"IM" else ">"
-        place = 128
-        while place + 8 <= size:
-            file.seek(place)
-            kind, length = struct.unpack(f"{order}II", file.read(8))
-            place += 8
+        while len(tag := file.read(8)) == 8:
+            kind, length = struct.unpack(f"{order}II", tag)
+            place = file.tell()
             if length > size - place:
                 raise FileFormatError(f"{where}: the variable at byte {place} is cut off; the file is damaged")
-            if kind == _COMPRESSED:
-                unpacked += _check_packed(PackedBytes(file.read(length), where, size, unpacked), order)
+            if kind == COMPRESSED:
+                allowed = min(MOST_BYTES, max(SMALL_BYTES, MOST_RATIO * size)) - unpacked
+                content = zlib.decompressobj().decompress(file.read(length), allowed + 1)
+                unpacked += len(content)
+                check_claim(where, "the file", unpacked, size)
+                if len(content) >= 8:
+                    kind, length = struct.unpack_from(f"{order}II", content)
+                    if kind != MATRIX:
+                        raise ValueError(f"a compressed variable has the type {kind}")
+                    _Elements(content, order, 8).check_array(8 + length)
             elif kind == MATRIX:
-                check_matrix(FileBytes(file), order, length)
-            place += length
+                _Elements(file.read(length), order).check_array(length)
+            else:
+                file.seek(length, 1)
 
 
-def _check_packed(data: PackedBytes, order: str) -> int:
-    """Check a compressed variable; its size unpacked."""
-    tag = data.read(8)
-    if len(tag) == 8:
-        kind, length = struct.unpack(f"{order}II", tag)
-        if kind != MATRIX:
-            raise ValueError(f"a compressed variable has the type {kind}")
-        check_matrix(data, order, data.place + length)
-    return data.rest()
+class _Elements:
+    """The elements of a variable, passed over one after the other; a ValueError where one is not what it should be."""
+
+    def __init__(self, content: bytes, order: str, place: int = 0) -> None:
+        self.content, self.order, self.place = content, order, place
+
+    def number(self, place: int) -> int:
+        """The signed integer of 4 bytes at a place."""
+        return int(struct.unpack_from(f"{self.order}i", self.content, place)[0])
+
+    def tag(self, end: int) -> tuple[int, int, bool]:
+        """Type and length of an element, and whether its content lies in the tag."""
+        if self.place + 8 > min(end, len(self.content)):
+            raise ValueError("an element is cut off")
+        first, length = struct.unpack_from(f"{self.order}II", self.content, self.place)
+        self.place += 8
+        return (first & 0xFFFF, first >> 16, True) if first >> 16 else (first, length, False)
+
+    def element(self, end: int, kinds: frozenset[int], what: str) -> tuple[int, int]:
+        """Pass over an element of one of some types; where its content begins, and its length."""
+        kind, length, in_tag = self.tag(end)
+        if kind not in kinds:
+            raise ValueError(f"{what} have the type {kind}")
+        if in_tag:
+            if length > 4:
+                raise ValueError(f"{what} of {length} bytes in a tag")
+            return self.place - 4, length
+        start = self.place
+        if start + length > min(end, len(self.content)):
+            raise ValueError(f"{what} are cut off")
+        self.place = min(start + -(-length // 8) * 8, end)
+        return start, length
+
+    def check_array(self, end: int, depth: int = 0) -> None:
+        """Pass over an array, behind its tag, that ends at a place and lies in others, `depth` of them.
+
+        Whatever is in it has to have the types that its class has.
+        """
+        start, length = self.element(end, frozenset({6}), "flags")
+        if length < 8:
+            raise ValueError("flags are cut off")
+        flags = self.number(start)
+        kind, parts = flags & 0xFF, 2 if (flags >> 8) & COMPLEX else 1
+        if kind != OPAQUE:  # which is passed over by its length: no array
+            start, length = self.element(end, frozenset({5, 6}), "dimensions")
+            shape = [self.number(start + 4 * k) for k in range(min(length // 4, 32))]
+            if not shape or min(shape) < 0:
+                raise ValueError(f"an array of shape {tuple(shape)}")
+            self.element(end, LETTERS, "names")
+            if kind in NUMERIC or kind == SPARSE:
+                for _ in range(parts + 2 * (kind == SPARSE)):
+                    self.element(end, NUMBERS, "numbers")
+            elif kind == CHAR:
+                self.element(end, TEXT, "characters")
+            elif kind in (CELL, STRUCT, OBJECT, FUNCTION):
+                fields = self._fields(end, kind) if kind in (STRUCT, OBJECT) else 1
+                self._check_arrays(end, fields * (1 if kind == FUNCTION else prod(shape)), depth + 1)
+            else:
+                raise ValueError(f"an array of class {kind}")
+        self.place = max(self.place, end)
+
+    def _check_arrays(self, end: int, count: int, depth: int) -> None:
+        """Pass over the arrays in a cell, a struct, an object or a function."""
+        if depth > DEEPEST:
+            raise ValueError(f"nested deeper than {DEEPEST} levels")
+        for _ in range(count):
+            kind, length, in_tag = self.tag(end)
+            if kind != MATRIX or in_tag:
+                raise ValueError(f"a cell or a field has the type {kind}")
+            if self.place + length > end:
+                raise ValueError("an array is longer than the one that it is in")
+            if length:
+                self.check_array(self.place + length, depth)
+
+    def _fields(self, end: int, kind: int) -> int:
+        """Number of the fields of a struct or an object."""
+        if kind == OBJECT:
+            self.element(end, LETTERS, "names of a class")
+        start, length = self.element(end, frozenset({5}), "lengths of names")
+        if length < 4 or (each := self.number(start)) <= 0:
+            raise ValueError("names of fields without a length")
+        kind, length, in_tag = self.tag(end)
+        if kind not in LETTERS:
+            raise ValueError(f"names of fields have the type {kind}")
+        if not in_tag:
+            if self.place + length > end:
+                raise ValueError("names of fields are cut off")
+            self.place += -(-length // 8) * 8
+        return length // each
 
 
 def _tree(value: Any) -> Any:

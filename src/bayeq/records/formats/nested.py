@@ -15,10 +15,9 @@ import numpy as np
 
 from bayeq.errors import FileFormatError, UnknownNameError
 from bayeq.records.assemble import RATE_NAMES, STEP_NAMES
-from bayeq.records.columns import Columns, Headers
+from bayeq.records.columns import Columns, Headers, Names, Request
 from bayeq.records.formats.limits import plain
 from bayeq.records.names import is_time_name
-from bayeq.records.request import Request
 from bayeq.records.validate import SECONDS
 
 __all__ = ["Channel", "channels_of", "read_pieces", "step_of"]
@@ -36,36 +35,16 @@ EVERY = slice(None)
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """An array of a file.
+    """An array of a file."""
 
-    Parameters
-    ----------
-    path : str
-        Where it is.
-    size : int
-        Number of samples.
-    values : callable
-        Returns the samples of a slice of the rows.
-    label : str, optional
-        What it is called if not by its path; cleaned to a channel's name.
-    unit : str, optional
-        Its unit.
-    step : float, optional
-        Time step [s] that the file states.
-    start : float
-        Time of the first sample [s].
-    main : bool
-        Whether it is read where no channel is named.
-    """
-
-    path: str
-    size: int
-    values: Callable[[slice], Any]
-    label: str | None = None
+    path: str  # where it is
+    size: int  # number of samples
+    values: Callable[[slice], Any]  # the samples of a slice of the rows
+    label: str | None = None  # what it is called if not by its path; cleaned to a channel's name
     unit: str | None = None
-    step: float | None = None
-    start: float = 0.0
-    main: bool = True
+    step: float | None = None  # time step [s] that the file states
+    start: float = 0.0  # time of the first sample [s]
+    main: bool = True  # whether it is read where no channel is named
 
     @property
     def is_time(self) -> bool:
@@ -178,7 +157,7 @@ def read_pieces(
     channels: Sequence[Channel],
     where: str,
     request: Request,
-    names: Sequence[str] | str | None = None,
+    names: Names = None,
     rows: slice = EVERY,
 ) -> list[tuple[Request, Columns]]:
     """The columns of each record that is asked for, with the request for that one alone.
@@ -209,9 +188,7 @@ def read_pieces(
     return [(one, _columns(list(channels), where, one, names, rows)) for one in requests]
 
 
-def _columns(
-    channels: list[Channel], where: str, request: Request, names: Sequence[str] | str | None, part: slice
-) -> Columns:
+def _columns(channels: list[Channel], where: str, request: Request, names: Names, part: slice) -> Columns:
     labels = [channel.label or channel.path.replace("[", "_").replace("]", "") for channel in channels]
     headers = Headers.parse(labels, where)
     units = [channel.unit or unit for channel, unit in zip(channels, headers.units, strict=True)]
@@ -219,7 +196,7 @@ def _columns(
     if names is not None:
         rows = _main(channels, headers, Request(fs=request.fs))
         channels = [channels[i] for i in rows]
-        headers = _part_of(headers, rows).renamed(names)
+        headers = headers.at(rows).renamed(names)
     rows = _main(channels, headers, request) if request.names is None else _asked(channels, headers, request)
     chosen = [channels[i] for i in rows]
     _require_one_length(chosen, where)
@@ -243,11 +220,6 @@ def _find(headers: Headers, key: str) -> int:
         return headers.find(key)
     except UnknownNameError:
         raise UnknownNameError("column", key, headers.texts, headers.where) from None
-
-
-def _part_of(headers: Headers, rows: Sequence[int]) -> Headers:
-    parts = [[column[i] for i in rows] for column in (headers.texts, headers.names)]
-    return Headers(parts[0], parts[1], [headers.units[i] for i in rows], headers.where)
 
 
 def _asked(channels: Sequence[Channel], headers: Headers, request: Request) -> list[int]:

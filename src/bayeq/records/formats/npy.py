@@ -3,37 +3,25 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
 from bayeq.errors import FileFormatError
-from bayeq.records.columns import Columns, Headers, Select
+from bayeq.records.columns import Columns, Headers, Names, Request, Select
 from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, reading
+from bayeq.records.formats.protocol import FileRows, grid
 
-__all__ = ["columns_of", "read_array", "read_columns"]
+__all__ = ["NpyRows", "columns_of", "read_array", "read_columns"]
 
 AnyArray = np.ndarray[Any, np.dtype[Any]]
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
-def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
-    """Read an array; the shorter side of a matrix counts its channels, c1, c2 and so on.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    names : list of str, optional
-        Names of the channels.
-    chosen : callable, optional
-        Which columns to read.
-
-    Returns
-    -------
-    Columns
-    """
+def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None) -> Columns:
+    """Read an array; the shorter side of a matrix counts its channels, c1, c2 and so on."""
     where = str(path)
     with reading(where, ".npy file"), path.open("rb") as file:
         array = read_array(file, path.stat().st_size, where, "the array")
@@ -43,13 +31,7 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
 
 
 def columns_of(array: AnyArray, where: str) -> tuple[list[str], list[AnyArray]]:
-    """Headers and columns of an array.
-
-    Raises
-    ------
-    FileFormatError
-        Other than one or two dimensions, or no rows.
-    """
+    """Headers and columns of an array; FileFormatError for other than one or two dimensions, and without rows."""
     if array.dtype.names:
         texts, columns = list(array.dtype.names), [np.ravel(array[name]) for name in array.dtype.names]
     else:
@@ -64,21 +46,12 @@ def columns_of(array: AnyArray, where: str) -> tuple[list[str], list[AnyArray]]:
 
 
 def read_array(file: IO[bytes], size: int, where: str, what: str) -> AnyArray:
-    """Read an array in NumPy's format; objects, which would have to be unpickled, are refused.
-
-    Parameters
-    ----------
-    file : file
-        Open at the array's first byte.
-    size : int
-        Bytes there are; an array that claims more is refused before anything is allocated.
-    where, what : str
-        The file and the array, for messages.
+    """Read an array in NumPy's format from its first byte, of `size` bytes; `where` and `what` are for messages.
 
     Raises
     ------
     FileFormatError
-        An array of objects, or one that claims more than the file holds.
+        An array of objects, which would have to be unpickled, or one that claims more than the file holds.
     """
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:
@@ -92,3 +65,27 @@ def read_array(file: IO[bytes], size: int, where: str, what: str) -> AnyArray:
     check_claim(where, what, count * max(dtype.itemsize, 8 * len(dtype.names or "1")), size)
     raw = file.read(count * dtype.itemsize)
     return np.frombuffer(raw, dtype, count).reshape(shape, order="F" if fortran else "C")
+
+
+class NpyRows(FileRows):
+    """Rows of an array on disk, mapped into memory."""
+
+    def _columns(self) -> tuple[list[str], list[AnyArray]]:
+        """Headers and columns, of which nothing is read yet."""
+        with reading(str(self.path), ".npy file"):
+            array = np.lib.format.open_memmap(self.path, mode="r")
+        return columns_of(array, str(self.path))
+
+    @cached_property
+    def bounds(self) -> tuple[int, ...]:
+        """Units of equal length."""
+        return grid(len(self._columns()[1][0]))
+
+    def read(self, start: int, stop: int, request: Request) -> Columns:
+        """Rows `start` to `stop`."""
+        texts, columns = self._columns()
+        if len(columns[0]) != self.bounds[-1]:
+            raise FileFormatError(f"{self.path}: has changed while it was read; start once more")
+        return Columns.build(
+            Headers.parse(texts, str(self.path)), lambda i: np.array(columns[i][start:stop]), request.rows
+        )

@@ -5,45 +5,28 @@ from __future__ import annotations
 import json
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from bayeq.errors import FileFormatError
-from bayeq.records.columns import Columns, Headers, Select
-from bayeq.records.formats.limits import check_claim, reading
-from bayeq.records.formats.npy import read_array
+from bayeq.records.columns import Columns, Headers, Names, Select
+from bayeq.records.formats.limits import check_claim, reading, stored_units
+from bayeq.records.formats.npy import AnyArray, read_array
 from bayeq.records.record import Record
 
 __all__ = ["read_columns", "write"]
 
-AnyArray = np.ndarray[Any, np.dtype[Any]]
 _UNITS = "__units__"
 
 
-def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
-    """Read the arrays of an archive; pickled objects are refused, single numbers are passed over.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    names : list of str, optional
-        Names instead of the archive's keys.
-    chosen : callable, optional
-        Which columns to read.
-
-    Returns
-    -------
-    Columns
-    """
+def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None) -> Columns:
+    """Read the arrays of an archive; pickled objects are refused, single numbers are passed over."""
     where = str(path)
     with reading(where, ".npz archive"):
         arrays, units = _load(path)
     if not arrays:
         raise FileFormatError(f"{where}: the archive holds no arrays")
-    headers = Headers.parse(arrays, where)
-    headers = headers.with_units([units.get(key) or unit for key, unit in zip(arrays, headers.units, strict=True)])
+    headers = Headers.parse(arrays, where, units)
     values = list(arrays.values())
     lengths = {len(v) for v in values}
     if len(lengths) > 1:
@@ -66,8 +49,7 @@ def _load(path: Path) -> tuple[dict[str, AnyArray], dict[str, str]]:
             with archive.open(member) as file:
                 array = read_array(file, member.file_size, where, f"array {key!r}")
             if key == _UNITS:
-                found = json.loads(str(array))
-                units = {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
+                units = stored_units(str(array))
             elif array.ndim > 0:
                 # A row or a column vector, as MATLAB's users save, is one channel.
                 arrays[key] = array.ravel() if array.ndim == 2 and 1 in array.shape else array
@@ -75,19 +57,10 @@ def _load(path: Path) -> tuple[dict[str, AnyArray], dict[str, str]]:
 
 
 def write(record: Record, path: Path) -> None:
-    """Write a record as an archive; the same record gives the same bytes.
-
-    Parameters
-    ----------
-    record : Record
-        What to write.
-    path : Path
-        The file, replaced if it is there.
-    """
+    """Write a record as an archive; the same record gives the same bytes."""
     columns = record.to_columns()
-    units = {n: u for n, u in zip(columns.names, columns.headers.units, strict=True) if u}
     members: dict[str, AnyArray] = dict(zip(columns.names, columns.values, strict=True))
-    if units:
+    if units := columns.headers.stated_units():
         members[_UNITS] = np.array(json.dumps(units))
     # numpy.savez stamps the time of day on every member, and has no room for a channel named "file".
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:

@@ -3,53 +3,34 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bayeq.errors import FileFormatError, MissingExtraError
-from bayeq.records.columns import Columns, Headers, Select
-from bayeq.records.formats.limits import check_array, reading
+from bayeq.errors import FileFormatError
+from bayeq.records.columns import Columns, Headers, Names, Request, Select
+from bayeq.records.formats.limits import check_array, needing, reading, stored_units
+from bayeq.records.formats.protocol import UNIT_ROWS, FileRows
 from bayeq.records.record import Record
 
-__all__ = ["headers_of", "library", "read_columns", "values_of", "write"]
+__all__ = ["ParquetRows", "headers_of", "read_columns", "values_of", "write"]
 
 _UNITS = b"bayeq.units"
 
 
 def library() -> tuple[Any, Any]:
-    """pyarrow and its reader of Parquet files.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
-    """
-    try:
+    """pyarrow and its reader of Parquet files; MissingExtraError if it is not installed."""
+    with needing("pyarrow", "parquet", "reading and writing Parquet files"):
         import pyarrow
         import pyarrow.parquet
-    except ImportError:
-        raise MissingExtraError("pyarrow", "parquet", "reading and writing Parquet files") from None
     return pyarrow, pyarrow.parquet
 
 
-def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
-    """Read the columns of a Parquet file; nulls become NaN, dates seconds since the first.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    names : list of str, optional
-        Names instead of the file's own.
-    chosen : callable, optional
-        Which columns to read.
-
-    Returns
-    -------
-    Columns
-    """
+def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None) -> Columns:
+    """Read the columns of a Parquet file; nulls become NaN, dates seconds since the first."""
     pa, pq = library()
     where = str(path)
     with reading(where, "Parquet file"), pq.ParquetFile(path) as file:
@@ -64,9 +45,7 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
 
 def headers_of(schema: Any, where: str) -> Headers:
     """Names and units of the columns of a schema."""
-    units = _units((schema.metadata or {}).get(_UNITS))
-    headers = Headers.parse(schema.names, where)
-    return headers.with_units([units.get(t) or u for t, u in zip(schema.names, headers.units, strict=True)])
+    return Headers.parse(schema.names, where, stored_units((schema.metadata or {}).get(_UNITS, b"{}")))
 
 
 def values_of(pa: Any, column: Any) -> Any:
@@ -79,25 +58,60 @@ def values_of(pa: Any, column: Any) -> Any:
     return column.to_numpy()
 
 
-def _units(metadata: bytes | None) -> dict[str, str]:
-    found = json.loads(metadata.decode()) if metadata else {}
-    return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
-
-
 def write(record: Record, path: Path) -> None:
-    """Write a record as a Parquet file.
-
-    Parameters
-    ----------
-    record : Record
-        What to write.
-    path : Path
-        The file, replaced if it is there.
-    """
+    """Write a record as a Parquet file."""
     pa, pq = library()
     columns = record.to_columns()
-    units = {n: u for n, u in zip(columns.names, columns.headers.units, strict=True) if u}
     table = pa.table(dict(zip(columns.names, columns.values, strict=True)))
-    if units:
+    if units := columns.headers.stated_units():
         table = table.replace_schema_metadata({_UNITS: json.dumps(units).encode()})
     pq.write_table(table, path)
+
+
+class ParquetRows(FileRows):
+    """Rows of a Parquet file: the units are its row groups, small ones together; its metadata alone are kept."""
+
+    @cached_property
+    def groups(self) -> tuple[int, ...]:
+        """First rows of the row groups, and the number of rows."""
+        _, pq = library()
+        with reading(str(self.path), "Parquet file"), pq.ParquetFile(self.path) as file:
+            about = file.metadata
+            out = [0]
+            for k in range(about.num_row_groups):
+                out.append(out[-1] + about.row_group(k).num_rows)
+        return tuple(out)
+
+    @cached_property
+    def bounds(self) -> tuple[int, ...]:
+        """Units of whole row groups, of `UNIT_ROWS` rows or more."""
+        out = [0]
+        for bound in self.groups[1:]:
+            if bound - out[-1] >= UNIT_ROWS:
+                out.append(bound)
+        if out[-1] != self.groups[-1]:
+            out.append(self.groups[-1])
+        return tuple(out)
+
+    def read(self, start: int, stop: int, request: Request) -> Columns:
+        """Rows `start` to `stop`."""
+        pa, pq = library()
+        where = str(self.path)
+        wanted = [
+            k
+            for k, (first, last) in enumerate(zip(self.groups[:-1], self.groups[1:], strict=True))
+            if first < stop and last > start
+        ]
+        with reading(where, "Parquet file"), pq.ParquetFile(self.path) as file:
+            if file.metadata.num_rows != self.groups[-1]:
+                raise FileFormatError(f"{where}: has changed while it was read; start once more")
+            headers = headers_of(file.schema_arrow, where)
+            columns = sorted({*request.rows(headers)})
+            names = [file.schema_arrow.names[i] for i in columns]
+            table = file.read_row_groups(wanted, columns=names, use_threads=False)
+            place = {i: k for k, i in enumerate(columns)}
+            data = Columns.build(headers, lambda i: values_of(pa, table.column(place[i])), lambda _: columns)
+            first = self.groups[wanted[0]]
+            if stop - start < table.num_rows:  # copies, so that the rest is let go
+                data = replace(data, values=[values[start - first : stop - first].copy() for values in data.values])
+            return data

@@ -9,37 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import FileFormatError, MissingExtraError
-from bayeq.records.formats.limits import check_array, reading
+from bayeq.errors import FileFormatError
+from bayeq.records.formats.limits import check_array, needing, reading
 from bayeq.records.formats.nested import Channel
 
 __all__ = ["channels"]
 
 
 def channels(path: Path) -> list[Channel]:
-    """List the channels of a file: path ``group.channel``, called by the channel's name where no other has it.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    list of Channel
-
-    Raises
-    ------
-    FileFormatError
-        A damaged file.
-    MissingExtraError
-        npTDMS is not installed.
-    """
-    try:
+    """List the channels of a file: path ``group.channel``, called by the channel's name where no other has it."""
+    with needing("npTDMS", "files", "reading TDMS files"):
         from nptdms import TdmsFile
         from nptdms.log import log_manager
-    except ImportError:
-        raise MissingExtraError("npTDMS", "files", "reading TDMS files") from None
     where, size = str(path), path.stat().st_size
     found: list[Channel] = []
     log_manager.set_level(logging.CRITICAL)  # what it finds is one line of ours

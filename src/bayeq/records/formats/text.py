@@ -1,7 +1,8 @@
 """Delimited text: CSV, TSV, semicolons, white space; by the standard library and NumPy only.
 
 NumPy's C reader takes clean files. Only what it refuses goes line by line: that path knows missing cells,
-quotes, trailing delimiters and decimal commas, and otherwise names the line and the column at fault.
+quotes, trailing delimiters and decimal commas, and otherwise names the line and the column at fault. Of long files one
+pass finds where units of rows begin, which pyarrow then parses.
 """
 
 from __future__ import annotations
@@ -9,60 +10,44 @@ from __future__ import annotations
 import csv
 import re
 from array import array
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import FileFormatError, WordsError
-from bayeq.records.columns import Columns, Headers, Select
-from bayeq.records.formats.cells import MISSING, is_blank, is_comment, split
+from bayeq.records.columns import Columns, Headers, Names, Request, Select
+from bayeq.records.formats.cells import MISSING, Stamp, is_blank, is_comment, parse_stamp, split
 from bayeq.records.formats.layout import Layout, comment_header, encodings, looks_like_text, sniff
-from bayeq.records.formats.stamps import Stamp, parse_stamp
+from bayeq.records.formats.limits import needing, reading
+from bayeq.records.formats.protocol import UNIT_ROWS, FileRows
 from bayeq.records.record import Record
 from bayeq.records.truth import FloatArray
 
-__all__ = ["looks_like_text", "read_columns", "write", "write_text"]
+__all__ = ["TextRows", "looks_like_text", "read_columns", "write"]
 
 _FORTRAN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))[dD]([+-]?\d+)")
 _ROWS_AT_ONCE = 20_000
 
+# Bytes that are looked through at a time for the ends of lines.
+CHUNK = 2**24
+NEWLINE, RETURN = 10, 13
+
+# Text that stands for a missing sample, in the cases that pyarrow would not know.
+ABSENT = sorted({text for word in MISSING for text in (word, word.upper(), word.capitalize())} | {"NaN"})
+
 
 def read_columns(
-    path: Path,
-    *,
-    names: list[str] | str | None = None,
-    chosen: Select | None = None,
-    where: str = "",
-    skip: int = 0,
+    path: Path, *, names: Names = None, chosen: Select | None = None, where: str = "", skip: int = 0
 ) -> Columns:
-    """Read the columns of a text file.
+    """Read the columns of a text file, which messages call `where`, below `skip` lines.
 
     Comment lines begin with ``#`` or ``%``; the one directly before the data names the columns if there is
     no other header and the number of its words fits. Empty cells, NA and nan become NaN.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    names : list of str, or str, optional
-        Names instead of the header; a string is split at commas and white space.
-    chosen : callable, optional
-        Which columns to read; the others need not be numbers.
-    where : str, optional
-        What messages call the file.
-    skip : int
-        Lines at the top that are passed over.
-
-    Returns
-    -------
-    Columns
-
-    Raises
-    ------
-    FileFormatError
-        With the line and the column of the first fault.
     """
     for encoding in encodings(path):
         try:
@@ -72,13 +57,17 @@ def read_columns(
     raise FileFormatError(f"{where or path}: not a text file")
 
 
-def _read(
-    path: Path, where: str, encoding: str, names: list[str] | str | None, chosen: Select | None, skip: int
-) -> Columns:
-    layout = sniff(path, encoding, where, skip)
+def _named(layout: Layout, where: str) -> tuple[Headers, Sequence[Sequence[str]]]:
+    """Names of the columns by the header, or else by the comment above the data, and the readings of that comment."""
     readings = comment_header(layout)
     texts = layout.header or (readings[0] if readings and len(readings[0]) == layout.width else None)
-    headers = Headers.parse(texts or [""] * layout.width, where)
+    return Headers.parse(texts or [""] * layout.width, where), readings
+
+
+def _read(path: Path, where: str, encoding: str, names: Names, chosen: Select | None, skip: int) -> Columns:
+    layout = sniff(path, encoding, where, skip)
+    headers, readings = _named(layout, where)
+    unnamed = not any(headers.texts)
     given = None if names is None else names.replace(",", " ").split() if isinstance(names, str) else names
     try:
         data = np.loadtxt(
@@ -89,7 +78,7 @@ def _read(
     except ValueError:
         # The names say which columns may be passed over, unless it takes the data to know the names.
         skipped: set[int] = set()
-        if chosen is not None and (given is not None or texts is not None or not readings):
+        if chosen is not None and (given is not None or not unnamed or not readings):
             named = headers if given is None else headers.renamed([*given, *[""] * (layout.width - len(given))])
             skipped = set(range(layout.width)) - set(chosen(named))
         lines = _Lines(path, layout, headers, skipped, where)
@@ -98,14 +87,14 @@ def _read(
             data = data[:, :-1]
             headers = Headers.parse(headers.texts[:-1], where)
     trials = bool(readings) and len(readings[0]) + 2 == data.shape[1]
-    if texts is None and trials and given is None and _is_trial_and_time(data):
+    if unnamed and trials and given is None and _is_trial_and_time(data):
         headers = Headers.parse(["trial", "t", *readings[0]], where)
     if layout.stamps:
         kept = range(len(headers))
         headers = headers.with_units(["s" if i in layout.stamps else headers.units[i] for i in kept])
     columns = np.ascontiguousarray(data.T)
     found = Columns.build(headers.renamed(given), columns.__getitem__, chosen)
-    return Columns(found.headers, found.values, found.doubts, step=layout.step)
+    return replace(found, step=layout.step)
 
 
 def _is_trial_and_time(data: NDArray[np.float64]) -> bool:
@@ -157,6 +146,9 @@ class _Lines:
         # Rows of empty cells at the end are what spreadsheets leave behind; within the data they are gaps.
         return data[:last] if last else data
 
+    def _name(self, column: int) -> str:
+        return self.headers.texts[column] or self.headers.names[column]
+
     def _seconds(self, cell: str, number: int, column: int) -> str:
         """A time stamp as seconds since the first of its column."""
         if cell.strip().strip("\"'").lower() in MISSING or column in self.skipped:
@@ -164,8 +156,8 @@ class _Lines:
         stamp = parse_stamp(cell)
         if stamp is None:
             raise FileFormatError(
-                f"{self.where}, line {number}, column {self.headers.texts[column] or self.headers.names[column]!r}:"
-                f" {cell.strip()[:40]!r} is not a time stamp, as those above are"
+                f"{self.where}, line {number}, column {self._name(column)!r}: {cell.strip()[:40]!r} is not a time"
+                " stamp, as those above are"
             )
         first = self.first.setdefault(column, stamp)
         return repr((stamp[0] - first[0]) + (stamp[1] - first[1]))
@@ -197,7 +189,7 @@ class _Lines:
 
     def _fault(self, cell: str, number: int, column: int) -> FileFormatError:
         shown = repr(cell if len(cell) <= 40 else cell[:37] + "...")
-        name = self.headers.texts[column] or self.headers.names[column]
+        name = self._name(column)
         hint = ""
         if re.fullmatch(r"[+-]?[\d.]*,[\d.,]+(?:[eE][+-]?\d+)?", cell):
             hint = "; write the decimal mark as a point, without marks for thousands"
@@ -214,19 +206,15 @@ class _Lines:
         return WordsError(message, name, [n for k, n in enumerate(names) if k not in {column, *self.skipped}])
 
 
-def write_text(record: Record, path: Path) -> None:
-    """Write a record as text: a header ``t,x,v``, and numbers that read back bit by bit.
+def write(record: Record, path: Path) -> None:
+    """Write a record as text: a header such as ``t,x [m],v``, and numbers that read back bit by bit.
 
-    Parameters
-    ----------
-    record : Record
-        What to write; a unit goes into the header as ``x [m]``.
-    path : Path
-        The file, replaced if it is there; tabs separate the cells of a ``.tsv``, commas those of others.
+    Tabs separate the cells of a ``.tsv``, commas those of others.
     """
     columns = record.to_columns()
     mark = "\t" if path.suffix.lower() == ".tsv" else ","
-    headers = [f"{n} [{u}]" if u else n for n, u in zip(columns.names, columns.headers.units, strict=True)]
+    units = columns.headers.stated_units()
+    headers = [f"{name} [{units[name]}]" if name in units else name for name in columns.names]
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, delimiter=mark, lineterminator="\n").writerow(headers)
         for start in range(0, record.n, _ROWS_AT_ONCE):
@@ -235,4 +223,129 @@ def write_text(record: Record, path: Path) -> None:
             file.writelines(mark.join(map(repr, row)) + "\n" for row in block.tolist())
 
 
-write = write_text
+# --- some rows at a time ---------------------------------------------------------------------------------------------
+
+
+class _Index(NamedTuple):
+    """Where units begin."""
+
+    bounds: tuple[int, ...]  # first rows, and the number of rows
+    places: tuple[int, ...]  # the byte at which each begins, and that at the end
+
+
+class TextRows(FileRows):
+    """Rows of a text file of plain numbers; times as dates are not read so."""
+
+    @cached_property
+    def layout(self) -> Layout:
+        """How the file is laid out."""
+        for encoding in encodings(self.path):
+            if encoding == "utf-16":
+                break
+            try:
+                layout = sniff(self.path, encoding)
+            except UnicodeError:
+                continue
+            if layout.stamps:
+                raise FileFormatError(
+                    f"{self.path}: has dates or times of day, which are not read from long text files; write the time"
+                    " in seconds, or a Parquet file"
+                )
+            return layout
+        raise FileFormatError(f"{self.path}: not a text file of single-byte characters; write UTF-8, or a Parquet file")
+
+    @cached_property
+    def headers(self) -> Headers:
+        """Names of the columns."""
+        return _named(self.layout, str(self.path))[0]
+
+    @cached_property
+    def index(self) -> _Index:
+        """Where units of rows begin; lines that are empty count for nothing."""
+        bounds, places, row = [0], [], 0
+        with self.path.open("rb") as file:
+            for _ in range(self.layout.skip):
+                file.readline()
+            place = file.tell()
+            places.append(place)
+            begun = False  # whether the line has a character
+            while chunk := file.read(CHUNK):
+                bytes_ = np.frombuffer(chunk, dtype=np.uint8)
+                ends = np.flatnonzero(bytes_ == NEWLINE)
+                ink = _with_ink(bytes_, ends, begun)
+                rows = row + np.cumsum(ink[: len(ends)])
+                while len(ends) and rows[-1] >= bounds[-1] + UNIT_ROWS:
+                    bound = bounds[-1] + UNIT_ROWS
+                    bounds.append(bound)
+                    places.append(place + int(ends[np.searchsorted(rows, bound)]) + 1)
+                row = int(rows[-1]) if len(ends) else row
+                begun = bool(ink[-1])
+                place += len(chunk)
+            row += begun
+        if bounds[-1] != row or len(bounds) == 1:
+            bounds.append(row)
+            places.append(place)
+        else:
+            places[-1] = place
+        return _Index(tuple(bounds), tuple(places))
+
+    @property
+    def bounds(self) -> tuple[int, ...]:
+        """Units of equal length."""
+        return self.index.bounds
+
+    def read(self, start: int, stop: int, request: Request) -> Columns:
+        """Rows `start` to `stop`."""
+        bounds, places = self.index
+        first = int(np.searchsorted(bounds, start, side="right")) - 1
+        last = int(np.searchsorted(bounds, stop, side="left"))
+        with self.path.open("rb") as file:
+            file.seek(places[first])
+            text = file.read(places[last] - places[first])
+        columns = request.rows(self.headers)
+        values = self._parsed(text, columns, bounds[first], bounds[last])
+        taken = slice(start - bounds[first], stop - bounds[first])
+        found = Columns.build(self.headers, lambda i: values[i][taken], lambda _: columns)
+        return replace(found, step=self.layout.step)
+
+    def _parsed(self, text: bytes, columns: list[int], start: int, stop: int) -> dict[int, FloatArray]:
+        where = f"{self.path}, rows {start + 1:,} to {stop:,}"
+        with reading(where, "table of numbers"):
+            if self.layout.delimiter is None:
+                data = np.loadtxt(text.decode().splitlines(), ndmin=2, usecols=columns)
+                values = dict(zip(columns, data.T, strict=True))
+            else:
+                values = self._by_arrow(text, columns)
+        if len(next(iter(values.values()))) != stop - start:
+            raise FileFormatError(f"{where}: the file has changed while it was read, or a cell has a line end in it")
+        return values
+
+    def _by_arrow(self, text: bytes, columns: list[int]) -> dict[int, FloatArray]:
+        with needing("pyarrow", "parquet", "reading text files of this size"):
+            import pyarrow as pa
+            import pyarrow.csv as pc
+        names = [f"c{i}" for i in range(self.layout.width)]
+        table = pc.read_csv(
+            pa.BufferReader(text),
+            read_options=pc.ReadOptions(column_names=names, use_threads=False, block_size=max(len(text), 1)),
+            parse_options=pc.ParseOptions(delimiter=self.layout.delimiter),
+            convert_options=pc.ConvertOptions(
+                column_types={names[i]: pa.float64() for i in columns},
+                include_columns=[names[i] for i in columns],
+                null_values=ABSENT,
+                decimal_point="," if self.layout.comma else ".",
+            ),
+        )
+        return {i: table.column(names[i]).to_numpy() for i in columns}
+
+
+def _with_ink(chunk: NDArray[np.uint8], ends: NDArray[np.intp], begun: bool) -> NDArray[np.bool_]:
+    """Whether each line of a chunk, and what follows the last, has a character that is no blank."""
+    starts = np.concatenate([[0], ends + 1])
+    stops = np.concatenate([ends, [len(chunk)]])
+    long = stops - starts
+    out = long > 1  # of one character it may be the return before the line's end
+    for k in np.flatnonzero(long == 1):
+        out[k] = chunk[starts[k]] != RETURN
+    out[0] |= begun
+    return np.asarray(out)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import FileFormatError, MissingExtraError
-from bayeq.records.formats.limits import reading
+from bayeq.errors import FileFormatError
+from bayeq.records.formats.limits import needing, reading
 from bayeq.records.formats.nested import Channel
 from bayeq.records.validate import SECONDS
 
@@ -29,28 +29,9 @@ def is_uff(path: Path, head: bytes) -> bool:
 
 
 def channels(path: Path) -> list[Channel]:
-    """List the time histories of a file: path ``[0]``, ``[1]`` ..., called by kind, node and axis, as ``acc_5_z``.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    list of Channel
-
-    Raises
-    ------
-    FileFormatError
-        A damaged file, or one without time histories.
-    MissingExtraError
-        pyuff is not installed.
-    """
-    try:
+    """List the time histories of a file: path ``[0]``, ``[1]`` ..., called by kind, node and axis, as ``acc_5_z``."""
+    with needing("pyuff", "files", "reading universal files"):
         import pyuff
-    except ImportError:
-        raise MissingExtraError("pyuff", "files", "reading universal files") from None
     where = str(path)
     with reading(where, "universal file"):
         file = pyuff.UFF(str(path))

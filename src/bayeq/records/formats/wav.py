@@ -3,36 +3,28 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
 from bayeq.errors import FileFormatError
-from bayeq.records.columns import Columns, Headers, Select
+from bayeq.records.columns import Columns, Headers, Names, Select
 from bayeq.records.formats.limits import reading
 
-__all__ = ["read_columns"]
+__all__ = ["is_wav", "read_columns"]
 
 PCM, FLOAT, EXTENSIBLE = 1, 3, 0xFFFE
 
 
-def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Select | None = None) -> Columns:
-    """Read the channels c1, c2 and so on; whole numbers are divided by full scale, so that they are within -1 and 1.
+def is_wav(path: Path, head: bytes) -> bool:
+    """Whether a file begins as these do."""
+    return head[:4] == b"RIFF" and head[8:12] == b"WAVE"
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    names : list of str, optional
-        Names of the channels.
-    chosen : callable, optional
-        Which channels to read.
 
-    Returns
-    -------
-    Columns
-    """
+def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None) -> Columns:
+    """Read the channels c1, c2 and so on; whole numbers are divided by full scale, so that they are within -1 and 1."""
     where = str(path)
     with reading(where, "WAV file"), path.open("rb") as file:
         kind, count, rate, bits, raw = _chunks(file, where)
@@ -44,7 +36,7 @@ def read_columns(path: Path, *, names: list[str] | str | None = None, chosen: Se
     samples = _samples(raw[: len(raw) - len(raw) % width], kind, bits, where).reshape(-1, count)
     headers = Headers.parse([""] * count, where).renamed(names)
     data = Columns.build(headers, lambda i: samples[:, i], chosen)
-    return Columns(data.headers, data.values, data.doubts, step=1.0 / rate)
+    return replace(data, step=1.0 / rate)
 
 
 def _chunks(file: IO[bytes], where: str) -> tuple[int, int, int, int, bytes]:
@@ -63,19 +55,17 @@ def _chunks(file: IO[bytes], where: str) -> tuple[int, int, int, int, bytes]:
         elif name == b"data":
             if form is None:
                 raise FileFormatError(f"{where}: samples before their format; the file is damaged")
-            return (*form, file.read() if size in (0, 0xFFFFFFFF) else _read_all(file, size, where))
+            raw = file.read()
+            if size in (0, 0xFFFFFFFF):  # of a recorder that did not know how many would follow
+                return (*form, raw)
+            if len(raw) < size:
+                raise FileFormatError(
+                    f"{where}: {len(raw)} bytes of samples where {size} are expected; the file is cut off"
+                )
+            return (*form, raw[:size])
         else:
             file.seek(size + size % 2, 1)
     raise FileFormatError(f"{where}: no samples; the file is cut off")
-
-
-def _read_all(file: IO[bytes], size: int, where: str) -> bytes:
-    place = file.tell()
-    left = file.seek(0, 2) - place
-    if left < size:
-        raise FileFormatError(f"{where}: {left} bytes of samples where {size} are expected; the file is cut off")
-    file.seek(place)
-    return file.read(size)
 
 
 def _samples(raw: bytes, kind: int, bits: int, where: str) -> np.ndarray[Any, np.dtype[np.float64]]:

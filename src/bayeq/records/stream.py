@@ -1,0 +1,211 @@
+"""Records that are read some rows at a time, because they are larger than memory or spread over files."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Protocol
+
+from bayeq.errors import FileFormatError, InputError, RecordError
+from bayeq.records.assemble import assemble
+from bayeq.records.columns import STAR, Columns, Request
+from bayeq.records.files import FileState, require_unchanged, state_of
+from bayeq.records.formats import FORMATS, format_of
+from bayeq.records.formats.protocol import FileRows, grid
+from bayeq.records.record import Record, with_only
+
+__all__ = [
+    "LARGE", "FileStream", "RecordStream", "Stream", "in_order", "open_streams", "streamed_unasked", "units_between",
+]  # fmt: skip
+
+#: Files of more bytes together are streamed unasked.
+LARGE = 256 * 2**20
+
+
+class Stream(Protocol):
+    """A record that is read some rows at a time."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def bounds(self) -> Sequence[int]:
+        """As of `FileRows`."""
+        ...
+
+    def of(self, channels: Sequence[str]) -> Stream:
+        """The stream of these channels, and of time."""
+        ...
+
+    def read(self, start: int, stop: int) -> Record:
+        """Rows `start` to `stop` as a record."""
+        ...
+
+
+def units_between(bounds: Sequence[int], start: int, stop: int) -> list[tuple[int, int]]:
+    """The units of rows `start` to `stop`, the first and the last cut short.
+
+    Examples
+    --------
+    >>> units_between((0, 4, 8, 10), 2, 9)
+    [(2, 4), (4, 8), (8, 9)]
+    """
+    return list(pairwise([start, *(b for b in bounds if start < b < stop), stop])) if start < stop else []
+
+
+@dataclass(frozen=True)
+class RecordStream:
+    """A record in memory as a stream."""
+
+    record: Record
+
+    @property
+    def name(self) -> str:
+        return self.record.name
+
+    @property
+    def bounds(self) -> Sequence[int]:
+        return grid(self.record.n)
+
+    def of(self, channels: Sequence[str]) -> RecordStream:
+        """The stream of these channels, and of time; without what is known of a simulated record."""
+        return RecordStream(with_only(self.record, channels))
+
+    def read(self, start: int, stop: int) -> Record:
+        """Rows `start` to `stop`."""
+        return self.record.take(slice(start, stop))
+
+
+@dataclass(frozen=True)
+class FileStream:
+    """The record of a file."""
+
+    rows: FileRows
+    request: Request = field(default_factory=Request)  # the columns that are read: all, where none is named
+    name: str = ""  # of the record
+    units: Mapping[str, str] = field(default_factory=dict)  # of columns, instead of those in the file
+    path: Path | None = None  # of the file, which has to stay in this state
+    state: FileState | None = None
+
+    @property
+    def bounds(self) -> Sequence[int]:
+        return self.rows.bounds
+
+    def of(self, channels: Sequence[str]) -> FileStream:
+        """The stream of these channels, and of time."""
+        paths = self.request.channels
+        kept = {name: paths[name] for name in channels if name in paths}
+        others = tuple(name for name in channels if name not in paths)
+        return replace(self, request=replace(self.request, columns=others, channels=kept))
+
+    def read(self, start: int, stop: int) -> Record:
+        """Rows `start` to `stop` as a record.
+
+        Raises
+        ------
+        FileFormatError, RecordError, UnknownNameError
+            As `bayeq.read`; the message says between which rows.
+        """
+        request = self.request
+        data = request.renamed(self._columns(start, stop))
+        if data.step is not None:
+            data = replace(data, start=data.start + start * data.step)
+        known = {*data.names, *data.headers.texts}
+        units = {name: unit for name, unit in self.units.items() if name in known}
+        try:
+            (trial,) = assemble(
+                data, time=request.time, fs=request.fs, units=units, columns=request.kept(data), name=self.name
+            )
+        except RecordError as error:
+            raise RecordError(f"{error} (of rows {start + 1:,} to {stop:,})") from None
+        time = trial.time
+        if request.fs is not None and time is not None and start:
+            time = time + start / request.fs
+        return Record(trial.channels, time, trial.units, trial.name)
+
+    def _columns(self, start: int, stop: int) -> Columns:
+        """The columns of some rows, of the file as it was opened, read-only: records then need no copy."""
+        try:
+            columns = self.rows.read(start, stop, self.request)
+        finally:
+            if self.path is not None:
+                require_unchanged(self.path, self.state)
+        for values in columns.values:
+            values.setflags(write=False)
+        return columns
+
+
+def files_of(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
+    """Files, and those of each folder in the order of the numbers in their names; FileFormatError if it has none."""
+    known = tuple(suffix for row in FORMATS if row.rows is not None for suffix in row.suffixes)
+    out: list[Path] = []
+    for one in map(Path, paths):
+        if not one.is_dir():
+            out.append(one)
+            continue
+        found = [path for path in one.iterdir() if path.is_file() and path.suffix.lower() in known]
+        if not found:
+            raise FileFormatError(f"{one}: the folder has no file that can be streamed ({', '.join(known)})")
+        out.extend(sorted(found, key=in_order))
+    return out
+
+
+def in_order(path: Path) -> list[tuple[int, int | str]]:
+    """Numbers in a name as numbers: part-2 before part-10."""
+    return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"(\d+)", path.name) if part]
+
+
+def streamed_unasked(paths: Sequence[str | os.PathLike[str]]) -> bool:
+    """Whether paths are streamed without being asked to: folders, and files of more than 256 MB together."""
+    files = [Path(path) for path in paths]
+    try:
+        return any(path.is_dir() for path in files) or sum(p.stat().st_size for p in files if p.is_file()) > LARGE
+    except OSError:  # a name that is too long, say: `bayeq.read` says what is wrong with it
+        return False
+
+
+def open_streams(
+    paths: Sequence[str | os.PathLike[str]],
+    *,
+    time: str | None = None,
+    fs: float | None = None,
+    units: Mapping[str, str] | None = None,
+    channels: Mapping[str, str] | None = None,
+) -> list[FileStream]:
+    """Files, and those of folders, as records that are read some rows at a time.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        Parquet, HDF5, NPY and delimited text; of a folder all of its files.
+    time, fs, units, channels
+        As for `bayeq.read`.
+
+    Raises
+    ------
+    FileFormatError
+        A file that is missing, or of a format of which rows cannot be read by themselves.
+    """
+    if any(STAR in path for path in (channels or {}).values()):
+        raise InputError(f"a path with {STAR} is several records; name one of them, files are streamed one by one")
+    request = Request(None, dict(channels or {}), time, None, fs)
+    streams = []
+    for path in files_of(paths):
+        try:
+            state = state_of(path)
+            row = format_of(path)
+            if row.rows is None:
+                raise FileFormatError(
+                    f"{path}: {row.title} is not read some rows at a time; write it as Parquet, HDF5, NPY or text"
+                )
+            stream = FileStream(row.rows(path, request), request, path.name, dict(units or {}), path, state)
+            if not stream.bounds[-1]:
+                raise FileFormatError(f"{path}: no rows")
+        except OSError as error:
+            raise FileFormatError(f"{path}: cannot be read ({error.strerror or type(error).__name__})") from None
+        streams.append(stream)
+    return streams
