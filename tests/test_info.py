@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import FileFormatError, InputError, RecordError
+from bayeq.inspection.channels import bars, spectrum
 from bayeq.inspection.roles import INPUT, clue_of
-from bayeq.inspection.spectrum import bars, spectrum
 from tests.data import measured, pendulum_record
 
 FS = 200.0

@@ -35,7 +35,7 @@ def info(files: tuple[Path, ...], as_json: bool, **reading: Any) -> None:
     from importlib.metadata import version
 
     from bayeq.inspection.info import info as describe
-    from bayeq.inspection.together import proposal_for_all
+    from bayeq.inspection.info import proposal_for_all
 
     announce_compiling(lambda: say(COMPILING))
     found: list[RecordInfo] = []
@@ -56,7 +56,7 @@ def info(files: tuple[Path, ...], as_json: bool, **reading: Any) -> None:
 
 def _text(found: RecordInfo) -> str:
     """The summary in characters that standard output can write."""
-    from bayeq.inspection.text import as_text
+    from bayeq.inspection.contents import as_text
 
     text = as_text(found)
     try:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.inspection.spectrum import Spectrum, spectrum
 from bayeq.records import Record
 from bayeq.records.findings import equal_runs
+from bayeq.records.truth import FloatArray
 
-__all__ = ["ChannelInfo", "describe_channels"]
-
-Floats = NDArray[np.float64]
+__all__ = ["ChannelInfo", "Spectrum", "bars", "describe_channels", "spectrum"]
 
 # Rows by which a channel's levels and repeated samples are judged: enough to see how it was sampled.
 JUDGED = 20_000
@@ -29,38 +27,46 @@ HELD = 1.9
 # Steps of time that differ from the usual one by a larger factor end a piece.
 GAP = 2.5
 
+# Share of the power that the bandwidth holds.
+SHARE = 0.99
+
+# A record of up to SHORT rows is one segment, longer ones are segments of a quarter, up to LONGEST rows, half over each
+# other. Of more than MOST_SEGMENTS some are taken, evenly over the record: the rest would hardly change the picture.
+SHORT, LONGEST, MOST_SEGMENTS = 8192, 65536, 16
+
+# Octaves that are shown, from half the sampling rate down; the lowest one takes what is below.
+MOST_OCTAVES = 12
+LEAST_ROWS = 16
+
+# Height of the bars: a full one is the strongest octave, an empty one is this much below [dB].
+RANGE_DB = 42.0
+BLOCKS, DIGITS = "▁▂▃▄▅▆▇█", "12345678"
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """Power spectrum of a channel without its mean."""
+
+    octaves: tuple[float, ...]  # upper edges of the bands [Hz], rising, each twice the one before, to half the rate
+    shares: tuple[float, ...]  # share of the power in each band
+    peak: float  # frequency that holds most power [Hz]
+    bandwidth: float  # 99 % of the power is below [Hz]
+
 
 @dataclass(frozen=True, slots=True)
 class ChannelInfo:
-    """What the samples of one channel are like.
-
-    Attributes
-    ----------
-    name : str
-    unit : str
-        Empty where it is not known.
-    missing : int
-        Samples that are NaN or infinite.
-    least, greatest, mean, sd : float
-        Of the others; NaN where there are none.
-    resolution : float or None
-        Distance of levels, of a channel that has few.
-    held : float or None
-        Rows for which a sample stays on average, of a channel that is sampled slower than the record.
-    spectrum : Spectrum or None
-        None without time, or of a channel that does not move.
-    """
+    """What the samples of one channel are like."""
 
     name: str
-    unit: str
-    missing: int
-    least: float
+    unit: str  # empty where it is not known
+    missing: int  # samples that are NaN or infinite
+    least: float  # this and the next three of the other samples; NaN where there are none
     greatest: float
     mean: float
     sd: float
-    resolution: float | None
-    held: float | None
-    spectrum: Spectrum | None
+    resolution: float | None  # distance of levels, of a channel that has few
+    held: float | None  # rows for which a sample stays on average, of a channel that is sampled slower than the record
+    spectrum: Spectrum | None  # None without time, or of a channel that does not move
 
     @property
     def constant(self) -> bool:
@@ -77,7 +83,7 @@ def describe_channels(records: Sequence[Record]) -> dict[str, ChannelInfo]:
 class _Clock(NamedTuple):
     """Time of a record, its step, and whether that is even."""
 
-    time: Floats | None
+    time: FloatArray | None
     step: float | None
     even: bool
 
@@ -110,7 +116,7 @@ def _described(records: Sequence[Record], clocks: Sequence[_Clock], name: str) -
     )
 
 
-def _sampling(values: Floats) -> tuple[float | None, float | None]:
+def _sampling(values: FloatArray) -> tuple[float | None, float | None]:
     """Distance of levels if it is coarse, and how many rows a sample is held if more than one."""
     levels = np.unique(values)
     if len(levels) < 2:
@@ -124,7 +130,7 @@ def _sampling(values: Floats) -> tuple[float | None, float | None]:
     return (distance if coarse else None), held
 
 
-def _even_pieces(values: Floats, clock: _Clock) -> list[Floats]:
+def _even_pieces(values: FloatArray, clock: _Clock) -> list[FloatArray]:
     """Samples of a channel at even steps of time, interpolated where time is uneven or samples are missing.
 
     The record is divided at gaps of more than 2.5 steps, which nothing is interpolated over.
@@ -143,3 +149,55 @@ def _even_pieces(values: Floats, clock: _Clock) -> list[Floats]:
         count = int((t[-1] - t[0]) / step) + 1
         out.append(np.interp(t[0] + step * np.arange(count), t, piece))
     return out
+
+
+# --- spectra ---------------------------------------------------------------------------------------------------------
+
+
+def spectrum(pieces: Sequence[FloatArray], step: float) -> Spectrum | None:
+    """Spectrum of stretches of one channel at even steps of time [s], without NaN; None of short or constant ones."""
+    longest = max((len(piece) for piece in pieces), default=0)
+    length = longest if longest <= SHORT else min(LONGEST, longest // 4)
+    if length < LEAST_ROWS:
+        return None
+    places = [(k, a) for k, piece in enumerate(pieces) for a in range(0, len(piece) - length + 1, max(1, length // 2))]
+    if len(places) > MOST_SEGMENTS:
+        places = [places[i] for i in np.linspace(0, len(places) - 1, MOST_SEGMENTS).astype(int)]
+    size = max(float(np.abs(piece).max()) for piece in pieces)
+    if not (size > 0.0 and math.isfinite(size)):
+        return None
+    power, window = np.zeros(length // 2 + 1), np.hanning(length)
+    for k, a in places:
+        samples = pieces[k][a : a + length] / size
+        power += np.abs(np.fft.rfft(window * (samples - samples.mean()))) ** 2
+    power[0] = 0.0
+    total = float(power.sum())
+    if not total > 1e-20 * length:  # rounding of a constant
+        return None
+    frequency = np.arange(len(power)) / (length * step)
+    within = np.cumsum(power) / total
+    count = min(MOST_OCTAVES, int(math.log2(length)) - 1)
+    edges = [0.5 / step * 2.0 ** (k + 1 - count) for k in range(count)]
+    below = [float(within[np.searchsorted(frequency, edge * (1.0 + 1e-9), side="right") - 1]) for edge in edges]
+    shares = np.diff([0.0, *below[:-1], 1.0])
+    return Spectrum(
+        octaves=tuple(edges),
+        shares=tuple(np.maximum(shares, 0.0).tolist()),
+        peak=float(frequency[int(np.argmax(power))]),
+        bandwidth=float(frequency[min(int(np.searchsorted(within, SHARE)), len(frequency) - 1)]),
+    )
+
+
+def bars(found: Spectrum, plain: bool = False) -> str:
+    """The octaves as bars, the lowest first; digits 1 to 8 where blocks cannot be written.
+
+    Examples
+    --------
+    >>> wave = np.sin(2 * np.pi * 5 * np.arange(1000) / 100)
+    >>> bars(spectrum([wave], 0.01)), bars(spectrum([wave], 0.01), plain=True)
+    ('▁▁▁▁█▁▁▁', '11118111')
+    """
+    marks = DIGITS if plain else BLOCKS
+    top = max(found.shares)
+    levels = [10.0 * math.log10(max(share / top, 1e-30)) for share in found.shares]
+    return "".join(marks[max(0, round((1.0 + level / RANGE_DB) * (len(marks) - 1)))] for level in levels)

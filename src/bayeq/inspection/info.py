@@ -2,117 +2,34 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayeq.errors import InputError, RecordError, WordsError
-from bayeq.inspection.channels import ChannelInfo, describe_channels
-from bayeq.inspection.contents import Contents
-from bayeq.inspection.dynamics import drivers, first_order
-from bayeq.inspection.links import Link, find_links, short_record
-from bayeq.inspection.proposal import Reading, propose
-from bayeq.inspection.remarks import remarks
+from bayeq.inspection.channels import describe_channels
+from bayeq.inspection.contents import RecordInfo
+from bayeq.inspection.links import Link, drivers, find_links, first_order, short_record
+from bayeq.inspection.proposal import Proposal, Reading, propose
 from bayeq.inspection.roles import INPUT, Guess, clue_of, guess_roles
 from bayeq.inspection.samples import find_bad
-from bayeq.inspection.text import as_html, as_text
 from bayeq.inspection.timing import Experiments, gaps_of, sort_rows
 from bayeq.records import Record, as_record, check_record, read
 from bayeq.records.names import is_time_name
+from bayeq.records.record import with_only
+from bayeq.states.bad_samples import ADVICE
 
-__all__ = ["RecordInfo", "info"]
+__all__ = ["RecordInfo", "info", "proposal_for_all"]
 
 # Of longer records channels are checked against each other on this many rows, the middle ones.
 CHECKED = 40_000
 
-
-class RecordInfo(Contents):
-    """What is in a record or a file; print it, or take `to_dict`. Attributes are those of `Contents`."""
-
-    def __str__(self) -> str:
-        return as_text(self)
-
-    def __repr__(self) -> str:
-        return f"<RecordInfo of {self.name or 'a record'}: {self.rows} rows, {len(self.channels)} channels>"
-
-    def _repr_html_(self) -> str:
-        return as_html(self)
-
-    def to_dict(self) -> dict[str, Any]:
-        """What ``bayeq info --json`` prints.
-
-        Returns
-        -------
-        dict
-            ``file``, ``rows``;
-            ``time``: ``column`` (None unless one was taken for time), ``step_column``, ``fs`` [Hz], ``uniform``,
-            ``duration`` [s], ``gaps`` (``row``, ``seconds``, ``long``);
-            ``experiments``: ``count``, ``rows`` of each, ``column``, ``time_starts_over``;
-            ``channels``: ``name``, ``unit``, ``role``, ``why``, ``missing``, ``min``, ``max``, ``mean``, ``sd``,
-            ``constant``, ``resolution``, ``held``, ``bad`` (``samples`` and ``first_row`` by kind) and ``spectrum``
-            (``octaves`` [Hz], ``shares``, ``peak`` and ``bandwidth`` [Hz]); ``copies``;
-            ``derivatives``: ``below``, ``above``, ``order``, ``gain``, ``delay`` [s], ``fit``, ``expected``;
-            ``roles``: ``chains``, ``inputs``, ``undecided``; ``findings``;
-            ``next``: ``command``, ``python``, ``complete``, ``notes``. What is not known is None.
-        """
-        return {
-            "file": self.name,
-            "rows": self.rows,
-            "time": {
-                "column": self.experiments.time,
-                "step_column": self.experiments.step,
-                "fs": self.fs,
-                "uniform": self.uniform,
-                "duration": self.duration,
-                "gaps": [asdict(gap) for gap in self.gaps],
-            },
-            "experiments": {
-                "count": len(self.experiments.records),
-                "rows": [record.n for record in self.experiments.records],
-                "column": self.experiments.column,
-                "time_starts_over": self.experiments.restarts,
-            },
-            "channels": [self._channel(channel) for channel in self.channels.values()],
-            "copies": dict(self.copies),
-            "derivatives": [asdict(link) for link in self.links],
-            "roles": {
-                "chains": [":".join(name or "" for name in chain) for chain in self.guess.chains],
-                "inputs": list(self.guess.inputs),
-                "undecided": list(self.guess.undecided),
-            },
-            "findings": list(self.findings),
-            "next": self.proposal.to_dict(),
-        }
-
-    def _channel(self, channel: ChannelInfo) -> dict[str, Any]:
-        def known(value: float) -> float | None:
-            return value if math.isfinite(value) else None
-
-        found = channel.spectrum
-        return {
-            "name": channel.name,
-            "unit": channel.unit or None,
-            "role": self.guess.role_of(channel.name) or None,
-            "why": self.guess.reasons.get(channel.name),
-            "missing": channel.missing,
-            "min": known(channel.least),
-            "max": known(channel.greatest),
-            "mean": known(channel.mean),
-            "sd": known(channel.sd),
-            "constant": channel.constant,
-            "resolution": channel.resolution,
-            "held": channel.held,
-            "bad": {
-                kind: {"samples": len(rows), "first_row": rows[0]}
-                for kind, rows in self.bad.get(channel.name, {}).items()
-            },
-            "spectrum": None if found is None else {**asdict(found), "octaves": list(found.octaves)},
-        }
+# Bad rows that are listed.
+LISTED = 3
 
 
 def info(
@@ -241,7 +158,7 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
         clues=clues,
         reading=reading,
     )
-    return replace(made, findings=tuple(remarks(made, _checks(records, guess))))
+    return replace(made, findings=tuple(_remarks(made, _checks(records, guess))))
 
 
 def _without_copies(experiments: Experiments) -> tuple[Experiments, dict[str, str]]:
@@ -258,11 +175,7 @@ def _without_copies(experiments: Experiments) -> tuple[Experiments, dict[str, st
             copies[name] = other
     if not copies:
         return experiments, copies
-    kept = tuple(
-        Record({k: v for k, v in r.channels.items() if k not in copies}, r.time,
-               {k: u for k, u in r.units.items() if k not in copies}, r.name)
-        for r in records
-    )  # fmt: skip
+    kept = tuple(with_only(record, [name for name in record.names if name not in copies]) for record in records)
     return replace(experiments, records=kept), copies
 
 
@@ -299,3 +212,97 @@ def _checks(records: Sequence[Record], guess: Guess) -> list[str]:
     chains = [chain for chain in guess.chains if len(chain) == 3]
     found = check_record(record, chains, guess.inputs) if chains else []
     return [finding.message for finding in found if finding.kind != "clipping"]
+
+
+def proposal_for_all(found: Sequence[RecordInfo]) -> Proposal | None:
+    """The command for all files; None for one, or where channels, roles or the way to read them differ."""
+    first = found[0]
+    alike = [(one.guess.chains, one.guess.inputs, replace(one.reading, files=())) for one in found]
+    if len(found) < 2 or any(one != alike[0] for one in alike):
+        return None
+    files = tuple(file for one in found for file in one.reading.files)
+    return propose(first.guess, first.clues, replace(first.reading, files=files), sum(one.rows for one in found))
+
+
+# --- what was noticed, a sentence each ------------------------------------------------------------------------------
+
+
+def _remarks(found: RecordInfo, checks: Sequence[str]) -> list[str]:
+    """Sentences about time, experiments, channels and samples, then what channels say of each other."""
+    return [*_on_time(found), *_on_experiments(found), *_on_channels(found), *_on_bad_samples(found), *checks]
+
+
+def _on_time(found: RecordInfo) -> list[str]:
+    out = []
+    column = found.experiments.time
+    if column is not None and not found.experiments.restarts:
+        out.append(
+            f"time: no column has its name; {column}, which rises from row to row, is taken, in seconds unless its"
+            " header has a unit"
+        )
+    if found.experiments.step is not None:
+        out.append(f"time: {found.experiments.step} is constant and named as the time step [s]: taken for it")
+    if found.experiments.counter is not None:
+        out.append(f"{found.experiments.counter} counts the rows: it is no channel and no time")
+    if found.fs is not None and not found.uniform:
+        out.append("steps of time are uneven: spectra are those of samples interpolated between them")
+    if found.gaps:
+        longest = max(found.gaps, key=lambda gap: gap.seconds)
+        count = len(found.gaps)
+        what = "1 gap" if count == 1 else f"{count} gaps, the longest"
+        out.append(
+            f"time: {what} of {longest.seconds:.4g} s after row {longest.row}; discover divides the record at gaps"
+            " that are too long to bridge"
+        )
+    return out
+
+
+def _on_experiments(found: RecordInfo) -> list[str]:
+    one = found.experiments
+    count = len(one.records)
+    if count == 1:
+        return [f"{one.column} numbers the experiments: there is one"] if one.column else []
+    least, most = min(record.n for record in one.records), max(record.n for record in one.records)
+    rows = f"{least} row{'s' * (least != 1)} each" if least == most else f"{least} to {most} rows each"
+    if one.column is not None:
+        return [f"{count} experiments, {rows}, numbered by {one.column}"]
+    first = 1 + one.records[0].n
+    return [
+        f"{count} experiments, {rows}: time starts over, first in row {first}, and no column numbers them; add one and"
+        " name it with --group, or write a file for each"
+    ]
+
+
+def _on_channels(found: RecordInfo) -> list[str]:
+    out = [f"{name} is the same as {other}: left out" for name, other in found.copies.items()]
+    for name, channel in found.channels.items():
+        if channel.missing == found.rows:
+            out.append(f"{name} has no samples")
+        elif channel.missing:
+            share = f"{100.0 * channel.missing / found.rows:.3g}"
+            samples = "1 sample is" if channel.missing == 1 else f"{channel.missing} samples are"
+            out.append(f"{name}: {samples} missing ({share} %)")
+        if channel.constant and channel.missing < found.rows:
+            out.append(f"{name} is constant, {channel.least:.6g}: it says nothing of the motion")
+        if channel.resolution is not None:
+            out.append(f"{name} has few levels, {channel.resolution:.3g} apart: coarse against its range")
+        if channel.held is not None:
+            out.append(f"{name} changes in every {channel.held:.2g} rows only: it is sampled slower than the file")
+    return out
+
+
+def _on_bad_samples(found: RecordInfo) -> list[str]:
+    out = []
+    for name, kinds in found.bad.items():
+        for kind, rows in kinds.items():
+            listed = ", ".join(map(str, rows[:LISTED])) + (", ..." if len(rows) > LISTED else "")
+            what = {"spikes": "spike" if len(rows) == 1 else "spikes", "stuck": "stuck samples"}
+            out.append(
+                f"{name}: {len(rows)} {what.get(kind, 'clipped samples')}, row{'s' * (len(rows) > 1)} {listed};"
+                f" discover leaves them out; {ADVICE[kind]}"
+            )
+    if 0 < found.looked_at < found.rows:
+        out.append(
+            f"spikes and stuck samples were looked for in the most suspect {found.looked_at} of {found.rows} rows"
+        )
+    return out

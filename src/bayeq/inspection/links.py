@@ -1,4 +1,9 @@
-"""Which channel is the derivative of another: gain and delay, from spectra of both (`bayeq.records.consistency`)."""
+"""Which channel is the derivative of another, which one a first-order state, which one drives a motion.
+
+Derivatives are found from spectra of both channels (`bayeq.records.consistency`), states of first order and inputs by
+least squares on integrals: the change of a channel over a window is the integral of its rate, so that an equation of
+motion, integrated over windows, needs no derivative of what is measured. What is fitted here decides a role, no result.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +13,14 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.inspection.channels import ChannelInfo
 from bayeq.records import Record
-from bayeq.records.consistency import Frames, Relation, relate, uniform_frames
+from bayeq.records.consistency import Frames, Relation, derivative_name, relate, uniform_frames
+from bayeq.records.truth import FloatArray
 from bayeq.records.units import derivative_ratio
 
-__all__ = ["Link", "find_links", "short_record"]
-
-Floats = NDArray[np.float64]
+__all__ = ["Link", "drivers", "find_links", "first_order", "short_record"]
 
 # Channels are compared on at most this many rows, the middle ones. A faster record is first averaged over blocks of
 # rows, as many as leave this many to a period of the fastest channel: a block mean is a filter, alike for all channels,
@@ -47,39 +50,35 @@ BROAD = 1.1
 # Noise may bring the frequency of a derivative this near to that of the motion, or below.
 NOT_SLOWER = 0.97
 
+# A channel is a state of first order if this share of its changes is explained by the channels themselves and their
+# products; of a coordinate of second order hardly any is, for its rate is a state of its own.
+EXPLAINED = 0.8
+MOST_STATES = 8
+LEAST_ROWS = 16
+
+# A channel drives a motion if it explains this share of what the states and their products leave.
+DRIVES = 0.5
+
+# Windows are this part of the period of the fastest channel.
+WINDOW = 1 / 8
+
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """One channel is the derivative of another.
+    """One channel is the derivative of another."""
 
-    Attributes
-    ----------
-    below, above : str
-        The motion and its derivative.
-    order : int
-        1 or 2.
-    gain : float
-        above = gain times the derivative by seconds of below; negative where the sign is reversed.
-    delay : float
-        Of `above` [s].
-    fit : float
-        Share of what the channels have in common that this explains.
-    expected : float or None
-        The gain that their units say.
-    """
-
-    below: str
-    above: str
-    order: int
-    gain: float
-    delay: float
-    fit: float
-    expected: float | None
+    below: str  # the motion
+    above: str  # its derivative
+    order: int  # 1 or 2
+    gain: float  # above = gain times the derivative by seconds of below; negative where the sign is reversed
+    delay: float  # of `above` [s]
+    fit: float  # share of what the channels have in common that this explains
+    expected: float | None  # the gain that their units say
 
     @property
     def stands_for(self) -> str:
         """The derivative as text."""
-        return f"d{self.below}/dt" if self.order == 1 else f"d{self.order}{self.below}/dt{self.order}"
+        return derivative_name(self.below, self.order)
 
 
 def short_record(records: Sequence[Record], channels: Mapping[str, ChannelInfo]) -> Record:
@@ -122,12 +121,7 @@ def _even(record: Record) -> Record:
 def find_links(record: Record, names: Sequence[str]) -> list[Link]:
     """Pairs of channels of which one is the first or second derivative of the other, the surest first.
 
-    Parameters
-    ----------
-    record : Record
-        A short one; without even steps of time nothing is found.
-    names : sequence of str
-        Channels to compare, the first 16.
+    The first 16 channels are compared; without even steps of time nothing is found.
     """
     frames = None if record.time is None else uniform_frames(record.time)
     if frames is None or record.time is None:
@@ -150,7 +144,7 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
     return [link for _, link in sorted(found, key=lambda one: one[0])]
 
 
-def _mean_frequency(values: Floats) -> float:
+def _mean_frequency(values: FloatArray) -> float:
     """Geometric mean of the frequencies of a channel, weighted by power above noise, in bins."""
     power = np.abs(np.fft.rfft(np.hanning(len(values)) * (values - values.mean())))[1:] ** 2
     power = np.maximum(power - min(float(np.median(band)) for band in np.array_split(power, 4)), 0.0)
@@ -187,3 +181,106 @@ def _doubt(relation: Relation, expected: float | None, frames: Frames) -> float:
     """Small for a derivative of the right sign and gain, without delay."""
     wrong = min(_nearest(relation.gain, expected), 3.0) + (1.0 if relation.sign < 0 else 0.0)
     return wrong + abs(relation.delay) / frames.dt + 5.0 * (1.0 - relation.fit)
+
+
+# --- least squares on integrals --------------------------------------------------------------------------------------
+
+
+def first_order(record: Record, names: Sequence[str], others: Sequence[str]) -> dict[str, float]:
+    """Channels whose changes are explained by the channels themselves and by inputs, `others`, each with the share.
+
+    The record is a short one, with even steps of time.
+    """
+    scaled = _scaled(record, (*names, *others))
+    states = [name for name in names if name in scaled]
+    if not states or record.time is None or record.n < LEAST_ROWS or len(scaled) > MOST_STATES:
+        return {}
+    width = _width(scaled, states)
+    terms = _products(list(scaled.values()))
+    rows = record.n - width
+    if rows < max(LEAST_ROWS, 2 * len(terms)):
+        return {}
+    D = _integrals(terms, record.time, width)
+    out = {}
+    for name in states:
+        change = scaled[name][width:] - scaled[name][:-width]
+        share = 1.0 - _left(D, change) / _spread(change) * (rows - 1) / (rows - D.shape[1])
+        if share > EXPLAINED:
+            out[name] = share
+    return out
+
+
+def drivers(record: Record, chain: Sequence[str | None], candidates: Sequence[str]) -> dict[str, float]:
+    """Candidates that explain what the states of a chain leave of its motion, each with the share.
+
+    The chain is displacement, velocity and acceleration, one of the last two measured; the record is a short one, with
+    even steps of time.
+    """
+    displacement, velocity, acceleration = chain
+    states = [name for name in (displacement, velocity) if name is not None]
+    scaled = _scaled(record, [*states, *filter(None, [acceleration]), *candidates])
+    target = acceleration or velocity
+    if record.time is None or record.n < LEAST_ROWS or target is None or not states:
+        return {}
+    if any(name not in scaled for name in (*states, target)):
+        return {}
+    width = _width(scaled, states)
+    terms = _products([scaled[name] for name in states]) + [scaled[name] ** 3 for name in states]
+    if record.n - width < max(LEAST_ROWS, 4 * len(terms)):
+        return {}
+    if acceleration is not None:
+        change = _integrals([scaled[acceleration]], record.time, width)[:, 1]
+    else:
+        change = scaled[target][width:] - scaled[target][:-width]
+    D = _integrals(terms, record.time, width)
+    before = _left(D, change)
+    out = {}
+    for name in candidates:
+        if name in scaled and before > 0.0:
+            more = np.column_stack([D, _integrals([scaled[name]], record.time, width)[:, 1]])
+            share = 1.0 - _left(more, change) / before
+            if share > DRIVES:
+                out[name] = share
+    return out
+
+
+def _scaled(record: Record, names: Sequence[str]) -> dict[str, FloatArray]:
+    """Channels without missing samples, of mean 0 and standard deviation 1."""
+    out = {}
+    for name in names:
+        values = record[name]
+        if np.isfinite(values).all():
+            values = values / (float(np.abs(values).max()) or 1.0)
+            out[name] = np.asarray((values - values.mean()) / (float(values.std()) or 1.0))
+    return out
+
+
+def _width(scaled: dict[str, FloatArray], states: Sequence[str]) -> int:
+    """Rows of a window."""
+    peaks = [int(np.argmax(np.abs(np.fft.rfft(scaled[name]))[1:])) + 1 for name in states]
+    return max(1, round(WINDOW * len(scaled[states[0]]) / max(peaks)))
+
+
+def _products(channels: Sequence[FloatArray]) -> list[FloatArray]:
+    """Channels, their squares and their products."""
+    return [*channels, *(channels[i] * channels[j] for i in range(len(channels)) for j in range(i + 1))]
+
+
+def _integrals(terms: Sequence[FloatArray], time: FloatArray, width: int) -> FloatArray:
+    """Integrals over windows from row to row, (n - width, P + 1); the first column is that of a constant."""
+    steps = np.diff(time)
+    columns = [np.ones(len(time) - width)]
+    for term in terms:
+        area = np.concatenate([[0.0], np.cumsum(0.5 * (term[1:] + term[:-1]) * steps)])
+        columns.append(area[width:] - area[:-width])
+    return np.column_stack(columns)
+
+
+def _left(D: FloatArray, y: FloatArray) -> float:
+    """Sum of squares that least squares leave."""
+    rest = y - D @ np.linalg.lstsq(D, y, rcond=None)[0]
+    return float(rest @ rest)
+
+
+def _spread(y: FloatArray) -> float:
+    return max(float(np.sum((y - y.mean()) ** 2)), float(np.finfo(np.float64).tiny))

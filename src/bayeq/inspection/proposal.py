@@ -19,51 +19,25 @@ ROWS_PER_TERM = 10
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How the file is to be read.
+    """How the file is to be read; `time`, `fs`, `names` and `group` as the options of the same name."""
 
-    Attributes
-    ----------
-    files : tuple of str
-        Empty where the record is no file.
-    time, group, names : str or None
-        As the options of the same name.
-    fs : float or None
-        Sampling rate [Hz].
-    clocked : bool
-        Whether there is time at all.
-    unnumbered : bool
-        Whether time starts over and no column numbers the experiments.
-    """
-
-    files: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()  # empty where the record is no file
     time: str | None = None
     fs: float | None = None
     names: str | None = None
     group: str | None = None
-    clocked: bool = True
-    unnumbered: bool = False
+    clocked: bool = True  # whether there is time at all
+    unnumbered: bool = False  # whether time starts over and no column numbers the experiments
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """What to run next.
+    """What to run next."""
 
-    Attributes
-    ----------
-    command : str or None
-        For a shell, quoted; None where the record is no file.
-    python : str
-        The same as a line of Python.
-    complete : bool
-        Whether it can be run as it is, without a placeholder.
-    notes : tuple of str
-        A sentence for each placeholder and each choice that may be another.
-    """
-
-    command: str | None
-    python: str
-    complete: bool
-    notes: tuple[str, ...]
+    command: str | None  # for a shell, quoted; None where the record is no file
+    python: str  # the same as a line of Python
+    complete: bool  # whether it can be run as it is, without a placeholder
+    notes: tuple[str, ...]  # a sentence for each placeholder and each choice that may be another
 
     def to_dict(self) -> dict[str, Any]:
         """As plain data."""

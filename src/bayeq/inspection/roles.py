@@ -35,48 +35,24 @@ NAMES = {word: order for order, words in WORDS.items() for word in words.split()
 
 @dataclass(frozen=True, slots=True)
 class Clue:
-    """What a channel's unit and name say.
+    """What a channel's unit and name say."""
 
-    Attributes
-    ----------
-    order : int or None
-        Derivative that it is of its coordinate, or `INPUT`.
-    why : str
-        As words.
-    by_unit : bool
-        Whether the unit says it, which is surer than a name.
-    index : str
-        What the name has besides: the number of the coordinate.
-    angle : bool
-        Whether it is an angle in radians, by its unit or name.
-    """
-
-    order: int | None
-    why: str
-    by_unit: bool
-    index: str
-    angle: bool
+    order: int | None  # derivative that it is of its coordinate, or `INPUT`
+    why: str  # as words
+    by_unit: bool  # whether the unit says it, which is surer than a name
+    index: str  # what the name has besides: the number of the coordinate
+    angle: bool  # whether it is an angle in radians, by its unit or name
 
 
 @dataclass(frozen=True)
 class Guess:
-    """Roles of the channels.
+    """Roles of the channels."""
 
-    Attributes
-    ----------
-    chains : tuple of tuples
-        Names of a coordinate and its derivatives, None where one is not measured; one name alone: a first-order state.
-    inputs : tuple of str
-    undecided : tuple of str
-        Channels that may be anything.
-    reasons : mapping of str to str
-        Why, by channel.
-    """
-
+    # names of a coordinate and its derivatives, None where one is not measured; one name alone: a first-order state
     chains: tuple[tuple[str | None, ...], ...]
     inputs: tuple[str, ...]
-    undecided: tuple[str, ...]
-    reasons: Mapping[str, str]
+    undecided: tuple[str, ...]  # channels that may be anything
+    reasons: Mapping[str, str]  # why, by channel
 
     def driven_by(self, shares: Mapping[str, float]) -> Guess:
         """The same with channels that were undecided as inputs, for the share of the motion that each explains."""
@@ -149,18 +125,10 @@ def _is_angle(name: str) -> bool:
 def guess_roles(
     names: Sequence[str], clues: Mapping[str, Clue], links: Sequence[Link], first: Mapping[str, float]
 ) -> Guess:
-    """Put channels together to chains and inputs.
+    """Put channels that move together to chains and inputs.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Channels that move, in order.
-    clues : mapping of str to Clue
-        What units and names say.
-    links : sequence of Link
-        What derives from what, the surest first.
-    first : mapping of str to float
-        Channels whose changes the others explain, with the share: first-order states, unless something else is known.
+    By what units and names say (`clues`), what derives from what (`links`, the surest first), and `first`: channels
+    whose changes the others explain, with the share, which are first-order states unless something else is known.
     """
     reasons: dict[str, str] = {}
     runs = _runs(_agreeing(links, clues), reasons)

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from bayeq.inspection.roles import Guess
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
+from bayeq.records.truth import FloatArray
 from bayeq.states import Roles
 from bayeq.states.bad_samples import BAD, find_bad_samples
 from bayeq.states.kinematic.model import LARGEST
 
 __all__ = ["Bad", "find_bad"]
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 #: Rows that are bad, counted from 1, by channel and kind ("spikes", "stuck", "clipped").
@@ -35,16 +35,9 @@ LEAST_RUN = 3
 
 
 def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> tuple[Bad, int]:
-    """Bad samples of the channels, and how many rows were looked at for spikes and stuck stretches.
+    """Bad samples of channels that move, and how many rows were searched for spikes and stuck stretches.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Experiments of one file.
-    guess : Guess
-        Roles: channels of a chain are judged together, all others alone.
-    names : sequence of str
-        Channels that move.
+    The records are experiments of one file; channels of a chain are judged together, all others alone.
     """
     found: Bad = {}
     total = sum(record.n for record in records)
@@ -107,7 +100,7 @@ def _windows(record: Record, names: Sequence[str], most: int) -> list[tuple[int,
     return [(max(0, k * WINDOW - MARGIN), min((k + 1) * WINDOW + MARGIN, record.n), suspects[k]) for k in sorted(worst)]
 
 
-def _suspicious(values: Floats) -> list[tuple[int, float]]:
+def _suspicious(values: FloatArray) -> list[tuple[int, float]]:
     """Rows of sudden changes and of long runs of equal samples, and how far they are from the usual."""
     third = np.abs(np.diff(values, 3))
     third[~np.isfinite(third)] = 0.0

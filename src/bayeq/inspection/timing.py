@@ -13,11 +13,11 @@ from bayeq.records import Record
 from bayeq.records.findings import equal_runs
 from bayeq.records.names import is_time_name
 from bayeq.records.repair import GAP, LONG_GAP
+from bayeq.records.truth import FloatArray
 from bayeq.records.validate import SECONDS
 
 __all__ = ["Experiments", "Gap", "gaps_of", "sort_rows"]
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 # Words for time, and for the number of an experiment, as parts of column names in the usual languages.
@@ -34,63 +34,29 @@ LEAST_RISING = 8
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A step of time that is longer than the usual one.
+    """A step of time that is longer than the usual one."""
 
-    Attributes
-    ----------
-    row : int
-        Last row before it, counted from 1.
-    seconds : float
-        Its length.
-    long : bool
-        Whether it is more than 20 usual steps.
-    """
-
-    row: int
-    seconds: float
-    long: bool
+    row: int  # last row before it, counted from 1
+    seconds: float  # its length
+    long: bool  # whether it is more than 20 usual steps
 
 
 @dataclass(frozen=True, slots=True)
 class Experiments:
-    """The rows of a file sorted by experiment.
+    """The rows of a file sorted by experiment."""
 
-    Attributes
-    ----------
-    records : tuple of Record
-        One for each experiment, with time where there is one, without the columns of time and of numbers.
-    time : str or None
-        The column that is taken for time although nobody said so; None where the record has its time, or there is none.
-    column : str or None
-        The column that numbers the experiments.
-    counter : str or None
-        A column that counts the rows.
-    step : str or None
-        A constant column that is the time step, of a file without time.
-    restarts : bool
-        Whether time starts over within the file.
-    """
-
-    records: tuple[Record, ...]
-    time: str | None = None
-    column: str | None = None
-    counter: str | None = None
-    step: str | None = None
-    restarts: bool = False
+    records: tuple[Record, ...]  # with time where there is one, without the columns of time and of numbers
+    time: str | None = None  # column taken for time although nobody said so; None where the record has its time
+    column: str | None = None  # the column that numbers the experiments
+    counter: str | None = None  # a column that counts the rows
+    step: str | None = None  # a constant column that is the time step, of a file without time
+    restarts: bool = False  # whether time starts over within the file
 
 
 def sort_rows(record: Record, time: str | None = None) -> Experiments:
-    """Find the columns of time and of experiments, and divide the rows.
-
-    Parameters
-    ----------
-    record : Record
-        As it was read, with time or without.
-    time : str, optional
-        The channel that is time, which may start over.
-    """
+    """Find the columns of time (or take that of this name) and of experiments, and divide the rows."""
     counter = step = None
-    clock: Floats | None = record.time
+    clock: FloatArray | None = record.time
     if clock is None:
         counter = next(
             (name for name in record.names if _counts_rows(record[name]) and _doubt(record, name) == 2), None
@@ -126,7 +92,7 @@ def _is_step(record: Record, name: str) -> bool:
     return named and len(known) > 0 and bool(known[0] > 0.0 and (known == known[0]).all())
 
 
-def _counts_rows(values: Floats) -> bool:
+def _counts_rows(values: FloatArray) -> bool:
     """Whether a column is 0, 1, 2 ... or 1, 2, 3 ..."""
     return len(values) >= LEAST_RISING and bool(values[0] in (0.0, 1.0) and (np.diff(values) == 1.0).all())
 
@@ -144,7 +110,7 @@ def _doubt(record: Record, name: str) -> int:
     return 1 if is_time_name(name) or any(word in name.casefold() for word in TIME_WORDS) else 2
 
 
-def _rises(values: Floats) -> bool:
+def _rises(values: FloatArray) -> bool:
     """Whether a column rises from row to row, except where it starts over."""
     if len(values) < LEAST_RISING or not np.isfinite(values).all():
         return False
@@ -156,7 +122,7 @@ def _rises(values: Floats) -> bool:
     return bool(back.all() and lengths.min() >= LEAST_ROWS)
 
 
-def _trial_column(record: Record, restarts: Ints, clock: Floats | None, others: set[str | None]) -> str | None:
+def _trial_column(record: Record, restarts: Ints, clock: FloatArray | None, others: set[str | None]) -> str | None:
     """The column that numbers the experiments: whole numbers that change where time starts over or has a long gap.
 
     One whose name says so may change elsewhere, or not at all.
@@ -178,7 +144,7 @@ def _trial_column(record: Record, restarts: Ints, clock: Floats | None, others: 
     return None
 
 
-def _at_gaps(clock: Floats | None, rows: Ints) -> bool:
+def _at_gaps(clock: FloatArray | None, rows: Ints) -> bool:
     if clock is None:
         return False
     steps = np.diff(clock)

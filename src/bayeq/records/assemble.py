@@ -102,16 +102,7 @@ def find_time(
 ) -> int | None:
     """The column that is time: the one named, else by its name, else the first rising one whose unit is a time.
 
-    Parameters
-    ----------
-    data : Columns
-        The columns.
-    units : mapping of int to str or None
-        Unit of each column.
-    time : str, optional
-        The column that the caller names.
-    fs : float, optional
-        Sampling rate [Hz]; no column is time then.
+    `units` are those of the columns; with a rate `fs` no column is time.
     """
     if fs is not None:
         return None

@@ -262,13 +262,6 @@ class Request:
             Paths of all arrays of the file.
         where : str
             The file, for messages.
-
-        Raises
-        ------
-        InputError
-            Two stars in one path, or numbers that one path has and another has not.
-        UnknownNameError
-            No array has such a path.
         """
         starred = [p for p in (*(self.names or ()), self.time, self.group) if p is not None and STAR in p]
         numbers: dict[str, set[int]] = {}

@@ -13,17 +13,16 @@ where the two are coherent, and at zero frequency their difference is the offset
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.records.sampling import JITTER
+from bayeq.records.truth import FloatArray
 
-__all__ = ["Frames", "Relation", "Shift", "relate", "shift_of", "uniform_frames"]
+__all__ = ["Frames", "Relation", "Shift", "derivative_name", "relate", "shift_of", "uniform_frames"]
 
-Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.int64]
 
@@ -71,78 +70,39 @@ STEPS = 4
 AS_GOOD = 0.98
 
 
-@dataclass(frozen=True, slots=True)
-class Frames:
-    """Where the frames of a record are.
+class Frames(NamedTuple):
+    """Where the frames of a record are."""
 
-    Attributes
-    ----------
-    starts : (K,) int array
-        First rows.
-    length : int
-        Rows of each.
-    dt : float
-        Time step [s].
-    """
-
-    starts: Ints
-    length: int
-    dt: float
+    starts: Ints  # first rows, (K,)
+    length: int  # rows of each
+    dt: float  # time step [s]
 
 
-@dataclass(frozen=True, slots=True)
-class Shift:
-    """What is to be subtracted from a channel to agree with the derivative of another.
+class Shift(NamedTuple):
+    """What is to be subtracted from a channel to agree with the derivative of another."""
 
-    Attributes
-    ----------
-    offset, drift : float
-        Value at the middle of the record, and change per second.
-    offset_t, drift_t : float
-        Both over their standard errors.
-    freedom : int
-        Degrees of freedom of these.
-    """
-
-    offset: float
-    drift: float
-    offset_t: float
+    offset: float  # value at the middle of the record
+    drift: float  # change per second
+    offset_t: float  # over its standard error
     drift_t: float
-    freedom: int
+    freedom: int  # degrees of freedom of both
 
 
-@dataclass(frozen=True, slots=True)
-class Relation:
-    """How a channel q follows the m-th derivative of a channel p: q(t) = sign x gain x p^(m)(t - delay) + shift.
+class Relation(NamedTuple):
+    """How a channel q follows the m-th derivative of a channel p: q(t) = sign x gain x p^(m)(t - delay) + shift."""
 
-    Attributes
-    ----------
-    sign : int
-        +1 or -1.
-    gain, least_gain, most_gain : float
-        Ratio of amplitudes; regressed on p it is too small, on q too large, by the noise of the other.
-    gain_error : float
-        Standard error of ln gain.
-    delay, delay_error : float
-        Delay of q [s] and its standard error.
-    fit : float
-        Share of all that is coherent that a sign and a delay explain: 1 for a perfect derivative.
-    weight : float
-        Information: the phase of the whole is known to 1/sqrt(weight) rad.
-    """
-
-    sign: int
-    gain: float
-    least_gain: float
-    most_gain: float
-    gain_error: float
-    delay: float
-    delay_error: float
-    fit: float
-    weight: float
+    sign: int  # +1 or -1
+    gain: float  # ratio of amplitudes
+    least_gain: float  # regressed on p, too small by the noise of p
+    most_gain: float  # regressed on q, too large by the noise of q
+    gain_error: float  # standard error of ln gain
+    delay: float  # of q [s]
+    delay_error: float  # standard error [s]
+    fit: float  # share of all that is coherent that a sign and a delay explain: 1 for a perfect derivative
+    weight: float  # information: the phase of the whole is known to 1/sqrt(weight) rad
 
 
-def uniform_frames(time: Floats) -> Frames | None:
+def uniform_frames(time: FloatArray) -> Frames | None:
     """Frames of rows at even steps of time; None where there are too few."""
     n = len(time)
     length = SHORTEST
@@ -165,8 +125,8 @@ def uniform_frames(time: Floats) -> Frames | None:
     return Frames(np.array(starts, dtype=np.int64), length, dt)
 
 
-def _test_functions(frames: Frames, order: int) -> tuple[Floats, Floats]:
-    """Derivatives 0 to `order` of the window, (order + 1, L), and the angular frequencies of the bins."""
+def _windows(frames: Frames, order: int) -> FloatArray:
+    """Derivatives 0 to `order` of the window, (order + 1, L)."""
     span = frames.length * frames.dt
     t = frames.dt * (np.arange(frames.length) + 0.5)
     window = np.zeros((order + 1, frames.length))
@@ -174,12 +134,12 @@ def _test_functions(frames: Frames, order: int) -> tuple[Floats, Floats]:
         omega = 2.0 * math.pi * k / span
         for j in range(order + 1):
             window[j] += amplitude * omega**j * np.cos(omega * t + 0.5 * math.pi * j)
-    return window, _frequencies(frames)
+    return window
 
 
-def _weak_derivative(values: Floats, frames: Frames, order: int) -> Complexes:
+def _weak_derivative(values: FloatArray, frames: Frames, order: int) -> Complexes:
     """Short-time spectra of the `order`-th derivative of a channel, (K, bins)."""
-    window, omega = _test_functions(frames, order)
+    window, omega = _windows(frames, order), 2.0 * math.pi * np.fft.rfftfreq(frames.length, frames.dt)
     # a constant is lost in the derivative; taken out first it leaves no rounding
     pieces = (values - values.mean() if order else values)[frames.starts[:, None] + np.arange(frames.length)]
     out = np.zeros((len(pieces), len(omega)), dtype=np.complex128)
@@ -189,23 +149,13 @@ def _weak_derivative(values: Floats, frames: Frames, order: int) -> Complexes:
     return (-1.0) ** order * frames.dt * out
 
 
-def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Relation | None:
-    """Compare a channel with the derivative of another.
+def derivative_name(name: str, order: int) -> str:
+    """A derivative by time as text: dx/dt, d2x/dt2."""
+    return f"d{name}/dt" if order == 1 else f"d{order}{name}/dt{order}"
 
-    Parameters
-    ----------
-    time, p, q : (n,) arrays
-        Time and channels, neither constant; q should be the `order`-th derivative of p.
-    order : int
-        1 or more.
-    frames : Frames
-        Where to compare them.
 
-    Returns
-    -------
-    Relation or None
-        None where the two have nothing in common that could be compared.
-    """
+def relate(time: FloatArray, p: FloatArray, q: FloatArray, order: int, frames: Frames) -> Relation | None:
+    """Compare a channel q with the `order`-th derivative of p, neither constant; None if nothing can be compared."""
     # in units of their own, so that no power of them overflows
     size_p, size_q = float(np.ptp(p)), float(np.ptp(q))
     p, q = p / size_p, q / size_q
@@ -256,13 +206,13 @@ class _Spectra(NamedTuple):
     """
 
     cross: Complexes
-    power_a: Floats
-    power_b: Floats
-    omega: Floats
-    weight: Floats
+    power_a: FloatArray
+    power_b: FloatArray
+    omega: FloatArray
+    weight: FloatArray
 
 
-def _spectra(p: Floats, q: Floats, order: int, frames: Frames) -> _Spectra:
+def _spectra(p: FloatArray, q: FloatArray, order: int, frames: Frames) -> _Spectra:
     A = _weak_derivative(q, frames, 0)
     B, next_one = (_weak_derivative(p, frames, order + j) for j in (0, 1))
     cross, rate = (_smooth(np.mean(v * B.conj(), axis=0)) for v in (A, next_one))
@@ -272,11 +222,7 @@ def _spectra(p: Floats, q: Floats, order: int, frames: Frames) -> _Spectra:
     return _Spectra(cross, power_a, power_b, omega, _weights(cross, power_a, power_b, frames))
 
 
-def _frequencies(frames: Frames) -> Floats:
-    return np.asarray(2.0 * math.pi * np.fft.rfftfreq(frames.length, frames.dt))
-
-
-def _detrended(time: Floats, values: Floats, degree: int) -> Floats:
+def _detrended(time: FloatArray, values: FloatArray, degree: int) -> FloatArray:
     """A channel without its polynomial of a degree."""
     basis = np.polynomial.legendre.legvander(2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0, degree)
     return np.asarray(values - basis @ np.linalg.solve(basis.T @ basis, basis.T @ values))
@@ -288,7 +234,7 @@ def _smooth(values: Complexes) -> Complexes:
     return np.convolve(np.pad(values, SMOOTHING, mode="edge"), kernel, mode="valid")
 
 
-def _weights(cross: Complexes, power_a: Floats, power_b: Floats, frames: Frames) -> Floats:
+def _weights(cross: Complexes, power_a: FloatArray, power_b: FloatArray, frames: Frames) -> FloatArray:
     """Inverse variance of the phase of each bin, 0 where nothing is coherent (Hannan and Thomson 1973)."""
     independent = len(frames.starts) / OVERLAP
     averaged = independent * max((2 * SMOOTHING + 1) / BANDWIDTH, 1.0)
@@ -302,7 +248,7 @@ def _weights(cross: Complexes, power_a: Floats, power_b: Floats, frames: Frames)
     return np.asarray(weight)
 
 
-def _align(phase: Floats, weight: Floats, omega: Floats, dt: float) -> tuple[int, float, float]:
+def _align(phase: FloatArray, weight: FloatArray, omega: FloatArray, dt: float) -> tuple[int, float, float]:
     """Sign and delay that maximise sum of W cos(phase + omega delay), and that maximum over the sum of W."""
     kept = weight > 0.0
     phase, weight, omega = phase[kept], weight[kept] / weight[kept].sum(), omega[kept]
@@ -326,19 +272,10 @@ def _align(phase: Floats, weight: Floats, omega: Floats, dt: float) -> tuple[int
     return sign, delay, sign * float(weight @ np.cos(phase + omega * delay))
 
 
-def shift_of(p: Floats, q: Floats, order: int, frames: Frames, gain: float, gain_error: float = 0.0) -> Shift:
-    """Offset and drift of a channel against the derivative of another.
+def shift_of(p: FloatArray, q: FloatArray, order: int, frames: Frames, gain: float, gain_error: float = 0.0) -> Shift:
+    """Offset and drift of a channel q against `gain` times the `order`-th derivative of p.
 
-    Parameters
-    ----------
-    p, q : (n,) arrays
-        q should be `gain` times the `order`-th derivative of p.
-    order : int
-        1 or more.
-    frames : Frames
-        Where to compare them.
-    gain, gain_error : float
-        Its standard error counts where the derivative has a mean, or a trend: that of a shaft that turns.
+    The standard error of the gain counts where the derivative has a mean, or a trend: that of a shaft that turns.
     """
     some = Frames(frames.starts[:: OVERLAP // 2], frames.length, frames.dt)  # that overlap by half
     size, level = float(np.ptp(q)), float(q.mean())
@@ -359,13 +296,13 @@ def shift_of(p: Floats, q: Floats, order: int, frames: Frames, gain: float, gain
     )
 
 
-def _local_means(values: Floats, order: int, frames: Frames) -> Floats:
+def _local_means(values: FloatArray, order: int, frames: Frames) -> FloatArray:
     """Means of the `order`-th derivative of a channel over the window of each frame, (K,)."""
-    window = _test_functions(frames, 0)[0]
+    window = _windows(frames, 0)
     return np.asarray(_weak_derivative(values, frames, order)[:, 0].real / (window.sum() * frames.dt))
 
 
-def _line(means: Floats, frames: Frames) -> tuple[float, float]:
+def _line(means: FloatArray, frames: Frames) -> tuple[float, float]:
     """Value at the middle of the frames, and change per second, of a line through local means."""
     t = (frames.starts - frames.starts.mean()) * frames.dt
     return float(means.mean()), float(t @ means / (t @ t))

@@ -61,13 +61,7 @@ def state_of(path: Path) -> FileState | None:
 
 
 def require_unchanged(path: Path, before: FileState | None) -> None:
-    """Refuse a file that is not what it was.
-
-    Raises
-    ------
-    FileFormatError
-        It names the file.
-    """
+    """Refuse a file that is not what it was, naming it."""
     now = state_of(path)
     if now is not None and now != before:  # one that has gone cannot be read, which is said elsewhere
         raise FileFormatError(
@@ -77,13 +71,7 @@ def require_unchanged(path: Path, before: FileState | None) -> None:
 
 @contextmanager
 def unchanged(path: Path) -> Iterator[None]:
-    """Refuse a file that changes within the block, also where the change is what went wrong there.
-
-    Raises
-    ------
-    FileFormatError
-        It names the file.
-    """
+    """Refuse a file that changes within the block, also where the change is what went wrong there."""
     before = state_of(path)
     try:
         yield

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.records.consistency import Frames, Relation, relate, shift_of, uniform_frames
+from bayeq.records.consistency import Frames, Relation, derivative_name, relate, shift_of, uniform_frames
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
 from bayeq.records.units import derivative_ratio
@@ -178,10 +178,9 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
         if link is None:
             return found
         if link.fit < LEAST_FIT:
-            what = _derivative(p, high - low)
             message = (
-                f"{q} moves with {what} but is not it: no sign and delay makes them fit (best: {100 * link.fit:.0f} %);"
-                " check which channel is which"
+                f"{q} moves with {derivative_name(p, high - low)} but is not it: no sign and delay makes them fit"
+                f" (best: {100 * link.fit:.0f} %); check which channel is which"
             )
             return [*found, Finding("inconsistent", (q, p), message, link.fit)]
         links.append(link)
@@ -193,21 +192,20 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
     return found
 
 
-def _derivative(name: str, order: int) -> str:
-    return f"d{name}/dt" if order == 1 else f"d{order}{name}/dt{order}"
+class _Odd(NamedTuple):
+    """A channel that differs from most of a chain, one of that majority, and the difference."""
+
+    k: int
+    other: int
+    channels: tuple[str, str]
+    against: str  # what the channel should be, said by the other
+    difference: float
 
 
-def _against(measured: Sequence[tuple[int, str]], k: int, other: int) -> str:
-    """What channel k should be, said by another channel of the chain."""
-    (order, _), (reference, name) = measured[k], measured[other]
-    if order > reference:
-        return _derivative(name, order - reference)
-    times = {1: "", 2: "double ", 3: "triple "}.get(reference - order, f"{reference - order}-fold ")
-    return f"the {times}integral of {name}"
-
-
-def _odd_ones(steps: Sequence[float], errors: Sequence[float], least: float) -> list[tuple[int, int, float]]:
-    """Channels that differ from most of a chain, each with one of the majority and the difference.
+def _odd_ones(
+    measured: Sequence[tuple[int, str]], steps: Sequence[float], errors: Sequence[float], least: float
+) -> list[_Odd]:
+    """Channels that differ from most of a chain.
 
     `steps` are the differences from each channel to the next, `errors` what of them may be chance; differences up to
     `least` do not matter. Without a majority the lowest derivative is believed.
@@ -216,18 +214,23 @@ def _odd_ones(steps: Sequence[float], errors: Sequence[float], least: float) -> 
     doubt = np.concatenate([[0.0], np.cumsum(errors)])
     tolerance = np.maximum(least, np.abs(doubt[:, None] - doubt))
     agree = np.abs(level[:, None] - level) <= tolerance
-    reference = int(np.argmax(agree.sum(axis=1)))
-    return [(int(k), reference, float(level[k] - level[reference])) for k in np.flatnonzero(~agree[reference])]
+    other = int(np.argmax(agree.sum(axis=1)))
+    reference, name = measured[other]
+    found = []
+    for k in np.flatnonzero(~agree[other]).tolist():
+        order = measured[k][0] - reference
+        times = {-1: "", -2: "double ", -3: "triple "}.get(order, f"{-order}-fold ")
+        against = derivative_name(name, order) if order > 0 else f"the {times}integral of {name}"
+        found.append(_Odd(k, other, (measured[k][1], name), against, float(level[k] - level[other])))
+    return found
 
 
 def _signs(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
     signs = np.cumprod([1, *(link.sign for link in links)])
-    found = []
-    for k, other, _ in _odd_ones(np.diff(signs).tolist(), [0.0] * len(links), 0.0):
-        name = measured[k][1]
-        message = f"{name} has the opposite sign of {_against(measured, k, other)}: reverse it"
-        found.append(Finding("sign", (name, measured[other][1]), message, -1.0))
-    return found
+    return [
+        Finding("sign", odd.channels, f"{odd.channels[0]} has the opposite sign of {odd.against}: reverse it", -1.0)
+        for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0)
+    ]
 
 
 def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
@@ -240,14 +243,14 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
         return [Finding("gain", (q, p), message, links[0].gain)]
     steps = [math.log(link.gain / expected) for link, expected in zip(links, stated, strict=True)]
     found = []
-    for k, other, difference in _odd_ones(steps, [_undecided(link) for link in links], math.log(LEAST_GAIN)):
-        name, between = measured[k][1], stated[min(k, other) : max(k, other)]
-        expected = math.prod(between) ** (1 if k > other else -1)
-        gain = math.exp(difference) * expected
+    for odd in _odd_ones(measured, steps, [_undecided(link) for link in links], math.log(LEAST_GAIN)):
+        between = stated[min(odd.k, odd.other) : max(odd.k, odd.other)]
+        expected = math.prod(between) ** (1 if odd.k > odd.other else -1)
+        gain = math.exp(odd.difference) * expected
         by_unit = "" if expected == 1.0 else f", not {expected:.4g} times as their units say"
-        hint = _unit_hint(math.exp(difference))
-        message = f"{name} is {gain:.4g} times {_against(measured, k, other)}{by_unit}: {hint}"
-        found.append(Finding("gain", (name, measured[other][1]), message, gain))
+        hint = _unit_hint(math.exp(odd.difference))
+        message = f"{odd.channels[0]} is {gain:.4g} times {odd.against}{by_unit}: {hint}"
+        found.append(Finding("gain", odd.channels, message, gain))
     return found
 
 
@@ -272,13 +275,13 @@ def _unit_hint(gain: float) -> str:
 def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: float) -> list[Finding]:
     steps, errors = [link.delay for link in links], [SIGNIFICANT * link.delay_error for link in links]
     found = []
-    for k, other, delay in _odd_ones(steps, errors, LEAST_DELAY * dt):
-        name = measured[k][1]
+    for odd in _odd_ones(measured, steps, errors, LEAST_DELAY * dt):
+        name, delay = odd.channels[0], odd.difference
         message = (
-            f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {_against(measured, k, other)} by"
+            f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {odd.against} by"
             f" {abs(delay) / dt:.2g} samples: bayeq.correct_delay(record, {name!r}, {delay:.3g}) shifts it back"
         )
-        found.append(Finding("delay", (name, measured[other][1]), message, delay))
+        found.append(Finding("delay", odd.channels, message, delay))
     return found
 
 
@@ -294,21 +297,22 @@ def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: 
         gain, gain_error = stated, 0.0
     else:
         gain, gain_error = link.gain, link.gain * _undecided(link) / SIGNIFICANT
-    shift, what = shift_of(record[p], record[q], order, frames, link.sign * gain, gain_error), _derivative(p, order)
+    shift = shift_of(record[p], record[q], order, frames, link.sign * gain, gain_error)
     spread, span = float(np.std(record[q])), float(record.time[-1] - record.time[0])
-    unit = record.units.get(q, "")
+    unit = f" {record.units[q]}" if q in record.units else ""
+    what = derivative_name(p, order)
     significant = _student(SIGNIFICANT, shift.freedom)
     found = []
     if abs(shift.offset_t) > significant and abs(shift.offset) > LEAST_OFFSET * spread:
         message = (
-            f"{q} has an offset of {_quantity(shift.offset, unit)} against {what}"
+            f"{q} has an offset of {shift.offset:.3g}{unit} against {what}"
             f" ({100.0 * abs(shift.offset) / spread:.2g} % of its standard deviation):"
             f" bayeq.remove_offset(record, {q!r}, {shift.offset:.4g}) takes it out"
         )
         found.append(Finding("offset", (q, p), message, shift.offset))
     if abs(shift.drift_t) > significant and abs(shift.drift) * span > 2.0 * LEAST_OFFSET * spread:
         message = (
-            f"{q} drifts by {_quantity(shift.drift * span, unit)} over the record against {what}"
+            f"{q} drifts by {shift.drift * span:.3g}{unit} over the record against {what}"
             f" ({100.0 * abs(shift.drift) * span / spread:.2g} % of its standard deviation):"
             f" bayeq.remove_offset(record, {q!r}, {shift.offset:.4g}, drift={shift.drift:.4g}) takes it out"
         )
@@ -322,10 +326,6 @@ def _student(z: float, freedom: int) -> float:
     second = (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * freedom**2)
     third = (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / (384.0 * freedom**3)
     return z + first + second + third
-
-
-def _quantity(value: float, unit: str) -> str:
-    return f"{value:.3g} {unit}" if unit else f"{value:.3g}"
 
 
 # --- samples ---------------------------------------------------------------------------------------------------------

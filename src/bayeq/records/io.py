@@ -205,14 +205,7 @@ def near_files(path: Path) -> str:
 
 
 def as_records(source: Any, t: Any = None) -> list[Record]:
-    """One record or several, from whatever holds them.
-
-    Parameters
-    ----------
-    source : object
-        What `as_record` takes, or a sequence of such.
-    t : str or array_like, optional
-        The column that is time, or sampling times [s]; see `as_record`. A sequence of sources takes one for all.
+    """One record or several, from what `as_record` takes or a sequence of such; `t` is one for all.
 
     Raises
     ------

@@ -37,21 +37,10 @@ _UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^
 
 
 def clean_name(header: str, position: int = 1) -> tuple[str, str | None]:
-    """Turn a column header into a channel name and a unit.
+    """Turn a column header into a channel name and the unit that stood in brackets at its end, or None.
 
-    Parameters
-    ----------
-    header : str
-        The header's text, for example ``"Time [s]"``.
-    position : int, optional
-        The column's place, counted from 1; names a column without a header.
-
-    Returns
-    -------
-    name : str
-        A valid identifier, neither a keyword nor a function of the term language.
-    unit : str or None
-        What stood in brackets at the end.
+    The name is a valid identifier, neither a keyword nor a function of the term language. The column's place, counted
+    from 1, names one without a header.
 
     Examples
     --------

@@ -59,22 +59,10 @@ KAISER = 10.0
 
 
 def split_at_gaps(records: Sequence[Record], channels: Sequence[str]) -> tuple[list[Record], list[str]]:
-    """Records with time divided at gaps longer than half the shortest period of a channel.
+    """Records divided at gaps longer than half the shortest period of a channel, and a message for each such record.
 
     Where the pieces too short to use, of less than 40 rows, would hold more rows than are missing in the gaps, the
     record stays whole.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Measured channels.
-    channels : sequence of str
-        Those that are used, inputs too.
-
-    Returns
-    -------
-    list of Record, list of str
-        The pieces, and a message for each record with such gaps.
     """
     out, messages = [], []
     for record in records:
@@ -164,11 +152,6 @@ def with_row_numbers(records: Sequence[Record]) -> list[Record]:
     """The records with row numbers as time, if none of them has a time; else as they are.
 
     So are records whose rows follow no order, such as a table of single tests, and those with a channel called t.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        The records.
     """
     if any(record.time is not None or "t" in record.channels or not _in_order(record) for record in records):
         return list(records)

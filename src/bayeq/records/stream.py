@@ -176,14 +176,7 @@ def open_streams(
     units: Mapping[str, str] | None = None,
     channels: Mapping[str, str] | None = None,
 ) -> list[FileStream]:
-    """Files, and those of folders, as records that are read some rows at a time.
-
-    Parameters
-    ----------
-    paths : sequence of path
-        Parquet, HDF5, NPY and delimited text; of a folder all of its files.
-    time, fs, units, channels
-        As for `bayeq.read`.
+    """Files, and those of folders, as records that are read some rows at a time; the options are those of `bayeq.read`.
 
     Raises
     ------

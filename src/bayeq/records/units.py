@@ -52,17 +52,7 @@ _KNOWN = frozenset(
 def require_unit(text: str, where: str) -> None:
     """Check that a unit is made of symbols that measurements are labelled with.
 
-    Parameters
-    ----------
-    text : str
-        The unit.
-    where : str
-        What gave it, for the message.
-
-    Raises
-    ------
-    InputError
-        An unknown symbol; the message offers the nearest that are known.
+    An InputError names what gave it, `where`, and offers the nearest symbols that are known.
 
     Examples
     --------
@@ -137,17 +127,7 @@ def multiply_units(unit: Unit, other: Unit, power: Fraction | int = 1) -> Unit:
 def derivative_ratio(below: str, above: str, order: int) -> float | None:
     """How large a channel is against the derivative by seconds of another, for their units alone.
 
-    Parameters
-    ----------
-    below, above : str
-        Units of the other channel and of the one that is its derivative.
-    order : int
-        Of the derivative.
-
-    Returns
-    -------
-    float or None
-        None where the units are not known, or not those of a motion and its derivative.
+    None where the units are not known, or not those of a motion (`below`) and its derivative (`above`) of this order.
 
     Examples
     --------

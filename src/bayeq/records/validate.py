@@ -59,21 +59,9 @@ def as_time(values: Any, where: str = "") -> FloatArray:
 
 
 def check_time(time: FloatArray, where: str = "", starts: NDArray[np.intp] | None = None) -> None:
-    """Raise unless time is finite and strictly increasing.
+    """Raise a RecordError, with the row counted from 1, unless time [s] is finite and strictly increasing.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Sampling times [s].
-    where : str, optional
-        The file or record, put in front of the message.
-    starts : ndarray of int, optional
-        Rows at which a new trial begins, where time may restart.
-
-    Raises
-    ------
-    RecordError
-        With the row, counted from 1, and the values.
+    At `starts`, the first rows of trials, it may start over; `where` is put in front of the message.
     """
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:

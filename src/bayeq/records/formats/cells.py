@@ -164,15 +164,10 @@ _FIRST = datetime(1, 1, 1)
 def parse_stamp(text: str) -> Stamp | None:
     """A date, a date with a clock, or a clock; None of other text.
 
-    Parameters
-    ----------
-    text : str
-        ``2024-03-01T12:00:00.25Z``, ``01.03.2024 12:00:00,25``, ``12:00:00.25``.
-
     Examples
     --------
-    >>> parse_stamp("2024-03-01 12:00:01.5"), parse_stamp("0:00:01,25"), parse_stamp("1.5")
-    ((63844891201, 0.5), (1, 0.25), None)
+    >>> parse_stamp("2024-03-01 12:00:01.5"), parse_stamp("0:00:01,25"), parse_stamp("01.03.2024 12:00:00,25")[1]
+    ((63844891201, 0.5), (1, 0.25), 0.25)
     """
     match = _STAMP.fullmatch(text.strip().strip("\"'"))
     if match is None:

@@ -116,7 +116,7 @@ def _lines(file: TextIO, where: str) -> Iterator[str]:
 
 
 def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
-    """Find the layout from the first lines, or from the first after `skip` lines.
+    """Find the layout from the first lines below `skip`.
 
     Raises
     ------
@@ -231,12 +231,9 @@ class Table(NamedTuple):
 
 
 def find_table(rows: Sequence[str]) -> Table | None:
-    """The table below a preamble; None where there is no preamble, or where lines above look like damaged data.
+    """The table below a preamble; None where there is none, or where lines above look like damaged data.
 
-    Parameters
-    ----------
-    rows : sequence of str
-        The first lines of the file, without blank lines and comments.
+    `rows` are the first lines of the file, without blank lines and comments.
     """
     if len(rows) < _ROWS:
         return None

@@ -30,19 +30,9 @@ MOST_COLUMNS = 16_384
 
 
 def check_claim(where: str, what: str, claimed: int, stored: int) -> None:
-    """Refuse what claims to unpack to far more than the file holds.
+    """Refuse what claims to unpack to more than 4 GiB, or to more than 64 MiB and 100 times what the file holds.
 
-    Parameters
-    ----------
-    where, what : str
-        The file and the part of it, for the message.
-    claimed, stored : int
-        Bytes that it would take in memory, and bytes of the file.
-
-    Raises
-    ------
-    FileFormatError
-        Above 4 GiB, or above 64 MiB and 100 times what is stored.
+    `where` and `what`, the file and the part of it, are for the message; sizes are in bytes.
     """
     if claimed > MOST_BYTES:
         raise FileFormatError(f"{where}: {what} takes {in_words(claimed)}; at most {in_words(MOST_BYTES)} are read")

@@ -60,19 +60,8 @@ def _word(path: str) -> str:
 def channels_of(tree: Any, where: str) -> list[Channel]:
     """Every array of a tree of mappings (fields), lists (cells) and arrays, in order.
 
-    Text next to an array named unit or units is its unit; a single number named dt, Ts, fs ... the step of time.
-
-    Parameters
-    ----------
-    tree : mapping
-        What the file holds. Arrays have `shape`, `dtype` and are read by ``array[...]``.
-    where : str
-        The file, for messages.
-
-    Raises
-    ------
-    FileFormatError
-        The tree is deeper than 64 levels or has more than 100,000 arrays.
+    Text next to an array named unit or units is its unit; a single number named dt, Ts, fs ... the step of time. Arrays
+    have `shape`, `dtype` and are read by ``array[...]``. A tree of more than 64 levels or 100,000 arrays is refused.
     """
     found: list[Channel] = []
     for channel in _walk(tree, "", {}, where, 0):
@@ -162,18 +151,8 @@ def read_pieces(
 ) -> list[tuple[Request, Columns]]:
     """The columns of each record that is asked for, with the request for that one alone.
 
-    Parameters
-    ----------
-    channels : sequence of Channel
-        What the file holds.
-    where : str
-        The file, for messages.
-    request : Request
-        The channels that are asked for; without names, all those of one length.
-    names : list of str, or str, optional
-        Names of those channels, in order.
-    rows : slice
-        The rows that are read.
+    Without names in the request these are all channels of one length; `names` are then their names, in order. Of the
+    samples only `rows` are read.
 
     Raises
     ------
