@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 from bayeq.errors import InputError
-from bayeq.records.units import FORCES, SIZES, Unit, derivative_ratio, multiply_units, parse_unit
+from bayeq.records.units import Unit, derivative_ratio, in_si, multiply_units, parse_unit, written_unit
 from bayeq.states import Chain
 
 __all__ = ["OscillatorUnits"]
@@ -56,9 +56,9 @@ class OscillatorUnits:
         # a channel's number is this ratio times the derivative's of the displacement
         self.velocity, self.acceleration = (_ratio(units, chain, k, gains[k] if gains else None) for k in (1, 2))
         if self.length is not None:
-            self.per_length, self.length = _in_si(self.length)
+            self.per_length, self.length = in_si(self.length) or (1.0, self.length)
         if self.force is not None:
-            self.per_force, self.force = _in_si(self.force)
+            self.per_force, self.force = in_si(self.force) or (1.0, self.force)
         elif in_kg and self.length in ({}, {"m": Fraction(1)}):
             self.force = multiply_units({"N": Fraction(1)}, {} if self.length else {"m": Fraction(1)})
 
@@ -111,33 +111,8 @@ def _ratio(units: Mapping[str, str], chain: Chain, order: int, gain: float | Non
     return stated if gain is None else gain
 
 
-def _in_si(unit: Unit) -> tuple[float, Unit]:
-    """Size of a unit in SI units, and those; angles are pure numbers. As it is, where a symbol is not known."""
-    size, out = 1.0, Unit()
-    for symbol, power in unit.items():
-        if symbol in FORCES:
-            size *= FORCES[symbol] ** float(power)
-            multiply_units(out, {"N": power})
-        elif symbol in SIZES:
-            factor, length, time = SIZES[symbol]
-            size *= factor ** float(power)
-            multiply_units(out, {"m": length * power} if length else {})
-            multiply_units(out, {"s": time * power} if time else {})
-        else:
-            return 1.0, unit
-    return size, out
-
-
 def _written(unit: Unit) -> str:
-    """``N*s/m``; a shorter name where there is one."""
+    """``N*s/m``; a shorter name where there is one, and no text of a pure number."""
     order = sorted(unit.items(), key=lambda item: ({"N": 0, "m": 1, "s": 2}.get(item[0], -1), item[0]))
-    above = "*".join(_power(symbol, e) for symbol, e in order if e > 0)
-    below = "".join(f"/{_power(symbol, -e)}" for symbol, e in order if e < 0)
-    text = (above or "1" * bool(below)) + below
+    text = written_unit(dict(order)) if unit else ""
     return SHORTER.get(text, text)
-
-
-def _power(symbol: str, exponent: Fraction) -> str:
-    return (
-        symbol if exponent == 1 else f"{symbol}^{exponent}" if exponent.denominator == 1 else f"{symbol}^({exponent})"
-    )

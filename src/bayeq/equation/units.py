@@ -9,22 +9,10 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 from bayeq.expressions import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
-from bayeq.records.units import Unit, multiply_units, parse_unit
+from bayeq.records.units import Unit, multiply_units, parse_unit, written_unit
 from bayeq.states import Chain
 
 __all__ = ["channel_units", "derivative_unit", "quotient_unit"]
-
-
-def _written(unit: Unit) -> str:
-    above = "*".join(symbol + _power(e) for symbol, e in unit.items() if e > 0)
-    below = "".join(f"/{symbol}{_power(-e)}" for symbol, e in unit.items() if e < 0)
-    return (above or "1") + below
-
-
-def _power(exponent: Fraction) -> str:
-    if exponent == 1:
-        return ""
-    return f"^{exponent}" if exponent.denominator == 1 else f"^({exponent})"
 
 
 def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
@@ -87,7 +75,7 @@ def quotient_unit(target: str, term: Expression, units: Mapping[str, str]) -> st
     if target not in units:
         return None
     below = _of(term.tree, units)
-    return None if below is None else _written(multiply_units(parse_unit(units[target]), below, -1))
+    return None if below is None else written_unit(multiply_units(parse_unit(units[target]), below, -1))
 
 
 def derivative_unit(unit: str, order: int) -> str:
@@ -98,7 +86,7 @@ def derivative_unit(unit: str, order: int) -> str:
     >>> derivative_unit("mm", 2), derivative_unit("m/s^2", -2)
     ('mm/s^2', 'm')
     """
-    return _written(multiply_units(parse_unit(unit), {"s": Fraction(-order)}))
+    return written_unit(multiply_units(parse_unit(unit), {"s": Fraction(-order)}))
 
 
 def channel_units(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from bayeq.inspection.links import Link
-from bayeq.records.units import SIZES, parse_unit
+from bayeq.records.units import in_si, parse_unit
 
 __all__ = ["INPUT", "Clue", "Guess", "clue_of", "guess_roles"]
 
@@ -93,12 +93,10 @@ def _order_of_unit(unit: str) -> int | None:
     powers = parse_unit(unit)
     if any(symbol in FORCES for symbol in powers):
         return INPUT if len(powers) == 1 or set(powers) <= {"N", "m", "mm"} else None
-    length, time = Fraction(0), Fraction(0)
-    for symbol, power in powers.items():
-        if symbol not in SIZES:
-            return None
-        _, of_length, of_time = SIZES[symbol]
-        length, time = length + of_length * power, time + of_time * power
+    found = in_si(powers)
+    if found is None:
+        return None
+    length, time = (found[1].get(symbol, Fraction(0)) for symbol in ("m", "s"))
     motion = length == 1 or (length == 0 and any(symbol in ANGLES for symbol in powers))
     return int(-time) if motion and time in (0, -1, -2) else None
 

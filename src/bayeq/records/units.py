@@ -10,7 +10,9 @@ from fractions import Fraction
 
 from bayeq.errors import InputError
 
-__all__ = ["Unit", "conversion", "derivative_ratio", "multiply_units", "parse_unit", "require_unit"]
+__all__ = [
+    "Unit", "conversion", "derivative_ratio", "in_si", "multiply_units", "parse_unit", "require_unit", "written_unit",
+]  # fmt: skip
 
 # Exponents of symbols, in the order in which they occur.
 Unit = dict[str, Fraction]
@@ -74,19 +76,8 @@ def conversion(stated: str, wanted: str) -> float | None:
     >>> conversion("mm", "m"), conversion("g", "m/s^2"), conversion("kN", "N"), conversion("m", "N")
     (0.001, 9.80665, 1000.0, None)
     """
-    first, second = parse_unit(stated), parse_unit(wanted)
-    if first == second:
-        return 1.0
-    factor = 1.0
-    for unit, sign in ((first, 1), (second, -1)):
-        for symbol in [one for one in unit if one in FORCES and one != "N"]:
-            factor *= FORCES[symbol] ** float(sign * unit[symbol])
-            multiply_units(unit, {symbol: -unit[symbol], "N": unit[symbol]})
-    if first == second:
-        return factor
-    ratio = multiply_units(first, second, -1)
-    size = _size(ratio)
-    return None if size is None else factor * size
+    found = in_si(multiply_units(parse_unit(stated), parse_unit(wanted), -1))
+    return None if found is None or found[1] else found[0]
 
 
 def parse_unit(text: str) -> Unit:
@@ -134,17 +125,34 @@ def derivative_ratio(below: str, above: str, order: int) -> float | None:
     >>> derivative_ratio("mm", "m/s", 1), derivative_ratio("m", "m/s^2", 2), derivative_ratio("m", "N", 2)
     (0.001, 1.0, None)
     """
-    return _size(multiply_units(multiply_units(parse_unit(below), {"s": Fraction(-order)}), parse_unit(above), -1))
+    ratio = multiply_units(multiply_units(parse_unit(below), {"s": Fraction(-order)}), parse_unit(above), -1)
+    found = None if FORCES.keys() & ratio.keys() else in_si(ratio)
+    return None if found is None or found[1] else found[0]
 
 
-def _size(ratio: Unit) -> float | None:
-    """The number that a ratio of units is; None of one that is no number, or of symbols that are not known."""
-    size, length, time = 1.0, Fraction(0), Fraction(0)
-    for symbol, power in ratio.items():
-        if symbol not in SIZES:
+def in_si(unit: Unit) -> tuple[float, Unit] | None:
+    """Size of a unit in SI units, and those: N, m and s; angles are pure numbers. None where a symbol is not known."""
+    size, out = 1.0, Unit()
+    for symbol, power in unit.items():
+        if symbol in FORCES:
+            size *= FORCES[symbol] ** float(power)
+            multiply_units(out, {"N": power})
+        elif symbol in SIZES:
+            factor, length, time = SIZES[symbol]
+            size *= factor ** float(power)
+            multiply_units(out, {"m": length * power, "s": time * power})
+        else:
             return None
-        factor, of_length, of_time = SIZES[symbol]
-        size *= factor ** float(power)
-        length += of_length * power
-        time += of_time * power
-    return size if length == 0 and time == 0 else None
+    return size, out
+
+
+def written_unit(unit: Unit) -> str:
+    """A unit as text, ``m/s^2``; ``1`` without symbols above the line."""
+    above = "*".join(symbol + _power(e) for symbol, e in unit.items() if e > 0)
+    return (above or "1") + "".join(f"/{symbol}{_power(-e)}" for symbol, e in unit.items() if e < 0)
+
+
+def _power(exponent: Fraction) -> str:
+    if exponent == 1:
+        return ""
+    return f"^{exponent}" if exponent.denominator == 1 else f"^({exponent})"
