@@ -140,10 +140,7 @@ def _stated_step(data: Columns, fs: float | None) -> tuple[float | None, int | N
 
 
 def _time(
-    data: Columns,
-    column: int | None,
-    units: Mapping[int, str | None],
-    starts: NDArray[np.intp],
+    data: Columns, column: int | None, units: Mapping[int, str | None], starts: NDArray[np.intp]
 ) -> tuple[FloatArray | None, dict[str, str]]:
     """Time in seconds, checked, and the unit it has if that cannot be turned into seconds."""
     if column is None:

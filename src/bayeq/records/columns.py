@@ -167,22 +167,6 @@ class Columns:
         return cls(kept, arrays, tuple(headers.clashes(rows)))
 
     @classmethod
-    def of(
-        cls, channels: Mapping[str, FloatArray], time: FloatArray | None, units: Mapping[str, str], where: str
-    ) -> Columns:
-        """The columns by which a record is written: time first, then the channels."""
-        names, values = list(channels), list(channels.values())
-        kept = [units.get(name) for name in names]
-        if time is not None:
-            spellings = ("t", "time", "Time", "timestamp")
-            name = next((name for name in spellings if name not in channels), None)
-            if name is None:
-                raise RecordError(f"{where or 'record'}: no name is left for time; rename the channel 't'")
-            names, values = [name, *names], [time, *values]
-            kept = [units.get("t") if name == "t" else None, *kept]
-        return cls(Headers(names, names, kept, where), values)
-
-    @classmethod
     def from_dataframe(cls, df: pd.DataFrame, time: str | None = None, chosen: Select | None = None) -> Columns:
         """The columns of a data frame; an index named like time comes first."""
         index = [] if df.index.name is None else [str(df.index.name)]

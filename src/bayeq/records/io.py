@@ -134,7 +134,10 @@ def read(
 
 def _pieces(path: Path, request: Request, names: Names, skip: int) -> list[tuple[Request, Columns]]:
     """The columns that are asked for; of each array where a path has ``[*]``."""
-    _require_file(path)
+    if path.is_dir():
+        raise FileFormatError(f"{path}: is a directory; name a file in it")
+    if not path.exists():
+        raise FileFormatError(f"no such file: {path}{near_files(path)}")
     row = format_of(path)
     if skip and row.flat not in (text, gz):
         raise InputError(f"{path}: is {row.title}: only lines of delimited text can be passed over; leave out skip")
@@ -145,10 +148,8 @@ def _pieces(path: Path, request: Request, names: Names, skip: int) -> list[tuple
         raise InputError(f"{path}: {starred[0]!r}: the file is one table, without arrays to count; leave out {STAR}")
     if row.flat is None:
         raise InputError(f"{path}: {row.title} cannot be read")
-    if skip:
-        lines = gz if row.flat is gz else text
-        return [(request, lines.read_columns(path, names=names, chosen=request.rows, skip=skip))]
-    return [(request, row.flat.read_columns(path, names=names, chosen=request.rows))]
+    options: dict[str, Any] = {"skip": skip} if skip else {}
+    return [(request, row.flat.read_columns(path, names=names, chosen=request.rows, **options))]
 
 
 def write(record: Record, path: str | os.PathLike[str]) -> None:
@@ -179,14 +180,6 @@ def write(record: Record, path: str | os.PathLike[str]) -> None:
             module.write(record, part)
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be written ({error.strerror or type(error).__name__})") from None
-
-
-def _require_file(path: Path) -> None:
-    """Refuse a path that is no file, saying what is wrong with it."""
-    if path.is_dir():
-        raise FileFormatError(f"{path}: is a directory; name a file in it")
-    if not path.exists():
-        raise FileFormatError(f"no such file: {path}{near_files(path)}")
 
 
 def near_files(path: Path) -> str:
@@ -287,8 +280,7 @@ def _from_mapping(source: Mapping[Any, Any], t: Any) -> Record:
     data = Columns.build(headers, lambda i: np.asarray(source[keys[i]]))
     if t is None or isinstance(t, str):
         return Record(*assemble(data, time=t, name="")[0])
-    units = {name: unit for name, unit in zip(data.names, data.headers.units, strict=True) if unit}
-    return Record(dict(zip(data.names, data.values, strict=True)), np.asarray(t), units)
+    return Record(dict(zip(data.names, data.values, strict=True)), np.asarray(t), data.headers.stated_units())
 
 
 def _from_data(source: Any, t: Any) -> Record:

@@ -12,18 +12,10 @@ import numpy as np
 
 from bayeq.errors import RecordError, UnknownNameError, require_kind
 from bayeq.records.assemble import assemble
-from bayeq.records.columns import Columns, Request
+from bayeq.records.columns import Columns, Headers, Request
 from bayeq.records.sampling import even_step
 from bayeq.records.truth import FloatArray, Truth, frozen_array
-from bayeq.records.validate import (
-    as_column,
-    as_time,
-    check_name,
-    check_time,
-    checked_units,
-    time_from,
-    trial_starts,
-)
+from bayeq.records.validate import as_column, as_time, check_name, check_time, checked_units, time_from, trial_starts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -184,7 +176,15 @@ class Record:
 
     def to_columns(self) -> Columns:
         """The columns by which the record is written: time first, then the channels."""
-        return Columns.of(self.channels, self.time, self.units, self.name)
+        names, values = list(self.channels), list(self.channels.values())
+        units = [self.units.get(name) for name in names]
+        if self.time is not None:
+            name = next((name for name in ("t", "time", "Time", "timestamp") if name not in self.channels), None)
+            if name is None:
+                raise RecordError(f"{self.name or 'record'}: no name is left for time; rename the channel 't'")
+            names, values = [name, *names], [self.time, *values]
+            units = [self.units.get("t") if name == "t" else None, *units]
+        return Columns(Headers(names, names, units, self.name), values)
 
     @property
     def n(self) -> int:

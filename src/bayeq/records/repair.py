@@ -74,7 +74,10 @@ def split_at_gaps(records: Sequence[Record], channels: Sequence[str]) -> tuple[l
             continue
         gaps = f"{record.name or 'record'}: gaps longer than {limit}, the first after row {ends[0]}:"
         left_out = record.n - sum(piece.n for piece in used)
-        if left_out > _missing(record, ends):
+        assert record.time is not None
+        steps = np.diff(record.time)
+        missing = float(np.sum(steps[np.array(ends) - 1]) / np.median(steps)) - len(ends)
+        if left_out > missing:
             messages.append(
                 f"{gaps} interpolated all the same, since the pieces between them are too short to use; measure"
                 " without gaps"
@@ -107,13 +110,6 @@ def _ends(record: Record, channels: Sequence[str]) -> tuple[list[int], str]:
     name, half = min(half_periods.items(), key=lambda item: item[1])
     ends = np.flatnonzero(steps > max(half, GAP * step)) + 1
     return ends.tolist(), f"half a period of {name} ({half:.3g} s)"
-
-
-def _missing(record: Record, ends: list[int]) -> float:
-    """Number of rows missing in gaps."""
-    assert record.time is not None
-    steps = np.diff(record.time)
-    return float(np.sum(steps[np.array(ends) - 1]) / np.median(steps)) - len(ends)
 
 
 def _shortest_period(times: Sequence[FloatArray], stretches: Sequence[FloatArray], step: float) -> float:

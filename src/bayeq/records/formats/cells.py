@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from datetime import datetime, timedelta
 
 __all__ = [
-    "MISSING", "Stamp", "bracketed_words", "delimiter_of", "is_blank", "is_comment", "is_number", "is_words",
+    "MISSING", "Stamp", "bracketed_words", "delimiter_of", "fitted", "is_blank", "is_comment", "is_number", "is_words",
     "number_of", "parse_stamp", "split", "unit_cell", "unquoted", "words",
 ]  # fmt: skip
 
@@ -60,6 +60,13 @@ def split(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         return [cell.strip('"') for cell in line.split()]
     return [cell.strip() for cell in line.strip(" \r\n").split(delimiter)]
+
+
+def fitted(cells: list[str], width: int) -> list[str] | None:
+    """The cells without the empty one that a delimiter at the end of a line leaves; None of another number of cells."""
+    if len(cells) == width + 1 and not cells[-1].strip():
+        cells = cells[:-1]
+    return cells if len(cells) == width else None
 
 
 def words(line: str, delimiter: str | None, width: int) -> list[str]:

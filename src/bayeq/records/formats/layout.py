@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import NamedTuple
 
 from bayeq.errors import FileFormatError
 from bayeq.records.formats.cells import (
     MISSING,
     bracketed_words,
     delimiter_of,
+    fitted,
     is_blank,
     is_comment,
     is_number,
@@ -88,31 +89,25 @@ def looks_like_text(path: Path) -> bool:
     return bool(encodings(path))
 
 
-class _Sample(list[tuple[int, str]]):
+def _sample(path: Path, encoding: str, where: str, skip: int) -> tuple[list[tuple[int, str]], list[str]]:
     """The first lines that are neither blank nor comments, numbered, and the comments before the data."""
-
-    def __init__(self, file: TextIO, where: str, skip: int = 0) -> None:
-        super().__init__()
-        self.comments: list[str] = []
-        for number, line in enumerate(_lines(file, where), 1):
-            if number <= skip:
+    lines: list[tuple[int, str]] = []
+    comments: list[str] = []
+    number = 0
+    with path.open(encoding=encoding) as file:
+        while len(lines) < _SAMPLE_LINES and (line := file.readline(_LONGEST_LINE)):
+            number += 1
+            if len(line) == _LONGEST_LINE:
+                raise FileFormatError(
+                    f"{where}, line {number}: longer than {_LONGEST_LINE} characters; this is no table"
+                )
+            if number <= skip or is_blank(line):
                 continue
-            if is_comment(line):
-                if not self:
-                    self.comments.append(line.strip().lstrip("#% "))
-            elif not is_blank(line):
-                self.append((number, line))
-                if len(self) == _SAMPLE_LINES:
-                    break
-
-
-def _lines(file: TextIO, where: str) -> Iterator[str]:
-    number = 1
-    while line := file.readline(_LONGEST_LINE):
-        if len(line) == _LONGEST_LINE:
-            raise FileFormatError(f"{where}, line {number}: longer than {_LONGEST_LINE} characters; this is no table")
-        yield line
-        number += 1
+            if not is_comment(line):
+                lines.append((number, line))
+            elif not lines:
+                comments.append(line.strip().lstrip("#% "))
+    return lines, comments
 
 
 def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
@@ -124,13 +119,11 @@ def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
         The file is empty, has no rows, or its header does not fit its rows.
     """
     where = where or str(path)
-    with path.open(encoding=encoding) as file:
-        sample = _Sample(file, where, skip)
-    lines = list(sample)
+    lines, comments = _sample(path, encoding, where, skip)
     if not lines and skip:
         raise FileFormatError(f"{where}: nothing is left below the {skip} lines that are passed over")
     if not lines:
-        raise FileFormatError(f"{where}: the file is empty{' but for comments' if sample.comments else ''}")
+        raise FileFormatError(f"{where}: the file is empty{' but for comments' if comments else ''}")
     asked = re.fullmatch(r"\s*\"?sep=(.)\"?\s*", lines[0][1])  # a line that Excel reads and writes
     if asked:
         lines = lines[1:]
@@ -156,8 +149,8 @@ def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
         header = _fit_header(where, header, cells, line, lines[first][0])
     stamps = tuple(i for i, cell in enumerate(cells) if not is_number(cell) and parse_stamp(cell) is not None)
     comma = delimiter in (";", "\t", "|") and not any(_has_point(row, delimiter, stamps) for row in data)
-    step = table.step if table is not None and table.step is not None else stated_step(sample.comments)
-    comment = sample.comments[-1] if sample.comments else ""
+    step = table.step if table is not None and table.step is not None else stated_step(comments)
+    comment = comments[-1] if comments else ""
     return Layout(encoding, delimiter, header, line, comment, lines[first][0] - 1, width, comma, stamps, step)
 
 
@@ -176,12 +169,11 @@ def _header(rows: list[str], delimiter: str | None, where: str) -> tuple[list[st
     if len(rows) == 1:
         raise FileFormatError(f"{where}: a header but no rows")
     cells = split(rows[1], delimiter)
-    units = [unit_cell(cell) for cell in cells]
-    has_units = any(units) and None not in units and is_words(cells)
-    first = 2 if has_units else 1
+    units = _unit_row(cells) if is_words(cells) else None
+    first = 1 if units is None else 2
     header = words(rows[0], delimiter, len(split(rows[first], delimiter)) if first < len(rows) else 0)
-    if has_units and len(header) == len(units):
-        header = with_units(header, [unit or "" for unit in units])
+    if units is not None and len(header) == len(units):
+        header = with_units(header, units)
     if first == len(rows):
         raise FileFormatError(f"{where}: a header but no rows")
     return header, first
@@ -194,9 +186,7 @@ def _fit_header(where: str, header: list[str], row: list[str], line: int, row_li
     if len(header) == len(row) - 1 and not row[-1]:
         return [*header, ""]
     if len(header) != len(row):
-        hint = ""
-        if len(row) == 2 * len(header):
-            hint = "; if the comma is the decimal mark, write points"
+        hint = "; if the comma is the decimal mark, write points" if len(row) == 2 * len(header) else ""
         raise FileFormatError(
             f"{where}, line {row_line}: {len(row)} values, but the header in line {line} names {len(header)} "
             f"column{'s' * (len(header) != 1)}{hint}"
@@ -248,7 +238,7 @@ def find_table(rows: Sequence[str]) -> Table | None:
     rigol = _rigol(rows, start, delimiter)
     if rigol is not None:
         return rigol
-    above = [_cells(row, delimiter, width) for row in rows[:start]]
+    above = [fitted(words(row, delimiter, width), width) for row in rows[:start]]
     # below a header are units, or faulty rows
     faulty = start == 2 or any(cells is not None and is_number(cells[0]) for cells in above[1:])
     if faulty and above[0] is not None and is_words(above[0]):
@@ -270,10 +260,8 @@ def find_table(rows: Sequence[str]) -> Table | None:
 
 def _is_data(row: str, delimiter: str | None, width: int) -> bool:
     """Whether a line is a row of numbers, missing numbers and time stamps, at least one of them there."""
-    cells = split(row, delimiter)
-    if len(cells) == width + 1 and not cells[-1]:
-        cells = cells[:-1]
-    if len(cells) != width:
+    cells = fitted(split(row, delimiter), width)
+    if cells is None:
         return False
     known = [is_number(cell) or parse_stamp(cell) is not None for cell in cells]
     return any(known) and all(k or cell.lower() in MISSING for k, cell in zip(known, cells, strict=True))
@@ -283,14 +271,6 @@ def _is_numbers(row: str, delimiter: str | None) -> bool:
     """Whether a line is a row of several numbers, as of a table, of whatever width."""
     cells = [cell for cell in split(row, delimiter) if cell]
     return len(cells) > 1 and all(map(is_number, cells))
-
-
-def _cells(row: str, delimiter: str | None, width: int) -> list[str] | None:
-    """The cells of a line above the table, if there are as many as the table has columns."""
-    cells = words(row, delimiter, width)
-    if len(cells) == width + 1 and not cells[-1]:
-        cells = cells[:-1]
-    return cells if len(cells) == width else None
 
 
 def _names(head: list[list[str]]) -> list[str] | None:

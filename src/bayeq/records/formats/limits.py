@@ -8,14 +8,11 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
-
-import numpy as np
 
 from bayeq.errors import BayeqError, FileFormatError, MissingExtraError
 
 __all__ = [
-    "MOST_BYTES", "MOST_COLUMNS", "MOST_RATIO", "SMALL_BYTES", "check_array", "check_claim", "needing", "plain",
+    "MOST_BYTES", "MOST_COLUMNS", "MOST_RATIO", "SMALL_BYTES", "check_array", "check_claim", "needing",
     "reading", "stored_units",
 ]  # fmt: skip
 
@@ -63,14 +60,6 @@ def in_words(size: int) -> str:
         if size >= factor:
             return f"{size / factor:.3g} {unit}"
     return f"{size} bytes"
-
-
-def plain(values: Any, where: str, what: str) -> np.ndarray[Any, np.dtype[Any]]:
-    """An array of plain numbers or times, or a FileFormatError that says what it holds instead."""
-    array = np.asanyarray(values)
-    if array.dtype.hasobject:
-        raise FileFormatError(f"{where}: {what} holds objects, not numbers; they are refused")
-    return array
 
 
 @contextmanager

@@ -16,7 +16,6 @@ import numpy as np
 from bayeq.errors import FileFormatError, UnknownNameError
 from bayeq.records.assemble import RATE_NAMES, STEP_NAMES
 from bayeq.records.columns import Columns, Headers, Names, Request
-from bayeq.records.formats.limits import plain
 from bayeq.records.names import is_time_name
 from bayeq.records.validate import SECONDS
 
@@ -143,11 +142,7 @@ def _part(array: Any, k: int, across: bool) -> Callable[[slice], Any]:
 
 
 def read_pieces(
-    channels: Sequence[Channel],
-    where: str,
-    request: Request,
-    names: Names = None,
-    rows: slice = EVERY,
+    channels: Sequence[Channel], where: str, request: Request, names: Names = None, rows: slice = EVERY
 ) -> list[tuple[Request, Columns]]:
     """The columns of each record that is asked for, with the request for that one alone.
 
@@ -178,7 +173,9 @@ def _columns(channels: list[Channel], where: str, request: Request, names: Names
         headers = headers.at(rows).renamed(names)
     rows = _main(channels, headers, request) if request.names is None else _asked(channels, headers, request)
     chosen = [channels[i] for i in rows]
-    _require_one_length(chosen, where)
+    if len({channel.size for channel in chosen}) > 1:
+        shown = ", ".join(f"{c.path} ({c.size})" for c in chosen[:12])
+        raise FileFormatError(f"{where}: channels of several lengths: {shown}; name channels of one length")
     time = None
     if request.time is None and request.fs is None and names is None:
         time = next((k for k, channel in enumerate(chosen) if channel.is_time), None)
@@ -188,7 +185,10 @@ def _columns(channels: list[Channel], where: str, request: Request, names: Names
         raise FileFormatError(
             f"{where}: channels of several rates: {rates}; name channels of one rate, and join the rest"
         )
-    values = {i: plain(channels[i].values(part), where, channels[i].path) for i in rows}
+    values = {i: np.asanyarray(channels[i].values(part)) for i in rows}
+    for i, array in values.items():
+        if array.dtype.hasobject:
+            raise FileFormatError(f"{where}: {channels[i].path} holds objects, not numbers; they are refused")
     data = Columns.build(headers, values.__getitem__, lambda _: rows)
     step = steps.pop() if len(steps) == 1 and time is None and request.time is None else None
     return Columns(data.headers, data.values, (), time, step, chosen[0].start)
@@ -239,9 +239,3 @@ def _main(channels: Sequence[Channel], headers: Headers, request: Request) -> li
         shown = ", ".join(f"{c.path} ({c.size})" for c in several[:12]) + (", ..." if len(several) > 12 else "")
         raise FileFormatError(f"{headers.where}: arrays of several lengths: {shown}; name the channels to read")
     return rows
-
-
-def _require_one_length(chosen: Sequence[Channel], where: str) -> None:
-    if len({channel.size for channel in chosen}) > 1:
-        shown = ", ".join(f"{c.path} ({c.size})" for c in chosen[:12])
-        raise FileFormatError(f"{where}: channels of several lengths: {shown}; name channels of one length")

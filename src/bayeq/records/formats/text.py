@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayeq.errors import FileFormatError, WordsError
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
-from bayeq.records.formats.cells import MISSING, Stamp, is_blank, is_comment, parse_stamp, split
+from bayeq.records.formats.cells import MISSING, Stamp, fitted, is_blank, is_comment, parse_stamp, split
 from bayeq.records.formats.layout import Layout, comment_header, encodings, looks_like_text, sniff
 from bayeq.records.formats.limits import needing, reading
 from bayeq.records.formats.protocol import UNIT_ROWS, FileRows
@@ -125,7 +125,7 @@ class _Lines:
                 plain = mark is not None and '"' not in line
                 cells = line.rstrip("\n").split(mark) if plain else split(line, mark)  # float() strips
                 if len(cells) != layout.width:
-                    cells = self._fit(cells, number)
+                    cells = fitted(cells, layout.width) or self._fit(cells, number)
                 rows += 1
                 self.start = self.start or number
                 for column in layout.stamps:
@@ -164,8 +164,6 @@ class _Lines:
 
     def _fit(self, cells: list[str], number: int) -> list[str]:
         width, found = self.layout.width, len(cells)
-        if found == width + 1 and not cells[-1].strip():
-            return cells[:-1]
         if found == width - 1 and not self.headers.texts[-1] and self.layout.header is not None:
             return [*cells, ""]
         hint = "; if the comma is the decimal mark, write points" if found == 2 * width else ""
