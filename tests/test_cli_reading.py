@@ -259,7 +259,7 @@ def test_standard_input(duffing, tmp_path, capsys, monkeypatch):
         (["--rows", "1-5"], "--rows '1-5': write A:B as in Python"),
         (["--rows", "9999:"], "run.csv: --rows 9999: leaves none of 1500 rows"),
         (["--skip", "-1"], "--skip -1: give a number of lines"),
-        (["--skip", "99999"], "run.csv: nothing is left below the 99999 lines that are passed over"),
+        (["--skip", "99999"], "run.csv: the file has no data after the 99999 skipped lines"),
         (["--remove-offset", "y"], "run.csv: no channel named 'y'"),
         (["--remove-offset", "x=a"], "--remove-offset x: 'a' is no number"),
         (["--remove-offset", "x="], "write a channel, x, or a channel and a value, x=0.2"),

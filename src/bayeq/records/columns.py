@@ -99,8 +99,8 @@ class Headers:
 
     def at(self, rows: Sequence[int]) -> Headers:
         """Some of the columns."""
-        texts, names, units = ([column[i] for i in rows] for column in (self.texts, self.names, self.units))
-        return Headers(texts, names, units, self.where)
+        texts, names = ([column[i] for i in rows] for column in (self.texts, self.names))
+        return Headers(texts, names, [self.units[i] for i in rows], self.where)
 
     def stated_units(self) -> dict[str, str]:
         """Units by name, of the columns that have one."""

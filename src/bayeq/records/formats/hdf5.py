@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import mmap
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -267,7 +267,7 @@ class Hdf5Rows(FileRows):
     @cached_property
     def bounds(self) -> tuple[int, ...]:
         """Units of equal length."""
-        lengths = [replace(one, values=lambda rows, size=one.size: np.array([size])) for one in channels(self.path)]
+        lengths = [replace(one, values=_length(one)) for one in channels(self.path)]
         pieces = read_pieces(lengths, str(self.path), self.request)
         if len(pieces) > 1:
             raise FileFormatError(f"{self.path}: [*] stands for several records; name one of them to stream it")
@@ -279,3 +279,7 @@ class Hdf5Rows(FileRows):
         if len(data.values[0]) != stop - start:
             raise FileFormatError(f"{self.path}: has changed while it was read; start once more")
         return data
+
+
+def _length(channel: Channel) -> Callable[[slice], Any]:
+    return lambda rows: np.array([channel.size])

@@ -121,7 +121,7 @@ def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
     where = where or str(path)
     lines, comments = _sample(path, encoding, where, skip)
     if not lines and skip:
-        raise FileFormatError(f"{where}: nothing is left below the {skip} lines that are passed over")
+        raise FileFormatError(f"{where}: the file has no data after the {skip} skipped line{'s' * (skip != 1)}")
     if not lines:
         raise FileFormatError(f"{where}: the file is empty{' but for comments' if comments else ''}")
     asked = re.fullmatch(r"\s*\"?sep=(.)\"?\s*", lines[0][1])  # a line that Excel reads and writes
