@@ -61,8 +61,8 @@ def run(example: Example, data: Path) -> None:
     }
     example.figure = draw(
         [
-            whole.strip(title=f"as discovered: {eq[0].text}"),
-            run.strip(title=f"x and v given: {compared[1][0].text}"),
+            (f"as discovered: {eq[0].text}", whole),
+            (f"x and v given: {compared[1][0].text}", run),
         ],
         "time [s]",
     )

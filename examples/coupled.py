@@ -30,4 +30,4 @@ def run(example: Example, data: Path) -> None:
         for name, found in (("polynomial:1", eq), ("polynomial:2", wider)):
             nrmse = found.simulate(rec, draws=0).nrmse
             print(f"{name}: free run of the whole record: x1 {100 * nrmse['x1']:.1f} %, x2 {100 * nrmse['x2']:.1f} %")
-    example.figure = draw([eq.simulate(rec).strip(title=f"{eq[0].text};  {eq[1].text}")], "time [s]")
+    example.figure = draw([(f"{eq[0].text};  {eq[1].text}", eq.simulate(rec))], "time [s]")

@@ -55,11 +55,9 @@ def run(example: Example, data: Path) -> None:
         "PIP of sign(w)": f"{eq[0].table().set_index('term').loc['sign(w)', 'pip']:.2f}",
     }
     example.numbers["coefficient of w, given three forms, 95 % interval"] = f"{low:.3f} .. {high:.3f}"
-    strips = [
-        replace(strip, panels=strip.panels[:1])
-        for strip in (
-            eq.simulate(pieces[0]).strip(title=f"as discovered: {eq[0].text}"),
-            *(forms[k].simulate(thin[0]).strip(title=f"given: {forms[k][0].text}") for k in (0, 5)),
-        )
+    runs = [
+        (f"as discovered: {eq[0].text}", eq.simulate(pieces[0])),
+        *((f"given: {forms[k][0].text}", forms[k].simulate(thin[0])) for k in (0, 5)),
     ]
-    example.figure = draw(strips, "time [s]")
+    angles = [(title, replace(run, mean={"th": run.mean["th"]})) for title, run in runs]
+    example.figure = draw(angles, "time [s]")

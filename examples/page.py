@@ -17,11 +17,13 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from bayeq.errors import ConvergenceWarning
-from bayeq.figures.forecast import Strip, draw_forecasts
+from bayeq.figures.runs import draw_forecasts
 from bayeq.figures.style import UNSIGNED, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from bayeq import Forecast
 
 __all__ = ["Example", "draw", "markers", "put_blocks", "write_figure", "write_table"]
 
@@ -83,16 +85,14 @@ def _body(frame: FrameType) -> str:
     raise ValueError(f"{frame.f_code.co_filename}, line {frame.f_lineno}: no with statement")
 
 
-def draw(strips: Sequence[Strip], time: str) -> Figure:
-    """Free runs under each other, with a label of their time."""
+def draw(runs: Sequence[tuple[str, Forecast]], time: str) -> Figure:
+    """Free runs under each other, with their titles and a label of their time."""
     from matplotlib.ticker import MaxNLocator
 
+    figure = draw_forecasts(runs, time)
     with style():
-        figure = draw_forecasts(strips)
         for ax in figure.axes:
             ax.xaxis.set_major_locator(MaxNLocator(integer=True))  # a year is whole
-            if ax.get_xlabel():
-                ax.set_xlabel(time)
         figure.draw_without_rendering()  # what is made on drawing is made in this style
     return figure
 

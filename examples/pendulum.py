@@ -63,8 +63,8 @@ def run(example: Example, data: Path) -> None:
     }
     example.figure = draw(
         [
-            eq.simulate(rec).strip(title=f"as discovered: {eq[0].text}"),
-            forms[2].simulate(rec).strip(title=f"given: {forms[2][0].text}"),
+            (f"as discovered: {eq[0].text}", eq.simulate(rec)),
+            (f"given: {forms[2][0].text}", forms[2].simulate(rec)),
         ],
         "time [the record's unit]",
     )

@@ -39,6 +39,6 @@ def run(example: Example, data: Path) -> None:
                 f"{rate:.4f}: {100 * (rate / published - 1):+.0f} % from {published}"
             )
     example.figure = draw(
-        [eq.simulate(rec).strip(title="regression"), better.simulate(rec).strip(title="the same terms, refined")],
+        [("regression", eq.simulate(rec)), ("the same terms, refined", better.simulate(rec))],
         "year",
     )

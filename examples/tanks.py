@@ -29,8 +29,8 @@ def run(example: Example, data: Path) -> None:
 
     example.figure = draw(
         [
-            eq.simulate(rec).strip(title=f"estimation record: {eq[0].text}"),
-            run.strip(title="validation record, the same equation"),
+            (f"estimation record: {eq[0].text}", eq.simulate(rec)),
+            ("validation record, the same equation", run),
         ],
         "time [s]",
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
 import warnings
@@ -245,16 +244,6 @@ def test_every_picture_is_in_the_gallery():
     text = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
     assert text == page()
     assert all((ROOT / "docs" / "figures" / f"gallery_{name}.png").exists() for name in PICTURES)
-
-
-def test_type_checkers_see_the_pictures():
-    tree = ast.parse(Path(figures.__file__).read_text(encoding="utf-8"))
-    (block,) = (node for node in tree.body if isinstance(node, ast.If))
-    seen = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
-    assert seen == figures._HOME
-    assert set(figures.__all__) <= set(dir(figures))
-    with pytest.raises(AttributeError, match="nothing"):
-        figures.nothing  # noqa: B018
 
 
 def test_pictures_are_there_without_an_import_of_their_own():

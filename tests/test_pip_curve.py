@@ -14,9 +14,9 @@ from scipy.special import expit, logit
 import bayeq as bq
 from bayeq import Prior, PriorSensitivity, SpikeSlabBMA
 from bayeq.cli.app import main
-from bayeq.equation.pip_curve import PipCurve, power_sensitivity, prior_sensitivity
+from bayeq.equation.pip_curve import PipCurve, draw_pip_curves
+from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity
 from bayeq.errors import ConvergenceWarning, InputError, MissingExtraError
-from bayeq.figures.pip_curves import draw_pip_curves
 from bayeq.gram import Gram
 from bayeq.gram.lazy import grams_of
 from tests import reference

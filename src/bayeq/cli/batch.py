@@ -180,7 +180,7 @@ def _require_outputs(files: Sequence[Path], store: Path, table: Path | None, fig
     if table is not None and table.suffix.lower() != ".csv":
         raise InputError(f"{table}: the table is written as text: end it in .csv")
     if figure is not None:
-        from bayeq.figures.write import require_suffix
+        from bayeq.figures.style import require_suffix
 
         if figure.suffix.lower() == ".csv":
             raise InputError(f"{figure}: a figure ends in .png, .svg or .pdf; --table writes numbers")
@@ -188,7 +188,7 @@ def _require_outputs(files: Sequence[Path], store: Path, table: Path | None, fig
 
 
 def _write(found: Batch, table: Path | None, figure: Path | None) -> None:
-    from bayeq.figures.write import write_output
+    from bayeq.figures.style import write_output
 
     for path in (table, figure):
         if path is not None:

@@ -78,13 +78,13 @@ class Outputs:
             seen[output] = purpose
         for file in (self.sensitivity, self.path, self.forecast):
             if file is not None:
-                from bayeq.figures.write import require_suffix
+                from bayeq.figures.style import require_suffix
 
                 require_suffix(file)
         if self.report is not None:
             _require_report(self.report)
         if self.sensitivity is not None:
-            from bayeq.equation.pip_curve import require_spike_slab
+            from bayeq.equation.sensitivity import require_spike_slab
 
             require_spike_slab(options["method"])
         if self.physical and options["chains"] and options["displacement"] is None:
@@ -211,15 +211,15 @@ def show_equations(answer: Equations, as_json: bool, conditional: bool, physical
 
 
 def _write_sensitivity(path: Path, found: Equations) -> None:
-    from bayeq.figures.pip_curves import draw_pip_curves
-    from bayeq.figures.write import write_by_target
+    from bayeq.equation.pip_curve import draw_pip_curves
+    from bayeq.figures.style import write_by_target
 
     write_by_target(path, {equation.target: equation.sensitivity() for equation in found}, draw_pip_curves)
 
 
 def _write_path(path: Path, found: Equations) -> None:
-    from bayeq.figures.size_path import draw_paths
-    from bayeq.figures.write import write_by_target
+    from bayeq.equation.size_path import draw_paths
+    from bayeq.figures.style import write_by_target
 
     write_by_target(path, {equation.target: equation.path() for equation in found}, draw_paths)
 

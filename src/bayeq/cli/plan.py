@@ -76,7 +76,7 @@ def plan(
         progress.close()
     click.echo(found.to_json() if as_json else found.text)
     if figure is not None:
-        from bayeq.figures.write import write_output
+        from bayeq.figures.style import write_output
 
         write_output(figure, found.table, found.plot)
     if output is not None:

@@ -76,7 +76,7 @@ def predict(
     if seed < 0:
         raise InputError(f"--seed {seed}: a seed is a whole number, 0 or more")
     if forecast is not None:
-        from bayeq.figures.write import require_suffix
+        from bayeq.figures.style import require_suffix
 
         require_place(forecast, [equations, *files])
         require_suffix(forecast)

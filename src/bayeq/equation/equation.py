@@ -12,13 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.equation.intervals import Model, OverModels, over_models, unlike
-from bayeq.equation.pip_curve import (
-    PipCurve,
-    PriorSensitivity,
-    power_sensitivity,
-    prior_sensitivity,
-    require_spike_slab,
-)
+from bayeq.equation.pip_curve import PipCurve, PriorSensitivity
+from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity, require_spike_slab
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.units import quotient_unit
 from bayeq.equation.verdict import Verdict

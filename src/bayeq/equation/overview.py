@@ -8,8 +8,10 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation, round_to
-from bayeq.figures.overview import PANEL, TermBar, chosen_axes, draw_run, draw_terms, terms_height
+from bayeq.figures.picture import above, stacked_axes
+from bayeq.figures.runs import draw_states
 from bayeq.figures.style import style
+from bayeq.figures.terms import draw_terms
 from bayeq.inference.engines import ENGINES
 from bayeq.markup import code, items, join, paragraph, table
 
@@ -24,6 +26,9 @@ __all__ = ["as_html", "plot_run", "plot_terms"]
 NOTEWORTHY = 0.01
 MOST_OTHERS = 10
 
+# Heights of a bar, of what is around the bars, and of a state's panel [mm].
+BAR, AROUND, PANEL = 6.0, 20.0, 40.0
+
 HEADER = ("term", "coefficient", "sd", "95 % interval")
 
 
@@ -32,7 +37,7 @@ def plot_terms(eq: Answer, ax: Any = None) -> list[Axes]:
     score = ENGINES[eq.method].score
     bars = {equation.target: _bars(equation) for equation in eq.equations}
     with style():
-        axes = chosen_axes(ax, [terms_height(one) for one in bars.values()])
+        axes = stacked_axes(ax, [AROUND + BAR * max(len(rows), 3) for rows in bars.values()])
         for one, (target, rows) in zip(axes, bars.items(), strict=True):
             draw_terms(one, target, rows, score)
     return axes
@@ -40,10 +45,10 @@ def plot_terms(eq: Answer, ax: Any = None) -> list[Axes]:
 
 def plot_run(run: Forecast, ax: Any = None) -> list[Axes]:
     """A free run, a state in each of the axes."""
-    strip = run.strip()
     with style():
-        axes = chosen_axes(ax, [PANEL] * len(strip.panels))
-        draw_run(axes, strip)
+        axes = stacked_axes(ax, [PANEL] * len(run.mean))
+        draw_states(axes, run)
+        above(axes[0])
     return axes
 
 
@@ -63,12 +68,13 @@ def _numbers(equation: Equation, j: int) -> tuple[str, str, str]:
     return round_to(p.coef[j], p.sd[j]), f"{p.sd[j]:.2g}", f"{low} .. {high}"
 
 
-def _bars(equation: Equation) -> list[TermBar]:
+def _bars(equation: Equation) -> list[tuple[str, float, str]]:
+    """Term, probability, and coefficient with its interval."""
     bars = []
     for j in _listed(equation):
         value, _, interval = _numbers(equation, j)
         text = f"{value}  ({interval})" if value else ""
-        bars.append(TermBar(equation.terms[j].text, float(equation.posterior.pip[j]), text))
+        bars.append((equation.terms[j].text, float(equation.posterior.pip[j]), text))
     return bars
 
 

@@ -1,14 +1,15 @@
-"""`ParsimonyPath`: the size path, the best model of each size, to see where more terms stop to pay."""
+"""`ParsimonyPath`: the size path, the best model of each size, to see where more terms stop to pay, and its figure."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.figures.size_path import Step, draw_paths
+from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, labelled, log_ticks, new_panels, picture, term_label
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.path import DEFAULT_MOST, best_of_each_size, model_log_posterior, partial_shares
@@ -16,15 +17,36 @@ from bayeq.regression.fit import RegressionFit
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["ParsimonyPath", "parsimony_path", "percent"]
+__all__ = ["ParsimonyPath", "draw_paths", "parsimony_path", "percent"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+# Terms added, and terms removed.
+Step = tuple[tuple[str, ...], tuple[str, ...]]
+
 # By default a path goes this many terms beyond the chosen equation: enough to see its evidence fall.
 BEYOND = 3
+
+# The figure [mm]: panels, what is around them, and a character of the terms that each size adds, written upwards.
+HEIGHT, AROUND, CHARACTER = 46.0, 22.0, 1.0
+
+# Longer terms are shortened, and only the first few of a step are named, or the page would be mostly names.
+LONGEST = 24
+NAMED = 3
+
+# Log evidence is drawn on a linear scale down to this many nats below the best, odds of 1 to 22,000, and on a
+# logarithmic one beyond, where only its order of magnitude matters.
+LINEAR = 10.0
+
+# A training error below this share of the largest, of a record without noise, would squeeze all others.
+LEAST_ERROR = 1e-6
+
+HELD_OUT: dict[str, Any] = {"color": ORANGE, "marker": "D", "markersize": 3.4, "markerfacecolor": "white"}
+RING: dict[str, Any] = {"color": RED, "marker": "o", "markersize": 7.5, "markerfacecolor": "none", "linestyle": "none"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,3 +239,90 @@ def _r2(reduced: Gram | None, whole: Gram | None, coef: Floats, intercept: Float
         return np.full(len(coef), np.nan)
     errors = np.array([reduced.squared_error(theta, b0) for theta, b0 in zip(coef, intercept, strict=True)])
     return 1.0 - errors / whole.yty if whole.yty > 0 else np.zeros(len(coef))
+
+
+@picture
+def draw_paths(rows: Mapping[str, ParsimonyPath]) -> Figure:
+    """Evidence (left) and errors (right) against the number of terms, a row per equation.
+
+    Parameters
+    ----------
+    rows : mapping of str to ParsimonyPath
+        From top to bottom, by title, which may be empty.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Of a journal page's width.
+    """
+    lengths = [
+        max(sum(2 + len(name[:LONGEST]) for names in step for name in names[:NAMED]) for step in path.steps)
+        for path in rows.values()
+    ]
+    heights = [HEIGHT + AROUND + CHARACTER * length for length in lengths]
+    figure, axes = new_panels(len(rows), 2, height=sum(heights), height_ratios=heights)
+    for (left, right), (title, path) in zip(axes, rows.items(), strict=True):
+        _draw_evidence(left, path)
+        _draw_errors(right, path)
+        for ax in (left, right):
+            _number_sizes(ax, path)
+        left.set_title(term_label(title, longest=LONGEST))
+    figure.legend(handles=labelled(axes.flat), loc="outside upper right", ncols=4, columnspacing=1.6, handlelength=2.2)
+    return figure
+
+
+def _draw_evidence(ax: Axes, path: ParsimonyPath) -> None:
+    best = float(path.log_evidence.max())
+    ax.plot(path.size, path.log_evidence - best, color=BLACK, marker="s", markersize=3.0, label="log evidence")
+    _mark(ax, path, [path.chosen_log_evidence - best])
+    ax.set_yscale("symlog", linthresh=LINEAR, linscale=1.0)
+    low = min(float(path.log_evidence.min()), path.chosen_log_evidence) - best
+    ax.set_ylim(1.6 * low if low < -LINEAR else -1.1 * LINEAR, 0.15 * LINEAR)
+    decades = range(1, int(np.log10(max(-low, LINEAR))) + 1)
+    ticks = [*(-float(10**k) for k in reversed(decades)), -0.5 * LINEAR, 0.0]
+    ax.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    ax.set_yticks([], minor=True)
+    ax.axhspan(-LINEAR, ax.get_ylim()[1], color=PALE, alpha=0.5, linewidth=0, zorder=0)
+    ax.set_ylabel("log evidence below the best [nats]")
+
+
+def _draw_errors(ax: Axes, path: ParsimonyPath) -> None:
+    error, held_out = np.sqrt(1.0 - path.r2), np.sqrt(1.0 - path.held_out_r2)
+    # less is rounding
+    least = LEAST_ERROR * max(float(error.max()), LEAST_ERROR)
+    ax.plot(path.size, np.maximum(error, least), color=BLUE, marker="o", markersize=3.0, label="training rows")
+    label = "held-out rows" if np.isfinite(held_out).any() else None
+    ax.plot(path.size, np.maximum(held_out, least), linestyle=(0, (4, 1.5)), label=label, **HELD_OUT)
+    chosen = np.maximum(np.sqrt([1.0 - path.chosen_r2, 1.0 - path.chosen_held_out_r2]), least)
+    _mark(ax, path, chosen, "the equation")
+    ax.set_yscale("log")
+    low, high = ax.get_ylim()
+    if high < 10.0 * low:  # room for at least a few labelled ticks
+        middle = np.sqrt(low * high)
+        ax.set_ylim(middle / np.sqrt(10.0), middle * np.sqrt(10.0))
+    log_ticks(ax.yaxis, lambda value: f"{100.0 * value:g} %")
+    ax.set_ylabel("RMS error / sd of the target")
+
+
+def _mark(ax: Axes, path: ParsimonyPath, values: Sequence[float] | Floats, label: str | None = None) -> None:
+    """A line at the size of the chosen equation and rings about its values."""
+    size = int(path.chosen.sum())
+    ax.axvline(size, color=RED, linewidth=0.8, linestyle=(0, (1, 1.5)), zorder=1)
+    ax.plot([size] * len(values), values, zorder=4, markeredgewidth=1.2, label=label, **RING)
+
+
+def _number_sizes(ax: Axes, path: ParsimonyPath) -> None:
+    """Number of terms, and below each what changes against the one before."""
+    ax.set_xlim(path.size[0] - 0.5, path.size[-1] + 0.5)
+    ax.set_xticks(path.size)
+    ax.xaxis.remove_overlapping_locs = False  # minor ticks at the places of major ones
+    changes = []
+    for step in path.steps:
+        parts: list[str] = []
+        for sign, names in zip("+\N{MINUS SIGN}", step, strict=True):
+            parts += [sign + term_label(name, path.names, LONGEST) for name in names[:NAMED]]
+            parts += [f"{sign}…"] * (len(names) > NAMED)
+        changes.append(" ".join(parts))
+    ax.set_xticks(path.size, changes, minor=True, rotation=90)
+    ax.tick_params(axis="x", which="minor", length=0, pad=13)
+    ax.set_xlabel("number of terms, and what changes with each")

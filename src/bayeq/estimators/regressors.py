@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from bayeq.adapters.arviz import to_arviz
-from bayeq.equation.pip_curve import PriorSensitivity, prior_sensitivity
+from bayeq.equation.pip_curve import PriorSensitivity
+from bayeq.equation.sensitivity import prior_sensitivity
 from bayeq.errors import DataWarning, InputError
 from bayeq.estimators.base import Floats, Read, SparseRegressor, SpikeSlabRegressor
 from bayeq.gram import Gram, GramLike

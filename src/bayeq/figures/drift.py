@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from bayeq.errors import InputError
-from bayeq.figures.picture import plain
-from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, PALE, RED, add_axes, new_figure, styled, term_label
+from bayeq.figures.picture import above
+from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, new_panels, picture, plain, term_label
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -16,8 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_drift"]
 
-# A panel for each term [mm].
-LEFT, HEIGHT, BETWEEN, ABOVE, BELOW, RIGHT = 24.0, 30.0, 5.0, 11.0, 24.0, 4.0
+# Height of the panel of a term, and of what is around all panels [mm].
+PANEL, AROUND = 35.0, 30.0
 
 # Verdicts by mark and colour, which differ in lightness too.
 MARKS: dict[str, dict[str, Any]] = {
@@ -30,20 +31,19 @@ MARKS: dict[str, dict[str, Any]] = {
 # Panels at most, of the terms that are in most files.
 MOST = 12
 
-# Names of files below the axis: as many as can be read.
-NAMES = 24
+# Names of files below the axis, without folder and suffix: as many as can be read, of at most this many characters.
+NAMES, LONGEST = 24, 16
 
 
-@styled
+@picture
 def draw_drift(table: pd.DataFrame) -> Figure:
     """Coefficients with 95 % intervals over files, a panel for each target and term.
 
     Parameters
     ----------
     table : DataFrame
-        Of `Batch.table`: its rows of terms that are in the equation of their file are drawn, of
-        12 terms at most. Marks are those of the
-        verdict; a grey band is the interval of the common equation, where there is one.
+        Of `Batch.table`: its rows of terms that are in the equation of their file are drawn, of 12 terms at most. Marks
+        are those of the verdict; a grey band is the interval of the common equation, where there is one.
 
     Returns
     -------
@@ -58,19 +58,15 @@ def draw_drift(table: pd.DataFrame) -> Figure:
     if not len(table):
         raise InputError("no file has an equation: there is nothing to draw; see the messages of the files")
     panels, note = _panels(table)
-    figure = new_figure(FULL_WIDTH, ABOVE + len(panels) * (HEIGHT + BETWEEN) - BETWEEN + BELOW)
+    figure, axes = new_panels(len(panels), height=len(panels) * PANEL + AROUND, sharex=True)
     several = table.target.nunique() > 1
-    first: Axes | None = None
-    for k, (target, term) in enumerate(panels):
-        top = ABOVE + k * (HEIGHT + BETWEEN)
-        ax = add_axes(figure, LEFT, top, FULL_WIDTH - LEFT - RIGHT, HEIGHT, sharex=first)
-        first = first or ax
+    for ax, (target, term) in zip(axes[:, 0], panels, strict=True):
         rows = table[(table.target == target) & (table.term == term)]
         _panel(ax, rows, f"{target}: " if several else "")
-        ax.tick_params(axis="x", labelbottom=k == len(panels) - 1)
-    _files(ax, table)
-    _legend(first, table)
-    figure.text(0.01, 0.01, note, fontsize=7, va="bottom")
+    _files(axes[-1, 0], table)
+    _legend(axes[0, 0], table)
+    if note:
+        figure.supxlabel(note, x=0.01, ha="left", fontsize=7)
     return figure
 
 
@@ -116,25 +112,17 @@ def _files(ax: Axes, table: pd.DataFrame) -> None:
     names = dict(zip(table.order, table.file, strict=True))
     orders = sorted(names)
     shown = orders[:: -(-len(orders) // NAMES)]
-    stems = [plain(_short(str(names[order]))) for order in shown]
-    ax.set_xticks(shown, stems, rotation=90)
+    stems = [PurePath(str(names[order])).stem for order in shown]
+    short = [stem if len(stem) <= LONGEST else f"…{stem[1 - LONGEST :]}" for stem in stems]
+    ax.set_xticks(shown, [plain(stem) for stem in short], rotation=90)
     ax.set_xlim(orders[0] - 0.8, orders[-1] + 0.8)
 
 
-def _short(path: str, longest: int = 16) -> str:
-    """The name of a file without folder and suffix."""
-    from pathlib import PurePath
-
-    stem = PurePath(path).stem
-    return stem if len(stem) <= longest else f"…{stem[1 - longest :]}"
-
-
-def _legend(ax: Axes | None, table: pd.DataFrame) -> None:
+def _legend(ax: Axes, table: pd.DataFrame) -> None:
     """What the marks mean, above the first panel."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    assert ax is not None
     kinds = set(table.verdict[table.shown])
     handles: list[Any] = [
         Line2D([], [], linestyle="none", markersize=4.0, label=kind, **look)
@@ -144,4 +132,4 @@ def _legend(ax: Axes | None, table: pd.DataFrame) -> None:
     handles.append(Line2D([], [], color=BLUE, linewidth=0.9, label="95 % interval"))
     if "common_coef" in table:
         handles.append(Patch(facecolor=PALE, label="common equation, 95 %"))
-    ax.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=len(handles))
+    above(ax, len(handles), handles=handles, fontsize=8)

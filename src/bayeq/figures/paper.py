@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from bayeq.figures.style import (
     BLACK,
     BLUE,
+    DASHED,
     FULL_WIDTH,
     ORANGE,
     PALE,
     RED,
     SINGLE_COLUMN,
-    add_axes,
     new_figure,
+    new_panels,
 )
 
 if TYPE_CHECKING:
@@ -33,6 +34,9 @@ __all__ = ["Inclusion", "JointPosterior", "draw_inclusion", "draw_joint"]
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+# Height of the triangle of a system [mm].
+BLOCK = 90.0
+
 # How VB's mean and the truth are marked.
 MEAN: dict[str, Any] = {"color": BLACK, "markersize": 5, "markeredgewidth": 1.1}
 TRUTH: dict[str, Any] = {"color": RED, "markerfacecolor": "none", "markersize": 6, "markeredgewidth": 1.3}
@@ -40,68 +44,30 @@ TRUTH: dict[str, Any] = {"color": RED, "markerfacecolor": "none", "markersize": 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inclusion:
-    """A panel of posterior inclusion probabilities.
+    """A panel of posterior inclusion probabilities of P candidate terms, the same in all panels of a figure."""
 
-    Attributes
-    ----------
-    title : str
-        The system.
-    terms : tuple of str
-        The P candidate terms, as matplotlib sets them; the same in all panels of a figure.
-    true : (P,) bool array
-        The terms of the true law.
-    mcmc, vb : (P,) array
-        Inclusion probabilities by MCMC and by VB.
-    """
-
-    title: str
-    terms: tuple[str, ...]
-    true: Bools
-    mcmc: Floats
-    vb: Floats
+    title: str  # the system
+    terms: tuple[str, ...]  # P, as matplotlib sets them
+    true: Bools  # (P,), the terms of the true law
+    mcmc: Floats  # (P,), probabilities by MCMC
+    vb: Floats  # (P,), probabilities by VB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPosterior:
-    """The joint posterior of p coefficients, to be drawn pair by pair.
+    """The joint posterior of p coefficients, of n draws, to be drawn pair by pair."""
 
-    Attributes
-    ----------
-    title : str
-        The system.
-    labels : tuple of str
-        The p axes, as matplotlib sets them.
-    names : tuple of str
-        The p terms, short, as matplotlib sets them.
-    samples : (n, p) array
-        Draws of the coefficients by MCMC.
-    included : (n, p) bool array
-        Which of them are in the draw's model; a pair's cloud is the draws that have both.
-    same_model : (n,) bool array
-        Whether a draw's model is the one that VB selects.
-    truth : (p,) array
-        True values.
-    vb_mean : (p,) array
-        Means by VB.
-    vb_included : (p,) bool array
-        The coefficients that VB selects.
-    ellipses : mapping of (int, int) to (2, k) array
-        Outline of VB's confidence region of the coefficients i < j, where it has selected both.
-    limits : (p, 2) array
-        Ends of the axes.
-    """
-
-    title: str
-    labels: tuple[str, ...]
-    names: tuple[str, ...]
-    samples: Floats
-    included: Bools
-    same_model: Bools
-    truth: Floats
-    vb_mean: Floats
-    vb_included: Bools
-    ellipses: Mapping[tuple[int, int], Floats]
-    limits: Floats
+    title: str  # the system
+    labels: tuple[str, ...]  # p, of the axes, as matplotlib sets them
+    names: tuple[str, ...]  # p, the terms, short
+    samples: Floats  # (n, p), draws of the coefficients by MCMC
+    included: Bools  # (n, p), which of them are in the draw's model; a pair's cloud is the draws that have both
+    same_model: Bools  # (n,), whether a draw's model is the one that VB selects
+    truth: Floats  # (p,)
+    vb_mean: Floats  # (p,)
+    vb_included: Bools  # (p,), the coefficients that VB selects
+    ellipses: Mapping[tuple[int, int], Floats]  # (2, k), VB's confidence region of coefficients i < j that it selects
+    limits: Floats  # (p, 2), ends of the axes
 
 
 def draw_inclusion(panels: Sequence[Inclusion], axis_label: str = "candidate term") -> Figure:
@@ -119,38 +85,34 @@ def draw_inclusion(panels: Sequence[Inclusion], axis_label: str = "candidate ter
     matplotlib.figure.Figure
         Of a journal page's width.
     """
-    top, height, gap, below = 11.0, 22.0, 7.5, 14.5
-    figure = new_figure(FULL_WIDTH, top + len(panels) * (height + gap) - gap + below)
-    first: Axes | None = None
-    handles: list[Any] = []
-    for k, panel in enumerate(panels):
-        ax = add_axes(figure, 13.0, top + k * (height + gap), FULL_WIDTH - 15.0, height, sharex=first)
-        first = first or ax
-        handles = _bars(ax, panel)
+    figure, axes = new_panels(len(panels), height=18.0 + 29.5 * len(panels), sharex=True)
+    for k, (ax, panel) in enumerate(zip(axes[:, 0], panels, strict=True)):
+        explained = _bars(ax, panel)
         ax.set_title(f"({chr(97 + k)}) {panel.title}")
-        ax.tick_params(axis="x", labelbottom=k == len(panels) - 1)
-    ax.set_xticks(np.arange(len(panels[0].terms)), panels[0].terms, rotation=90)
-    ax.set_xlim(-0.6, len(panels[0].terms) - 0.4)
+    terms = panels[-1].terms
+    ax.set_xticks(np.arange(len(terms)), terms, rotation=90)
+    ax.set_xlim(-0.6, len(terms) - 0.4)
     ax.set_xlabel(axis_label)
-    figure.legend(handles=handles, loc="upper right", ncols=len(handles), bbox_to_anchor=(1 - 1 / FULL_WIDTH, 1.0))
+    figure.legend(handles=explained, loc="outside upper right", ncols=4)
     return figure
 
 
 def _bars(ax: Axes, panel: Inclusion) -> list[Any]:
     """A panel of inclusion probabilities; returns what the legend explains."""
     at = np.arange(len(panel.terms))
-    band = [ax.axvspan(j - 0.5, j + 0.5, color=PALE, linewidth=0, zorder=0) for j in np.flatnonzero(panel.true)]
-    mcmc = ax.bar(at - 0.19, panel.mcmc, 0.38, color=BLUE, edgecolor=BLACK, linewidth=0.4, label="SS-MCMC")
-    vb = ax.bar(at + 0.19, panel.vb, 0.38, color=ORANGE, edgecolor=BLACK, linewidth=0.4, hatch="/////", label="SS-VB")
-    half = ax.axhline(0.5, color=RED, linestyle=(0, (4, 2)), linewidth=0.8, label="PIP = 0.5", zorder=3)
+    look: dict[str, Any] = {"edgecolor": BLACK, "linewidth": 0.4}
+    true = [ax.axvspan(j - 0.5, j + 0.5, color=PALE, linewidth=0, zorder=0) for j in np.flatnonzero(panel.true)]
+    mcmc = ax.bar(at - 0.19, panel.mcmc, 0.38, color=BLUE, label="SS-MCMC", **look)
+    vb = ax.bar(at + 0.19, panel.vb, 0.38, color=ORANGE, hatch="/////", label="SS-VB", **look)
+    half = ax.axhline(0.5, color=RED, linestyle=DASHED, linewidth=0.8, label="PIP = 0.5", zorder=3)
     for j in np.flatnonzero(panel.true):
         ax.text(float(j), 1.06, panel.terms[j], ha="center", va="bottom", fontsize=8)
     ax.set_ylim(0.0, 1.3)
     ax.set_yticks([0.0, 0.5, 1.0])
     ax.set_ylabel("PIP")
-    if band:
-        band[0].set_label("true term")
-    return [mcmc, vb, half, *band[:1]]
+    if true:
+        true[0].set_label("true term")
+    return [mcmc, vb, half, *true[:1]]
 
 
 def draw_joint(systems: Sequence[JointPosterior], note: str = "") -> Figure:
@@ -170,50 +132,37 @@ def draw_joint(systems: Sequence[JointPosterior], note: str = "") -> Figure:
     """
     across = min(len(systems), 2)
     rows = -(-len(systems) // across)
+    spare = across == 2 and len(systems) % 2 == 1  # a place for the legend
+    below = 0.0 if spare else 27.0 if across == 2 else 34.0
     width = FULL_WIDTH if across == 2 else SINGLE_COLUMN
-    block_width, block_height = width / across, 90.0
-    spare = across == 2 and len(systems) % 2 == 1
-    figure = new_figure(width, rows * block_height + (0.0 if spare else 27.0 if across == 2 else 34.0))
-    for k, system in enumerate(systems):
-        left, top = (k % across) * block_width, (k // across) * block_height
-        _triangle(figure, system, f"({chr(97 + k)}) {system.title}", left, top, block_width, block_height)
+    figure = new_figure(width, rows * BLOCK + below, layout="constrained")
+    blocks = figure.subfigures(rows, across, squeeze=False).flat
+    for k, (block, system) in enumerate(zip(blocks, systems, strict=False)):
+        _triangle(block, system, f"({chr(97 + k)}) {system.title}")
+    where: dict[str, Any] = {"loc": "outside lower center", "ncols": across, "labelspacing": 0.5}
     if spare:
-        where: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (0.5 + 10.0 / width, 0.5 / rows)}
-        columns, spacing = 1, 0.9
-    else:
-        where, columns, spacing = {"loc": "lower center"}, across, 0.5
-    legend = figure.legend(
-        handles=_joint_legend(), ncols=columns, labelspacing=spacing, columnspacing=1.5, title=note or None, **where
-    )
+        where = {"loc": "center left", "bbox_to_anchor": (0.5 + 10.0 / width, 0.5 / rows), "labelspacing": 0.9}
+    legend = figure.legend(handles=_joint_legend(), columnspacing=1.5, title=note or None, **where)
     legend.set_alignment("left")
     return figure
 
 
-def _triangle(
-    figure: Figure, system: JointPosterior, title: str, left: float, top: float, width: float, height: float
-) -> None:
+def _triangle(block: Any, system: JointPosterior, title: str) -> None:
     """The pairs of one system: coefficient i across, j > i up, with shared axes."""
     side = len(system.labels) - 1
-    before, above, below, gap = 19.5, 7.0, 13.0, 2.0
-    w = (width - before - 1.0 - (side - 1) * gap) / side
-    h = (height - above - below - (side - 1) * gap) / side
-    columns: dict[int, Axes] = {}
-    for j in range(1, side + 1):
-        row: Axes | None = None
-        for i in range(j):
-            x, y = left + before + i * (w + gap), top + above + (j - 1) * (h + gap)
-            ax = add_axes(figure, x, y, w, h, sharex=columns.get(i), sharey=row)
-            columns.setdefault(i, ax)
-            row = row or ax
-            _pair(ax, system, i, j)
-            ax.tick_params(labelbottom=j == side, labelleft=i == 0)
-            if j == side:
-                ax.set_xlabel(system.labels[i], linespacing=1.3)
-            if i == 0:
-                ax.set_ylabel(system.labels[j], linespacing=1.3)
-                ax.yaxis.set_label_coords(-9.5 / w, 0.5)
-            if i == 0 and j == 1:
-                ax.set_title(title)
+    axes = block.subplots(side, side, squeeze=False, sharex="col", sharey="row")
+    for j, i in np.ndindex(side, side):
+        ax = axes[j, i]
+        if i > j:
+            ax.remove()
+            continue
+        _pair(ax, system, i, j + 1)
+        if j == side - 1:
+            ax.set_xlabel(system.labels[i], linespacing=1.3)
+        if i == 0:
+            ax.set_ylabel(system.labels[j + 1], linespacing=1.3)
+    block.align_ylabels(axes[:, 0])
+    axes[0, 0].set_title(title).set_in_layout(False)  # it may be longer than its panel is wide
 
 
 def _pair(ax: Axes, system: JointPosterior, i: int, j: int) -> None:
@@ -235,16 +184,8 @@ def _pair(ax: Axes, system: JointPosterior, i: int, j: int) -> None:
         ax.plot(system.vb_mean[i], system.vb_mean[j], "x", path_effects=rim, zorder=4, **MEAN)
     else:
         absent = ", ".join(system.names[a] for a in (i, j) if not system.vb_included[a])
-        ax.text(
-            0.5,
-            0.96,
-            f"not in SS-VB: {absent}",
-            ha="center",
-            va="top",
-            fontsize=7,
-            transform=ax.transAxes,
-            path_effects=rim,
-        )
+        place: dict[str, Any] = {"ha": "center", "va": "top", "transform": ax.transAxes}
+        ax.text(0.5, 0.96, f"not in SS-VB: {absent}", fontsize=7, path_effects=rim, **place)
     ax.set_xlim(*system.limits[i])
     ax.set_ylim(*system.limits[j])
     ax.set_xticks(_ticks(system.limits[i], 2, 0.15))
@@ -265,13 +206,12 @@ def _ticks(limits: Floats, intervals: int, margin: float) -> Floats:
 def _joint_legend() -> list[Any]:
     from matplotlib.lines import Line2D
 
-    def dots(marker: str, colour: str, size: float, label: str) -> Line2D:
-        return Line2D([], [], linestyle="none", marker=marker, color=colour, markersize=size, label=label)
-
-    return [
-        dots("o", BLUE, 3.0, "SS-MCMC samples, the model that SS-VB selects"),
-        dots("^", ORANGE, 4.0, "SS-MCMC samples, other models"),
-        Line2D([], [], linestyle="none", marker="x", label="SS-VB mean", **MEAN),
-        Line2D([], [], color=BLACK, linewidth=1.0, label="SS-VB 95 % confidence ellipse"),
-        Line2D([], [], linestyle="none", marker="o", label="true values", **TRUTH),
-    ]
+    samples = {"linestyle": "none", "color": BLUE, "marker": "o", "markersize": 3.0}
+    looks: dict[str, dict[str, Any]] = {
+        "SS-MCMC samples, the model that SS-VB selects": samples,
+        "SS-MCMC samples, other models": samples | {"color": ORANGE, "marker": "^", "markersize": 4.0},
+        "SS-VB mean": {"linestyle": "none", "marker": "x", **MEAN},
+        "SS-VB 95 % confidence ellipse": {"color": BLACK, "linewidth": 1.0},
+        "true values": {"linestyle": "none", "marker": "o", **TRUTH},
+    }
+    return [Line2D([], [], label=label, **look) for label, look in looks.items()]

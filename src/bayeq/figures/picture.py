@@ -1,72 +1,178 @@
-"""What all pictures of an answer have in common: axes that are given or made, labels, and thinning."""
+"""What pictures need of an answer, and what they have in common: axes that are given or made, labels, thinning."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from functools import wraps
-from inspect import signature
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import InputError
-from bayeq.figures.answer import Answer
-from bayeq.figures.style import FULL_WIDTH, SINGLE_COLUMN, add_axes, new_figure, require_matplotlib, style, term_label
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.expressions import Expression
+from bayeq.figures.style import (
+    FULL_WIDTH,
+    MM_PER_INCH,
+    SINGLE_COLUMN,
+    new_panels,
+    plain,
+    require_matplotlib,
+    term_label,
+)
+from bayeq.records import Record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from bayeq.inference.posterior import Posterior
+    from bayeq.states import Chain
+    from bayeq.states.motion import MotionRows
+
 __all__ = [
-    "GREY",
+    "Answer",
+    "EquationLike",
+    "Run",
     "above",
     "bracketed",
+    "channel_of",
+    "equation_of",
     "frequency_label",
     "label_of",
+    "likely_terms",
     "one_axes",
-    "picture",
-    "plain",
+    "stacked_axes",
     "thinned",
     "time_label",
     "titled",
     "two_axes",
     "unit_text",
+    "units_of",
 ]
 
-P = ParamSpec("P")
-T = TypeVar("T")
 Floats = NDArray[np.float64]
 
-# Measured samples, where many lie upon each other.
-GREY = "#8A8A8A"
+# Candidates that are not in the equation are drawn from this probability on, and this many terms in all.
+NOTEWORTHY_PIP = 0.01
+MOST_TERMS = 24
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 # More points than this are drawn as every second, third ... of them.
 MOST_POINTS = 4000
 
-
-def picture(draw: Callable[P, T]) -> Callable[P, T]:
-    """A function that draws on its argument ``ax``, made to draw in the style of all figures where it has none."""
-    arguments = signature(draw)
-
-    @wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> T:
-        require_matplotlib()
-        if arguments.bind(*args, **kwargs).arguments.get("ax") is not None:
-            return draw(*args, **kwargs)
-        with style():
-            made = draw(*args, **kwargs)
-            figure = np.ravel(np.array(made, dtype=object))[0].figure
-            figure.draw_without_rendering()  # ticks are made on drawing, by the settings of that moment
-        return made
-
-    return drawn
+# Width of the figure of a quick look [mm].
+QUICK_WIDTH = 160.0
 
 
-def one_axes(ax: Any, left: float = 15.0, height: float = 52.0, right: float = 4.0, above: float = 8.0) -> Axes:
-    """The axes that are given, or those of a new figure of a column's width; margins and height in mm.
+class Run(Protocol):
+    """A free run; see `bayeq.Forecast`."""
+
+    @property
+    def time(self) -> Floats: ...
+    @property
+    def mean(self) -> Mapping[str, Floats]: ...
+    @property
+    def low(self) -> Mapping[str, Floats]: ...
+    @property
+    def high(self) -> Mapping[str, Floats]: ...
+    @property
+    def measured(self) -> Mapping[str, Floats]: ...
+    @property
+    def units(self) -> Mapping[str, str]: ...
+    @property
+    def blew_up_at(self) -> float | None: ...
+
+
+class EquationLike(Protocol):
+    """One equation; see `bayeq.Equation`."""
+
+    @property
+    def chain(self) -> Chain: ...
+    @property
+    def terms(self) -> tuple[Expression, ...]: ...
+    @property
+    def posterior(self) -> Posterior: ...
+    @property
+    def shown_posterior(self) -> Posterior: ...
+    @property
+    def printed_ci95(self) -> Floats: ...
+    @property
+    def units(self) -> Mapping[str, str]: ...
+    @property
+    def coef_units(self) -> tuple[str | None, ...]: ...
+    @property
+    def target(self) -> str: ...
+    def predict(self, columns: Mapping[str, Floats], return_std: bool = False) -> Any: ...
+
+
+class Answer(Protocol):
+    """Equations; see `bayeq.Equations`."""
+
+    @property
+    def equations(self) -> Sequence[EquationLike]: ...
+    @property
+    def inputs(self) -> tuple[str, ...]: ...
+    @property
+    def data(self) -> Any: ...  # the summary of the data: holdout, rows_as_time
+    def motion(self, record: Record) -> MotionRows: ...
+    def simulate(self, record: Record, *, draws: int = 200, start: int = 0, rows: int | None = None) -> Run: ...
+
+
+def equation_of(eq: Answer, target: str | None) -> EquationLike:
+    """The equation of a target, by default the first.
+
+    Raises
+    ------
+    UnknownNameError
+        There is no such target.
+    """
+    if target is None:
+        return eq.equations[0]
+    for equation in eq.equations:
+        if equation.target == target:
+            return equation
+    raise UnknownNameError("equation", target, [equation.target for equation in eq.equations])
+
+
+def channel_of(run: Run, channel: str | None) -> str:
+    """A state of a free run that is measured, by default the first.
+
+    Raises
+    ------
+    InputError
+        No state is measured.
+    UnknownNameError
+        This one is not.
+    """
+    if not run.measured:
+        raise InputError("no state of the equations is measured: there is nothing to compare the free run with")
+    if channel is None:
+        return next(iter(run.measured))
+    if channel not in run.measured:
+        raise UnknownNameError("measured state", channel, list(run.measured))
+    return channel
+
+
+def likely_terms(equation: EquationLike) -> list[int]:
+    """Terms shown or included, then the likeliest of the others."""
+    pip = equation.posterior.pip
+    chosen = equation.shown_posterior.support | equation.posterior.support
+    order = np.argsort(-pip, kind="stable").tolist()
+    listed = [*np.flatnonzero(chosen).tolist(), *(j for j in order if not chosen[j] and pip[j] >= NOTEWORTHY_PIP)]
+    return listed[:MOST_TERMS]
+
+
+def _given_axes(ax: Any, count: int) -> list[Axes]:
+    axes = list(np.ravel(np.asarray(ax, dtype=object)))
+    if len(axes) != count or not all(hasattr(one, "plot") for one in axes):
+        got = len(axes) if len(axes) != count else type(axes[0]).__name__
+        raise InputError(f"ax: {count} matplotlib axes are needed, one for each panel, got {got}")
+    return axes
+
+
+def one_axes(ax: Any, height: float = 70.0, **options: Any) -> Axes:
+    """The axes that are given, or those of a new figure of a column's width and this height [mm].
 
     Raises
     ------
@@ -74,15 +180,12 @@ def one_axes(ax: Any, left: float = 15.0, height: float = 52.0, right: float = 4
         Not one matplotlib axes.
     """
     if ax is not None:
-        if not hasattr(ax, "plot"):
-            raise InputError(f"ax: one matplotlib axes is needed, got {type(ax).__name__}")
-        return ax
-    figure = new_figure(SINGLE_COLUMN, above + height + 10.0)
-    return add_axes(figure, left, above, SINGLE_COLUMN - left - right, height)
+        return _given_axes(ax, 1)[0]
+    return new_panels(1, height=height, width=SINGLE_COLUMN, **options)[1][0, 0]
 
 
-def two_axes(ax: Any, upper: float = 42.0, lower: float = 20.0) -> tuple[Axes, Axes]:
-    """The two axes that are given, or those of a new figure of a page's width, one above the other; heights in mm.
+def two_axes(ax: Any, ratio: float = 2.0) -> tuple[Axes, Axes]:
+    """The two axes that are given, or those of a new figure of a page's width: one above the other, `ratio` as high.
 
     Raises
     ------
@@ -90,22 +193,30 @@ def two_axes(ax: Any, upper: float = 42.0, lower: float = 20.0) -> tuple[Axes, A
         Not two matplotlib axes.
     """
     if ax is not None:
-        axes = list(np.ravel(np.asarray(ax, dtype=object)))
-        if len(axes) != 2 or not all(hasattr(one, "plot") for one in axes):
-            raise InputError(f"ax: two matplotlib axes are needed, one above the other, got {len(axes)}")
-        return axes[0], axes[1]
-    left, top, gap = 18.0, 9.0, 3.0
-    figure = new_figure(FULL_WIDTH, top + upper + gap + lower + 10.0)
-    width = FULL_WIDTH - left - 4.0
-    first = add_axes(figure, left, top, width, upper)
-    second = add_axes(figure, left, top + upper + gap, width, lower, sharex=first)
-    first.tick_params(axis="x", labelbottom=False)
-    return first, second
+        upper, lower = _given_axes(ax, 2)
+    else:
+        (upper,), (lower,) = new_panels(2, height=84.0, width=FULL_WIDTH, sharex=True, height_ratios=(ratio, 1.0))[1]
+    return upper, lower
 
 
-def plain(text: str) -> str:
-    """Text that matplotlib sets as it stands."""
-    return text.replace("$", r"\$")
+def stacked_axes(ax: Any, heights: Sequence[float]) -> list[Axes]:
+    """The axes that are given, or those of a new pyplot figure, one for each height [mm].
+
+    Raises
+    ------
+    InputError
+        Another number of axes than is needed.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    require_matplotlib()
+    if ax is not None:
+        return _given_axes(ax, len(heights))
+    from matplotlib import pyplot
+
+    size = (QUICK_WIDTH / MM_PER_INCH, sum(heights) / MM_PER_INCH)
+    made = pyplot.subplots(len(heights), figsize=size, squeeze=False, height_ratios=heights, layout="constrained")[1]
+    return list(made[:, 0])
 
 
 def unit_text(unit: str) -> str:
@@ -126,10 +237,15 @@ def bracketed(unit: str) -> str:
     return unit if unit.isalpha() else f"({unit_text(unit)})"
 
 
-def label_of(name: str, units: Mapping[str, str], what: str = "") -> str:
+def label_of(name: str, units: Mapping[str, str], what: str = "{}") -> str:
     """Label of an axis: what is shown of a channel, and its unit where that is known."""
     unit = units.get(name, "")
-    return plain(f"{what} {name}".strip() + (f" [{unit_text(unit)}]" if unit else ""))
+    return plain(what.format(name) + (f" [{unit_text(unit)}]" if unit else ""))
+
+
+def units_of(eq: Answer) -> dict[str, str]:
+    """Units of all channels, as far as they are known."""
+    return {name: unit for equation in eq.equations for name, unit in equation.units.items()}
 
 
 def time_label(eq: Answer) -> str:
@@ -155,5 +271,5 @@ def thinned(n: int, most: int = MOST_POINTS) -> slice:
 
 def above(ax: Axes, columns: int = 4, **options: Any) -> None:
     """The legend in a line above the axes, at its right end."""
-    place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
-    ax.legend(ncols=columns, handlelength=1.8, columnspacing=1.2, fontsize=7, **place, **options)
+    place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2, "fontsize": 7}
+    ax.legend(ncols=columns, **(place | {"handlelength": 1.8, "columnspacing": 1.2} | options))

@@ -1,20 +1,25 @@
-"""The look of all figures, and how they are written: for print, in colour or grey, the same bytes every time."""
+"""The look of all figures, and how figures and tables are written: for print, in colour or grey, the same bytes."""
 
 from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bayeq.errors import BayeqError, InputError, MissingExtraError
 from bayeq.expressions import parse, to_sympy
 from bayeq.records.files import replacing
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
@@ -22,24 +27,34 @@ if TYPE_CHECKING:
 __all__ = [
     "BLACK",
     "BLUE",
+    "DASHED",
     "FULL_WIDTH",
+    "GREY",
     "ORANGE",
     "PALE",
     "RED",
     "SINGLE_COLUMN",
     "UNSIGNED",
     "add_axes",
+    "labelled",
     "log_ticks",
     "mathtext",
     "new_figure",
+    "new_panels",
+    "picture",
+    "plain",
     "require_matplotlib",
+    "require_suffix",
     "save",
+    "shortened",
     "style",
-    "styled",
     "term_label",
+    "write_by_target",
+    "write_output",
 ]
 
 P = ParamSpec("P")
+T = TypeVar("T")
 
 # Widths of a journal's page [mm].
 SINGLE_COLUMN = 90.0
@@ -55,12 +70,17 @@ UNSIGNED: dict[str, dict[str, Any]] = {
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
 }
 
+TABLE_OR_FIGURE = (".csv", *(f".{name}" for name in UNSIGNED))
+
 # Colours that the colour-blind can tell apart (Okabe and Ito 2008) and that differ in lightness when printed in grey.
 BLUE = "#0072B2"
 ORANGE = "#E69F00"
 RED = "#D50000"
 PALE = "#E4E4E4"
 BLACK = "#000000"
+GREY = "#8A8A8A"  # of measured samples, where many lie upon each other
+
+DASHED = (0, (4, 2))
 
 # Fonts that come with matplotlib, so that a figure is the same on every machine.
 RC: dict[Any, Any] = {
@@ -130,25 +150,38 @@ def style() -> Iterator[None]:
         yield
 
 
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """A function that draws, made to draw in this `style`."""
+def picture(draw: Callable[P, T]) -> Callable[P, T]:
+    """A function that draws, made to draw in this `style` unless its argument ``ax`` brings axes of the caller's."""
+    arguments = signature(draw)
 
     @wraps(draw)
-    def in_style(*args: P.args, **kwargs: P.kwargs) -> Figure:
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> T:
+        require_matplotlib()
+        if arguments.bind(*args, **kwargs).arguments.get("ax") is not None:
+            return draw(*args, **kwargs)
         with style():
-            figure = draw(*args, **kwargs)
+            made = draw(*args, **kwargs)
+            figure = np.ravel(np.array(made, dtype=object))[0].figure
             figure.draw_without_rendering()  # ticks are made on drawing, by the settings of that moment
-        return figure
+        return made
 
-    return in_style
+    return drawn
 
 
-def new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float, **options: Any) -> Figure:
     """An empty figure, of a size in mm."""
     require_matplotlib()
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))
+    return Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH), **options)
+
+
+def new_panels(
+    rows: int, columns: int = 1, *, height: float, width: float = FULL_WIDTH, **options: Any
+) -> tuple[Figure, NDArray[Any]]:
+    """A figure of a size in mm, and its (rows, columns) panels, placed so that all labels fit."""
+    figure = new_figure(width, height, layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
 def add_axes(
@@ -164,6 +197,12 @@ def add_axes(
     across, down = (MM_PER_INCH * float(inches) for inches in figure.get_size_inches())
     place = (left / across, 1.0 - (top + height) / down, width / across, height / down)
     return figure.add_axes(place, sharex=sharex, sharey=sharey)
+
+
+def labelled(axes: Iterable[Axes]) -> list[Any]:
+    """What a legend of some axes explains, each label once."""
+    handles = (artist for ax in axes for artist in ax.get_legend_handles_labels()[0])
+    return list({artist.get_label(): artist for artist in handles}.values())
 
 
 def log_ticks(axis: Axis, text: Callable[[float], str] = "{:g}".format) -> None:
@@ -212,6 +251,56 @@ def save(figure: Figure, stem: Path) -> list[Path]:
     return paths
 
 
+def require_suffix(file: Path) -> None:
+    """Check that `write_output` can make such a file, before anything is computed for it.
+
+    Raises
+    ------
+    InputError
+        A suffix that is not known.
+    MissingExtraError
+        matplotlib is needed and not installed.
+    """
+    if file.suffix.lower() not in TABLE_OR_FIGURE:
+        raise InputError(f"{file}: is to be written as a table or a figure: end it in {', '.join(TABLE_OR_FIGURE)}")
+    if file.suffix.lower() != ".csv":
+        require_matplotlib()
+
+
+def write_output(file: Path, table: Callable[[], pd.DataFrame], figure: Callable[[], Figure]) -> None:
+    """Write the table (.csv), or the figure; only that one is made. The suffix has been checked.
+
+    Parameters
+    ----------
+    file : Path
+        Replaced whole, or not at all.
+    table, figure : callable
+        Make the one or the other; the figure in the style of the reports.
+    """
+    suffix = file.suffix.lower()[1:]
+    if suffix == "csv":
+        made = table()
+        with replacing(file) as part:
+            made.to_csv(part, index=False)
+        return
+    with style():
+        drawn = figure()
+        with replacing(file) as part:
+            drawn.savefig(part, format=suffix, metadata=UNSIGNED[suffix])
+
+
+def write_by_target(file: Path, results: Mapping[str, Any], draw: Callable[[Mapping[str, Any]], Figure]) -> None:
+    """`write_output` of results by the target of their equation: tables joined, the target in front, or one figure."""
+
+    def table() -> pd.DataFrame:
+        import pandas as pd
+
+        tables = {target: result.table() for target, result in results.items()}
+        return pd.concat(tables, names=["target", None]).reset_index(level=0)
+
+    write_output(file, table, lambda: draw(results))
+
+
 def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
     r"""A term or a coefficient as matplotlib sets it.
 
@@ -243,6 +332,16 @@ def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
     return f"${re.sub('^- ', '-', text)}$"
 
 
+def shortened(text: str, longest: int = 18) -> str:
+    """A text whose middle is left out if it is long, so that a label fits."""
+    return text if len(text) <= longest else f"{text[: longest // 2 - 1]}…{text[-longest // 2 :]}"
+
+
+def plain(text: str) -> str:
+    """Text that matplotlib sets as it stands."""
+    return text.replace("$", r"\$")
+
+
 def term_label(term: str, dictionary: Sequence[str] = (), longest: int = 18) -> str:
     """A term as matplotlib sets it; as it stands where it is a column's name and no expression; shortened if long.
 
@@ -255,11 +354,10 @@ def term_label(term: str, dictionary: Sequence[str] = (), longest: int = 18) -> 
     longest : int
         Number of characters from which a term is shortened, so that its label fits.
     """
-    short = term if len(term) <= longest else f"{term[: longest // 2 - 1]}…{term[-longest // 2 :]}"
-    plain = short.replace("$", r"\$")
+    short = shortened(term, longest)
     order = tuple(dict.fromkeys(re.findall(r"[^\W\d]\w*", " ".join(dictionary))))
     try:
-        set_text = mathtext(term, order) if short == term else plain
+        set_text = mathtext(term, order) if short == term else plain(short)
     except BayeqError:
-        return plain
-    return plain if r"\begin" in set_text else set_text  # matplotlib sets no cases of where
+        return plain(short)
+    return plain(short) if r"\begin" in set_text else set_text  # matplotlib sets no cases of where

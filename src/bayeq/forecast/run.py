@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.figures.forecast import Panel, Strip, draw_forecasts
-from bayeq.figures.style import require_matplotlib, style
+from bayeq.figures.runs import draw_forecasts
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import ANYWHERE, GENEROUS, drawn_sines, mean_run, run_bands, state_range
 from bayeq.forecast.rows import (
@@ -87,34 +86,7 @@ class Forecast:
         MissingExtraError
             matplotlib is not installed.
         """
-        require_matplotlib()
-        with style():
-            return draw_forecasts([self.strip()])
-
-    def strip(self, title: str = "") -> Strip:
-        """What `bayeq.figures.forecast` draws.
-
-        Parameters
-        ----------
-        title : str
-            What stands above it.
-
-        Returns
-        -------
-        Strip
-            The run, its band and what was measured, as arrays.
-        """
-        panels = [
-            Panel(
-                name if name not in self.units else f"{name} [{self.units[name]}]",
-                mean,
-                self.low.get(name),
-                self.high.get(name),
-                self.measured.get(name),
-            )
-            for name, mean in self.mean.items()
-        ]
-        return Strip(title, self.time, panels, self.blew_up_at)
+        return draw_forecasts([("", self)])
 
     def table(self) -> pd.DataFrame:
         """Columns time, and of each state ``x``, ``x_low``, ``x_high`` and ``x_measured``, as far as known."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayeq.figures.forecast import draw_forecasts
-from bayeq.figures.write import write_output
+from bayeq.figures.runs import draw_forecasts
+from bayeq.figures.style import write_output
 from bayeq.forecast.run import Forecast
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
     Parameters
     ----------
     file : Path
-        The suffix, which `bayeq.figures.write.require_suffix` has checked, says what to write.
+        The suffix, which `bayeq.figures.style.require_suffix` has checked, says what to write.
     runs : sequence of (str, Forecast)
         With the names of the records.
     """
@@ -42,6 +42,6 @@ def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
         return pd.concat(tables, ignore_index=True)
 
     def figure() -> Figure:
-        return draw_forecasts([run.strip(name if several else "") for name, run in runs[:MOST_DRAWN]])
+        return draw_forecasts([(name if several else "", run) for name, run in runs[:MOST_DRAWN]])
 
     write_output(file, table, figure)

@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bayeq.plan.designs import Design
 
 __all__ = ["Compared", "Outcome", "Planned", "Separation"]
@@ -95,7 +98,7 @@ class Outcome:
 
 
 class Planned(Protocol):
-    """The fields of `bayeq.Plan` that its text shows."""
+    """The fields of `bayeq.Plan` that its text and its figure show."""
 
     @property
     def purpose(self) -> Literal["models", "coefficients"]: ...
@@ -107,6 +110,10 @@ class Planned(Protocol):
     def decided(self) -> Compared | None: ...
     @property
     def outcomes(self) -> tuple[Outcome, ...]: ...
+    @property
+    def time(self) -> NDArray[np.float64]: ...
+    @property
+    def inputs(self) -> Mapping[str, NDArray[np.float64]]: ...
     @property
     def offsets(self) -> Mapping[str, float]: ...
     @property

@@ -169,7 +169,7 @@ class Plan:
 
     def plot(self) -> Figure:
         """Information by second of the designs, beside the spectrum and the first part of the best excitation."""
-        from bayeq.figures.plan import draw_plan
+        from bayeq.plan.figure import draw_plan
 
         return draw_plan(self)
 

@@ -1,7 +1,7 @@
 """The report: one HTML page with the answer, its pictures and how to get it again, which loads nothing.
 
 page         the whole page
-sections     verdict, equations, tables, warnings, data and settings
+page.html    its template
 pictures     which pictures, as images for print and live with hover values
 interactive  a matplotlib figure as a Bokeh one
 look         its style sheet

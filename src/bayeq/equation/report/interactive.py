@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from bayeq.errors import MissingExtraError
+from bayeq.figures.picture import unit_text
 
 __all__ = ["as_bokeh", "require_bokeh", "without_maths"]
 
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DASHES = {"-": "solid", "--": "dashed", "-.": "dashdot", ":": "dotted"}
 MARKERS = {"o": "circle", ".": "circle", "s": "square", "D": "diamond", "+": "cross", "^": "triangle"}
 
@@ -41,11 +41,9 @@ def without_maths(label: str) -> str:
     >>> without_maths(r"$x^{2} v\\,|x|$"), without_maths(r"$\\mathrm{sgn}(v)$ [m/s]")
     ('x² v |x|', 'sgn(v) [m/s]')
     """
-    text = re.sub(r"\^\{?(-?\d+)\}?", lambda power: power[1].translate(RAISED), label.replace(r"\$", "\0"))
-    text = re.sub(r"\\(?:mathrm|operatorname|mathit)\{(\w+)\}", r"\1", text)
-    text = re.sub(r"\\(?:left|right)(?![a-z])", "", text).replace(r"\,", " ")
-    text = re.sub(r"\\([a-zA-Z]+)", r"\1", text)
-    return re.sub(r"[${}\\]", "", text).replace("\0", "$")
+    text = label.replace(r"\$", "\0").replace(r"\,", " ")
+    text = re.sub(r"\\(?:mathrm|operatorname|mathit|left|right)(?![a-z])|[${}\\]", "", text)
+    return unit_text(text).replace("\0", "$")
 
 
 def as_bokeh(axes: Sequence[Any]) -> Any:
@@ -84,10 +82,9 @@ def _plot(ax: Any, x_range: Any) -> Any:
         active_scroll=None,
     )
     plot.toolbar.logo = None
-    for side, model in (("x", plot.xaxis[0]), ("y", plot.yaxis[0])):
-        _ticks(getattr(ax, f"{side}axis"), model)
+    for axis, model in ((ax.xaxis, plot.xaxis[0]), (ax.yaxis, plot.yaxis[0])):
+        _ticks(axis, model)
     shown = [*_images(plot, ax), *_bands(plot, ax), *_bars(plot, ax), *_lines(plot, ax)]
-    _texts(plot, ax)
     labels = [(without_maths(label), [glyph]) for label, glyph in shown if label and not label.startswith("_")]
     if labels and ax.get_legend() is not None:
         legend = Legend(items=labels, orientation="horizontal", border_line_color=None, padding=2, margin=0, spacing=8)
@@ -114,100 +111,78 @@ def _ticks(axis: Any, model: Any) -> None:
             model.major_label_orientation = "vertical"
 
 
-def _hover(plot: Any, renderer: Any, tooltips: list[tuple[str, str]], mode: str = "mouse") -> None:
-    from bokeh.models import HoverTool
-
-    plot.add_tools(HoverTool(renderers=[renderer], tooltips=tooltips, mode=mode, visible=False))
-
-
-def _lines(plot: Any, ax: Any) -> Any:
+def _hex(colour: Any) -> str:
     from matplotlib.colors import to_hex
 
+    return to_hex(colour)
+
+
+def _hover(plot: Any, renderer: Any, tooltips: list[tuple[str, str]]) -> None:
+    from bokeh.models import HoverTool
+
+    plot.add_tools(HoverTool(renderers=[renderer], tooltips=tooltips, visible=False))
+
+
+def _lines(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
+    from bokeh.models import Span
+
+    names = [(plot.xaxis[0].axis_label or "x", "x"), (plot.yaxis[0].axis_label or "y", "y")]
     for line in ax.lines:
-        colour, alpha = to_hex(line.get_color()), line.get_alpha() or 1.0
-        if line.get_transform() != ax.transData:  # a line across the axes
-            _across(plot, line, colour)
-            continue
         x, y = (np.asarray(values, dtype=np.float32) for values in (line.get_xdata(), line.get_ydata()))
+        dashes, width = DASHES.get(str(line.get_linestyle()), "solid"), line.get_linewidth()
+        look: dict[str, Any] = {"color": _hex(line.get_color()), "alpha": line.get_alpha() or 1.0}
+        if line.get_transform() != ax.transData:  # a line across the axes
+            at, dimension = (x, "height") if x[0] == x[-1] else (y, "width")
+            stroke = {"line_color": look["color"], "line_width": max(width, 1.0), "line_dash": dashes}
+            plot.add_layout(Span(location=float(at[0]), dimension=dimension, **stroke))
+            continue
         if not len(x):
             continue
-        source = {"x": x, "y": y}
-        if str(line.get_marker()) in MARKERS:
-            size = line.get_markersize() * POINT * (0.55 if line.get_marker() == "." else 1.0)
-            marker: dict[str, Any] = {"marker": MARKERS[str(line.get_marker())], "size": max(size, 2.5)}
-            filled = str(line.get_markerfacecolor()) != "none"
-            glyph = plot.scatter(
-                "x", "y", source=source, color=colour, alpha=alpha, fill_alpha=alpha if filled else 0.0, **marker
-            )
+        marker, source = str(line.get_marker()), {"x": x, "y": y}
+        if marker in MARKERS:
+            size = max(line.get_markersize() * POINT * (0.55 if marker == "." else 1.0), 2.5)
+            look["fill_alpha"] = 0.0 if str(line.get_markerfacecolor()) == "none" else look["alpha"]
+            glyph = plot.scatter("x", "y", source=source, marker=MARKERS[marker], size=size, **look)
         else:
-            dashes = DASHES.get(str(line.get_linestyle()), "solid")
-            width = max(line.get_linewidth() * POINT, 1.0)
-            glyph = plot.line("x", "y", source=source, color=colour, alpha=alpha, line_width=width, line_dash=dashes)
-        values = [(name or axis, f"@{axis}{{0,0.[00000]}}") for axis, name in _names(plot)]
-        _hover(plot, glyph, values)
+            glyph = plot.line("x", "y", source=source, line_width=max(width * POINT, 1.0), line_dash=dashes, **look)
+        _hover(plot, glyph, [(name, f"@{axis}{{0,0.[00000]}}") for name, axis in names])
         yield line.get_label(), glyph
 
 
-def _names(plot: Any) -> list[tuple[str, str]]:
-    return [("x", plot.xaxis[0].axis_label), ("y", plot.yaxis[0].axis_label)]
-
-
-def _across(plot: Any, line: Any, colour: str) -> None:
-    from bokeh.models import Span
-
-    x, y = np.asarray(line.get_xdata(), dtype=float), np.asarray(line.get_ydata(), dtype=float)
-    upright = x[0] == x[-1]
-    look: dict[str, Any] = {"line_color": colour, "line_width": max(line.get_linewidth(), 1.0)}
-    look["line_dash"] = DASHES.get(str(line.get_linestyle()), "solid")
-    plot.add_layout(Span(location=float(x[0] if upright else y[0]), dimension="height" if upright else "width", **look))
-
-
-def _bands(plot: Any, ax: Any) -> Any:
+def _bands(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
     """Filled bands, and the bars of intervals."""
     from matplotlib.collections import LineCollection, PolyCollection
-    from matplotlib.colors import to_hex
 
     for made in ax.collections:
-        segments, outlined = isinstance(made, LineCollection), isinstance(made, PolyCollection)
-        if segments:
+        if isinstance(made, LineCollection):
             ends = np.array([segment for segment in made.get_segments() if len(segment) == 2])
             if not len(ends):
                 continue
             source = {"x0": ends[:, 0, 0], "y0": ends[:, 0, 1], "x1": ends[:, 1, 0], "y1": ends[:, 1, 1]}
-            width = float(made.get_linewidths()[0]) * POINT
-            colour = to_hex(made.get_colors()[0])
-            glyph = plot.segment("x0", "y0", "x1", "y1", source=source, color=colour, line_width=width)
+            look = {"color": _hex(made.get_colors()[0]), "line_width": float(made.get_linewidths()[0]) * POINT}
+            glyph = plot.segment("x0", "y0", "x1", "y1", source=source, **look)
             _hover(plot, glyph, [("from", "@x0{0,0.[000]}"), ("to", "@x1{0,0.[000]}")])
             yield made.get_label(), glyph
-        elif outlined:
-            outlines = [path.vertices for path in made.get_paths()]
-            colour, alpha = to_hex(made.get_facecolor()[0]), float(made.get_facecolor()[0][3])
-            xs, ys = ([np.asarray(o[:, k], dtype=np.float32) for o in outlines] for k in (0, 1))
-            yield made.get_label(), plot.patches(xs, ys, color=colour, alpha=alpha, line_width=0)
+        elif isinstance(made, PolyCollection):
+            colour = made.get_facecolor()[0]
+            xs, ys = ([path.vertices[:, k].astype(np.float32) for path in made.get_paths()] for k in (0, 1))
+            yield made.get_label(), plot.patches(xs, ys, color=_hex(colour), alpha=float(colour[3]), line_width=0)
 
 
-def _bars(plot: Any, ax: Any) -> Any:
-    from matplotlib.colors import to_hex
-
+def _bars(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
     names = plot.yaxis[0].major_label_overrides
     for container in ax.containers:
-        boxes = [patch.get_bbox() for patch in container.patches]
-        source: dict[str, Any] = {
-            "left": [float(b.x0) for b in boxes],
-            "right": [float(b.x1) for b in boxes],
-            "bottom": [float(b.y0) for b in boxes],
-            "top": [float(b.y1) for b in boxes],
-            "name": [names.get(round(0.5 * (b.y0 + b.y1)), "") for b in boxes],
-        }
-        colour = to_hex(container.patches[0].get_facecolor())
+        left, bottom, right, top = np.array([patch.get_bbox().extents for patch in container.patches]).T
+        source = {"left": left, "right": right, "bottom": bottom, "top": top}
+        source["name"] = [names.get(round(place), "") for place in 0.5 * (bottom + top)]
+        colour = _hex(container.patches[0].get_facecolor())
         glyph = plot.quad(source=source, fill_color=colour, line_color="black")
         _hover(plot, glyph, [("term", "@name"), ("PIP", "@right{0.00000}")])
         yield container.get_label(), glyph
 
 
-def _images(plot: Any, ax: Any) -> Any:
-    from matplotlib.colors import to_hex
-
+def _images(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
+    """Squares of a matrix, with the numbers that are written on them."""
     names = plot.yaxis[0].major_label_overrides
     for image in ax.images:
         values = np.asarray(image.get_array())
@@ -216,26 +191,14 @@ def _images(plot: Any, ax: Any) -> Any:
             "x": col,
             "y": row,
             "value": values.ravel(),
-            "colour": [to_hex(image.cmap(image.norm(value))) for value in values.ravel()],
+            "colour": [_hex(image.cmap(image.norm(value))) for value in values.ravel()],
             "one": [names.get(int(k), "") for k in row],
             "other": [names.get(int(k), "") for k in col],
         }
         glyph = plot.rect("x", "y", 1, 1, source=source, fill_color="colour", line_color="white", line_width=0.5)
         _hover(plot, glyph, [("terms", "@one, @other"), ("correlation", "@value{0.000}")])
         yield "", glyph
-
-
-def _texts(plot: Any, ax: Any) -> None:
-    """Numbers that stand at data."""
-    from matplotlib.colors import to_hex
-
-    at_data = [text for text in ax.texts if text.get_transform() == ax.transData and ax.images]
-    if at_data:
-        source = {
-            "x": [text.get_position()[0] for text in at_data],
-            "y": [text.get_position()[1] for text in at_data],
-            "text": [text.get_text() for text in at_data],
-            "colour": [to_hex(text.get_color()) for text in at_data],
-        }
+        written = [(*text.get_position(), text.get_text(), _hex(text.get_color())) for text in ax.texts]
         look: dict[str, Any] = {"text_align": "center", "text_baseline": "middle", "text_font_size": "11px"}
-        plot.text("x", "y", "text", source=source, text_color="colour", **look)
+        numbers = dict(zip(("x", "y", "text", "colour"), map(list, zip(*written, strict=True)), strict=True))
+        plot.text("x", "y", "text", source=numbers, text_color="colour", **look)

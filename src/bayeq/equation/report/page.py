@@ -1,4 +1,4 @@
-"""The report as one HTML page."""
+"""The report as one HTML page: what `page.html` is filled with. Every text is escaped there but for maths."""
 
 from __future__ import annotations
 
@@ -7,25 +7,30 @@ import hashlib
 import shlex
 import warnings
 from collections.abc import Mapping, Sequence
-from html import escape
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from bayeq.equation.answer import Answer
-from bayeq.equation.report import sections
+from bayeq.equation.equation import Equation, round_to
+from bayeq.equation.explain import VERDICTS, explanation
 from bayeq.equation.report.interactive import require_bokeh
 from bayeq.equation.report.look import STYLE
 from bayeq.equation.report.pictures import pictures
+from bayeq.equation.size_path import percent
+from bayeq.equation.text import NOTEWORTHY_PIP
 from bayeq.errors import BayeqWarning, InputError
+from bayeq.expressions.mathml import mathml, number_mathml, symbol_mathml
+from bayeq.figures.picture import unit_text
 from bayeq.figures.style import require_matplotlib
+from bayeq.forecast.results import percentages
 from bayeq.inference.engines import ENGINES
 from bayeq.records import Record
 from bayeq.records.files import replacing
 
 __all__ = ["file_hash", "repeat_command", "require_report", "samples_hash", "write_report"]
-
-# The section that the pictures go into.
-PICTURES = "pictures"
 
 # Draws the live pictures one after the other, and shows them instead of the still ones once all are there.
 START = """
@@ -95,58 +100,142 @@ def write_report(
 
 
 def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], command: str | None) -> str:
-    """The text of the page."""
+    """The text of the page; its policy lets its own scripts run, by their hashes, and nothing be loaded."""
+    from jinja2 import Environment, FileSystemLoader
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)  # they are in the page already
         made, reasons = pictures(eq, records[0] if records else None)
-    body = _body(eq, digests, command or repeat_command(eq), complete=command is not None)
-    figures = "".join(picture.html(k) for k, picture in enumerate(made))
-    of = f" of {escape(records[0].name)}" if len(records) > 1 and records[0].name else ""
-    body[PICTURES] = f'<h2>Pictures{of}</h2><div class="pictures">{figures}</div>{sections.items(reasons)}'
-    title = f"Equation of motion: {', '.join(one.target for one in eq.equations)}"
     scripts = [_library(), START] if any(picture.live for picture in made) else []
-    return _document(title, "".join(body.values()), scripts)
-
-
-def _body(eq: Answer, digests: Mapping[str, str], command: str, complete: bool) -> dict[str, str]:
-    """Sections in their order; that of the pictures is still empty."""
-    score = ENGINES[eq.method].score
-    equations = []
-    for one in eq.equations:
-        heading = f"<h3>{escape(one.target)}</h3>" if len(eq.equations) > 1 else ""
-        own = f"<p>Verdict: {escape(str(one.verdict))}</p>" if heading else ""
-        equations.append(heading + own + sections.equation(one) + sections.terms(one, score))
-    said = sections.items(eq.warnings) if eq.warnings else "<p>There are none.</p>"
-    caution = (
-        "" if complete else '<p class="note">Options about reading the file, and limits and seeds, are not in it.</p>'
+    allowed = " ".join(f"'sha256-{_digest(script)}'" for script in scripts) or "'none'"
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
+    return environment.get_template("page.html").render(
+        title=f"Equation of motion: {', '.join(one.target for one in eq.equations)}",
+        policy=f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:;"
+        " font-src data:; base-uri 'none'; form-action 'none'",
+        style=STYLE,
+        verdict=eq.verdict,
+        meaning=VERDICTS[eq.verdict.kind].capitalize(),
+        several=len(eq.equations) > 1,
+        equations=[_equation(one) for one in eq.equations],
+        header=("term", "coefficient", "sd", "95 % interval", ENGINES[eq.method].score, "share", "unit"),
+        noteworthy=f"{NOTEWORTHY_PIP:g}",
+        warnings=eq.warnings,
+        of=f" of {records[0].name}" if len(records) > 1 and records[0].name else "",
+        pictures=made,
+        reasons=reasons,
+        words=_words(eq),
+        data=_data(eq),
+        digests=digests,
+        command=command or repeat_command(eq),
+        complete=command is not None,
+        version=version("bayeq"),
+        scripts=scripts,
+    )
+
+
+def _equation(one: Equation) -> dict[str, Any]:
+    """An equation as maths and text, with its terms."""
+    names = {name: symbol_mathml(one.chain.names[0], dots) for dots, name in enumerate(one.chain.names)}
+    rows = _rows(one)
     return {
-        "verdict": sections.verdict(eq),
-        "equations": f"<h2>Equation{'s' * (len(equations) > 1)}</h2>{''.join(equations)}",
-        "warnings": f"<h2>Warnings</h2>{said}",
-        PICTURES: "",
-        "words": f"<h2>What this says</h2>{sections.words(eq)}",
-        "data": f"<h2>Data and settings</h2>{sections.data(eq)}{sections.hashes(digests)}",
-        "again": f"<h2>To repeat it</h2><pre>{escape(command)}</pre>{caution}",
+        "target": one.target,
+        "verdict": str(one.verdict),
+        "maths": _maths(one, names),
+        "symbols": {
+            name: names[name] for k, name in enumerate(one.chain.names) if k and name != "d" * k + one.chain.names[0]
+        },
+        "text": one.text,
+        "rows": rows,
+        "rest": len(one.terms) - len(rows) + 1,
     }
 
 
-def _document(title: str, body: str, scripts: Sequence[str]) -> str:
-    """The page: its policy lets these scripts run, by their hashes, and nothing be loaded."""
-    allowed = " ".join(f"'sha256-{_digest(script)}'" for script in scripts) or "'none'"
-    policy = (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:; font-src data:;"
-        " base-uri 'none'; form-action 'none'"
-    )
-    run = "".join(f"<script>{script}</script>" for script in scripts)
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<meta name="referrer" content="no-referrer"><link rel="icon" href="data:,">'
-        f"<title>{escape(title)}</title><style>{STYLE}</style></head>\n<body><main><h1>{escape(title)}</h1>\n{body}"
-        f'</main><footer class="note"><p>Made by bayeq {escape(version("bayeq"))}.</p></footer>\n{run}</body></html>\n'
-    )
+def _maths(one: Equation, names: Mapping[str, str]) -> str:
+    """An equation as MathML, a piece for each term so that it breaks between them."""
+    p = one.shown_posterior
+    pieces = [f"<mrow>{names[one.target]}<mo>=</mo></mrow>"]
+    numbers = [
+        (float(p.coef[j]), float(p.sd[j]), mathml(one.terms[j], names, factor=True)) for j in np.flatnonzero(p.support)
+    ]
+    if one.intercept_matters:
+        numbers.append((p.intercept, p.intercept_sd, ""))
+    for k, (value, sd, term) in enumerate(numbers):
+        text = round_to(value, sd)
+        sign = "\N{MINUS SIGN}" if text.startswith("-") else "+" if k else ""
+        form = 'form="prefix"' if not k else 'form="infix"'
+        front = f"<mo {form}>{sign}</mo>" if sign else ""
+        pieces.append(
+            f"<mrow>{front}{number_mathml(text.removeprefix('-'))}<mspace width='0.17em'></mspace>{term}</mrow>"
+        )
+    if not numbers:
+        pieces.append("<mn>0</mn>")
+    return "".join(f"<math>{piece}</math> " for piece in pieces)
+
+
+def _rows(one: Equation) -> list[tuple[str, ...]]:
+    """Terms of the equation, the likeliest others, which have no numbers, and the intercept."""
+    p, shown, ci = one.posterior, one.shown_posterior, one.printed_ci95
+    share = np.full(len(one.terms), np.nan) if one.share is None else one.share
+    rows: list[tuple[str, ...]] = []
+    for j, term in enumerate(one.terms):
+        pip = f"{p.pip[j]:.3f}"
+        if shown.support[j]:
+            numbers = _numbers(shown.coef[j], shown.sd[j], ci[j])
+            part = percent(share[j]) if np.isfinite(share[j]) else ""
+            rows.append((term.text, *numbers, pip, part, unit_text(one.coef_units[j] or "")))
+        elif p.support[j] or p.pip[j] >= NOTEWORTHY_PIP:
+            rows.append((term.text, "not shown" if p.support[j] else "not included", "", "", pip, "", ""))
+    estimate, sd = one.intercept_estimate
+    numbers = _numbers(estimate, sd, one.printed_intercept_ci95)
+    rows.append(("intercept", *numbers, "", "", unit_text(one.units.get(one.target, ""))))
+    return rows
+
+
+def _numbers(value: float, sd: float, interval: Sequence[float]) -> tuple[str, str, str]:
+    """A coefficient, its standard deviation and its interval as text."""
+    low, high = (round_to(end, sd) for end in interval)
+    coefficient, ends = (text.replace("-", "\N{MINUS SIGN}") for text in (round_to(value, sd), f"{low} … {high}"))
+    return coefficient, f"{sd:.2g}", ends
+
+
+def _words(eq: Answer) -> list[str]:
+    """What is shown, explained with its own numbers."""
+    _, _, *paragraphs = explanation(eq).split("\n\n")
+    lines = (" ".join(paragraph.split()) for paragraph in paragraphs)
+    return [line for line in lines if not line.startswith("warnings:")]
+
+
+def _data(eq: Answer) -> dict[str, str]:
+    """Data and settings; what is empty is not shown."""
+    source, known = eq.data, eq.data.sensors
+    return {
+        "records": ", ".join(name for name in source.files if name) or "not named",
+        "rows": f"{source.n}, {source.n_train} used, {source.n_held_out} held out"
+        + (", then all used" if source.refitted else ""),
+        "sampling": "time not known, rows counted" if source.rows_as_time else _rate(source.fs, source.seconds),
+        "chains": ", ".join(str(chain) for chain in eq.chains),
+        "inputs": ", ".join(eq.inputs),
+        "dictionary": eq.dictionary,
+        "method": ENGINES[eq.method].title,
+        "smoothing": eq.smooth,
+        "band": "" if source.band is None else f"{source.band[0]:g} to {source.band[1]:g} Hz",
+        "estimated": ", ".join(source.estimated),
+        "noise given": ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items()),
+        "calibration": ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items()),
+        "tails": "" if known.tails == "gauss" else known.tails,
+        "constraints": "; ".join(eq.constraints),
+        "refined": "" if eq.refined is None else str(eq.refined),
+        "left out": "; ".join(f"{term.name}: {term.reason}" for term in eq.dropped),
+        "one step": "" if eq.scores is None else f"normalised RMS error {percentages(eq.scores.one_step)}",
+        "free run": "" if eq.scores is None else f"normalised RMS error {percentages(eq.scores.free_run)}",
+    }
+
+
+def _rate(fs: float | None, seconds: float | None) -> str:
+    return "" if fs is None else f"{fs:.6g} Hz" + (f", {seconds:.4g} s in all" if seconds is not None else "")
 
 
 def _library() -> str:

@@ -8,7 +8,6 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -50,7 +49,7 @@ class Picture:
     still : str
         PNG as text (base64).
     live : str
-        Bokeh's model as JSON; empty where there is none.
+        Bokeh's model as JSON without a "<"; empty where there is none.
     narrow : bool
         Whether it is of a column's width.
     """
@@ -59,17 +58,6 @@ class Picture:
     still: str
     live: str
     narrow: bool
-
-    def html(self, k: int) -> str:
-        """The figure, number k of the page."""
-        caption = escape(self.caption)
-        image = f'<img class="still" alt="{caption}" src="data:image/png;base64,{self.still}">'
-        live = f'<div class="live" id="live{k}"></div>' if self.live else ""
-        # no end of a script can stand in JSON that is in one
-        model = self.live.replace("<", "\\u003c")
-        script = f'<script type="application/json" class="plot" data-at="live{k}">{model}</script>' if live else ""
-        kind = ("narrow " if self.narrow else "") + ("both" if live else "")
-        return f'<figure class="{kind}">{live}{image}<figcaption>{caption}</figcaption>{script}</figure>'
 
 
 def pictures(eq: Answer, record: Record | None) -> tuple[list[Picture], list[str]]:
@@ -141,4 +129,5 @@ def _live(axes: Sequence[Any], k: int) -> str:
         return ""
     from bokeh.embed import json_item
 
-    return json.dumps(json_item(as_bokeh(axes), f"live{k}"))
+    # no end of a script can stand in JSON that is in one
+    return json.dumps(json_item(as_bokeh(axes), f"live{k}")).replace("<", "\\u003c")

@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, RED, add_axes, log_ticks, new_figure, styled
+from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, RED, log_ticks, new_figure, picture
+from bayeq.plan.outcome import Outcome, Planned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Planned", "draw_plan"]
+__all__ = ["draw_plan"]
 
 Floats = NDArray[np.float64]
 
 # Designs that are drawn, the best from the top.
 DRAWN = 16
 
-# The figure [mm]: names of the designs, their information; between and below them the best excitation in two panels.
-NAMES, BARS, BETWEEN, SIDE = 48.0, 62.0, 15.0, 60.0
-TOP, ROW, BELOW, GAP = 8.0, 4.4, 10.0, 14.0
-LEAST_ROWS = 12
+# The figure [mm]: a row for each design, at least so many, and what is around them.
+ROW, LEAST_ROWS, AROUND = 4.4, 12, 18.0
 
 # Colours and markers of kinds, in the order in which they come; more than these repeat.
 LOOKS = ((BLUE, "o"), (ORANGE, "s"), (RED, "^"), (BLACK, "D"))
@@ -36,42 +35,7 @@ PERIODS = 20
 LEAST = 1e-4
 
 
-class _Design(Protocol):
-    @property
-    def kind(self) -> str: ...
-    @property
-    def band(self) -> tuple[float, float]: ...
-
-
-class _Outcome(Protocol):
-    @property
-    def design(self) -> _Design: ...
-    @property
-    def amplitudes(self) -> Mapping[str, float]: ...
-    @property
-    def rate(self) -> float: ...
-    @property
-    def sd(self) -> float: ...
-
-
-class Planned(Protocol):
-    """What is drawn; see `bayeq.plan.result.Plan`."""
-
-    @property
-    def outcomes(self) -> Sequence[_Outcome]: ...
-    @property
-    def time(self) -> Floats: ...
-    @property
-    def inputs(self) -> Mapping[str, Floats]: ...
-    @property
-    def offsets(self) -> Mapping[str, float]: ...
-    @property
-    def units(self) -> Mapping[str, str]: ...
-    @property
-    def purpose(self) -> str: ...
-
-
-@styled
+@picture
 def draw_plan(plan: Planned) -> Figure:
     """Information by second of each design (left), spectrum and first part of the best excitation (right).
 
@@ -86,17 +50,15 @@ def draw_plan(plan: Planned) -> Figure:
         Of a journal page's width.
     """
     shown = plan.outcomes[:DRAWN]
-    height = ROW * max(len(shown), LEAST_ROWS)
-    figure = new_figure(FULL_WIDTH, TOP + height + BELOW)
-    _rates(add_axes(figure, NAMES, TOP, BARS, height), shown, plan.units, plan.purpose)
-    half = 0.5 * (height - GAP)
-    left = NAMES + BARS + BETWEEN
-    _spectrum(add_axes(figure, left, TOP, SIDE, half), plan)
-    _start(add_axes(figure, left, TOP + half + GAP, SIDE, half), plan)
+    figure = new_figure(FULL_WIDTH, AROUND + ROW * max(len(shown), LEAST_ROWS), layout="constrained")
+    axes = figure.subplot_mosaic([["rates", "spectrum"], ["rates", "start"]])
+    _rates(axes["rates"], shown, plan.units, plan.purpose)
+    _spectrum(axes["spectrum"], plan)
+    _start(axes["start"], plan)
     return figure
 
 
-def _rates(ax: Axes, shown: Sequence[_Outcome], units: Mapping[str, str], purpose: str) -> None:
+def _rates(ax: Axes, shown: Sequence[Outcome], units: Mapping[str, str], purpose: str) -> None:
     """A row per design, the mean and one standard deviation to either side."""
     kinds = sorted({one.design.kind for one in shown})
     best = max(shown[0].rate, np.finfo(float).tiny)
@@ -117,7 +79,7 @@ def _rates(ax: Axes, shown: Sequence[_Outcome], units: Mapping[str, str], purpos
     ax.set_title("designs, mean \N{PLUS-MINUS SIGN} sd over realisations")
 
 
-def _label(one: _Outcome, units: Mapping[str, str]) -> str:
+def _label(one: Outcome, units: Mapping[str, str]) -> str:
     low, high = one.design.band
     size = ", ".join(
         f"\N{PLUS-MINUS SIGN}{value:.3g} {units.get(name, '')}".rstrip() for name, value in one.amplitudes.items()
@@ -125,7 +87,7 @@ def _label(one: _Outcome, units: Mapping[str, str]) -> str:
     return f"{one.design.kind}, {low:.3g} to {high:.3g} Hz, {size}"
 
 
-def _inputs(ax: Axes, plan: Planned) -> list[tuple[str, Floats, dict[str, Any]]]:
+def _inputs(plan: Planned) -> list[tuple[str, Floats, dict[str, Any]]]:
     """Name, samples and look of each input of the best excitation."""
     return [
         (name, samples, {"color": LOOKS[k % len(LOOKS)][0], "linewidth": 0.8})
@@ -141,7 +103,7 @@ def _spectrum(ax: Axes, plan: Planned) -> None:
     width = high - low
     # lines beyond the band tell nothing but rounding and the skirts of a sweep
     near = (frequency >= low - 0.25 * width) & (frequency <= high + 0.25 * width)
-    for name, samples, look in _inputs(ax, plan):
+    for name, samples, look in _inputs(plan):
         size = 2.0 / n * np.abs(np.fft.rfft(samples - plan.offsets[name]))
         ax.vlines(frequency[near], 0.0, size[near], **look)
     ax.set_ylim(bottom=0.0)
@@ -154,7 +116,7 @@ def _start(ax: Axes, plan: Planned) -> None:
     """The first periods."""
     low, high = plan.outcomes[0].design.band
     shown = plan.time <= PERIODS * 2.0 / (low + high)
-    for name, samples, look in _inputs(ax, plan):
+    for name, samples, look in _inputs(plan):
         ax.plot(plan.time[shown], samples[shown], label=name, **look)
     ax.set_xlabel("time [s]")
     ax.set_ylabel(_quantity(plan, ", ".join(plan.inputs)))

@@ -1,0 +1,224 @@
+"""Restoring forces (Masri and Caughey 1979): what a record and an equation say of them, over one state and over two.
+
+With unit mass, x'' + f(x, x') = what drives the motion: f is the driving terms less the acceleration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.expressions import Evaluator
+from bayeq.figures.picture import Answer, EquationLike, above, equation_of, label_of, one_axes, thinned, titled
+from bayeq.figures.runs import BAND
+from bayeq.figures.style import BLACK, BLUE, GREY, SINGLE_COLUMN, new_figure, picture
+from bayeq.numerics.normal import Z95
+from bayeq.records import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["restoring_force_curve", "restoring_force_surface"]
+
+Floats = NDArray[np.float64]
+
+FORCE = "restoring force per mass"
+
+# Places along the curve; rings and rays of the surface, which more points would hide.
+PLACES = 400
+RINGS, RAYS = 24, 72
+POINTS = 1500
+
+
+def _second_order(equation: EquationLike) -> tuple[str, str]:
+    """Names of displacement and velocity; InputError if the equation is not of second order."""
+    if equation.chain.order != 2:
+        raise InputError(
+            f"{equation.target}: a restoring force is that of an equation of second order, such as of the chain x:v:a;"
+            f" this one is of order {equation.chain.order}"
+        )
+    return equation.chain.names[0], equation.chain.names[1]
+
+
+def _measured(equation: EquationLike, columns: Mapping[str, Floats], target: Floats, of: Iterable[str]) -> Floats:
+    """Restoring force per unit mass of the variables `of` at each row: terms of other variables less the target, (n,).
+
+    `columns` are states and inputs, `target` the measured acceleration.
+    """
+    own = _own(equation, of)
+    evaluate = Evaluator(columns)
+    p = equation.shown_posterior
+    others = np.zeros(len(target))
+    for j in np.flatnonzero(p.support):
+        if j not in own:
+            others = others + p.coef[j] * evaluate(equation.terms[j])
+    return np.asarray(others - target, dtype=np.float64)
+
+
+def _discovered(equation: EquationLike, columns: Mapping[str, Floats]) -> tuple[Floats, Floats]:
+    """The restoring force that the equation has found, and its standard deviation, at columns of its variables, (n,).
+
+    The intercept is in it.
+    """
+    own = _own(equation, columns)
+    evaluate = Evaluator(columns)
+    p = equation.shown_posterior
+    n = np.broadcast_shapes(*(np.shape(values) for values in columns.values()))
+    kept = np.flatnonzero(p.support).tolist()
+    # terms of other variables stay at their means
+    Z = np.zeros((int(np.prod(n)), len(kept)))
+    force = np.full(n, -p.intercept)
+    for k, j in enumerate(kept):
+        if j in own:
+            values = np.broadcast_to(np.asarray(evaluate(equation.terms[j]), dtype=np.float64), n)
+            force = force - p.coef[j] * values
+            Z[:, k] = values.ravel() - p.center[j]
+    variance = np.einsum("ij,jk,ik->i", Z, p.covariance, Z)
+    return force, np.sqrt(np.maximum(variance, 0.0)).reshape(n)
+
+
+def _own(equation: EquationLike, of: Iterable[str]) -> Sequence[int]:
+    """Terms shown that use these variables alone."""
+    variables = set(of)
+    kept = np.flatnonzero(equation.shown_posterior.support).tolist()
+    return [j for j in kept if set(equation.terms[j].names) <= variables]
+
+
+@picture
+def restoring_force_curve(
+    eq: Answer, record: Record, ax: Any = None, *, target: str | None = None, over: str | None = None
+) -> Axes:
+    """The force of the spring over the displacement, measured and discovered; or that of the damper over the velocity.
+
+    What was measured is the acceleration of each row less the equation's terms of other variables, with the other sign:
+    per unit of mass.
+
+    Parameters
+    ----------
+    eq : Equations
+        From `discover` or `load`, with an equation of second order.
+    record : Record
+        With the channels that the equations were found from.
+    ax : matplotlib.axes.Axes, optional
+        By default those of a new figure.
+    target : str, optional
+        Which equation; by default the first.
+    over : str, optional
+        Displacement (by default) or velocity of the equation.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        Those that were drawn on.
+
+    Raises
+    ------
+    InputError
+        An equation that is not of second order.
+    UnknownNameError
+        No equation of this target; `over` is neither its displacement nor its velocity.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    equation = equation_of(eq, target)
+    names = _second_order(equation)
+    name = over or names[0]
+    if name not in names:
+        raise UnknownNameError("displacement or velocity", name, names)
+    rows = eq.motion(record)
+    place = rows.columns[name]
+    force = _measured(equation, rows.columns, rows.observed[equation.target], [name])
+    along = np.linspace(float(place.min()), float(place.max()), PLACES)
+    mean, sd = _discovered(equation, {name: along})
+    ax = one_axes(ax)
+    every = thinned(rows.n)
+    dots: dict[str, Any] = {"color": GREY, "markersize": 1.8, "markeredgewidth": 0, "alpha": 0.7, "rasterized": True}
+    ax.plot(place[every], force[every], "o", label="measured less other terms", **dots)
+    ax.fill_between(along, mean - Z95 * sd, mean + Z95 * sd, label="95 % band", **BAND)
+    ax.plot(along, mean, color=BLUE, linewidth=1.4, label="discovered")
+    ax.set_xlabel(label_of(name, equation.units))
+    ax.set_ylabel(label_of(equation.target, equation.units, FORCE))
+    titled(ax, eq, equation.target)
+    above(ax, fontsize=6.5, markerscale=2.0, handlelength=1.4, columnspacing=1.0)
+    return ax
+
+
+@picture
+def restoring_force_surface(eq: Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
+    """The restoring force over displacement and velocity, measured and discovered (Masri and Caughey 1979).
+
+    What was measured is the acceleration of each row less the equation's terms of other variables (force, other
+    coordinates), with the other sign: per unit of mass.
+
+    Parameters
+    ----------
+    eq : Equations
+        From `discover` or `load`, with an equation of second order.
+    record : Record
+        With the channels that the equations were found from.
+    ax : mpl_toolkits.mplot3d.Axes3D, optional
+        With ``projection="3d"``; by default those of a new figure.
+    target : str, optional
+        Which equation; by default the first.
+
+    Returns
+    -------
+    mpl_toolkits.mplot3d.Axes3D
+        Samples as dots; the discovered surface within the ellipse that the motion fills.
+
+    Raises
+    ------
+    InputError
+        An equation that is not of second order; axes without three dimensions.
+    UnknownNameError
+        No equation of this target, or a channel that is missing.
+    MissingExtraError
+        matplotlib is not installed.
+
+    References
+    ----------
+    S. F. Masri and T. K. Caughey, "A nonparametric identification technique for nonlinear dynamic problems", Journal of
+    Applied Mechanics 46(2), 433-447, 1979.
+    """
+    equation = equation_of(eq, target)
+    names = _second_order(equation)
+    if ax is not None and not hasattr(ax, "plot_surface"):
+        raise InputError("ax: a surface needs axes of three dimensions, figure.add_subplot(projection='3d')")
+    rows = eq.motion(record)
+    x, v = (rows.columns[name] for name in names)
+    force = _measured(equation, rows.columns, rows.observed[equation.target], names)
+    grid_x, grid_v = _ellipse(x, v)
+    surface, _ = _discovered(equation, {names[0]: grid_x, names[1]: grid_v})
+    if ax is None:
+        ax = new_figure(SINGLE_COLUMN + 20.0, 88.0).add_axes((0.0, 0.03, 0.9, 0.93), projection="3d")
+        ax.set_box_aspect((1.0, 1.0, 0.8), zoom=1.08)
+    every = thinned(rows.n, POINTS)
+    look: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "linewidth": 0.15, "edgecolor": BLACK, "antialiased": True}
+    ax.plot_surface(grid_x, grid_v, surface, rcount=RINGS, ccount=RAYS, label="discovered", **look)
+    dots: dict[str, Any] = {"s": 1.6, "color": BLACK, "alpha": 0.5, "linewidths": 0, "rasterized": True}
+    ax.scatter(x[every], v[every], force[every], label="measured", depthshade=False, **dots)
+    ax.set_xlabel(label_of(names[0], equation.units), labelpad=-2)
+    ax.set_ylabel(label_of(names[1], equation.units), labelpad=-2)
+    ax.set_zlabel(label_of(equation.target, equation.units, FORCE), labelpad=-1)
+    ax.tick_params(pad=-2)
+    ax.locator_params(nbins=5)
+    ax.view_init(elev=26.0, azim=-52.0)
+    titled(ax, eq, equation.target)
+    ax.legend(loc="upper right", fontsize=7, markerscale=3.0)
+    return ax
+
+
+def _ellipse(x: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """Rings and rays of the ellipse that motion fills, (RINGS, RAYS) each."""
+    angle = np.linspace(0.0, 2.0 * np.pi, RAYS)
+    radius = np.linspace(0.0, 1.0, RINGS)[:, None]
+    middle = [0.5 * float(one.min() + one.max()) for one in (x, v)]
+    half = [0.5 * float(np.ptp(one)) for one in (x, v)]
+    # the farthest sample lies on the rim
+    reach = np.sqrt(sum(((one - m) / (h or 1.0)) ** 2 for one, m, h in zip((x, v), middle, half, strict=True)))
+    scale = min(float(reach.max()), np.sqrt(2.0))
+    return (middle[0] + scale * half[0] * radius * np.cos(angle), middle[1] + scale * half[1] * radius * np.sin(angle))

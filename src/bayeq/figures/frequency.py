@@ -1,0 +1,208 @@
+"""Frequencies: spectra of measured and simulated motion, and the frequency response from an input to the motion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.figures.picture import (
+    Answer,
+    Run,
+    above,
+    bracketed,
+    channel_of,
+    frequency_label,
+    one_axes,
+    two_axes,
+    units_of,
+)
+from bayeq.figures.runs import DRAWN
+from bayeq.figures.style import BLACK, GREY, ORANGE, picture, plain, term_label
+from bayeq.records import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["frequency_response", "spectra"]
+
+Floats = NDArray[np.float64]
+
+# Segments of a spectrum: about this many, which overlap by half.
+SEGMENTS = 8
+LEAST_ROWS = 32
+
+# Frequencies at which the input has less than this share of its largest power are not drawn: nothing is excited there.
+DRIVEN = 1e-3
+
+# Where less than this share of the motion follows the input (coherence), what is measured is drawn faint.
+COHERENT = 0.5
+
+
+def _whole_run(eq: Answer, record: Record, channel: str | None, what: str) -> tuple[Run, str, float]:
+    """The free run over the whole record, the state asked for, and the sampling rate [Hz]."""
+    run = eq.simulate(record, draws=0)
+    name = channel_of(run, channel)
+    if run.blew_up_at is not None:
+        raise InputError(f"the free run blew up at {run.blew_up_at:.6g} s: it has no {what}")
+    return run, name, _even_rate(run.time, record.name or "record")
+
+
+def _even_rate(time: Floats, where: str) -> float:
+    """Sampling rate [Hz] of times that are even to a thousandth; InputError if they are not, or too few."""
+    if len(time) < LEAST_ROWS:
+        raise InputError(f"{where}: a spectrum needs {LEAST_ROWS} rows or more, there are {len(time)}")
+    steps = np.diff(time)
+    step = float(np.median(steps))
+    if float(np.abs(steps - step).max()) > 1e-3 * step:
+        raise InputError(f"{where}: a spectrum needs even sampling; resample the record first")
+    return 1.0 / step
+
+
+def _filled(values: Floats) -> Floats:
+    """Missing samples bridged by straight lines."""
+    there = np.isfinite(values)
+    if there.all():
+        return values
+    at = np.arange(len(values))
+    return np.interp(at, at[there], values[there])
+
+
+def _cross_spectrum(x: Floats, y: Floats, fs: float) -> tuple[Floats, NDArray[np.complex128]]:
+    """Frequencies [Hz] above zero and the cross spectral density of two channels, by Welch's method (1967).
+
+    Hann windows over segments that overlap by half, each less its mean; densities are one-sided.
+    """
+    from scipy.signal import csd
+
+    length = max(LEAST_ROWS, 2 ** int(np.log2(max(2.0 * len(x) / (SEGMENTS + 1), LEAST_ROWS))))
+    f, density = csd(x, y, fs=fs, nperseg=min(length, len(x)))
+    return np.asarray(f[1:]), np.asarray(density[1:], dtype=np.complex128)
+
+
+@picture
+def spectra(eq: Answer, record: Record, ax: Any = None, *, channel: str | None = None) -> Axes:
+    """Power spectral densities of a measured state, of the free run over the whole record, and of their difference.
+
+    Parameters
+    ----------
+    eq : Equations
+        From `discover` or `load`.
+    record : Record
+        Times, evenly sampled, inputs and measured states.
+    ax : matplotlib.axes.Axes, optional
+        By default those of a new figure.
+    channel : str, optional
+        A measured state; by default the first.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        Densities by Welch's method, eight segments that overlap by half.
+
+    Raises
+    ------
+    InputError
+        As `Equations.simulate`; no state is measured, sampling that is not even, a free run that blew up.
+    UnknownNameError
+        A channel that is no measured state.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    run, name, fs = _whole_run(eq, record, channel, "spectrum")
+    measured, simulated = _filled(run.measured[name]), run.mean[name]
+    ax = one_axes(ax)
+    curves = (
+        (measured, {"color": BLACK, "linewidth": 1.3, "label": "measured"}),
+        (simulated, {**DRAWN, "label": "free run"}),
+        (measured - simulated, {"color": ORANGE, "linewidth": 0.8, "label": "difference"}),
+    )
+    highest = 0.0
+    for values, look in curves:
+        f, density = _cross_spectrum(values, values, fs)
+        ax.semilogy(f, density.real, **look)
+        highest = max(highest, float(density.real.max()))
+    ax.set_ylim(max(float(ax.get_ylim()[0]), 1e-12 * highest), 3.0 * highest)
+    ax.set_xlim(0.0, fs / 2.0)
+    ax.set_xlabel(frequency_label(eq))
+    unit = units_of(eq).get(name, "")
+    ax.set_ylabel(plain(f"PSD of {name}" + (f" [{bracketed(unit)}²/Hz]" if unit else " [1/Hz]")))
+    above(ax)
+    return ax
+
+
+@picture
+def frequency_response(
+    eq: Answer, record: Record, ax: Any = None, *, channel: str | None = None, force: str | None = None
+) -> tuple[Axes, Axes]:
+    """Magnitude and phase of the response of a state to an input, measured and of the free run (H1 estimate, Welch).
+
+    Of a displacement to a force it is the receptance, of a velocity the mobility, of a motion to one of the ground the
+    transmissibility. That of a nonlinear system belongs to the level of the record's excitation.
+
+    Parameters
+    ----------
+    eq : Equations
+        From `discover` or `load`, with an input.
+    record : Record
+        Times, evenly sampled, inputs and measured states.
+    ax : pair of matplotlib.axes.Axes, optional
+        For magnitude and phase; by default those of a new figure.
+    channel, force : str, optional
+        A measured state and an input; by default the first of each.
+
+    Returns
+    -------
+    pair of matplotlib.axes.Axes
+        Of the frequencies that the input excites; faint where the motion does not follow it (coherence below 0.5).
+
+    Raises
+    ------
+    InputError
+        As `Equations.simulate`; no input, no measured state, sampling that is not even, a free run that blew up.
+    UnknownNameError
+        Names that are not there.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    if not eq.inputs:
+        raise InputError("the equations have no input: there is no response to it")
+    source = force or eq.inputs[0]
+    if source not in eq.inputs:
+        raise UnknownNameError("input", source, eq.inputs)
+    run, name, fs = _whole_run(eq, record, channel, "frequency response")
+    rows = eq.motion(record)
+    times = run.time if rows.time is None else rows.time
+    u = np.interp(run.time, times, _filled(rows.samples[source]))
+    f, power = _cross_spectrum(u, u, fs)
+    driven = power.real >= DRIVEN * power.real.max()
+    axes = two_axes(ax, ratio=1.6)
+    looks: tuple[dict[str, Any], ...] = (
+        {"color": BLACK, "linewidth": 1.4, "label": "measured"},
+        {**DRAWN, "label": "free run"},
+    )
+    for values, look in zip((_filled(run.measured[name]), run.mean[name]), looks, strict=True):
+        cross = _cross_spectrum(u, values, fs)[1]
+        coherence = np.abs(cross) ** 2 / (power.real * _cross_spectrum(values, values, fs)[1].real)
+        response = np.where(driven, cross / power, np.nan)
+        # from -270 to 90 degrees: that of an oscillator does not jump between 180 and -180
+        phase = (np.degrees(np.angle(response)) + 270.0) % 360.0 - 270.0
+        if look["label"] == "measured":  # what does not follow the input is there, but faint
+            axes[0].semilogy(f, np.abs(response), color=GREY, linewidth=0.6, label=f"coherence below {COHERENT:g}")
+            axes[1].plot(f, np.where(coherence < COHERENT, phase, np.nan), ".", color=GREY, markersize=2.5)
+            response, phase = (np.where(coherence >= COHERENT, part, np.nan) for part in (response, phase))
+        axes[0].semilogy(f, np.abs(response), **look)
+        axes[1].plot(f, phase, **look)
+    over, below = (units_of(eq).get(one) for one in (name, source))
+    unit = f" [{bracketed(over)}/{bracketed(below)}]" if over and below else ""
+    axes[0].set_ylabel(plain(f"|{name}/{source}|{unit}"))
+    axes[1].set_ylabel("phase [°]")
+    axes[1].set_yticks([-270, -180, -90, 0, 90])
+    axes[1].set_ylim(-280.0, 100.0)
+    axes[1].set_xlabel(frequency_label(eq))
+    axes[1].set_xlim(0.0, float(f[driven].max()))
+    axes[0].set_title(f"response of {term_label(name)} to {term_label(source)}")
+    above(axes[0])
+    return axes

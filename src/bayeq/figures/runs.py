@@ -1,0 +1,392 @@
+"""Motion and what an equation makes of it: free runs, one step, both against each other, and the phase portrait."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import InputError, UnknownNameError
+from bayeq.figures.picture import (
+    Answer,
+    Run,
+    above,
+    channel_of,
+    equation_of,
+    label_of,
+    one_axes,
+    thinned,
+    time_label,
+    titled,
+    two_axes,
+    units_of,
+)
+from bayeq.figures.style import BLACK, BLUE, DASHED, GREY, ORANGE, RED, labelled, new_panels, picture, plain, term_label
+from bayeq.numerics.normal import Z95
+from bayeq.records import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "BAND",
+    "draw_forecasts",
+    "draw_states",
+    "free_run",
+    "measured_against_predicted",
+    "one_step",
+    "phase_portrait",
+]
+
+Floats = NDArray[np.float64]
+
+BAND: dict[str, Any] = {"color": BLUE, "alpha": 0.28, "linewidth": 0.0}
+
+# A run is dashed, so that what was measured shows below it where the two agree.
+DRAWN: dict[str, Any] = {"color": BLUE, "linewidth": 0.9, "linestyle": (0, (4, 1.2))}
+
+# Share of a record that is drawn where no rows were held out.
+LAST = 0.2
+
+
+def _compare(
+    ax: Axes,
+    time: Floats,
+    measured: Floats | None,
+    curve: tuple[Floats, Floats | None, Floats | None],
+    label: str,
+) -> None:
+    """A curve with its band over what was measured: `curve` is mean, low and high, the ends None without a band.
+
+    Limits are those of what was measured, where there is any, for a run may go far away.
+    """
+    every = thinned(len(time))
+    known = curve[0] if measured is None else measured
+    known = known[np.isfinite(known)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (-1.0, 1.0)
+    margin = 0.15 * (high - low) or max(abs(low), 1.0)
+    ax.set_ylim(low - margin, high + margin)
+    ax.set_xlim(float(time[0]), float(time[-1]))
+    if measured is not None:
+        ax.plot(time[every], measured[every], color=BLACK, linewidth=0.7, label="measured")
+    _band(ax, time[every], curve[1:], every, "95 % band")
+    ax.plot(time[every], curve[0][every], label=label, **DRAWN)
+
+
+def _band(ax: Axes, time: Floats, ends: Sequence[Floats | None], every: slice, label: str | None = None) -> None:
+    """A band; what lies far outside the panel, or nowhere, is drawn to beyond its edge."""
+    bottom, top = ax.get_ylim()
+    room = 10.0 * (top - bottom)
+    low, high = (None if end is None else np.clip(end[every], bottom - room, top + room) for end in ends)
+    if low is not None and high is not None:
+        ax.fill_between(time, low, high, label=label, **BAND)
+
+
+def _residual(
+    ax: Axes, time: Floats, measured: Floats, curve: tuple[Floats, Floats | None, Floats | None], label: str
+) -> None:
+    """What was measured less a curve, and its band."""
+    every = thinned(len(time))
+    mean, *ends = curve
+    residual = measured - mean
+    reach = 1.15 * float(np.abs(residual[np.isfinite(residual)]).max(initial=0.0)) or 1.0
+    ax.set_ylim(-reach, reach)
+    ax.set_xlim(float(time[0]), float(time[-1]))
+    ax.axhline(0.0, color=BLACK, linewidth=0.5)
+    _band(ax, time[every], [None if end is None else end - mean for end in ends], every)
+    ax.plot(time[every], residual[every], color=ORANGE, linewidth=0.7, label="residual: measured less " + label)
+
+
+def _curve(run: Run, name: str) -> tuple[Floats, Floats | None, Floats | None]:
+    return run.mean[name], run.low.get(name), run.high.get(name)
+
+
+def _state(ax: Axes, run: Run, name: str) -> None:
+    """One state of a free run: what was measured, the run, its band, and where it blew up."""
+    _compare(ax, run.time, run.measured.get(name), _curve(run, name), "free run")
+    ax.set_ylabel(label_of(name, run.units))
+    _mark_blow_up(ax, run)
+
+
+def _mark_blow_up(ax: Axes, run: Run) -> None:
+    if run.blew_up_at is not None:
+        ax.axvline(run.blew_up_at, color=RED, linestyle=DASHED, linewidth=0.8, label="blew up")
+
+
+def draw_states(axes: Sequence[Axes], run: Run, time: str = "time [s]") -> None:
+    """A free run against what was measured, a state in each of the axes."""
+    for ax, name in zip(axes, run.mean, strict=True):
+        _state(ax, run, name)
+    axes[-1].set_xlabel(time)
+
+
+@picture
+def draw_forecasts(runs: Sequence[tuple[str, Run]], time: str = "time [s]") -> Figure:
+    """Free runs under each other, a panel for each state.
+
+    Parameters
+    ----------
+    runs : sequence of (str, Run)
+        With their titles, which may be empty.
+    time : str
+        Label of the time axes.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Of a journal page's width.
+    """
+    counts = [len(run.mean) for _, run in runs]
+    titles = sum(bool(title) for title, _ in runs)
+    figure, axes = new_panels(sum(counts), height=7.0 + 38.0 * sum(counts) + 7.0 * len(runs) + 6.0 * titles)
+    for (title, run), panels in zip(runs, np.split(axes[:, 0], np.cumsum(counts)[:-1]), strict=True):
+        draw_states(list(panels), run, time)
+        for ax in panels[:-1]:
+            ax.tick_params(axis="x", labelbottom=False)
+        if title:
+            panels[0].set_title(plain(title))
+    figure.legend(handles=labelled(axes.flat), loc="outside upper center", ncols=4, handlelength=2.2)
+    return figure
+
+
+@picture
+def free_run(
+    eq: Answer,
+    record: Record,
+    ax: Any = None,
+    *,
+    channel: str | None = None,
+    start: int | None = None,
+    rows: int | None = None,
+    draws: int = 200,
+) -> tuple[Axes, Axes]:
+    """A free run of the equations against what was measured, with the band of the posterior's runs and the residual.
+
+    Parameters
+    ----------
+    eq : Equations
+        From `discover` or `load`.
+    record : Record
+        Times, inputs and measured states.
+    ax : pair of matplotlib.axes.Axes, optional
+        For the run and for the residual; by default those of a new figure.
+    channel : str, optional
+        A measured state; by default the first.
+    start, rows : int, optional
+        First row, and how many; by default those held out, or the last fifth.
+    draws : int
+        Runs with coefficients from their posterior; 0 for no band.
+
+    Returns
+    -------
+    pair of matplotlib.axes.Axes
+        Of the run and of the residual.
+
+    Raises
+    ------
+    InputError
+        As `Equations.simulate`; no state is measured.
+    UnknownNameError
+        A channel that is no measured state.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    run = eq.simulate(record, draws=draws, start=_first_row(eq, record.n) if start is None else start, rows=rows)
+    name = channel_of(run, channel)
+    upper, lower = two_axes(ax)
+    _state(upper, run, name)
+    _residual(lower, run.time, run.measured[name], _curve(run, name), "free run")
+    _mark_blow_up(lower, run)
+    lower.set_ylabel(label_of(name, run.units, "residual {}"))
+    lower.set_xlabel(time_label(eq))
+    error = run.measured[name] - run.mean[name]
+    spread = float(np.nanstd(run.measured[name]))
+    share = float(np.sqrt(np.nanmean(error**2))) / spread if spread > 0 and np.isfinite(error).any() else np.nan
+    upper.set_title(f"free run of {term_label(name)}" + (f": RMS error {100 * share:.2g} %" if share == share else ""))
+    above(upper)
+    return upper, lower
+
+
+def _first_row(eq: Answer, n: int) -> int:
+    """The first row that was held out, or that of the last fifth."""
+    start = n - int((eq.data.holdout or LAST) * n)
+    return start if start < n - 1 else 0
+
+
+@picture
+def one_step(
+    eq: Answer,
+    record: Record,
+    ax: Any = None,
+    *,
+    target: str | None = None,
+    start: int | None = None,
+    rows: int | None = None,
+) -> tuple[Axes, Axes]:
+    """The target of an equation at the measured states and inputs of each row, eqs. (29) and (30), and the residual.
+
+    Parameters
+    ----------
+    eq : Equations
+        From `discover` or `load`.
+    record : Record
+        With the channels that the equations were found from.
+    ax : pair of matplotlib.axes.Axes, optional
+        For the target and for the residual; by default those of a new figure.
+    target : str, optional
+        Which equation; by default the first.
+    start, rows : int, optional
+        First row, and how many; by default those held out, or the last fifth.
+
+    Returns
+    -------
+    pair of matplotlib.axes.Axes
+        The band holds 95 % of the measured samples, if the equation and the noise are right.
+
+    Raises
+    ------
+    InputError
+        Rows out of range.
+    UnknownNameError
+        No equation of this target, or a channel that is missing.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    equation = equation_of(eq, target)
+    motion = eq.motion(record)
+    first = motion.n - int((eq.data.holdout or LAST) * motion.n) if start is None else start
+    last = motion.n if rows is None else first + rows
+    if not 0 <= first < last - 1 < motion.n:
+        raise InputError(f"rows {first} to {last}: the record has {motion.n}; give a start and at least two rows in it")
+    part = slice(first, last)
+    mean, sd = equation.predict({name: values[part] for name, values in motion.columns.items()}, return_std=True)
+    time = np.arange(first, last, dtype=np.float64) if motion.time is None else motion.time[part]
+    measured = motion.observed[equation.target][part]
+    upper, lower = two_axes(ax)
+    curve = (mean, mean - Z95 * sd, mean + Z95 * sd)
+    _compare(upper, time, measured, curve, "one step")
+    _residual(lower, time, measured, curve, "one step")
+    upper.set_ylabel(label_of(equation.target, equation.units))
+    lower.set_ylabel(label_of(equation.target, equation.units, "residual {}"))
+    lower.set_xlabel("row" if motion.time is None else time_label(eq))
+    upper.set_title(f"one step of {term_label(equation.target)}")
+    above(upper)
+    return upper, lower
+
+
+@picture
+def measured_against_predicted(eq: Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
+    """The target of an equation as it was measured, over what the equation gives at the states of the same row.
+
+    Parameters
+    ----------
+    eq : Equations
+        From `discover` or `load`.
+    record : Record
+        With the channels that the equations were found from.
+    ax : matplotlib.axes.Axes, optional
+        By default those of a new figure.
+    target : str, optional
+        Which equation; by default the first.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        Rows used as dots, rows held out (the last of the record, as many as in `discover`) as crosses, and the line on
+        which both are equal.
+
+    Raises
+    ------
+    UnknownNameError
+        No equation of this target, or a channel that is missing.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    equation = equation_of(eq, target)
+    rows = eq.motion(record)
+    measured = rows.observed[equation.target]
+    predicted = np.asarray(equation.predict(rows.columns))
+    ax = one_axes(ax)
+    every = thinned(rows.n)
+    used = np.arange(rows.n)[every] < rows.n - int(eq.data.holdout * rows.n)
+    look: dict[str, Any] = {"markersize": 2.6, "markeredgewidth": 0.6, "alpha": 0.6, "rasterized": True}
+    for part, marker, colour, label in ((used, ".", BLUE, "rows used"), (~used, "+", ORANGE, "rows held out")):
+        if part.any():
+            ax.plot(predicted[every][part], measured[every][part], marker, color=colour, label=label, **look)
+    ends = np.array([np.nanmin([measured, predicted]), np.nanmax([measured, predicted])])
+    ax.plot(ends, ends, color=BLACK, linewidth=0.7, label="equal")
+    error = measured - predicted
+    r2 = 1.0 - float(np.nanvar(error) / np.nanvar(measured)) if np.nanvar(measured) > 0 else float("nan")
+    ax.text(0.04, 0.96, f"$R^2$ = {r2:.4f}", transform=ax.transAxes, ha="left", va="top")
+    ax.set_xlabel(label_of(equation.target, equation.units, "predicted {}"))
+    ax.set_ylabel(label_of(equation.target, equation.units, "measured {}"))
+    titled(ax, eq, equation.target)
+    ax.legend(loc="lower right", fontsize=7, markerscale=2.0, handlelength=1.4)
+    return ax
+
+
+@picture
+def phase_portrait(
+    eq: Answer,
+    record: Record,
+    ax: Any = None,
+    *,
+    states: tuple[str, str] | None = None,
+    start: int | None = None,
+    rows: int | None = None,
+) -> Axes:
+    """Two states against each other: as measured (or estimated), and along a free run.
+
+    Parameters
+    ----------
+    eq : Equations
+        From `discover` or `load`.
+    record : Record
+        With the channels that the equations were found from, and time.
+    ax : matplotlib.axes.Axes, optional
+        By default those of a new figure.
+    states : (str, str), optional
+        Across and up; by default the first two: displacement and velocity.
+    start, rows : int, optional
+        First row of the free run, and how many; by default those held out, or the last fifth.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        Those that were drawn on.
+
+    Raises
+    ------
+    InputError
+        As `Equations.simulate`; a system of one state.
+    UnknownNameError
+        States that are none of the equations'.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    names = [name for equation in eq.equations for name in equation.chain.states]
+    chosen = states or tuple(names[:2])
+    if len(chosen) != 2:
+        raise InputError("a phase portrait needs two states; the equations have one")
+    for name in chosen:
+        if name not in names:
+            raise UnknownNameError("state", name, names)
+    motion = eq.motion(record)
+    run = eq.simulate(record, draws=0, start=_first_row(eq, record.n) if start is None else start, rows=rows)
+    ax = one_axes(ax)
+    x, y = (motion.columns[name][thinned(motion.n)] for name in chosen)
+    ax.plot(x, y, color=GREY, linewidth=0.4, label="record")
+    across, up = (run.mean[name][thinned(len(run.time))] for name in chosen)
+    ax.plot(across, up, color=BLUE, linewidth=1.0, label="free run")
+    ax.plot(across[:1], up[:1], "o", color=BLACK, markersize=3.6, label="its start")
+    for values, fit in ((x, ax.set_xlim), (y, ax.set_ylim)):
+        low, high = float(values.min()), float(values.max())
+        margin = 0.1 * (high - low) or 1.0
+        fit(low - margin, high + margin)
+    ax.set_xlabel(label_of(chosen[0], units_of(eq)))
+    ax.set_ylabel(label_of(chosen[1], units_of(eq)))
+    above(ax)
+    return ax

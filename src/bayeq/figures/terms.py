@@ -1,0 +1,249 @@
+"""Terms of an equation: inclusion probabilities, coefficients with their intervals, and how alike terms are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import floor, isfinite, log10
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import InputError
+from bayeq.expressions import Evaluator
+from bayeq.figures.picture import Answer, above, equation_of, likely_terms, one_axes, titled, unit_text
+from bayeq.figures.style import BLACK, BLUE, DASHED, PALE, RED, picture, plain, shortened, term_label
+from bayeq.numerics.normal import Z95
+from bayeq.records import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["candidate_correlation", "coefficient_forest", "draw_terms", "pip_bars"]
+
+# A term beside the least that are drawn, so that the map is not of a single one.
+LEAST_TERMS = 6
+
+
+def _bars(ax: Axes, labels: Sequence[str], pip: Sequence[float], shown: Sequence[bool]) -> None:
+    """A bar for each term, as long as its probability: filled where the term is in the equation."""
+    at, length, filled = np.arange(len(labels)), np.asarray(pip), np.asarray(shown, dtype=bool)
+    ax.set_axisbelow(True)
+    ax.grid(axis="x", color=PALE, linewidth=0.5)
+    for chosen, colour, label in ((filled, BLUE, "in the equation"), (~filled, "white", "not in it")):
+        if chosen.any():
+            ax.barh(at[chosen], length[chosen], 0.62, color=colour, edgecolor=BLACK, linewidth=0.5, label=label)
+    ax.axvline(0.5, color=RED, linestyle=DASHED, linewidth=0.8)
+    ax.set_yticks(at, labels)
+    ax.set_ylim(max(len(at), 3) - 0.4, -0.6)
+    ax.set_xlim(0.0, 1.0)
+
+
+def draw_terms(ax: Axes, target: str, terms: Sequence[tuple[str, float, str]], score: str) -> None:
+    """Term, probability and coefficient as text, which is empty for a term that is not shown: a bar for each."""
+    names = [name for name, _, _ in terms]
+    _bars(ax, [term_label(name, names) for name in names], [pip for _, pip, _ in terms], [bool(c) for _, _, c in terms])
+    ax.set_xlabel(f"{score} (a blue bar: in the equation; right: coefficient, 95 % interval)")
+    ax.set_title(term_label(target), loc="left")
+    for place, (_, _, coefficient) in enumerate(terms):
+        _beside(ax, place, coefficient.replace("-", "\N{MINUS SIGN}"))
+
+
+def _beside(ax: Axes, place: float, text: str, **look: Any) -> None:
+    """Text to the right of the axes."""
+    ax.text(1.02, place, text, transform=ax.get_yaxis_transform(), ha="left", va="center", **look)
+
+
+@picture
+def pip_bars(eq: Answer, record: Record | None = None, ax: Any = None, *, target: str | None = None) -> Axes:
+    """Posterior inclusion probabilities (PIP) of the terms shown and of the likeliest others.
+
+    Parameters
+    ----------
+    eq : Equations
+        From `discover` or `load`.
+    record : Record, optional
+        Not used; all pictures take one.
+    ax : matplotlib.axes.Axes, optional
+        By default those of a new figure.
+    target : str, optional
+        Which equation; by default the first.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        A bar per term: filled where the term is shown, white where it is not.
+
+    Raises
+    ------
+    UnknownNameError
+        No equation of this target.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    equation = equation_of(eq, target)
+    listed = likely_terms(equation)
+    names = [term.text for term in equation.terms]
+    pip, shown = equation.posterior.pip[listed], equation.shown_posterior.support[listed]
+    ax = one_axes(ax, height=5.0 * max(len(listed), 3) + 20.0)
+    _bars(ax, [term_label(names[j], names) for j in listed], pip.tolist(), shown.tolist())
+    for place, value in enumerate(pip.tolist()):
+        inside = value > 0.8
+        colour = "white" if inside and shown[place] else BLACK
+        side: dict[str, Any] = {"ha": "right" if inside else "left", "va": "center", "fontsize": 7, "color": colour}
+        ax.text(value + (-0.015 if inside else 0.015), place, f"{value:.3f}", **side)
+    rest = len(names) - len(listed)
+    most = float(np.delete(equation.posterior.pip, listed).max(initial=0.0))
+    ax.set_xlabel(f"PIP ({rest} more terms: at most {most:.1g})" if rest else "posterior inclusion probability")
+    titled(ax, eq, equation.target)
+    if listed:
+        above(ax)
+    return ax
+
+
+@picture
+def coefficient_forest(eq: Answer, record: Record | None = None, ax: Any = None, *, target: str | None = None) -> Axes:
+    """Coefficients of the terms shown with their 95 % intervals, as deviations from the estimate in per cent of it.
+
+    So coefficients of different units stand on one scale: how well each is known. The numbers themselves, with their
+    units, stand beside them.
+
+    Parameters
+    ----------
+    eq : Equations
+        From `discover` or `load`.
+    record : Record, optional
+        Of a simulated record, which knows its law, the true coefficients are marked.
+    ax : matplotlib.axes.Axes, optional
+        By default those of a new figure.
+    target : str, optional
+        Which equation; by default the first.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        A bar from end to end of each interval.
+
+    Raises
+    ------
+    UnknownNameError
+        No equation of this target.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    equation = equation_of(eq, target)
+    shown = equation.shown_posterior
+    kept = np.flatnonzero(shown.support & (shown.coef != 0))
+    coef, sd, intervals = shown.coef[kept], shown.sd[kept], equation.printed_ci95[kept]
+    names = [term.text for term in equation.terms]
+    ax = one_axes(ax, height=6.0 * max(len(kept), 3) + 20.0)
+    at = np.arange(len(kept))
+    off = 100.0 * np.sort((intervals - coef[:, None]) / np.abs(coef)[:, None], axis=1)
+    ax.axvline(0.0, color=PALE, linewidth=1.0, zorder=0)
+    ax.hlines(at, off[:, 0], off[:, 1], color=BLUE, linewidth=2.2, label="95 % interval")
+    ax.plot(np.zeros(len(kept)), at, "o", color=BLACK, markersize=3.2, label="estimate")
+    truth = {} if record is None or record.truth is None else record.truth.coefficients.get(equation.target, {})
+    known = [k for k, j in enumerate(kept) if names[j] in truth]
+    if known:
+        true = np.array([truth[names[kept[k]]] for k in known])
+        error = 100.0 * (true - coef[known]) / np.abs(coef[known])
+        ax.plot(error, at[known], "D", color=RED, markerfacecolor="none", markersize=5.0, label="true")
+    ax.set_yticks(at, [term_label(names[j], names) for j in kept])
+    ax.set_ylim(max(len(kept), 3) - 0.4, -0.6)
+    reach = 1.15 * float(np.abs(off).max(initial=1e-6))
+    ax.set_xlim(-reach, reach)
+    for place, (j, value, spread) in enumerate(zip(kept, coef, sd, strict=True)):
+        unit = shortened(unit_text(equation.coef_units[j] or ""))
+        text = _number(value, spread) + (f" {unit}" if unit not in ("", "1") else "")
+        _beside(ax, place, plain(text.replace("-", "\N{MINUS SIGN}", 1) if value < 0 else text), fontsize=7)
+    ax.set_xlabel("deviation from the estimate [% of it]")
+    titled(ax, eq, equation.target)
+    above(ax, handlelength=1.2)
+    return ax
+
+
+def _number(value: float, sd: float) -> str:
+    """A coefficient to a tenth of its standard deviation, and half its interval given the terms shown.
+
+    >>> _number(-1003.62, 2.1), _number(-99640.0, 320.0), _number(2.5e7, 3e4)
+    ('-1003.6 ± 4.1', '-99640 ± 630', '(2.500 ± 0.006)e7')
+    """
+    if not (isfinite(sd) and sd > 0 and value):
+        return f"{value:.4g}"
+    power = floor(log10(abs(value)))
+    if -4 <= power < 6:
+        digits = 1 - floor(log10(sd))
+        return f"{round(value, digits):.{max(digits, 0)}f} ± {round(Z95 * sd, digits):.{max(digits, 0)}f}"
+    digits = max(power - floor(log10(sd)), 0)
+    scale = 10.0**-power
+    return f"({value * scale:.{digits}f} ± {Z95 * sd * scale:.{digits}f})e{power}"
+
+
+@picture
+def candidate_correlation(eq: Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
+    """Correlation of the terms shown and of the likeliest others over the rows of a record.
+
+    Terms whose columns are nearly alike (close to 1 or -1) are those that a record can hardly tell apart.
+
+    Parameters
+    ----------
+    eq : Equations
+        From `discover` or `load`.
+    record : Record
+        With the channels that the equations were found from.
+    ax : matplotlib.axes.Axes, optional
+        By default those of a new figure.
+    target : str, optional
+        Which equation; by default the first.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        Dark red at 1, white at 0, dark blue at -1, with the numbers; lines between terms shown and others.
+
+    Raises
+    ------
+    InputError
+        There are no candidates.
+    UnknownNameError
+        No equation of this target, or a channel that is missing.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    equation = equation_of(eq, target)
+    listed = likely_terms(equation)
+    others = [j for j in np.argsort(-equation.posterior.pip, kind="stable").tolist() if j not in listed]
+    listed += others[: max(LEAST_TERMS - len(listed), 0)]
+    if not listed:
+        raise InputError(f"{equation.target}: there are no candidate terms to compare")
+    evaluate = Evaluator(eq.motion(record).columns)
+    correlation = _correlation([np.asarray(evaluate(equation.terms[j])) for j in listed])
+    names = [term.text for term in equation.terms]
+    ax = one_axes(ax, height=min(max(6.0 * len(listed), 36.0), 62.0) + 18.0)
+    ax.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    at = np.arange(len(listed))
+    labels = [term_label(names[j], names) for j in listed]
+    ax.set_xticks(at, labels, rotation=90)
+    ax.xaxis.tick_top()
+    ax.set_yticks(at, labels)
+    ax.tick_params(length=0)
+    font = 6.5 if len(listed) <= 10 else 4.5
+    for (i, k), value in np.ndenumerate(correlation):
+        text = "1" if i == k else f"{value:.2f}".replace("0.", ".").replace("-", "\N{MINUS SIGN}")
+        colour = "white" if abs(value) > 0.6 else BLACK
+        ax.text(k, i, text, ha="center", va="center", fontsize=font, color=colour)
+    inside = int(equation.shown_posterior.support[listed].sum())
+    for edge in (ax.axvline, ax.axhline):
+        if 0 < inside < len(listed):
+            edge(inside - 0.5, color=BLACK, linewidth=0.9)
+    return ax
+
+
+def _correlation(columns: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Correlation of columns; 0 with one that does not vary."""
+    D = np.column_stack(np.broadcast_arrays(*columns))
+    D = D[np.isfinite(D).all(axis=1)]
+    D = D - D.mean(axis=0)
+    scale = np.sqrt((D**2).mean(axis=0))
+    D = D / np.where(scale > 0, scale, 1.0)
+    return np.asarray(D.T @ D / len(D))
