@@ -8,7 +8,7 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation, round_to
-from bayeq.figures.picture import above, stacked_axes
+from bayeq.figures.picture import above, axes_for
 from bayeq.figures.runs import draw_states
 from bayeq.figures.style import style
 from bayeq.figures.terms import draw_terms
@@ -26,8 +26,8 @@ __all__ = ["as_html", "plot_run", "plot_terms"]
 NOTEWORTHY = 0.01
 MOST_OTHERS = 10
 
-# Heights of a bar, of what is around the bars, and of a state's panel [mm].
-BAR, AROUND, PANEL = 6.0, 20.0, 40.0
+# Width of the figure, heights of a bar, of what is around the bars, and of a state's panel [mm].
+WIDTH, BAR, AROUND, PANEL = 160.0, 6.0, 20.0, 40.0
 
 HEADER = ("term", "coefficient", "sd", "95 % interval")
 
@@ -37,7 +37,7 @@ def plot_terms(eq: Answer, ax: Any = None) -> list[Axes]:
     score = ENGINES[eq.method].score
     bars = {equation.target: _bars(equation) for equation in eq.equations}
     with style():
-        axes = stacked_axes(ax, [AROUND + BAR * max(len(rows), 3) for rows in bars.values()])
+        axes = axes_for(ax, [AROUND + BAR * max(len(rows), 3) for rows in bars.values()], WIDTH, pyplot=True)
         for one, (target, rows) in zip(axes, bars.items(), strict=True):
             draw_terms(one, target, rows, score)
     return axes
@@ -46,7 +46,7 @@ def plot_terms(eq: Answer, ax: Any = None) -> list[Axes]:
 def plot_run(run: Forecast, ax: Any = None) -> list[Axes]:
     """A free run, a state in each of the axes."""
     with style():
-        axes = stacked_axes(ax, [PANEL] * len(run.mean))
+        axes = axes_for(ax, [PANEL] * len(run.mean), WIDTH, pyplot=True)
         draw_states(axes, run)
         above(axes[0])
     return axes

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Evaluator
-from bayeq.figures.picture import Answer, EquationLike, above, equation_of, label_of, one_axes, thinned, titled
+from bayeq.figures.picture import Answer, EquationLike, above, axes_for, equation_of, label_of, thinned, titled
 from bayeq.figures.runs import BAND
 from bayeq.figures.style import BLACK, BLUE, GREY, SINGLE_COLUMN, new_figure, picture
 from bayeq.numerics.normal import Z95
@@ -134,7 +134,7 @@ def restoring_force_curve(
     force = _measured(equation, rows.columns, rows.observed[equation.target], [name])
     along = np.linspace(float(place.min()), float(place.max()), PLACES)
     mean, sd = _discovered(equation, {name: along})
-    ax = one_axes(ax)
+    (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
     every = thinned(rows.n)
     dots: dict[str, Any] = {"color": GREY, "markersize": 1.8, "markeredgewidth": 0, "alpha": 0.7, "rasterized": True}
     ax.plot(place[every], force[every], "o", label="measured less other terms", **dots)

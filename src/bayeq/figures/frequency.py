@@ -12,15 +12,14 @@ from bayeq.figures.picture import (
     Answer,
     Run,
     above,
+    axes_for,
     bracketed,
     channel_of,
     frequency_label,
-    one_axes,
-    two_axes,
     units_of,
 )
 from bayeq.figures.runs import DRAWN
-from bayeq.figures.style import BLACK, GREY, ORANGE, picture, plain, term_label
+from bayeq.figures.style import BLACK, FULL_WIDTH, GREY, ORANGE, SINGLE_COLUMN, picture, plain, term_label
 from bayeq.records import Record
 
 if TYPE_CHECKING:
@@ -113,7 +112,7 @@ def spectra(eq: Answer, record: Record, ax: Any = None, *, channel: str | None =
     """
     run, name, fs = _whole_run(eq, record, channel, "spectrum")
     measured, simulated = _filled(run.measured[name]), run.mean[name]
-    ax = one_axes(ax)
+    (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
     curves = (
         (measured, {"color": BLACK, "linewidth": 1.3, "label": "measured"}),
         (simulated, {**DRAWN, "label": "free run"}),
@@ -178,7 +177,7 @@ def frequency_response(
     u = np.interp(run.time, times, _filled(rows.samples[source]))
     f, power = _cross_spectrum(u, u, fs)
     driven = power.real >= DRIVEN * power.real.max()
-    axes = two_axes(ax, ratio=1.6)
+    upper, lower = axes_for(ax, [52.0, 32.0], FULL_WIDTH, sharex=True)
     looks: tuple[dict[str, Any], ...] = (
         {"color": BLACK, "linewidth": 1.4, "label": "measured"},
         {**DRAWN, "label": "free run"},
@@ -190,19 +189,19 @@ def frequency_response(
         # from -270 to 90 degrees: that of an oscillator does not jump between 180 and -180
         phase = (np.degrees(np.angle(response)) + 270.0) % 360.0 - 270.0
         if look["label"] == "measured":  # what does not follow the input is there, but faint
-            axes[0].semilogy(f, np.abs(response), color=GREY, linewidth=0.6, label=f"coherence below {COHERENT:g}")
-            axes[1].plot(f, np.where(coherence < COHERENT, phase, np.nan), ".", color=GREY, markersize=2.5)
+            upper.semilogy(f, np.abs(response), color=GREY, linewidth=0.6, label=f"coherence below {COHERENT:g}")
+            lower.plot(f, np.where(coherence < COHERENT, phase, np.nan), ".", color=GREY, markersize=2.5)
             response, phase = (np.where(coherence >= COHERENT, part, np.nan) for part in (response, phase))
-        axes[0].semilogy(f, np.abs(response), **look)
-        axes[1].plot(f, phase, **look)
+        upper.semilogy(f, np.abs(response), **look)
+        lower.plot(f, phase, **look)
     over, below = (units_of(eq).get(one) for one in (name, source))
     unit = f" [{bracketed(over)}/{bracketed(below)}]" if over and below else ""
-    axes[0].set_ylabel(plain(f"|{name}/{source}|{unit}"))
-    axes[1].set_ylabel("phase [°]")
-    axes[1].set_yticks([-270, -180, -90, 0, 90])
-    axes[1].set_ylim(-280.0, 100.0)
-    axes[1].set_xlabel(frequency_label(eq))
-    axes[1].set_xlim(0.0, float(f[driven].max()))
-    axes[0].set_title(f"response of {term_label(name)} to {term_label(source)}")
-    above(axes[0])
-    return axes
+    upper.set_ylabel(plain(f"|{name}/{source}|{unit}"))
+    lower.set_ylabel("phase [°]")
+    lower.set_yticks([-270, -180, -90, 0, 90])
+    lower.set_ylim(-280.0, 100.0)
+    lower.set_xlabel(frequency_label(eq))
+    lower.set_xlim(0.0, float(f[driven].max()))
+    upper.set_title(f"response of {term_label(name)} to {term_label(source)}")
+    above(upper)
+    return upper, lower

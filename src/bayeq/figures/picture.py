@@ -11,15 +11,7 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Expression
-from bayeq.figures.style import (
-    FULL_WIDTH,
-    MM_PER_INCH,
-    SINGLE_COLUMN,
-    new_panels,
-    plain,
-    require_matplotlib,
-    term_label,
-)
+from bayeq.figures.style import new_figure, plain, term_label
 from bayeq.records import Record
 
 if TYPE_CHECKING:
@@ -34,18 +26,16 @@ __all__ = [
     "EquationLike",
     "Run",
     "above",
+    "axes_for",
     "bracketed",
     "channel_of",
     "equation_of",
     "frequency_label",
     "label_of",
     "likely_terms",
-    "one_axes",
-    "stacked_axes",
     "thinned",
     "time_label",
     "titled",
-    "two_axes",
     "unit_text",
     "units_of",
 ]
@@ -60,9 +50,6 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 # More points than this are drawn as every second, third ... of them.
 MOST_POINTS = 4000
-
-# Width of the figure of a quick look [mm].
-QUICK_WIDTH = 160.0
 
 
 class Run(Protocol):
@@ -163,60 +150,37 @@ def likely_terms(equation: EquationLike) -> list[int]:
     return listed[:MOST_TERMS]
 
 
-def _given_axes(ax: Any, count: int) -> list[Axes]:
-    axes = list(np.ravel(np.asarray(ax, dtype=object)))
-    if len(axes) != count or not all(hasattr(one, "plot") for one in axes):
-        got = len(axes) if len(axes) != count else type(axes[0]).__name__
-        raise InputError(f"ax: {count} matplotlib axes are needed, one for each panel, got {got}")
-    return axes
+def axes_for(
+    ax: Any, heights: Sequence[float], width: float, *, sharex: bool = False, pyplot: bool = False
+) -> list[Axes]:
+    """The axes that are given, or those of a new figure, one below the other.
 
-
-def one_axes(ax: Any, height: float = 70.0, **options: Any) -> Axes:
-    """The axes that are given, or those of a new figure of a column's width and this height [mm].
-
-    Raises
-    ------
-    InputError
-        Not one matplotlib axes.
-    """
-    if ax is not None:
-        return _given_axes(ax, 1)[0]
-    return new_panels(1, height=height, width=SINGLE_COLUMN, **options)[1][0, 0]
-
-
-def two_axes(ax: Any, ratio: float = 2.0) -> tuple[Axes, Axes]:
-    """The two axes that are given, or those of a new figure of a page's width: one above the other, `ratio` as high.
-
-    Raises
-    ------
-    InputError
-        Not two matplotlib axes.
-    """
-    if ax is not None:
-        upper, lower = _given_axes(ax, 2)
-    else:
-        (upper,), (lower,) = new_panels(2, height=84.0, width=FULL_WIDTH, sharex=True, height_ratios=(ratio, 1.0))[1]
-    return upper, lower
-
-
-def stacked_axes(ax: Any, heights: Sequence[float]) -> list[Axes]:
-    """The axes that are given, or those of a new pyplot figure, one for each height [mm].
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes, sequence of them, or None
+        What the caller gives.
+    heights : sequence of float
+        Of a panel for each of the axes, with its labels [mm].
+    width : float
+        Of the figure [mm].
+    sharex : bool
+        Whether the horizontal axis is the same.
+    pyplot : bool
+        Whether the figure is one of pyplot's, which notebooks show by themselves.
 
     Raises
     ------
     InputError
         Another number of axes than is needed.
-    MissingExtraError
-        matplotlib is not installed.
     """
-    require_matplotlib()
     if ax is not None:
-        return _given_axes(ax, len(heights))
-    from matplotlib import pyplot
-
-    size = (QUICK_WIDTH / MM_PER_INCH, sum(heights) / MM_PER_INCH)
-    made = pyplot.subplots(len(heights), figsize=size, squeeze=False, height_ratios=heights, layout="constrained")[1]
-    return list(made[:, 0])
+        given = list(np.ravel(np.asarray(ax, dtype=object)))
+        if len(given) != len(heights) or not all(hasattr(one, "plot") for one in given):
+            got = len(given) if len(given) != len(heights) else type(given[0]).__name__
+            raise InputError(f"ax: {len(heights)} matplotlib axes are needed, one for each panel, got {got}")
+        return given
+    figure = new_figure(width, sum(heights), pyplot=pyplot, layout="constrained")
+    return list(figure.subplots(len(heights), squeeze=False, sharex=sharex, height_ratios=heights)[:, 0])
 
 
 def unit_text(unit: str) -> str:

@@ -13,17 +13,30 @@ from bayeq.figures.picture import (
     Answer,
     Run,
     above,
+    axes_for,
     channel_of,
     equation_of,
     label_of,
-    one_axes,
     thinned,
     time_label,
     titled,
-    two_axes,
     units_of,
 )
-from bayeq.figures.style import BLACK, BLUE, DASHED, GREY, ORANGE, RED, labelled, new_panels, picture, plain, term_label
+from bayeq.figures.style import (
+    BLACK,
+    BLUE,
+    DASHED,
+    FULL_WIDTH,
+    GREY,
+    ORANGE,
+    RED,
+    SINGLE_COLUMN,
+    labelled,
+    new_panels,
+    picture,
+    plain,
+    term_label,
+)
 from bayeq.numerics.normal import Z95
 from bayeq.records import Record
 
@@ -47,6 +60,9 @@ BAND: dict[str, Any] = {"color": BLUE, "alpha": 0.28, "linewidth": 0.0}
 
 # A run is dashed, so that what was measured shows below it where the two agree.
 DRAWN: dict[str, Any] = {"color": BLUE, "linewidth": 0.9, "linestyle": (0, (4, 1.2))}
+
+# Heights of a panel and of the residual below it [mm].
+HEIGHTS = (56.0, 28.0)
 
 # Share of a record that is drawn where no rows were held out.
 LAST = 0.2
@@ -196,7 +212,7 @@ def free_run(
     """
     run = eq.simulate(record, draws=draws, start=_first_row(eq, record.n) if start is None else start, rows=rows)
     name = channel_of(run, channel)
-    upper, lower = two_axes(ax)
+    upper, lower = axes_for(ax, HEIGHTS, FULL_WIDTH, sharex=True)
     _state(upper, run, name)
     _residual(lower, run.time, run.measured[name], _curve(run, name), "free run")
     _mark_blow_up(lower, run)
@@ -265,7 +281,7 @@ def one_step(
     mean, sd = equation.predict({name: values[part] for name, values in motion.columns.items()}, return_std=True)
     time = np.arange(first, last, dtype=np.float64) if motion.time is None else motion.time[part]
     measured = motion.observed[equation.target][part]
-    upper, lower = two_axes(ax)
+    upper, lower = axes_for(ax, HEIGHTS, FULL_WIDTH, sharex=True)
     curve = (mean, mean - Z95 * sd, mean + Z95 * sd)
     _compare(upper, time, measured, curve, "one step")
     _residual(lower, time, measured, curve, "one step")
@@ -309,7 +325,7 @@ def measured_against_predicted(eq: Answer, record: Record, ax: Any = None, *, ta
     rows = eq.motion(record)
     measured = rows.observed[equation.target]
     predicted = np.asarray(equation.predict(rows.columns))
-    ax = one_axes(ax)
+    (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
     every = thinned(rows.n)
     used = np.arange(rows.n)[every] < rows.n - int(eq.data.holdout * rows.n)
     look: dict[str, Any] = {"markersize": 2.6, "markeredgewidth": 0.6, "alpha": 0.6, "rasterized": True}
@@ -376,7 +392,7 @@ def phase_portrait(
             raise UnknownNameError("state", name, names)
     motion = eq.motion(record)
     run = eq.simulate(record, draws=0, start=_first_row(eq, record.n) if start is None else start, rows=rows)
-    ax = one_axes(ax)
+    (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
     x, y = (motion.columns[name][thinned(motion.n)] for name in chosen)
     ax.plot(x, y, color=GREY, linewidth=0.4, label="record")
     across, up = (run.mean[name][thinned(len(run.time))] for name in chosen)

@@ -168,12 +168,17 @@ def picture(draw: Callable[P, T]) -> Callable[P, T]:
     return drawn
 
 
-def new_figure(width: float, height: float, **options: Any) -> Figure:
-    """An empty figure, of a size in mm."""
+def new_figure(width: float, height: float, *, pyplot: bool = False, **options: Any) -> Figure:
+    """An empty figure, of a size in mm; one of pyplot's is shown by notebooks."""
     require_matplotlib()
+    size = (width / MM_PER_INCH, height / MM_PER_INCH)
+    if pyplot:
+        from matplotlib.pyplot import figure
+
+        return figure(figsize=size, **options)
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH), **options)
+    return Figure(figsize=size, **options)
 
 
 def new_panels(

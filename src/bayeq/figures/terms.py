@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError
 from bayeq.expressions import Evaluator
-from bayeq.figures.picture import Answer, above, equation_of, likely_terms, one_axes, titled, unit_text
-from bayeq.figures.style import BLACK, BLUE, DASHED, PALE, RED, picture, plain, shortened, term_label
+from bayeq.figures.picture import Answer, above, axes_for, equation_of, likely_terms, titled, unit_text
+from bayeq.figures.style import BLACK, BLUE, DASHED, PALE, RED, SINGLE_COLUMN, picture, plain, shortened, term_label
 from bayeq.numerics.normal import Z95
 from bayeq.records import Record
 
@@ -85,7 +85,7 @@ def pip_bars(eq: Answer, record: Record | None = None, ax: Any = None, *, target
     listed = likely_terms(equation)
     names = [term.text for term in equation.terms]
     pip, shown = equation.posterior.pip[listed], equation.shown_posterior.support[listed]
-    ax = one_axes(ax, height=5.0 * max(len(listed), 3) + 20.0)
+    (ax,) = axes_for(ax, [5.0 * max(len(listed), 3) + 20.0], SINGLE_COLUMN)
     _bars(ax, [term_label(names[j], names) for j in listed], pip.tolist(), shown.tolist())
     for place, value in enumerate(pip.tolist()):
         inside = value > 0.8
@@ -136,7 +136,7 @@ def coefficient_forest(eq: Answer, record: Record | None = None, ax: Any = None,
     kept = np.flatnonzero(shown.support & (shown.coef != 0))
     coef, sd, intervals = shown.coef[kept], shown.sd[kept], equation.printed_ci95[kept]
     names = [term.text for term in equation.terms]
-    ax = one_axes(ax, height=6.0 * max(len(kept), 3) + 20.0)
+    (ax,) = axes_for(ax, [6.0 * max(len(kept), 3) + 20.0], SINGLE_COLUMN)
     at = np.arange(len(kept))
     off = 100.0 * np.sort((intervals - coef[:, None]) / np.abs(coef)[:, None], axis=1)
     ax.axvline(0.0, color=PALE, linewidth=1.0, zorder=0)
@@ -219,7 +219,7 @@ def candidate_correlation(eq: Answer, record: Record, ax: Any = None, *, target:
     evaluate = Evaluator(eq.motion(record).columns)
     correlation = _correlation([np.asarray(evaluate(equation.terms[j])) for j in listed])
     names = [term.text for term in equation.terms]
-    ax = one_axes(ax, height=min(max(6.0 * len(listed), 36.0), 62.0) + 18.0)
+    (ax,) = axes_for(ax, [min(max(6.0 * len(listed), 36.0), 62.0) + 18.0], SINGLE_COLUMN)
     ax.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     at = np.arange(len(listed))
     labels = [term_label(names[j], names) for j in listed]

@@ -154,7 +154,8 @@ def _bands(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
     from matplotlib.collections import LineCollection, PolyCollection
 
     for made in ax.collections:
-        if isinstance(made, LineCollection):
+        segments, outlined = isinstance(made, LineCollection), isinstance(made, PolyCollection)
+        if segments:
             ends = np.array([segment for segment in made.get_segments() if len(segment) == 2])
             if not len(ends):
                 continue
@@ -163,7 +164,7 @@ def _bands(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
             glyph = plot.segment("x0", "y0", "x1", "y1", source=source, **look)
             _hover(plot, glyph, [("from", "@x0{0,0.[000]}"), ("to", "@x1{0,0.[000]}")])
             yield made.get_label(), glyph
-        elif isinstance(made, PolyCollection):
+        elif outlined:
             colour = made.get_facecolor()[0]
             xs, ys = ([path.vertices[:, k].astype(np.float32) for path in made.get_paths()] for k in (0, 1))
             yield made.get_label(), plot.patches(xs, ys, color=_hex(colour), alpha=float(colour[3]), line_width=0)

@@ -14,7 +14,6 @@ import numpy as np
 
 from bayeq import figures
 from bayeq.equation.answer import Answer
-from bayeq.equation.equation import Equation
 from bayeq.equation.report.interactive import as_bokeh
 from bayeq.errors import BayeqError
 from bayeq.figures.style import UNSIGNED, style
@@ -40,24 +39,12 @@ class Remembering:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture of the report.
-
-    Attributes
-    ----------
-    caption : str
-        What it shows.
-    still : str
-        PNG as text (base64).
-    live : str
-        Bokeh's model as JSON without a "<"; empty where there is none.
-    narrow : bool
-        Whether it is of a column's width.
-    """
+    """A picture of the report."""
 
     caption: str
-    still: str
-    live: str
-    narrow: bool
+    still: str  # PNG as text (base64)
+    live: str  # Bokeh's model as JSON without a "<"; empty where there is none
+    narrow: bool  # whether it is of a column's width
 
 
 def pictures(eq: Answer, record: Record | None) -> tuple[list[Picture], list[str]]:
@@ -82,23 +69,25 @@ def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, 
         of = f" ({one.target})" if len(eq.equations) > 1 else ""
         which = {"target": one.target}
         if record is not None and one.chain.order == 2:
-            yield from _restoring(one, of)
+            x, v = one.chain.names[:2]
+            yield "restoring_force_surface", which, f"Restoring force over displacement and velocity{of}"
+            yield "restoring_force_curve", which, f"Restoring force over {x}, discovered and measured{of}"
+            yield "restoring_force_curve", which | {"over": v}, f"Damping force over {v}, discovered and measured{of}"
         yield "pip_bars", which, f"Posterior inclusion probability of each term{of}"
         if one.shown:
-            caption = f"Coefficients and their 95 % intervals, each over its own size{of}"
-            yield "coefficient_forest", which, caption
-        if record is None:
-            continue
-        yield "measured_against_predicted", which, f"Measured against predicted{of}"
-        yield "one_step", which, f"One step: target at the measured states, and residual{of}"
-        if len(one.terms) > 1:
-            yield "candidate_correlation", which, f"Correlation of the likeliest candidate terms{of}"
+            yield "coefficient_forest", which, f"Coefficients and their 95 % intervals, each over its own size{of}"
+        if record is not None:
+            yield "measured_against_predicted", which, f"Measured against predicted{of}"
+            yield "one_step", which, f"One step: target at the measured states, and residual{of}"
+            if len(one.terms) > 1:
+                yield "candidate_correlation", which, f"Correlation of the likeliest candidate terms{of}"
     if record is None:
         return
-    measured = [name for one in eq.equations for name in one.chain.states if name in record.channels]
+    states = [name for one in eq.equations for name in one.chain.states]
+    measured = [name for name in states if name in record.channels]
     for name in measured:
         yield "free_run", {"channel": name}, f"Free run of {name}, its band, and residual"
-    if len([name for one in eq.equations for name in one.chain.states]) > 1:
+    if len(states) > 1:
         yield "phase_portrait", {}, "Phase portrait: record and free run"
     for name in measured[:1]:
         yield "spectra", {"channel": name}, f"Spectra of {name}: measured, free run and their difference"
@@ -107,17 +96,9 @@ def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, 
             yield "frequency_response", {"channel": name}, caption
 
 
-def _restoring(one: Equation, of: str) -> Iterator[tuple[str, dict[str, Any], str]]:
-    which = {"target": one.target}
-    displacement, velocity = one.chain.names[:2]
-    yield "restoring_force_surface", which, f"Restoring force over displacement and velocity{of}"
-    yield "restoring_force_curve", which, f"Restoring force over {displacement}, discovered and measured{of}"
-    caption = f"Damping force over {velocity}, discovered and measured{of}"
-    yield "restoring_force_curve", {**which, "over": velocity}, caption
-
-
 def _still(figure: Any) -> str:
     buffer = io.BytesIO()
+    figure.set_layout_engine("none")  # its panels have been placed
     with style():
         figure.savefig(buffer, format="png", dpi=DPI, metadata=UNSIGNED["png"])
     return base64.b64encode(buffer.getvalue()).decode("ascii")
