@@ -56,6 +56,9 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
+# Mean, low and high; the ends are None where there is no band.
+Curve = tuple[Floats, Floats | None, Floats | None]
+
 BAND: dict[str, Any] = {"color": BLUE, "alpha": 0.28, "linewidth": 0.0}
 
 # A run is dashed, so that what was measured shows below it where the two agree.
@@ -68,14 +71,8 @@ HEIGHTS = (56.0, 28.0)
 LAST = 0.2
 
 
-def _compare(
-    ax: Axes,
-    time: Floats,
-    measured: Floats | None,
-    curve: tuple[Floats, Floats | None, Floats | None],
-    label: str,
-) -> None:
-    """A curve with its band over what was measured: `curve` is mean, low and high, the ends None without a band.
+def _compare(ax: Axes, time: Floats, measured: Floats | None, curve: Curve, label: str) -> None:
+    """A curve with its band over what was measured.
 
     Limits are those of what was measured, where there is any, for a run may go far away.
     """
@@ -101,9 +98,7 @@ def _band(ax: Axes, time: Floats, ends: Sequence[Floats | None], every: slice, l
         ax.fill_between(time, low, high, label=label, **BAND)
 
 
-def _residual(
-    ax: Axes, time: Floats, measured: Floats, curve: tuple[Floats, Floats | None, Floats | None], label: str
-) -> None:
+def _residual(ax: Axes, time: Floats, measured: Floats, curve: Curve, label: str) -> None:
     """What was measured less a curve, and its band."""
     every = thinned(len(time))
     mean, *ends = curve
@@ -116,7 +111,7 @@ def _residual(
     ax.plot(time[every], residual[every], color=ORANGE, linewidth=0.7, label="residual: measured less " + label)
 
 
-def _curve(run: Run, name: str) -> tuple[Floats, Floats | None, Floats | None]:
+def _curve(run: Run, name: str) -> Curve:
     return run.mean[name], run.low.get(name), run.high.get(name)
 
 

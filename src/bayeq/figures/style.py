@@ -248,12 +248,18 @@ def save(figure: Figure, stem: Path) -> list[Path]:
         stem.parent.mkdir(parents=True, exist_ok=True)
         for suffix in ("png", "svg"):
             path = stem.with_name(f"{stem.name}.{suffix}")
-            with replacing(path) as part:
-                figure.savefig(part, format=suffix, dpi=DPI, metadata=UNSIGNED[suffix])
+            _write(figure, path)
             paths.append(path)
     except OSError as error:
         raise InputError(f"{error.filename or stem}: cannot write the figure: {error.strerror or error}") from error
     return paths
+
+
+def _write(figure: Figure, path: Path) -> None:
+    """Write a figure in the format that the suffix names, whole or not at all."""
+    suffix = path.suffix.lower()[1:]
+    with replacing(path) as part:
+        figure.savefig(part, format=suffix, metadata=UNSIGNED[suffix])
 
 
 def require_suffix(file: Path) -> None:
@@ -282,16 +288,13 @@ def write_output(file: Path, table: Callable[[], pd.DataFrame], figure: Callable
     table, figure : callable
         Make the one or the other; the figure in the style of the reports.
     """
-    suffix = file.suffix.lower()[1:]
-    if suffix == "csv":
+    if file.suffix.lower() == ".csv":
         made = table()
         with replacing(file) as part:
             made.to_csv(part, index=False)
         return
     with style():
-        drawn = figure()
-        with replacing(file) as part:
-            drawn.savefig(part, format=suffix, metadata=UNSIGNED[suffix])
+        _write(figure(), file)
 
 
 def write_by_target(file: Path, results: Mapping[str, Any], draw: Callable[[Mapping[str, Any]], Figure]) -> None:
