@@ -46,6 +46,7 @@ def test_the_wheel_holds_the_package_alone(built):
     sources = {path.relative_to(ROOT / "src").as_posix() for path in (ROOT / "src" / "bayeq").rglob("*.py")}
     assert {name for name in names if name.startswith("bayeq/")} == sources | {
         "bayeq/py.typed",
+        "bayeq/equation/report/page.html",
         "bayeq/equation/schema.json",
     }
 

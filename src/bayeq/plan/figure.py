@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 # Designs that are drawn, the best from the top.
 DRAWN = 16
 
-# The figure [mm]: a row for each design, at least so many, and what is around them.
+# The figure [mm]: a row for each design, the least number of rows, and what is around them.
 ROW, LEAST_ROWS, AROUND = 4.4, 12, 18.0
 
 # Colours and markers of kinds, in the order in which they come; more than these repeat.
