@@ -224,10 +224,10 @@ def test_files_that_workers_do_not_find_are_named(frame, client, folder):
 def test_workers_that_die_one_after_the_other_end_the_work(folder):
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), local(1, folder) as client:
         with pytest.raises(BayeqError, match="memory") as error:
-            list(Cluster(client).unordered(os._exit, [(1,)]))
+            list(Cluster(client).unordered(os._exit, [1]))
         assert "\n" not in str(error.value)
         client.wait_for_workers(1)
-        assert list(Cluster(client).unordered(abs, [(-2,), (3,)])) in ([2, 3], [3, 2])
+        assert list(Cluster(client).unordered(abs, [-2, 3])) in ([2, 3], [3, 2])
         client.scheduler_info()
 
 
@@ -275,7 +275,7 @@ def test_a_cluster_without_workers_is_not_waited_for_for_ever(folder, monkeypatc
         monkeypatch.setattr("bayeq.streaming.cluster.LOOK", 0.1)
         monkeypatch.setattr("bayeq.streaming.cluster.COME_BACK", 0.3)
         with pytest.raises(BayeqError, match="all workers of the cluster have gone"):
-            list(Cluster(client).unordered(abs, [(1,)]))
+            list(Cluster(client).unordered(abs, [1]))
 
 
 def test_addresses_where_nobody_answers_are_refused(tmp_path, monkeypatch):
@@ -381,7 +381,7 @@ def test_the_commands_on_workers_from_the_shell(shell, path, expected, tmp_path)
     run_study(tmp_path / "here.db", systems=["linear"], algorithms=["rvm", "vb"], realisations=6, jobs=1)
     rows = []
     for name in ("there.db", "here.db"):
-        with Store.open(tmp_path / name) as store:
+        with Store(tmp_path / name) as store:
             rows.append([(r.index, r.algorithm, r.metrics, r.selected) for r in store.results()])
     assert len(rows[0]) == 12
     assert rows[0] == rows[1]
@@ -410,6 +410,6 @@ def test_a_scheduler_that_goes_ends_the_work_with_a_line(tmp_path, capfd):
     with Shell(tmp_path) as own, connected(str(own.file)) as client:
         threading.Timer(2.0, own.started[0].kill).start()
         with pytest.raises(BayeqError, match="scheduler of the cluster has gone") as error:
-            list(Cluster(client).unordered(time.sleep, [(1,), (60,)]))
+            list(Cluster(client).unordered(time.sleep, [1, 60]))
         assert "\n" not in str(error.value)
     assert "Traceback" not in capfd.readouterr().err

@@ -21,13 +21,13 @@ from click import ClickException
 from bayeq.cli.app import main
 from bayeq.cli.study import study as study_commands
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
+from bayeq.resumable.store import Claims
 from bayeq.study import realise as realise_module
 from bayeq.study.algorithms import ALGORITHMS
-from bayeq.study.claims import Claims
 from bayeq.study.config import StudyConfig
 from bayeq.study.progress import StudyProgress
 from bayeq.study.realise import Task, draw, realise
-from bayeq.study.runner import _missing, run_study
+from bayeq.study.runner import run_study
 from bayeq.study.show import show
 from bayeq.study.store import Store
 
@@ -42,13 +42,13 @@ def study(path, realisations=6, jobs=1, systems=("linear", "coulomb"), algorithm
 
 def contents(path):
     """All that a study holds, without seconds."""
-    with Store.open(path) as store:
+    with Store(path) as store:
         return [replace(result, seconds=None) for result in store.results()]
 
 
 def shown(path):
     """`study show --json` without seconds, as bytes."""
-    with Store.open(path) as store:
+    with Store(path) as store:
         answer = json.loads(show(store, "json"))
     for row in answer["rows"]:
         del row["seconds"]
@@ -122,7 +122,7 @@ def test_a_failure_is_recorded_and_shown(tmp_path, monkeypatch):
     assert rows["linear", 2, "rvm"].failure == "ValueError: did not work"
     assert rows["linear", 2, "rvm"].metrics is None
     assert rows["linear", 2, "vb"].failure is None
-    with Store.open(path) as store:
+    with Store(path) as store:
         answer = json.loads(show(store, "json"))
         assert "Failed: linear/rvm, 1 realisations from number 2 on: ValueError: did not work" in show(store)
     assert [(r["n"], r["failures"]) for r in answer["rows"]] == [(5, 1), (6, 0)] * 2
@@ -179,12 +179,12 @@ def test_a_study_grows_by_realisations_systems_and_algorithms(small, tmp_path):
 
 
 def test_what_is_missing_is_said(tmp_path):
-    with Store.create(tmp_path / "study.db", StudyConfig()) as store:
+    with Store(tmp_path / "study.db", StudyConfig()) as store:
         assert "No results yet" in show(store)
         store.plan(["linear"], ["vb"], 3)
         store.add(realise(StudyConfig(), Task("linear", 1, ("vb",))))
         assert "linear/vb 2" in show(store)
-        assert [t.index for t in _missing(store, ["linear"], ("vb",), 3)] == [0, 2]
+        assert store.missing(["linear"], ("vb",), 3) == [[("linear", 0, "vb")], [("linear", 2, "vb")]]
 
 
 def test_an_interrupt_keeps_what_is_done(small, tmp_path):
@@ -254,18 +254,18 @@ def test_files_that_are_no_store_are_refused(tmp_path):
     empty.touch()
     for path, message in ((text, "is not a study"), (other, "is not a study"), (tmp_path, "is a directory")):
         with pytest.raises(FileFormatError, match=message):
-            Store.create(path, StudyConfig())
+            Store(path, StudyConfig())
         with pytest.raises(FileFormatError, match=message):
-            Store.open(path)
+            Store(path)
     assert text.read_text().startswith("t,x")
     with pytest.raises(FileFormatError, match="no such file"):
-        Store.open(tmp_path / "absent.db")
+        Store(tmp_path / "absent.db")
     with pytest.raises(FileFormatError, match="no directory"):
-        Store.create(tmp_path / "absent" / "study.db", StudyConfig())
+        Store(tmp_path / "absent" / "study.db", StudyConfig())
     with pytest.raises(FileFormatError, match="is not a study"):
-        Store.open(empty)
-    Store.create(empty, StudyConfig()).close()  # what a kill before the first commit leaves
-    Store.open(empty).close()
+        Store(empty)
+    Store(empty, StudyConfig()).close()  # what a kill before the first commit leaves
+    Store(empty).close()
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -279,7 +279,7 @@ def test_a_damaged_store_is_an_input_error(small, tmp_path, seed):
         data[start : start + 3000] = rng.bytes(3000)
     path = tmp_path / "damaged.db"
     path.write_bytes(data)
-    with suppress(FileFormatError), Store.open(path) as store:  # damage to a value alone is not seen
+    with suppress(FileFormatError), Store(path) as store:  # damage to a value alone is not seen
         show(store, "json")
 
 
@@ -290,7 +290,7 @@ def test_a_store_of_another_version_is_refused(small, tmp_path):
         connection.execute("PRAGMA user_version = 9")
     connection.close()
     with pytest.raises(FileFormatError, match="another version"):
-        Store.open(path)
+        Store(path)
 
 
 @pytest.mark.parametrize(
@@ -319,7 +319,7 @@ def test_wrong_arguments_are_refused_before_any_work(tmp_path, options, error):
 
 
 def test_formats(small):
-    with Store.open(small) as store:
+    with Store(small) as store:
         text, markdown, table, answer = (show(store, form) for form in ("text", "markdown", "csv", "json"))
     answer = json.loads(answer)
     assert answer["config"]["seed"] == 0
@@ -336,7 +336,7 @@ def test_formats(small):
 
 
 def test_table_3(small):
-    with Store.open(small) as store:
+    with Store(small) as store:
         rows = json.loads(show(store, "json", 3))["rows"]
         assert "to RVM" in show(store, "text", 3)
         assert "to RVM" in show(store, "markdown", 3)
@@ -463,7 +463,7 @@ def test_two_runs_on_one_store_share_the_work(tmp_path):
     counts = [added(process) for process in both]
     assert sum(counts) == 120  # none twice
     assert min(counts) > 0
-    with Store.open(path) as store:
+    with Store(path) as store:
         assert len(list(store.results())) == 240
 
 
@@ -475,17 +475,17 @@ def test_what_a_killed_run_has_claimed_is_done_by_another(tmp_path):
     killed.kill()
     killed.communicate()
     added(other)
-    with Store.open(path) as store:
+    with Store(path) as store:
         assert len(list(store.results())) == 240
 
 
 def test_claims_of_other_machines_count_until_they_end(tmp_path, monkeypatch):
     path = tmp_path / "study.db"
-    with Store.create(path, StudyConfig()) as store:
+    with Store(path, StudyConfig()) as store:
         ends = time.time() + 3.0
         keys = [("linear", 0, "vb"), ("linear", 1, "vb"), ("linear", 1, "rvm")]
-        assert store.claimed(keys, "elsewhere:1:a", ends, lambda *_: False) == keys
-        assert store.claimed(keys, "nowhere:1:b", ends, lambda *_: False) == []
+        assert store.claim(keys, "elsewhere:1:a", ends, lambda *_: False) == keys
+        assert store.claim(keys, "nowhere:1:b", ends, lambda *_: False) == []
         seen = []
         outcome = study(
             path, realisations=2, systems=["linear"], progress=lambda *step: seen.append((step, time.time()))
@@ -493,15 +493,14 @@ def test_claims_of_other_machines_count_until_they_end(tmp_path, monkeypatch):
         assert outcome.realisations == 3  # of one first one algorithm, and then the other
         assert seen[0] == ((1, 2), seen[0][1])
         assert seen[-1][1] > ends
-        assert store.claimed([("linear", 0, "vb"), ("linear", 5, "vb")], "c:1:c", ends, lambda *_: False) == [
-            ("linear", 5, "vb")
-        ]
+        with Claims(store) as claims:  # what is done needs none
+            assert claims.free([("linear", 0, "vb"), ("linear", 5, "vb")]) == (("linear", 5, "vb"),)
 
 
 def test_claims_are_prolonged_and_given_back(tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.study.claims.BEAT", 0.05)
+    monkeypatch.setattr("bayeq.resumable.store.BEAT", 0.05)
     path = tmp_path / "study.db"
-    Store.create(path, StudyConfig()).close()
+    Store(path, StudyConfig()).close()
 
     def until():
         with sqlite3.connect(path) as connection:
@@ -509,9 +508,8 @@ def test_claims_are_prolonged_and_given_back(tmp_path, monkeypatch):
         connection.close()
         return [row[0] for row in found]
 
-    with Claims(path) as claims:
-        (batch,) = claims.batches([Task("linear", 0, ("vb",))], 1)
-        assert batch == (Task("linear", 0, ("vb",)),)
+    with Store(path) as store, Claims(store) as claims:
+        assert claims.free([("linear", 0, "vb")]) == (("linear", 0, "vb"),)
         first = until()
         ends = time.monotonic() + 10
         while until() == first:

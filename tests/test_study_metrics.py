@@ -10,9 +10,8 @@ import pytest
 
 from bayeq.errors import InputError
 from bayeq.gram import Gram
-from bayeq.study.metrics import measure, prediction_error
+from bayeq.study.metrics import METRICS, Metrics, Result, measure, prediction_error
 from bayeq.study.printed import LABELS, RUNTIMES, TABLE_2
-from bayeq.study.result import METRICS, Metrics, Result
 from bayeq.study.table import aggregate, failure_messages, runtimes
 from tests.data import ROOT
 

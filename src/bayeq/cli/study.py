@@ -88,7 +88,7 @@ def table2(
         say(f"{store}: {outcome.realisations} realisations in {outcome.seconds:.1f} s ({rate:.3g}/s)")
     if outcome.failures:
         say(f"bayeq: warning: {outcome.failures} runs failed, see below the table")
-    with Store.open(store) as file:
+    with Store(store) as file:
         click.echo(render(file))
 
 
@@ -111,7 +111,7 @@ def show(store: Path, form: Literal["text", "markdown", "csv"], as_json: bool, t
         raise InputError(f"there is no table {table}; choose --table 2 or --table 3")
     if as_json and form != "text":
         raise InputError(f"--json and --format {form} exclude each other; give one of them")
-    with Store.open(store) as file:
+    with Store(store) as file:
         click.echo(render(file, "json" if as_json else form, cast(Literal[2, 3], table)))
 
 

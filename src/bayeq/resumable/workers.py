@@ -1,4 +1,7 @@
-"""Tasks in worker processes: results as they are ready, a stop by Ctrl-C without noise, no workers left by a kill."""
+"""``fill``: what a store lacks is computed by worker processes and kept as it is ready.
+
+Ctrl-C stops without noise, and a kill leaves no workers.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +10,17 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from bayeq.errors import BayeqError
+from bayeq.resumable.store import Claims, Key, ResultStore
 
-__all__ = ["AHEAD", "MAX_JOBS", "compute", "one_thread"]
+__all__ = ["AHEAD", "MAX_JOBS", "compute", "fill", "one_thread"]
 
 Task = TypeVar("Task")
 Answer = TypeVar("Answer")
@@ -26,6 +30,9 @@ AHEAD = 3
 
 # How often a worker looks whether its parent is alive [s].
 WATCH = 0.5
+
+# How often it is looked whether other processes have done what they claimed [s].
+LOOK = 0.5
 
 # More is a mistake of typing.
 MAX_JOBS = 512
@@ -38,6 +45,64 @@ def one_thread() -> Iterator[None]:
 
     with threadpool_limits(1):
         yield
+
+
+def fill(
+    store: ResultStore,
+    missing: Callable[[], Sequence[Sequence[Key]]],
+    work: Callable[[Any], Answer],
+    jobs: int = 1,
+    size: int = 1,
+    tasks: Callable[[Sequence[Key]], Any] = tuple,
+    count: Callable[[Answer], int] = lambda answer: 1,
+    cluster: Any = None,
+) -> Generator[tuple[Answer, int, int], None, None]:
+    """Compute the results that a store lacks; the caller puts each answer into it.
+
+    A result depends on nothing but its key, so that neither the number of workers, nor batches, nor a kill changes it.
+
+    Parameters
+    ----------
+    store : ResultStore
+        Several processes may fill it.
+    missing : callable
+        The keys that it lacks now, in groups that are computed together; asked until there are none.
+    work : callable
+        From a task to its answer, both of which processes can hand on.
+    jobs : int
+        Worker processes; with 1 all is done in this process.
+    size : int
+        Groups that a worker computes at a time.
+    tasks : callable
+        From the keys of some groups to a task.
+    count : callable
+        From an answer to the number of groups in it.
+    cluster : bayeq.streaming.cluster.Cluster, optional
+        Whose workers compute, instead of `jobs` processes.
+
+    Yields
+    ------
+    answer, int, int
+        An answer as it is ready; the number of groups done, with it, and of these and what was missing when it was last
+        looked.
+    """
+    done = 0
+    with Claims(store) as claims:
+        while groups := missing():
+            before, total = done, done + len(groups)
+            batches = ([key for group in groups[k : k + size] for key in group] for k in range(0, len(groups), size))
+            todo = (tasks(free) for batch in batches if (free := claims.free(batch)))
+            answers = (
+                compute(work, todo, min(jobs, -(-len(groups) // size)), store.path)
+                if cluster is None
+                else cluster.unordered(work, todo)
+            )
+            with closing(answers):
+                for answer in answers:
+                    done += count(answer)
+                    yield answer, done, total
+            if done == before:  # others have claimed all of it
+                time.sleep(LOOK)
 
 
 def compute(

@@ -99,14 +99,14 @@ class Cluster:
             for _, future, _ in waiting:
                 future.release()
 
-    def unordered(self, function: Callable[..., T], batches: Iterable[tuple[Any, ...]]) -> Generator[T, None, None]:
-        """What a function returns for each of some arguments, as it is ready; they are taken as workers become free."""
+    def unordered(self, function: Callable[[Any], T], tasks: Iterable[Any]) -> Generator[T, None, None]:
+        """What a function returns for each of some tasks, as it is ready; they are taken as workers become free."""
         waiting: list[Any] = []
-        left = iter(batches)
+        left = iter(tasks)
         try:
             while True:
-                while len(waiting) < AHEAD * self.threads and (batch := next(left, None)) is not None:
-                    waiting.append(self._submit(_on_one_thread, function, batch))
+                while len(waiting) < AHEAD * self.threads and (task := next(left, None)) is not None:
+                    waiting.append(self._submit(_on_one_thread, function, task))
                 if not waiting:
                     return
                 done = self._first(waiting)
@@ -207,7 +207,7 @@ def _of_unit(work: Work[T], unit: Unit, numbers: Sequence[int], held: Sequence[A
         extents[unit.extent] = replace(own, stream=parts)
         work = work.on(extents)
     try:
-        return _on_one_thread(work, (unit,))
+        return _on_one_thread(work, unit)
     except OSError as error:
         file = error.filename or getattr(getattr(own.stream, "rows", None), "path", own.stream.name)
         reason = os.strerror(error.errno) if error.errno else type(error).__name__
@@ -245,9 +245,9 @@ class _OneThread:
 _ONE_THREAD = _OneThread()
 
 
-def _on_one_thread(function: Callable[..., T], arguments: tuple[Any, ...]) -> T:
+def _on_one_thread(function: Callable[[Any], T], task: Any) -> T:
     with _ONE_THREAD:
-        return function(*arguments)
+        return function(task)
 
 
 @contextmanager

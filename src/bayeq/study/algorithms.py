@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,6 @@ from bayeq.selection.select import Rules, select
 from bayeq.study.config import StudyConfig
 
 __all__ = ["ALGORITHMS", "Algorithm", "Estimate", "Realisation", "estimate"]
-
 
 Floats = NDArray[np.float64]
 
@@ -104,21 +104,14 @@ def _posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
     return standard, replace(prior, slab_variance=learn_slab_variance(standard.gram, prior, config.slab_variance))
 
 
-def _sindy(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
-    """Sequential threshold least squares on raw columns, its threshold swept on the held-out error."""
-    del config, seed
-    return estimate(sweep_stlsq(data.train, held_out=data.test, columns="raw"))
-
-
-def _sindy_std(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
-    """The same, the threshold compared with coefficients of standardised columns."""
-    del config, seed
-    return estimate(sweep_stlsq(data.train, held_out=data.test, columns="standardised"))
+def _sindy(
+    columns: Literal["raw", "standardised"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    """Sequential threshold least squares, its threshold on raw or standardised columns swept on the held-out error."""
+    return estimate(sweep_stlsq(data.train, held_out=data.test, columns=columns))
 
 
 def _rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """Relevance vector machine; selected is what is left in the machine."""
-    del config, seed
     standard = data.train.standardise()
     return estimate(rvm(standard.gram).rescaled(standard))
 
@@ -126,22 +119,13 @@ def _rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estim
 def _gibbs(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """SS-MCMC: the collapsed Gibbs sampler, eqs. (33)-(34), as in the paper without exchange steps."""
     standard, prior = _posed(data.train, config)
-    posterior = spike_slab_gibbs(
-        standard.gram,
-        prior,
-        chains=config.chains,
-        samples=config.samples,
-        burn_in=config.burn_in,
-        exchange=False,
-        seed=seed,
-        keep_draws=False,
-    )
+    chains = {"chains": config.chains, "samples": config.samples, "burn_in": config.burn_in}
+    posterior = spike_slab_gibbs(standard.gram, prior, **chains, exchange=False, seed=seed, keep_draws=False)
     return estimate(posterior.rescaled(standard))
 
 
 def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """What `bayeq.discover` shows by default: its prior, its noise model and its selection."""
-    del config
     regression = data.regression
     free = parse_constraints((), regression.design.terms, [regression.chain.target])
     (fit,) = fit_equations([regression], free, "auto", seed=seed)
@@ -151,40 +135,25 @@ def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Esti
 
 def _bma(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
     """Model averaging with exact weights; selected is the median probability model."""
-    del seed
     standard, prior = _posed(data.train, config)
     return estimate(spike_slab_bma(standard.gram, prior).rescaled(standard))
 
 
-def _vb(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
-    """SS-VB, from several starts."""
-    del seed
+def _vb(
+    init: Literal["search", "greedy", "rvm"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    """SS-VB, from one start or several."""
     standard, prior = _posed(data.train, config)
-    return estimate(spike_slab_vb(standard.gram, prior).rescaled(standard))
-
-
-def _vb_greedy(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
-    """SS-VB started from a greedy search that adds and drops terms but never swaps them."""
-    del seed
-    standard, prior = _posed(data.train, config)
-    return estimate(spike_slab_vb(standard.gram, prior, init="greedy").rescaled(standard))
-
-
-def _vb_rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
-    """SS-VB started from the RVM alone, as the paper's section 3.2 says."""
-    del seed
-    standard, prior = _posed(data.train, config)
-    return estimate(spike_slab_vb(standard.gram, prior, init="rvm").rescaled(standard))
+    return estimate(spike_slab_vb(standard.gram, prior, init=init).rescaled(standard))
 
 
 ALGORITHMS: dict[str, Algorithm] = {
-    "sindy": _sindy,
-    "sindy-std": _sindy_std,
+    "sindy": partial(_sindy, "raw"),
+    "sindy-std": partial(_sindy, "standardised"),
     "rvm": _rvm,
     "gibbs": _gibbs,
     "auto": _auto,
     "bma": _bma,
-    "vb": _vb,
-    "vb-rvm": _vb_rvm,
-    "vb-greedy": _vb_greedy,
+    "vb": partial(_vb, "search"),
+    "vb-rvm": partial(_vb, "rvm"),  # as the paper's section 3.2 says
+    "vb-greedy": partial(_vb, "greedy"),  # a search that adds and drops terms but never swaps them
 }

@@ -1,30 +1,91 @@
-"""The performance metrics of the paper's section 4.1."""
+"""What an algorithm gives on a realisation: the performance metrics of the paper's section 4.1."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import InputError
 from bayeq.gram import Gram
-from bayeq.study.result import Metrics
 
-__all__ = ["measure", "prediction_error", "scaled_weight_error", "selection", "weight_error"]
+__all__ = ["METRICS", "Metrics", "Result", "measure", "prediction_error"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
-def weight_error(estimate: Floats, truth: Floats) -> float:
-    """e_theta = ||theta_hat - theta|| / ||theta||, coefficients of the unscaled dictionary."""
-    return float(np.linalg.norm(estimate - truth) / np.linalg.norm(truth))
+@dataclass(frozen=True, slots=True)
+class Metrics:
+    """The errors of section 4.1.
+
+    Attributes
+    ----------
+    e_theta_scaled : float
+        ||S_D (theta_hat - theta)|| / ||S_D theta||, S_D the standard deviations of the training columns.
+    e_theta : float
+        ||theta_hat - theta|| / ||theta||.
+    e_p : float
+        ||y* - D* theta_hat|| / ||y*|| on the test rows.
+    fdr : float
+        False terms among the selected ones; 0 if none is selected.
+    exact : bool
+        Exactly the true terms are selected.
+    superset : bool
+        All true terms are selected.
+    """
+
+    e_theta_scaled: float
+    e_theta: float
+    e_p: float
+    fdr: float
+    exact: bool
+    superset: bool
+
+    @property
+    def finite(self) -> bool:
+        """Whether all of them are finite."""
+        return all(math.isfinite(getattr(self, name)) for name in METRICS)
 
 
-def scaled_weight_error(estimate: Floats, truth: Floats, scale: Floats) -> float:
-    """||S_D (theta_hat - theta)|| / ||S_D theta||; `scale` is the diagonal of S_D."""
-    return weight_error(scale * estimate, scale * truth)
+METRICS = tuple(f.name for f in fields(Metrics))
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A row of the store.
+
+    Attributes
+    ----------
+    system, index, algorithm
+        Which realisation, and what ran on it.
+    metrics : Metrics or None
+        None if it failed.
+    seconds : float or None
+        Wall time of the algorithm alone, from the Gram to the estimate.
+    selected : tuple of str
+        The selected terms.
+    converged : bool or None
+        What the algorithm says of itself.
+    extras : mapping
+        What else it says, as plain numbers.
+    failure : str or None
+        Type and message of the exception.
+    """
+
+    system: str
+    index: int
+    algorithm: str
+    metrics: Metrics | None = None
+    seconds: float | None = None
+    selected: tuple[str, ...] = ()
+    converged: bool | None = None
+    extras: Mapping[str, Any] = field(default_factory=dict)
+    failure: str | None = None
 
 
 def prediction_error(test: Gram, estimate: Floats) -> float:
@@ -34,14 +95,6 @@ def prediction_error(test: Gram, estimate: Floats) -> float:
     """
     squares = test.yty + test.n * test.target_mean**2
     return math.sqrt(test.squared_error(estimate, intercept=0.0) / squares)
-
-
-def selection(support: Bools, truth: Bools) -> tuple[float, bool, bool]:
-    """False discovery rate (0 for an empty model), exact and superset indicators."""
-    chosen = int(np.count_nonzero(support))
-    false = int(np.count_nonzero(support & ~truth))
-    fdr = false / chosen if chosen else 0.0
-    return fdr, bool(np.array_equal(support, truth)), bool(np.all(support[truth]))
 
 
 def measure(train: Gram, test: Gram, truth: Floats, support: Bools, coef: Floats) -> Metrics:
@@ -63,15 +116,19 @@ def measure(train: Gram, test: Gram, truth: Floats, support: Bools, coef: Floats
     InputError
         No true term in the dictionary.
     """
-    true_terms = truth != 0
-    if not true_terms.any():
+    true = truth != 0
+    if not true.any():
         raise InputError("the dictionary holds no true term: weight errors are not defined")
-    fdr, exact, superset = selection(support, true_terms)
+    scale, chosen = train.standard_deviation, int(np.count_nonzero(support))
     return Metrics(
-        e_theta_scaled=scaled_weight_error(coef, truth, train.standard_deviation),
-        e_theta=weight_error(coef, truth),
+        e_theta_scaled=_relative_error(scale * coef, scale * truth),
+        e_theta=_relative_error(coef, truth),
         e_p=prediction_error(test, coef),
-        fdr=fdr,
-        exact=exact,
-        superset=superset,
+        fdr=int(np.count_nonzero(support & ~true)) / chosen if chosen else 0.0,
+        exact=bool(np.array_equal(support, true)),
+        superset=bool(np.all(support[true])),
     )
+
+
+def _relative_error(estimate: Floats, truth: Floats) -> float:
+    return float(np.linalg.norm(estimate - truth) / np.linalg.norm(truth))

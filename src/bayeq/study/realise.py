@@ -9,24 +9,19 @@ from functools import lru_cache
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.expressions import Expression
-from bayeq.records import Truth
 from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.design import build_design
 from bayeq.regression.joint import record_of
 from bayeq.states import Roles, Smooth, estimate_motion, parse_chains
 from bayeq.study.algorithms import ALGORITHMS, Realisation
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
-from bayeq.study.metrics import measure
-from bayeq.study.result import Result
+from bayeq.study.metrics import Result, measure
 from bayeq.systems import System, get_system, simulate
 
 __all__ = ["Realisation", "Task", "draw", "realise"]
-
-Floats = NDArray[np.float64]
 
 # Behind (seed, system, index) in the seed of an algorithm, so that its random numbers are not the simulation's.
 ALGORITHM_STREAM = 1
@@ -46,14 +41,6 @@ class Task:
 @lru_cache(maxsize=32)
 def _terms(dictionary: str, variables: Variables) -> tuple[Expression, ...]:
     return build_dictionary(dictionary, variables)
-
-
-def _truth(truth: Truth, target: str, names: tuple[str, ...]) -> Floats:
-    known = truth.coefficients[target]
-    absent = [term for term in known if term not in names]
-    if absent:
-        raise ValueError(f"the dictionary lacks the true term {', '.join(absent)}")
-    return np.array([known.get(name, 0.0) for name in names])
 
 
 def _seed(config: StudyConfig, system: str, index: int) -> tuple[int, int, int]:
@@ -87,7 +74,10 @@ def draw(config: StudyConfig, system: str, index: int) -> Realisation:
     design = build_design(terms, estimate_motion([record], roles, cast(Smooth, config.smooth), share))
     (regression,) = regressions_of(design, record_of(design, config.smooth, config.dictionary))
     assert record.truth is not None
-    truth = _truth(record.truth, roles.targets[0], design.names)
+    true = record.truth.coefficients[roles.targets[0]]
+    if absent := [term for term in true if term not in design.names]:
+        raise ValueError(f"the dictionary lacks the true term {', '.join(absent)}")
+    truth = np.array([true.get(name, 0.0) for name in design.names])
     return Realisation(regression, regression.gram, design.held_out[0], truth)
 
 

@@ -1,9 +1,4 @@
-"""All realisations of a study, in parallel, continued where an earlier run was stopped.
-
-Workers compute, the parent alone writes. A realisation depends on nothing but the configuration, its system and
-its index, so that neither the number of workers, nor the batches, nor a kill changes a result. Several runs on one
-store share what is missing: each claims a batch before it computes it.
-"""
+"""All realisations of a study, in parallel, continued where an earlier run was stopped."""
 
 from __future__ import annotations
 
@@ -12,28 +7,24 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from bayeq.resumable.workers import AHEAD, MAX_JOBS, compute, one_thread
+from bayeq.resumable.store import Key
+from bayeq.resumable.workers import AHEAD, MAX_JOBS, fill, one_thread
 from bayeq.streaming.cluster import Cluster
 from bayeq.study.algorithms import ALGORITHMS
-from bayeq.study.claims import Claims
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose, whole
+from bayeq.study.metrics import Result
 from bayeq.study.realise import Task, realise
-from bayeq.study.result import Result
 from bayeq.study.store import Store
 
 __all__ = ["Outcome", "run_study"]
 
-Batch = tuple[Task, ...]
-
 # Work that is sent to a worker at a time [s], and realisations at most: a kill loses no more than this.
 BATCH_SECONDS = 0.25
 LARGEST_BATCH = 64
-
-# How often it is looked whether others have done what they claimed [s].
-LOOK = 0.5
 
 # More is a mistake of typing.
 MAX_REALISATIONS = 100_000
@@ -108,56 +99,43 @@ def run_study(
     whole("jobs", jobs, 1, MAX_JOBS)
     started = time.monotonic()
     cluster = None if client is None else Cluster(client)
-    with Store.create(store, config) as file, Claims(Path(store)) as claims, one_thread():
+    with Store(store, config) as file, one_thread():
         file.plan(systems, algorithms, realisations)
+        missing = partial(file.missing, systems, algorithms, realisations)
+        size = 1 if batch is None else whole("batch", batch, 1)
+        if batch is None and (groups := missing()):
+            largest = len(groups) // (AHEAD * (jobs if cluster is None else cluster.threads))
+            size = max(1, min(_per_batch(config, _tasks(groups[0])[0]), LARGEST_BATCH, largest))
         done = failures = 0
-        size = None if batch is None else whole("batch", batch, 1)
         work = partial(_work, config)
-        while tasks := _missing(file, systems, algorithms, realisations):
-            if size is None:
-                size = _batch_size(config, tasks, jobs if cluster is None else cluster.threads)
-            total, before = done + len(tasks), done
-            batches = claims.batches(tasks, size)
-            answers = (
-                compute(work, batches, min(jobs, -(-len(tasks) // size)), Path(store))
-                if cluster is None
-                else cluster.unordered(work, ((batch,) for batch in batches))
-            )
-            with closing(answers):
-                for results in answers:
-                    file.add(results)
-                    done += len({(r.system, r.index) for r in results})
-                    failures += sum(r.failure is not None for r in results)
-                    if progress is not None:
-                        progress(done, total)
-            if done == before:  # others have claimed all of it
-                time.sleep(LOOK)
+        with closing(fill(file, missing, work, jobs, size, _tasks, _realisations, cluster)) as answers:
+            for results, done, total in answers:  # noqa: B007 - what it is at the end
+                file.add(results)
+                failures += sum(r.failure is not None for r in results)
+                if progress is not None:
+                    progress(done, total)
     return Outcome(done, failures, time.monotonic() - started)
 
 
-def _missing(store: Store, systems: Sequence[str], algorithms: tuple[str, ...], realisations: int) -> list[Task]:
-    """What the store lacks, the systems side by side."""
-    done = {system: store.done(system) for system in systems}
-    tasks = []
-    for index in range(realisations):
-        for system in systems:
-            have = done[system].get(index)
-            lacking = algorithms if have is None else tuple(a for a in algorithms if a not in have)
-            if lacking:
-                tasks.append(Task(system, index, lacking))
-    return tasks
+def _tasks(keys: Sequence[Key]) -> tuple[Task, ...]:
+    """The realisations of consecutive keys."""
+    groups = groupby(keys, key=lambda key: key[:2])
+    return tuple(Task(system, index, tuple(key[2] for key in group)) for (system, index), group in groups)
 
 
-def _batch_size(config: StudyConfig, tasks: Sequence[Task], jobs: int) -> int:
+def _realisations(results: Sequence[Result]) -> int:
+    return len({(r.system, r.index) for r in results})
+
+
+def _per_batch(config: StudyConfig, task: Task) -> int:
     """Realisations per batch, from the time that one takes; compiles the kernels, or fills their cache, too."""
-    _warm(config, tasks[0].algorithms)
+    _warm(config, task.algorithms)
     start = time.perf_counter()
-    realise(config, tasks[0])
-    seconds = time.perf_counter() - start
-    return max(1, min(int(BATCH_SECONDS / seconds), LARGEST_BATCH, len(tasks) // (AHEAD * jobs)))
+    realise(config, task)
+    return int(BATCH_SECONDS / (time.perf_counter() - start))
 
 
-def _work(config: StudyConfig, batch: Batch) -> list[Result]:
+def _work(config: StudyConfig, batch: Sequence[Task]) -> list[Result]:
     """A batch, in a worker or in this process."""
     results = []
     for task in batch:

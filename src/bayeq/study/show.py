@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 from bayeq.study.printed import CITATION, LABELS
-from bayeq.study.result import METRICS
+from bayeq.study.metrics import METRICS
 from bayeq.study.store import Store
 from bayeq.study.table import Row, aggregate, failure_messages, runtimes
 

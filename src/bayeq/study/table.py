@@ -12,7 +12,7 @@ import numpy as np
 
 from bayeq.study.config import STUDY_SYSTEMS
 from bayeq.study.printed import PRINTED_ALGORITHMS, RUNTIMES, TABLE_2
-from bayeq.study.result import METRICS, Result
+from bayeq.study.metrics import METRICS, Result
 from bayeq.study.store import Plan
 
 __all__ = ["aggregate", "failure_messages", "runtimes"]
