@@ -18,7 +18,6 @@ import pytest
 import bayeq as bq
 from bayeq.batches.files import Identity, files_of
 from bayeq.batches.options import digest
-from bayeq.batches.store import BatchStore
 from bayeq.cli.app import main
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 from bayeq.figures.drift import draw_drift
@@ -355,8 +354,6 @@ def test_coefficients_of_a_common_equation(folder, tmp_path, capsys, monkeypatch
     # kept as well: nothing is done twice, the common equation neither
     with monkeypatch.context() as patch:
         patch.setattr("bayeq.batches.run.discover", None)
-        store = BatchStore.create(tmp_path / "batch.db")
-        store.close()
         (folder / "day12.csv").unlink()
         assert main(words) == 0
     assert json.loads(capsys.readouterr().out)["table"] == answer["table"]

@@ -1,13 +1,14 @@
-"""`Batch`: what became of each file, and the coefficients over files."""
+"""`Batch`: what became of each file, the coefficients over files, and how far they vary, in a few lines."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bayeq.batches.store import Outcome
-from bayeq.batches.summary import CONSTANT, summary
+import numpy as np
+
 from bayeq.equation.equations import Equations
 from bayeq.equation.load import restored
 from bayeq.errors import InputError
@@ -33,6 +34,17 @@ COLUMNS = (
     "verdict",
     "unit",
 )
+
+
+# The constant, where an equation has one.
+CONSTANT = "1"
+
+DIFFERENT = (
+    "The terms are not those of all files: the coefficient of one changes where another comes or goes; --common\n"
+    "  (common=True) compares the coefficients of one equation."
+)
+
+UNITS = "The units of {} differ over files: state them with --units (read={{'units': ...}}) before comparing numbers."
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +93,8 @@ class Batch:
         How many files were done in this run; the others were in the store.
     """
 
-    def __init__(self, outcomes: tuple[Outcome, ...], common: Mapping[str, Any] | None, done: int) -> None:
-        self.files = tuple(BatchFile(str(one.path), one.status, one.message, one.answer) for one in outcomes)
-        self.done = done
+    def __init__(self, files: tuple[BatchFile, ...], common: Mapping[str, Any] | None, done: int) -> None:
+        self.files, self.done = files, done
         self._common = common
 
     def __len__(self) -> int:
@@ -167,8 +178,29 @@ class Batch:
         return draw_drift(self.table())
 
     def __str__(self) -> str:
-        """A line for each term: how often it is there, its coefficient, and how far that varies over files."""
-        return summary(self)
+        """Verdicts, and a line for each term of each target.
+
+        In how many files it is in the equation; the coefficient in the first and the last of these, and the median;
+        half the 95 % interval (median); and the spread: the standard deviation of the coefficient over files divided by
+        the root mean square of its sd, about 1 if it is the same in all files.
+        """
+        count = len(self.files)
+        lines = [f"{count} file{'' if count == 1 else 's'}, {count - len(self.refused)} with equations"]
+        rows = self.rows()
+        for target in dict.fromkeys(row["target"] for row in rows):
+            own = [row for row in rows if row["target"] == target]
+            verdicts = Counter(row["verdict"] for row in {row["order"]: row for row in own}.values())
+            said = ", ".join(f"{kind} {count}" for kind, count in verdicts.most_common())
+            lines += ["", f"{target}: {said}", ""]
+            head = f"  {'term':<16} {'files':>5} {'first':>11} {'last':>11} {'median':>11} {'+-':>9} {'spread':>7}"
+            lines += [head, *(_line(own, term) for term in dict.fromkeys(row["term"] for row in own))]
+            if not all(row["shown"] for row in own if row["term"] != CONSTANT):
+                lines += ["", f"  {DIFFERENT}"]
+            units = {term: {row["unit"] for row in own if row["term"] == term} for term in {row["term"] for row in own}}
+            mixed = sorted(term for term, found in units.items() if len(found) > 1)
+            if mixed:
+                lines += ["", f"  {UNITS.format(', '.join(mixed))}"]
+        return "\n".join(lines)
 
 
 def _equations(content: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
@@ -204,3 +236,14 @@ def _values(term: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def _in_order(names: Mapping[str, None]) -> list[str]:
     """Terms in the order in which files bring them, the constant last."""
     return [*(name for name in names if name != CONSTANT), *(name for name in names if name == CONSTANT)]
+
+
+def _line(rows: Sequence[dict[str, Any]], term: str) -> str:
+    """A term over the files in whose equations it is."""
+    own = [row for row in rows if row["term"] == term and row["shown"]]
+    coef, sd = np.array([row["coef"] for row in own]), np.array([row["sd"] for row in own])
+    half = np.median([(row["ci_high"] - row["ci_low"]) / 2.0 for row in own])
+    rms = np.sqrt(np.mean(sd**2))
+    spread = f"{np.std(coef, ddof=1) / rms:7.1f}" if len(own) > 1 and rms > 0.0 else f"{'-':>7}"
+    numbers = f"{coef[0]:11.5g} {coef[-1]:11.5g} {np.median(coef):11.5g} {half:9.2g}"
+    return f"  {term:<16} {len(own):5} {numbers} {spread}"

@@ -16,8 +16,7 @@ from typing import Any
 
 from bayeq.batches.files import Identity, files_of
 from bayeq.batches.options import Read, digest, fixed_terms, question
-from bayeq.batches.result import Batch
-from bayeq.batches.store import BatchStore, Outcome, Status
+from bayeq.batches.result import Batch, BatchFile
 from bayeq.discovery.entry import discover
 from bayeq.equation.to_json import to_saved
 from bayeq.errors import (
@@ -30,9 +29,10 @@ from bayeq.errors import (
     require_mapping,
 )
 from bayeq.records import Record, as_records, read
-from bayeq.resumable.workers import MAX_JOBS, compute, one_thread
+from bayeq.resumable.store import Key, ResultStore
+from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
 
-__all__ = ["COMMON", "FILES", "batch", "run_batch"]
+__all__ = ["COMMON", "FILES", "BatchStore", "batch", "run_batch"]
 
 # Called with (stage, done, total).
 Progress = Callable[[str, int, int], None]
@@ -162,27 +162,93 @@ def run_batch(
     for path in paths:
         if path.exists() and store.exists() and path.samefile(store):
             raise InputError(f"{path}: is the store of the batch and no record; leave it out")
-    with BatchStore.create(store) as kept, one_thread():
+    with BatchStore(store, make=True) as kept, one_thread():
         shared = _common(kept, paths, options, read, step) if common else None
         used = options if shared is None else fixed_terms(options, shared)
-        asked = digest(used, read)
-        missing = [path for path in paths if not kept.done(path, asked)]
-        if missing:
-            step(FILES, 0, len(missing))
+        asked, done = digest(used, read), 0
+        places = {_key(path, asked): path for path in paths}
+        left = {key for key, path in places.items() if not kept.done(key, path)}
+        if left:
+            step(FILES, 0, len(left))
+
+        def missing() -> list[tuple[Key]]:
+            return [(key,) for key, path in places.items() if key in left and not kept.done(key, path)]
+
         work = partial(_work, dict(used), read)
-        with closing(compute(work, missing, min(jobs, max(len(missing), 1)), store)) as outcomes:
-            for count, outcome in enumerate(outcomes, 1):
-                kept.add(outcome, asked)
-                step(FILES, count, len(missing))
-        found = [kept.outcome(path, asked) for path in paths]
-    return Batch(tuple(one for one in found if one is not None), shared, len(missing))
+        with closing(fill(kept, missing, work, jobs, tasks=lambda keys: places[keys[0]])) as answers:
+            for (one, identity), done, total in answers:
+                key = _key(one.path, asked)
+                kept.add(key, one, identity)
+                left.remove(key)  # one that is refused is not tried twice
+                step(FILES, done, total)
+        found = [kept.outcome(path, key) for key, path in places.items()]
+    return Batch(tuple(one for one in found if one is not None), shared, done)
 
 
-def _work(options: Mapping[str, Any], read: Read, path: Path) -> Outcome:
-    """What becomes of one file, in a worker or in this process."""
-    identity: Identity | None = None
-    status: Status = "ok"
-    message, answer = "", None
+class BatchStore(ResultStore):
+    """The file of a batch, a row per file and set of options: batches of other options may be kept in the same one."""
+
+    application, noun = 0x62797162, "a store of batches"  # "byqb"
+    schema = (
+        """CREATE TABLE files (
+            path TEXT NOT NULL, options TEXT NOT NULL,
+            size INTEGER, mtime INTEGER, sha256 TEXT,
+            status TEXT NOT NULL, message TEXT NOT NULL, answer TEXT,
+            PRIMARY KEY (path, options)) WITHOUT ROWID""",
+        """CREATE TABLE common (
+            options TEXT NOT NULL, contents TEXT NOT NULL, answer TEXT NOT NULL,
+            PRIMARY KEY (options, contents)) WITHOUT ROWID""",
+    )
+    table, key, again = "files", {"path": "TEXT", "options": "TEXT"}, "REPLACE"
+
+    def add(self, key: Key, one: BatchFile, identity: Identity | None) -> None:
+        """Write what became of a file, and what this was when it was read, in place of what was there."""
+        state = (None, None, None) if identity is None else (identity.size, identity.mtime, identity.sha256)
+        answer = None if one.content is None else json.dumps(one.content, allow_nan=False)
+        self.put([(*key, *state, one.status, _text(one.message), answer)])
+
+    def done(self, key: Key, path: Path | None = None) -> bool:
+        """Whether a file has been done with these options, and is unchanged.
+
+        Without `path` it is that of the key, which is another where bytes of it are no characters.
+        """
+        rows = self._read(f"SELECT size, mtime, sha256 FROM files WHERE {self._is_key} AND status = 'ok'", key)
+        return any(Identity(*row).holds(path or Path(key[0])) for row in rows)
+
+    def outcome(self, path: Path, key: Key) -> BatchFile | None:
+        """What became of a file."""
+        with self._guard():
+            for status, message, answer in self._read(
+                f"SELECT status, message, answer FROM files WHERE {self._is_key}", key
+            ):
+                return BatchFile(str(path), status, message, None if answer is None else json.loads(answer))
+        return None
+
+    def add_common(self, options: str, contents: str, answer: Mapping[str, Any]) -> None:
+        """Write the common equation of files of these contents."""
+        self._write(
+            "INSERT OR REPLACE INTO common VALUES (?, ?, ?)", (options, contents, json.dumps(answer, allow_nan=False))
+        )
+
+    def common(self, options: str, contents: str) -> Mapping[str, Any] | None:
+        """The common equation of files of these contents, if it has been found."""
+        with self._guard():
+            rows = self._read("SELECT answer FROM common WHERE options = ? AND contents = ?", (options, contents))
+            return dict(json.loads(rows[0][0])) if rows else None
+
+
+def _key(path: str | Path, options: str) -> Key:
+    return _text(os.path.abspath(path)), options
+
+
+def _text(text: str) -> str:
+    """Text as SQLite takes it: bytes of a file's name that are no characters are written out."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def _work(options: Mapping[str, Any], read: Read, path: Path) -> tuple[BatchFile, Identity | None]:
+    """What becomes of one file, in a worker or in this process, and what this was when it was read."""
+    identity, status, message, answer = None, "ok", "", None
     try:
         identity = Identity.of(path)
         with warnings.catch_warnings():
@@ -195,7 +261,7 @@ def _work(options: Mapping[str, Any], read: Read, path: Path) -> Outcome:
         status, message = "refused", _one_line(error)
     except Exception as error:  # noqa: BLE001 - one file does not stop the others; its row says what went wrong
         status, message = "failed", f"{path}: {type(error).__name__}: {_one_line(error)}"
-    return Outcome(path, identity, status, message, answer)
+    return BatchFile(str(path), status, message, answer), identity
 
 
 def _one_line(error: Exception) -> str:

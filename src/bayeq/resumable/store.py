@@ -238,9 +238,9 @@ class ResultStore:
 class Claims:
     """The rows that this process works at, so that several processes on one store do each of them once.
 
-    A claim ends after a minute unless its owner prolongs it, which a thread does; that of a process of this machine that
-    is no more ends at once. Where a claim is lost and a row is computed twice after all, both are the same. As a context
-    manager it gives back at its end what is not done.
+    A claim ends after a minute unless its owner prolongs it, which a thread does; that of a process of this machine
+    that is no more ends at once. Where a claim is lost and a row is computed twice after all, both are the same. As a
+    context manager it gives back at its end what is not done.
 
     Parameters
     ----------

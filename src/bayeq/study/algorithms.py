@@ -105,7 +105,8 @@ def _posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
 
 
 def _sindy(
-    columns: Literal["raw", "standardised"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    columns: Literal["raw", "standardised"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
+) -> Estimate:
     """Sequential threshold least squares, its threshold on raw or standardised columns swept on the held-out error."""
     return estimate(sweep_stlsq(data.train, held_out=data.test, columns=columns))
 
@@ -140,7 +141,8 @@ def _bma(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estim
 
 
 def _vb(
-    init: Literal["search", "greedy", "rvm"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+    init: Literal["search", "greedy", "rvm"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
+) -> Estimate:
     """SS-VB, from one start or several."""
     standard, prior = _posed(data.train, config)
     return estimate(spike_slab_vb(standard.gram, prior, init=init).rescaled(standard))

@@ -109,7 +109,7 @@ def run_study(
         done = failures = 0
         work = partial(_work, config)
         with closing(fill(file, missing, work, jobs, size, _tasks, _realisations, cluster)) as answers:
-            for results, done, total in answers:  # noqa: B007 - what it is at the end
+            for results, done, total in answers:
                 file.add(results)
                 failures += sum(r.failure is not None for r in results)
                 if progress is not None:

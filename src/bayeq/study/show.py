@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any, Literal
 
-from bayeq.study.printed import CITATION, LABELS
 from bayeq.study.metrics import METRICS
+from bayeq.study.printed import CITATION, LABELS
 from bayeq.study.store import Store
 from bayeq.study.table import Row, aggregate, failure_messages, runtimes
 

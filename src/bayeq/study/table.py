@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from bayeq.study.config import STUDY_SYSTEMS
-from bayeq.study.printed import PRINTED_ALGORITHMS, RUNTIMES, TABLE_2
 from bayeq.study.metrics import METRICS, Result
+from bayeq.study.printed import PRINTED_ALGORITHMS, RUNTIMES, TABLE_2
 from bayeq.study.store import Plan
 
 __all__ = ["aggregate", "failure_messages", "runtimes"]
