@@ -80,11 +80,11 @@ def syrk_rate(workers: int) -> float:
 def measure(path: Path, smooth: str, workers: int) -> dict[str, object]:
     """One line: a whole `discover` of a file, and of that the passes over its rows."""
     from bayeq.discovery import discover
-    from bayeq.streaming import fold
+    from bayeq.streaming import units as summing
 
     spent: dict[str, float] = {}
-    whole = fold.fold
-    fold.Threads.__init__.__defaults__ = (workers,)
+    whole = summing.fold
+    summing.Threads.__init__.__defaults__ = (workers,)
 
     def timed(
         work: object, units: object, executor: object, progress: object, stage: str, kept: object = None

@@ -24,10 +24,8 @@ from bayeq.errors import BayeqError, InputError, MissingExtraError, RecordError,
 from bayeq.expressions import parse
 from bayeq.records.stream import RecordStream, open_streams
 from bayeq.states import Roles
-from bayeq.streaming.cluster import Cluster
-from bayeq.streaming.connect import connected
-from bayeq.streaming.extent import Extent, units_of
-from bayeq.streaming.fold import Threads, fold
+from bayeq.streaming.cluster import Cluster, connected
+from bayeq.streaming.units import Extent, Threads, fold, units_of
 from bayeq.streaming.work import AsMeasured
 from bayeq.study.runner import run_study
 from bayeq.study.store import Store
@@ -166,7 +164,7 @@ def test_long_lists_of_records_are_sent_and_short_ones_are_not(record, client, e
 
 @pytest.mark.slow
 def test_the_likelihood_of_all_rows_is_that_of_threads(path, client, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 300)
+    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 300)
     monkeypatch.setattr("bayeq.streaming.whole.BLOCK_ROWS", 3000)
     (stream,) = open_streams([path])
     rows = [Extent(stream, 0, 6001)]  # a unit of one row says nothing
@@ -279,7 +277,7 @@ def test_a_cluster_without_workers_is_not_waited_for_for_ever(folder, monkeypatc
 
 
 def test_addresses_where_nobody_answers_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.connect.ANSWER", 0.5)
+    monkeypatch.setattr("bayeq.streaming.cluster.ANSWER", 0.5)
     (tmp_path / "odd.json").write_text("[1]")
     for address, message in (
         ("tcp://127.0.0.1:9", "no Dask scheduler answers"),

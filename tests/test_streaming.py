@@ -21,11 +21,9 @@ from bayeq.gram.gram import from_moments, grams_from_data
 from bayeq.records.stream import RecordStream, open_streams, units_between
 from bayeq.regression.residuals import inspect_residuals
 from bayeq.streaming.checkpoint import Checkpoint
-from bayeq.streaming.extent import Extent, stretches, units_of
-from bayeq.streaming.fold import Threads, fold
 from bayeq.streaming.moments import Folded, fold_columns
-from bayeq.streaming.residuals import LAGS, Lagged
-from bayeq.streaming.work import OfRows
+from bayeq.streaming.units import Extent, Threads, fold, stretches, units_of
+from bayeq.streaming.work import LAGS, Lagged, OfRows
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 TERMS = [
@@ -45,7 +43,7 @@ def small_units(monkeypatch):
     for module in ("parquet", "text"):
         monkeypatch.setattr(f"bayeq.records.formats.{module}.UNIT_ROWS", 7000)
     monkeypatch.setattr("bayeq.records.formats.protocol.grid.__defaults__", (7000,))
-    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 300)
+    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 300)
 
 
 def written(record, path):
@@ -245,7 +243,7 @@ def test_correlated_residuals_count_as_in_memory(tmp_path):
 
 
 def test_the_likelihood_of_all_rows_is_that_in_memory(record, tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 150)
+    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
     record = record.take(slice(0, 14_000))
     path = written(record, tmp_path / "r.parquet")
     options = {"dictionary": "x, v, x**2, x**3, x*v, v*abs(v), u"}
@@ -260,7 +258,7 @@ def test_the_likelihood_of_all_rows_is_that_in_memory(record, tmp_path, monkeypa
 
 
 def test_bad_samples_outside_of_the_stretches_are_counted(record, tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 150)
+    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
     record = record.take(slice(0, 14_000))
     x, u = np.array(record["x"]), np.array(record["u"])
     # 20 stretches of 150 rows begin every 728.9 rows
@@ -293,7 +291,7 @@ def test_any_number_of_threads_gives_the_same_bytes(record):
 
 
 def test_stretches_are_spread_over_all_rows(record, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 2500)
+    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 2500)
     found = stretches([Extent(RecordStream(record), 0, 60_000), Extent(RecordStream(record), 0, 2000)])
     assert sum(one.n for one in found) <= 55_000
     assert found[0].time[0] == record.time[0]
@@ -545,7 +543,7 @@ def test_data_in_memory_is_not_streamed(record):
 
 def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
     monkeypatch.setattr("bayeq.discovery.sources.MOST_ROWS", 10_000)
-    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 150)
+    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
     record = record.take(slice(0, 14_000))
     found = quietly(record, dictionary="x, v, x**2, x**3, u")
     assert (found.data.stretches, found.data.n) == (20, record.n)
@@ -554,7 +552,7 @@ def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
 
 def test_long_records_in_memory_with_what_takes_whole_records_are_some_stretches(record, monkeypatch):
     monkeypatch.setattr("bayeq.discovery.sources.MOST_ROWS", 10_000)
-    monkeypatch.setattr("bayeq.streaming.extent.ROWS_EACH", 150)
+    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
     found = quietly(record.take(slice(0, 14_000)), dictionary="x, v, x**3, u, cos(3*t)")
     assert (found.data.stretches, found.data.n) == (0, 3000)
     assert found[0].included == ("x", "v", "x**3", "u")

@@ -22,7 +22,7 @@ def cluster_client(address: str | None) -> Iterator[Any]:
     if address is None:
         yield None
         return
-    from bayeq.streaming.connect import connected
+    from bayeq.streaming.cluster import connected
 
     with connected(address) as client:
         yield client

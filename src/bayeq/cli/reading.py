@@ -21,7 +21,7 @@ from bayeq.errors import FileFormatError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from bayeq.records import Record
-    from bayeq.streaming.extent import Extent
+    from bayeq.streaming.units import Extent
 
 __all__ = ["STANDARD_INPUT", "Reading", "reading_options"]
 
@@ -161,7 +161,7 @@ class Reading:
             An option that takes whole records, a file that cannot be read, rows that are not there.
         """
         from bayeq.records.stream import open_streams
-        from bayeq.streaming.extent import Extent
+        from bayeq.streaming.units import Extent
 
         given: dict[str, object] = {
             "--group": self.group, "--join": self.join, "--names": self.names, "--skip": self.skip,

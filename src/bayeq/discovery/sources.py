@@ -15,9 +15,8 @@ from bayeq.records import as_records, with_row_numbers
 from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_unasked
 from bayeq.streaming.checkpoint import Checkpoints, cache_folder
 from bayeq.streaming.cluster import Cluster
-from bayeq.streaming.extent import Extent, of_channels, stretches
-from bayeq.streaming.fold import Executor, Threads
 from bayeq.streaming.partitions import dask_streams, is_dask
+from bayeq.streaming.units import Executor, Extent, Threads, of_channels, stretches
 from bayeq.streaming.whole import Whole
 
 __all__ = ["answer_of", "extents_of"]

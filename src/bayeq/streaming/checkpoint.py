@@ -26,10 +26,9 @@ from bayeq.likelihood.block import Block
 from bayeq.likelihood.fit import Quadratic
 from bayeq.records.files import replacing
 from bayeq.records.stream import FileStream
-from bayeq.streaming.extent import Extent
 from bayeq.streaming.moments import Folded
-from bayeq.streaming.residuals import Lagged
-from bayeq.streaming.work import OfRows
+from bayeq.streaming.units import Extent
+from bayeq.streaming.work import Lagged, OfRows
 
 __all__ = ["Checkpoint", "Checkpoints", "cache_folder"]
 

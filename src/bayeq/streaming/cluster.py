@@ -1,4 +1,4 @@
-"""``Cluster``: units of rows summed by the workers of a Dask cluster.
+"""``Cluster``: units of rows summed by the workers of a Dask cluster; ``connected`` finds it by its address.
 
 Each unit is a task, and eight consecutive ones are added by another, whichever workers have them; the caller adds these
 sums in order. The order does not depend on the workers, and nor does a digit of the result.
@@ -6,7 +6,10 @@ sums in order. The order does not depend on the workers, and nor does a digit of
 
 from __future__ import annotations
 
+import json
+import logging
 import os
+import socket
 import threading
 import time as clock
 from collections import deque
@@ -16,19 +19,20 @@ from dataclasses import replace
 from functools import reduce
 from importlib.metadata import PackageNotFoundError, version
 from operator import add
+from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 from weakref import WeakValueDictionary
 
 from threadpoolctl import threadpool_limits
 
-from bayeq.errors import BayeqError, InputError
+from bayeq.errors import BayeqError, InputError, MissingExtraError
 from bayeq.records import Record
 from bayeq.records.stream import FileStream
-from bayeq.streaming.extent import Extent, Unit
-from bayeq.streaming.fold import Work
 from bayeq.streaming.partitions import DaskStream, Parts, parts_between
+from bayeq.streaming.units import Extent, Unit, Work
 
-__all__ = ["Cluster"]
+__all__ = ["Cluster", "connected"]
 
 T = TypeVar("T")
 
@@ -43,6 +47,9 @@ JOIN, COME_BACK = 30.0, 120.0
 
 # How often it is looked whether there is a worker [s].
 LOOK = 5.0
+
+# How long an address may take to answer [s].
+ANSWER = 5.0
 
 
 class Cluster:
@@ -82,7 +89,7 @@ class Cluster:
                 numbers, held = self._parts(work, unit, parts)
                 needed += held
                 found.append(self._submit(_of_unit, sent, unit, numbers, held))
-            return self._submit(_sum, found), needed
+            return self._submit(reduce, add, found), needed
 
         chunks = [units[k : k + TOGETHER] for k in range(0, len(units), TOGETHER)]
         waiting: deque[tuple[int, Any, list[Any]]] = deque()
@@ -216,11 +223,6 @@ def _of_unit(work: Work[T], unit: Unit, numbers: Sequence[int], held: Sequence[A
         ) from None
 
 
-def _sum(parts: Sequence[T]) -> T:
-    """On a worker: the sum of what is computed of consecutive units."""
-    return reduce(add, parts)
-
-
 class _OneThread:
     """Linear algebra on one thread while any task of this process runs, so that sums are rounded alike."""
 
@@ -289,3 +291,73 @@ def _require_workers(client: Any) -> None:
     for address, there in found.items():
         if there != here:
             raise InputError(f"the worker {address} has bayeq {there}, here it is {here}: install the same version")
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """The client of a cluster.
+
+    Parameters
+    ----------
+    address : str
+        Of its scheduler, tcp://host:8786, or the file that it wrote (``dask scheduler --scheduler-file``).
+
+    Raises
+    ------
+    InputError
+        Nobody answers.
+    MissingExtraError
+        Dask is not installed.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingExtraError("distributed", "dask", "work on a cluster") from None
+    found = _in_file(address)
+    try:
+        _require_answer(found)
+        client = Client(found, timeout=ANSWER)
+    except (OSError, ValueError) as error:
+        reason = str(error).splitlines()[:1] or [type(error).__name__]
+        raise InputError(
+            f"{address}: no Dask scheduler answers ({reason[0]}); start one, `dask scheduler`, and give the address"
+            " that it prints, such as tcp://host:8786"
+        ) from None
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "distributed.core")]
+    levels = [one.level for one in loggers]
+    for one in loggers:  # what goes wrong is said in one line, see `_clear_errors`
+        one.setLevel(logging.CRITICAL)
+    try:
+        yield client
+    finally:
+        client.close()
+        for one, level in zip(loggers, levels, strict=True):
+            one.setLevel(level)
+
+
+def _in_file(address: str) -> str:
+    """The address in a scheduler's file, or the address itself."""
+    path = Path(address)
+    if "://" in address or not (path.is_file() or path.suffix == ".json"):
+        return address
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))["address"]
+    except FileNotFoundError:
+        raise InputError(
+            f"{address}: no such file; it is written by `dask scheduler --scheduler-file {address}`"
+        ) from None
+    except (ValueError, KeyError, TypeError):
+        raise InputError(
+            f"{address}: holds no address of a scheduler; give the file that `dask scheduler --scheduler-file` wrote"
+        ) from None
+    return str(found)
+
+
+def _require_answer(address: str) -> None:
+    """Refuse an address where nobody is, or somebody else: a client would wait for them."""
+    parts = urlsplit(address if "://" in address else f"tcp://{address}")
+    if parts.scheme not in ("tcp", "tls", "ws", "wss") or not parts.hostname or parts.port is None:
+        raise ValueError("it is no address of one")
+    with socket.create_connection((parts.hostname, parts.port), timeout=ANSWER) as connection:
+        if parts.scheme == "tcp" and not connection.recv(1):  # where a scheduler speaks first
+            raise OSError("somebody else is there")

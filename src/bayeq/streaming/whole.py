@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +21,8 @@ from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion
 from bayeq.states.bad_samples import Learned
 from bayeq.streaming.checkpoint import Checkpoints
-from bayeq.streaming.extent import Extent, Unit, units_of
-from bayeq.streaming.fold import Executor, fold
-from bayeq.streaming.residuals import LaggedResiduals, with_all_rows
-from bayeq.streaming.work import BLOCK_ROWS, AsMeasured, ByLikelihood
+from bayeq.streaming.units import Executor, Extent, Of, Unit, Work, fold, units_of
+from bayeq.streaming.work import BLOCK_ROWS, AsMeasured, ByLikelihood, LaggedResiduals, with_all_rows
 
 __all__ = ["Whole"]
 
@@ -38,7 +35,7 @@ SPREAD = 16
 # Passes over all rows until the included terms stay.
 PASSES = 3
 
-# A level that a pass moves by less, in its logarithm, is where all rows have it: what a step leaves is its square.
+# Converged when a pass changes the logarithm of every level by less than this: convergence is quadratic.
 NEAR = 0.05
 
 
@@ -123,8 +120,7 @@ class Whole:
             found, block, moved = self._about(before, curve, motion, units, "likelihood of all rows")
             if moved < NEAR and (found.posterior.support == before.posterior.support).all():
                 break
-        self._warn_of_lost(block, log)
-        self._warn_of_absent(block.absent, motion, log)
+        self._warn(block, motion, log)
         return found
 
     def _about(
@@ -141,19 +137,16 @@ class Whole:
         found = relearned(task, state, block, curve)
         return at.of_more(found.task, found.state, found.quadratic, block), block, found.moved
 
-    def _warn_of_lost(self, block: Block, log: WarningLog) -> None:
-        """Warn of rows that the likelihood of all rows does not hold."""
+    def _warn(self, block: Block, motion: Motion, log: WarningLog) -> None:
+        """Warn of rows that the likelihood of all rows does not hold, and of samples that are missing or were bad."""
         if block.lost:
             log.warn(
                 f"of {block.lost:,} of {self.n:,} rows the likelihood could not be evaluated near their motion: the"
                 " answer is about the others; look at these rows, or leave them out (--rows)",
                 DataWarning,
             )
-
-    def _warn_of_absent(self, absent: NDArray[np.int64], motion: Motion, log: WarningLog) -> None:
-        """Warn of samples of all rows that are missing, or were left out as bad."""
         names = (*motion.roles.measured, *motion.roles.inputs)
-        for counts, what in zip(absent.tolist(), ("are missing", "were left out as bad"), strict=True):
+        for counts, what in zip(block.absent.tolist(), ("are missing", "were left out as bad"), strict=True):
             listed = [f"{count:,} of {name}" for name, count in zip(names, counts, strict=False) if count]
             if listed:
                 log.warn(
@@ -168,9 +161,10 @@ class Whole:
         gram = design.train[k]
         mean = gram.target_mean - float(gram.mean[kept] @ posterior.coef[kept])
         terms = tuple(design.terms[int(j)] for j in kept)
-        lagged = LaggedResiduals(work, design.motion.roles.targets[k], terms, posterior.coef[kept], mean)
+        target = design.motion.roles.targets[k]
+        lagged = LaggedResiduals(work.extents, work.roles, terms, work.share, target, posterior.coef[kept], mean)
         about = (work.roles, design.names, posterior.coef.tolist(), k, work.share)
         return with_all_rows(found, self._fold(lagged, units_of(self.extents), "residuals", about))
 
-    def _fold(self, work: Any, units: Sequence[Unit], stage: str, about: object) -> Any:
+    def _fold(self, work: Work[Of], units: Sequence[Unit], stage: str, about: object) -> Of:
         return fold(work, units, self.executor, self.progress, stage, self.checkpoints.of_stage(stage, (about, units)))

@@ -1,36 +1,41 @@
-"""What is computed of every unit of rows: moments of rows as they are, or the likelihood about a fit."""
+"""What is computed of every unit of rows: moments of rows as they are, residuals, or the likelihood about a fit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import RecordError
-from bayeq.expressions import Expression
+from bayeq.expressions import Evaluator, Expression
 from bayeq.likelihood.block import Block, block_of
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.search import Task
 from bayeq.records import Record
+from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion, Roles
 from bayeq.states.bad_samples import Learned
 from bayeq.states.derive import derive_states
 from bayeq.states.motion import further_rows
 from bayeq.states.prepare import cleaned, divided_at_gaps
-from bayeq.streaming.extent import Extent, Unit
 from bayeq.streaming.moments import Folded, fold_columns
+from bayeq.streaming.units import Extent, Of, Unit, Work
 
-__all__ = ["BLOCK_ROWS", "AsMeasured", "ByLikelihood", "OfRows"]
+__all__ = ["BLOCK_ROWS", "AsMeasured", "ByLikelihood", "Lagged", "LaggedResiduals", "OfRows", "with_all_rows"]
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
+Columns = dict[str, Floats]
 
 #: Rows whose likelihood is computed together: of the state before them nothing is known, which costs what some hundred
 #: rows tell; and the memory of 1 kB a row.
 BLOCK_ROWS = 2**16
+
+# Lags that are summed over: correlation reaches further in hardly any residual.
+LAGS = 4096
 
 
 @dataclass(frozen=True)
@@ -63,26 +68,9 @@ class OfRows:
         return OfRows(train, held_out, other.extent, self.first, other.last)
 
 
-class UnitColumns(NamedTuple):
-    """States, inputs and targets of a unit of rows.
-
-    Attributes
-    ----------
-    train, held_out : mapping of str to (n,) array
-        Of rows for training, and held out.
-    first, last
-        As in `OfRows`.
-    """
-
-    train: dict[str, Floats]
-    held_out: dict[str, Floats]
-    first: float
-    last: float
-
-
 @dataclass(frozen=True)
-class AsMeasured:
-    """Moments of the rows as they are, states that are not measured by central differences.
+class _Rows(Work[Of]):
+    """Something that is computed of rows as they are, states that are not measured by central differences.
 
     Attributes
     ----------
@@ -91,12 +79,11 @@ class AsMeasured:
     roles : Roles
         Chains and inputs.
     terms : tuple of Expression
-        The candidates.
+        Terms that are evaluated.
     share : float
         Of the rows of each extent, the last, held out.
     """
 
-    extents: tuple[Extent, ...]
     roles: Roles
     terms: tuple[Expression, ...]
     share: float
@@ -107,32 +94,118 @@ class AsMeasured:
         estimated = any(name is None for chain in self.roles.chains for name in chain.measured)
         return max(chain.order for chain in self.roles.chains) if estimated else 0
 
-    def on(self, extents: Sequence[Extent]) -> AsMeasured:
-        """The same of the same rows, kept elsewhere."""
-        return replace(self, extents=tuple(extents))
+    def columns(self, unit: Unit) -> tuple[Columns, Columns, float, float]:
+        """States, inputs and targets of the rows for training and held out; times of the first and the last row.
 
-    def __call__(self, unit: Unit) -> OfRows:
-        rows = self.columns(unit)
-        parts = [fold_columns(self.terms, columns, self.roles.targets) for columns in (rows.train, rows.held_out)]
-        return OfRows(parts[0], parts[1], unit.extent, rows.first, rows.last)
-
-    def columns(self, unit: Unit) -> UnitColumns:
-        """The columns of a unit."""
+        Times that are not known are NaN.
+        """
         extent = self.extents[unit.extent]
         start, stop = max(unit.start - self.reach, extent.start), min(unit.stop + self.reach, extent.stop)
         record = extent.read(start, stop)
-        own = slice(unit.start - start, unit.stop - start)
-        first, last = (np.nan, np.nan) if record.time is None else map(float, record.time[own][[0, -1]])
-        bounds = np.array([unit.start, max(unit.start, min(unit.stop, extent.cut(self.share))), unit.stop]) - start
+        begin, end = unit.start - start, unit.stop - start
+        first, last = (np.nan, np.nan) if record.time is None else map(float, record.time[[begin, end - 1]])
+        cut = max(unit.start, min(unit.stop, extent.cut(self.share))) - start
         columns = derive_states(record, self.roles.chains, self.roles.inputs).columns
-        begin, cut, end = bounds.tolist()
         train = {name: values[begin:cut] for name, values in columns.items()}
         held_out = {name: values[cut:end] for name, values in columns.items()}
-        return UnitColumns(train, held_out, first, last)
+        return train, held_out, first, last
 
 
 @dataclass(frozen=True)
-class ByLikelihood:
+class AsMeasured(_Rows[OfRows]):
+    """Moments of the terms and targets; see `_Rows`."""
+
+    def __call__(self, unit: Unit) -> OfRows:
+        *columns, first, last = self.columns(unit)
+        train, held_out = (fold_columns(self.terms, one, self.roles.targets) for one in columns)
+        return OfRows(train, held_out, unit.extent, first, last)
+
+
+@dataclass(frozen=True)
+class Lagged:
+    """Sums of products of residuals some rows apart.
+
+    Attributes
+    ----------
+    products : (LAGS,) array
+        Sum of e(t + k) e(t) over the rows, at lags k.
+    first, last : arrays
+        The first and the last residuals of the rows, up to LAGS - 1 each.
+    extent, n : int
+        The extent of the last row, and the number of rows.
+    """
+
+    products: Floats
+    first: Floats
+    last: Floats
+    extent: int
+    n: int
+
+    @classmethod
+    def of(cls, e: Floats, extent: int) -> Lagged:
+        """Of the residuals of consecutive rows."""
+        return cls(_products(e, e), e[: LAGS - 1], e[-(LAGS - 1) :], extent, len(e))
+
+    def __add__(self, other: Lagged) -> Lagged:
+        products = self.products + other.products
+        first, last = self.first, other.last
+        if self.extent == other.extent:
+            both = np.concatenate([self.last, other.first])
+            products = products + _products(both, both) - _products(self.last, self.last)
+            products -= _products(other.first, other.first)
+            if len(other.last) < LAGS - 1:
+                last = np.concatenate([self.last, other.last])[-(LAGS - 1) :]
+        return Lagged(products, first, last, other.extent, self.n + other.n)
+
+
+def _products(a: Floats, b: Floats) -> Floats:
+    """Sum of a(t + k) b(t) at each lag."""
+    out = np.zeros(LAGS)
+    size = 1 << (2 * max(len(a), 1) - 1).bit_length()
+    found = np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)[: min(len(a), LAGS)]
+    out[: len(found)] = found
+    return out
+
+
+@dataclass(frozen=True)
+class LaggedResiduals(_Rows[Lagged]):
+    """Products of the residuals of the training rows, for which `terms` are those of a model; see `_Rows`.
+
+    Attributes
+    ----------
+    target : str
+        The target.
+    coef : (r,) array
+        Coefficients of the terms.
+    constant : float
+        What is subtracted further, so that the mean is zero.
+    """
+
+    target: str
+    coef: Floats
+    constant: float
+
+    def __call__(self, unit: Unit) -> Lagged:
+        columns = self.columns(unit)[0]
+        evaluate = Evaluator(columns)
+        e = columns[self.target] - self.constant
+        for term, theta in zip(self.terms, self.coef.tolist(), strict=True):
+            e = e - theta * evaluate(term)
+        return Lagged.of(e, unit.extent)
+
+
+def with_all_rows(found: Residuals, lagged: Lagged) -> Residuals:
+    """What was found of some residuals, with the correlation of all of them."""
+    rho = lagged.products / lagged.products[0] if lagged.products[0] > 0 else np.zeros(1)
+    negative = np.flatnonzero(rho <= 0)
+    last = int(negative[0]) if len(negative) else len(rho)
+    n_eff = lagged.n / (1.0 + 2.0 * float(rho[1:last].sum()))
+    lag1 = float(rho[1]) if len(rho) > 1 else 0.0
+    return replace(found, n=lagged.n, lag1=lag1, n_eff=n_eff, discrepancy=None)
+
+
+@dataclass(frozen=True)
+class ByLikelihood(Work[Block]):
     """The likelihood of the rows about a fit to some of them.
 
     Attributes
@@ -147,27 +220,17 @@ class ByLikelihood:
         What bad samples are judged by.
     """
 
-    extents: tuple[Extent, ...]
     motion: Motion
     task: Task
     state: State
     learned: Learned
 
     @classmethod
-    def of(cls, extents: Sequence[Extent], motion: Motion, task: Task, state: State, learned: Learned) -> ByLikelihood:
+    def of(cls, extents: Sequence[Extent], motion: Motion, task: Task, state: State, learned: Learned) -> Self:
         """Without the rows and paths of the fit, so that it is small."""
         motion = replace(motion, records=(), cuts=())
         task = replace(task, series=(), recent=[])
         return cls(tuple(extents), motion, task, replace(state, paths=(), blurs=()), learned)
-
-    @property
-    def reach(self) -> int:
-        """None: of the rows beside a unit nothing is known."""
-        return 0
-
-    def on(self, extents: Sequence[Extent]) -> ByLikelihood:
-        """The same of the same rows, kept elsewhere."""
-        return replace(self, extents=tuple(extents))
 
     def __call__(self, unit: Unit) -> Block:
         record, roles = self.extents[unit.extent].read(unit.start, unit.stop), self.motion.roles
