@@ -1,21 +1,40 @@
-"""How numba compiles kernels: one that is called from Python once, together with all that it calls.
+"""How numba compiles kernels, with a cache on disk that follows callees and mends itself.
 
 By itself numba makes every kernel callable from Python and C, and optimises and translates each with all that it calls,
 so that a kernel three calls down is translated three times and more, and most of the result is never called. Here
 kernels that are called by kernels stay unoptimised LLVM code until they are linked into the one that Python calls.
+
+numba's own file cache looks only at the file of the function itself, so that an edited callee in another file leaves a
+stale caller behind. Here the key of a kernel is a digest of its code, of the global constants it uses, of the layout of
+the NamedTuples it takes and, recursively, of the kernels it calls: whatever changes the result changes the key.
+
+Both stand on numba's private interfaces, for which speaks (processor seconds of ``bayeq discover`` of 4,000 rows, two
+cores, medians of 4 first and 16 later starts that took turns): 40.1 s at first and 2.7 s later; 61.2 and 3.9 s, and a
+cache five times as large, by ``numba.njit(cache=True)``; 45.5 and 3.2 s by numba's cache with this compiler.
 """
 
 from __future__ import annotations
 
+import hashlib
+import marshal
+import re
+import sys
 from collections.abc import Callable
-from typing import Any
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any, TypeGuard
 
 import llvmlite.binding as llvm
 import numba
+import numpy as np
+from numba.core import caching
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.runtime import rtsys
 
-__all__ = ["entry_dispatcher", "inner_dispatcher", "options_of"]
+__all__ = ["cached_dispatcher", "inner_dispatcher"]
 
 OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -72,12 +91,12 @@ class _InnerCompiler(_EntryCompiler):
     library = _InnerLibrary
 
 
-def options_of(function: Callable[..., Any]) -> dict[str, bool]:
+def _options(function: Callable[..., Any]) -> dict[str, bool]:
     """The options with which `bayeq.kernels.kernel` marked a function."""
     return {name: bool(getattr(function, name, False)) for name in ("reordered", "borrowing")}
 
 
-def entry_dispatcher(function: Callable[..., Any]) -> Any:
+def _entry_dispatcher(function: Callable[..., Any]) -> Any:
     """numba's dispatcher of a function that Python calls.
 
     The GIL is released while it runs; NaN and infinities stay what they are (no ``fastmath=True``: checks for them must
@@ -91,10 +110,134 @@ def inner_dispatcher(function: Callable[..., Any]) -> Any:
 
     A borrowing one has no part in numba's memory management (``_nrt``): its arrays live as long as its caller's.
     """
-    options = {**OPTIONS, "fastmath": _allowed(function), "_nrt": not options_of(function)["borrowing"]}
+    options = {**OPTIONS, "fastmath": _allowed(function), "_nrt": not _options(function)["borrowing"]}
     return numba.njit(**options, no_cpython_wrapper=True, pipeline_class=_InnerCompiler)(function)
 
 
 def _allowed(function: Callable[..., Any]) -> set[str] | bool:
     """LLVM's flags."""
-    return {"reassoc", "contract"} if options_of(function)["reordered"] else False
+    return {"reassoc", "contract"} if _options(function)["reordered"] else False
+
+
+def _bare(code: CodeType) -> bytes:
+    """Bytes of a code object without its file name, line numbers and comments."""
+    consts = tuple(_bare(c) if isinstance(c, CodeType) else c for c in code.co_consts)
+    return marshal.dumps((code.co_code, consts, code.co_names, code.co_varnames, code.co_freevars))
+
+
+def _names(code: CodeType) -> set[str]:
+    """Names of globals, and of attributes, in a code object and those within it."""
+    return set(code.co_names).union(*(_names(c) for c in code.co_consts if isinstance(c, CodeType)))
+
+
+def _layout(cls: type) -> str:
+    """Fields of a NamedTuple, in order, with those of the NamedTuples among them."""
+    space = vars(sys.modules[cls.__module__])
+    fields = []
+    for name, annotation in cls.__annotations__.items():
+        inner = annotation if isinstance(annotation, type) else space.get(str(annotation))
+        fields.append(f"{name}:{_layout(inner) if _is_record(inner) else annotation}")
+    return f"{cls.__name__}({','.join(fields)})"
+
+
+def _is_record(value: object) -> TypeGuard[type]:
+    return isinstance(value, type) and issubclass(value, tuple) and hasattr(value, "_fields")
+
+
+def _digest(function: Callable[..., Any]) -> str:
+    """Digest of a function's code, the constants it reads, the records it takes and the kernels it calls."""
+    function = getattr(function, "py_func", function)
+    seen: set[int] = set()
+    sha = hashlib.sha256()
+
+    def visit(f: Callable[..., Any]) -> None:
+        if id(f) in seen:
+            return
+        seen.add(id(f))
+        sha.update(_bare(f.__code__))
+        sha.update(repr((f.__defaults__, _options(f))).encode())
+        for annotation in f.__annotations__.values():
+            record = annotation if isinstance(annotation, type) else f.__globals__.get(str(annotation))
+            if _is_record(record):
+                sha.update(_layout(record).encode())
+        for name in sorted(_names(f.__code__) & f.__globals__.keys()):
+            value = f.__globals__[name]
+            sha.update(name.encode())
+            compiled = getattr(value, "py_func", None)
+            if compiled is not None:
+                visit(compiled)
+            elif _is_record(value):
+                sha.update(_layout(value).encode())
+            elif isinstance(value, np.ndarray):
+                sha.update(value.tobytes())
+            elif value is not None and not isinstance(value, ModuleType) and not callable(value):
+                sha.update(repr(value).encode())
+
+    visit(function)
+    return sha.hexdigest()
+
+
+class _CacheFile(caching.IndexDataCacheFile):  # type: ignore[misc]
+    """Index and code of a kernel, each with a checksum behind it: damaged machine code would crash the process."""
+
+    def _dump(self, obj: object) -> bytes:
+        data: bytes = super()._dump(obj)
+        return data + hashlib.sha256(data).digest()  # which the unpickler does not read
+
+    def _load_data(self, name: str) -> object:
+        content = Path(self._data_path(name)).read_bytes()
+        size = hashlib.sha256().digest_size
+        if hashlib.sha256(content[:-size]).digest() != content[-size:]:
+            raise ValueError(f"{name} is damaged")
+        return super()._load_data(name)
+
+
+class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
+    """numba's cache on disk, keyed by `_digest`; what cannot be read or written is compiled again."""
+
+    def __init__(self, function: Callable[..., Any], compiling: Callable[[], None]) -> None:
+        super().__init__(function)
+        self._compiling = compiling
+        # not numba's name, which has the line number in it
+        file = Path(function.__code__.co_filename).stem
+        name = f"{file}.{function.__qualname__}.{sys.implementation.cache_tag}"
+        self._cache_file = _CacheFile(self._cache_path, re.sub("[<>]", "", name), _digest(function))
+
+    def load_overload(self, sig: object, target_context: object) -> object:
+        found = None
+        try:
+            found = self._load(sig, target_context)
+        except Exception:  # noqa: BLE001 - what a damaged file raises depends on its bytes
+            with suppress(OSError):  # a cache that is read-only stays damaged
+                self.flush()
+        if found is None:
+            self._compiling()
+        return found
+
+    def _load(self, sig: object, target_context: object) -> object:
+        """Load compiled code with the run-time library that it is linked with.
+
+        numba's own `load_overload` first sets up all that compiling needs, which takes longer than loading; the
+        compiler does so too, when there is something to compile.
+        """
+        rtsys.initialize(target_context)
+        import_module("numba.cpython.hashing")  # names a symbol, which code with dictionaries needs
+        return self._load_overload(sig, target_context)
+
+    def save_overload(self, sig: object, data: object) -> None:
+        # A full disk, a folder that has gone, a damaged index that cannot be replaced: the kernel is in memory.
+        with suppress(Exception):
+            super().save_overload(sig, data)
+
+
+def cached_dispatcher(function: Callable[..., Any], compiling: Callable[[], None]) -> Any:
+    """numba's dispatcher of a function: it compiles for the types that it is called with, or loads from the cache.
+
+    `compiling` is called before it compiles.
+    """
+    dispatcher = _entry_dispatcher(function)
+    if hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT gives the function itself
+        # Where there is nowhere to write a cache (read-only installation and home), every process compiles.
+        with suppress(RuntimeError):
+            dispatcher._cache = _KernelCache(function, compiling)
+    return dispatcher

@@ -46,7 +46,7 @@ class Kernel:
 
     @cached_property
     def dispatcher(self) -> Any:
-        from bayeq.kernels.cache import cached_dispatcher
+        from bayeq.kernels.compiler import cached_dispatcher
 
         return cached_dispatcher(self.py_func, _say_compiling)
 
@@ -82,7 +82,7 @@ def kernel(function: F | None = None, *, reordered: bool = False, borrowing: boo
     With `reordered` its sums may be taken in another order and fused with products, which makes long sums many times
     as fast; NaN and infinities stay what they are. With `borrowing` it makes no arrays, nor views of any, and where
     another kernel calls it references to those that it is given are not counted, which makes short kernels twice as
-    fast. See `bayeq.kernels.cache.cached_dispatcher`.
+    fast. See `bayeq.kernels.compiler.cached_dispatcher`.
     """
 
     def made(one: F) -> F:
