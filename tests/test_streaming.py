@@ -21,9 +21,8 @@ from bayeq.gram.gram import from_moments, grams_from_data
 from bayeq.records.stream import RecordStream, open_streams, units_between
 from bayeq.regression.residuals import inspect_residuals
 from bayeq.streaming.checkpoint import Checkpoint
-from bayeq.streaming.moments import Folded, fold_columns
 from bayeq.streaming.units import Extent, Threads, fold, stretches, units_of
-from bayeq.streaming.work import LAGS, Lagged, OfRows
+from bayeq.streaming.work import LAGS, Folded, Lagged, OfRows, fold_columns
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 TERMS = [

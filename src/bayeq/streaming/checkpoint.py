@@ -26,9 +26,8 @@ from bayeq.likelihood.block import Block
 from bayeq.likelihood.fit import Quadratic
 from bayeq.records.files import replacing
 from bayeq.records.stream import FileStream
-from bayeq.streaming.moments import Folded
 from bayeq.streaming.units import Extent
-from bayeq.streaming.work import Lagged, OfRows
+from bayeq.streaming.work import Folded, Lagged, OfRows
 
 __all__ = ["Checkpoint", "Checkpoints", "cache_folder"]
 
