@@ -217,9 +217,9 @@ def _unit(system: System, target: str, term: str) -> str:
 def write_figures(folder: Path, *, seed: int = 0, systems: Iterable[str] = STUDY_SYSTEMS) -> list[Path]:
     """Compute and draw the paper's Figs. 4 and 5: one realisation per system by the protocol of section 4.
 
-    Nominal parameters, 5 % noise, 2000 rows, columns standardised by eq. (32), the paper's prior and chains. Fig. 4 shows the
-    inclusion probabilities of all terms, Fig. 5 the pairwise posteriors of the true terms' coefficients of the
-    nonlinear systems; without such systems there is none.
+    Nominal parameters, 5 % noise, 2000 rows, columns standardised by eq. (32), the paper's prior and chains. Fig. 4
+    shows the inclusion probabilities of all terms, Fig. 5 the pairwise posteriors of the true terms' coefficients of
+    the nonlinear systems; without such systems there is none.
 
     Parameters
     ----------
