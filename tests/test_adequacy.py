@@ -5,12 +5,17 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import betainc
 from scipy.stats import kstest
 
 import bayeq as bq
 from bayeq.equation.verdict import KINDS, Verdict, doubted, worst
 from bayeq.likelihood.adequacy import Adequacy, Discrepancy, Octave, chance_of, octaves_of, turn_of
 from bayeq.likelihood.low_pass import feedback, mean_spectrum, spectrum_of, step_variance
+from bayeq.numerics.beta import incomplete_beta
 from bayeq.selection.alternatives import Alternatives, alternatives_to
 from bayeq.selection.excitation import Repeating
 from bayeq.states import Roles
@@ -40,6 +45,12 @@ def quietly(*arguments, **options):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return bq.discover(*arguments, **options)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.floats(0.5, 5000.0), st.floats(0.5, 5000.0), st.floats(0.0, 1.0))
+def test_the_incomplete_beta_function(a, b, x):
+    assert incomplete_beta(a, b, x) == pytest.approx(betainc(a, b, x), abs=1e-10)
 
 
 def test_octaves_of_white_noise_are_uniform():

@@ -157,7 +157,7 @@ KILLED = """
 import sys
 import bayeq as bq
 options = {options!r}
-bq.batch(sys.argv[1], store=sys.argv[2], jobs=int(sys.argv[3]), **options)
+print(bq.batch(sys.argv[1], store=sys.argv[2], jobs=int(sys.argv[3]), **options).done)
 """
 
 
@@ -317,8 +317,9 @@ def test_a_stop_keeps_what_is_done(days, tmp_path, capsys):
 def test_two_at_once_in_one_store(days, tmp_path, found):
     store = tmp_path / "batch.db"
     program = KILLED.format(options=OPTIONS)
-    both = [subprocess.Popen([sys.executable, "-c", program, str(days), str(store), "1"]) for _ in range(2)]
-    assert [process.wait() for process in both] == [0, 0]
+    command = [sys.executable, "-c", program, str(days), str(store), "1"]
+    both = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    assert sum(int(process.communicate()[0]) for process in both) == 4  # none twice
     again = bq.batch(days, store=store, **OPTIONS)
     assert again.done == 0
     pd.testing.assert_frame_equal(again.table(), found.table())

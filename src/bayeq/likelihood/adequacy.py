@@ -20,6 +20,7 @@ from bayeq.likelihood.fit import State, adjoints, marginal, maximised, of_inputs
 from bayeq.likelihood.levels import LEAST_DISCREPANCY, MEMORY, Levels
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.search import Fitted, Task
+from bayeq.numerics.beta import incomplete_beta
 from bayeq.numerics.normal import Z95
 
 __all__ = ["Adequacy", "Discrepancy", "Octave", "adequacy_of", "chance_of", "octaves_of", "turn_of"]
@@ -322,8 +323,6 @@ def octaves_of(
         Octaves that are left out, as if there were none: in a target those in which the course of an input is not that
         of low-passed noise.
     """
-    from scipy.special import betainc  # which takes a while to import
-
     power, below = _spectrum(pieces)
     highest, out = 0.5 / interval, []
     edges = [(highest * 0.5 ** (k + 1), highest * 0.5**k) for k in range(OCTAVES)]
@@ -336,7 +335,7 @@ def octaves_of(
         if bins < LEAST_BINS or bins == len(power):
             continue
         share = float(power[inside].sum()) / total
-        lower = float(betainc(bins, len(power) - bins, share))
+        lower = incomplete_beta(bins, len(power) - bins, share)
         out.append(
             Octave(channel, low, high, share * len(power) / bins, 2.0 * min(lower, 1.0 - lower), bins / len(power))
         )

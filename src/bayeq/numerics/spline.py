@@ -1,13 +1,46 @@
-"""Slopes of cubic splines; ``scipy.interpolate`` has them too, but its import takes 0.15 s, 6 % of a whole run."""
+"""Cubic splines with not-a-knot ends, without ``scipy.interpolate``, whose import takes 0.15 s of a run of 2.7 s."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.kernels import kernel
+
 __all__ = ["spline_slopes"]
 
 Floats = NDArray[np.float64]
+
+
+@kernel
+def _solve(steps: Floats, secants: Floats, slopes: Floats) -> None:
+    """Slopes at n > 3 samples by elimination without pivoting, which the dominant diagonal allows.
+
+    The second derivative is continuous at the samples within, and the third one at the second and the last but one.
+    """
+    n, m = slopes.shape
+    above = np.empty(n)
+    first = steps[0] + steps[1]
+    above[0] = first / steps[1]
+    for j in range(m):
+        right = (steps[0] + 2.0 * first) * steps[1] * secants[0, j] + steps[0] * steps[0] * secants[1, j]
+        slopes[0, j] = right / first / steps[1]
+    for i in range(1, n - 1):
+        before, after = steps[i - 1], steps[i]
+        pivot = 2.0 * (before + after) - after * above[i - 1]
+        above[i] = before / pivot
+        for j in range(m):
+            right = 3.0 * (after * secants[i - 1, j] + before * secants[i, j])
+            slopes[i, j] = (right - after * slopes[i - 1, j]) / pivot
+    last, before = steps[n - 2], steps[n - 3]
+    ends = last + before
+    pivot = before - ends * above[n - 2]
+    for j in range(m):
+        right = last * last * secants[n - 3, j] + (2.0 * ends + last) * before * secants[n - 2, j]
+        slopes[n - 1, j] = (right / ends - ends * slopes[n - 2, j]) / pivot
+    for i in range(n - 2, -1, -1):
+        for j in range(m):
+            slopes[i, j] -= above[i] * slopes[i + 1, j]
 
 
 def spline_slopes(time: Floats, samples: Floats) -> Floats:
@@ -38,22 +71,13 @@ def spline_slopes(time: Floats, samples: Floats) -> Floats:
     >>> spline_slopes(t, t[:, None] ** 3)[:, 0].round(6)
     array([  3.,  12.,  48.,  75., 147.])
     """
-    from scipy.linalg import solve_banded
-
-    h = np.diff(time)
-    secants = np.diff(samples, axis=0) / h[:, None]
-    if len(h) == 1:
+    steps = np.diff(time)
+    secants = np.diff(samples, axis=0) / steps[:, None]
+    if len(steps) == 1:
         return np.repeat(secants, 2, axis=0)
-    if len(h) == 2:
-        middle = (h[1] * secants[0] + h[0] * secants[1]) / (h[0] + h[1])
+    if len(steps) == 2:
+        middle = (steps[1] * secants[0] + steps[0] * secants[1]) / (steps[0] + steps[1])
         return np.array([2 * secants[0] - middle, middle, 2 * secants[1] - middle])
-    first, last = h[0] + h[1], h[-1] + h[-2]
-    bands = np.zeros((3, len(time)))  # above the diagonal, on it, below
-    bands[0, 1], bands[0, 2:] = first, h[:-1]
-    bands[1, 0], bands[1, 1:-1], bands[1, -1] = h[1], 2.0 * (h[:-1] + h[1:]), h[-2]
-    bands[2, :-2], bands[2, -2] = h[1:], last
-    right = np.empty(samples.shape)
-    right[0] = ((h[0] + 2.0 * first) * h[1] * secants[0] + h[0] ** 2 * secants[1]) / first
-    right[1:-1] = 3.0 * (h[1:, None] * secants[:-1] + h[:-1, None] * secants[1:])
-    right[-1] = (h[-1] ** 2 * secants[-2] + (2.0 * last + h[-1]) * h[-2] * secants[-1]) / last
-    return np.asarray(solve_banded((1, 1), bands, right, overwrite_b=True, check_finite=False))
+    slopes = np.empty(samples.shape)
+    _solve(steps, secants, slopes)
+    return slopes

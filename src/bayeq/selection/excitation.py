@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import TIME
+from bayeq.numerics.beta import incomplete_beta
 from bayeq.states import Motion, MotionRows
 
 __all__ = ["Repeating", "repeating"]
@@ -174,15 +175,13 @@ def _harmonics(time: Floats, frequency: float, count: int) -> Floats:
 
 def _is_noise(left: Floats, step: float, below: float) -> bool:
     """Whether what is left of a channel has no more power below a frequency than white noise has."""
-    from scipy.special import betainc  # which takes a while to import
-
     power = np.abs(np.fft.rfft(left)[1 : (len(left) + 1) // 2]) ** 2
     frequencies = np.arange(1, len(power) + 1) / (len(left) * step)
     inside = int((frequencies < below).sum())
     if inside < 8 or inside > len(power) - 8 or not power.sum() > 0.0:
         return True
     share = float(power[:inside].sum() / power.sum())
-    return 1.0 - betainc(inside, len(power) - inside, share) > NOT_NOISE
+    return 1.0 - incomplete_beta(inside, len(power) - inside, share) > NOT_NOISE
 
 
 def _standard(values: Floats) -> Floats:
