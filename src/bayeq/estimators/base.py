@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from numbers import Real
 from typing import Any, ClassVar, Self
 
@@ -87,8 +88,10 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             return D, y
         return self._validated_thoroughly(D, y)
 
-    def _validated_thoroughly(self, D: Any, y: Any) -> tuple[Floats, Floats]:
-        D, y = validate_data(self, D, y, dtype=np.float64, multi_output=True, y_numeric=True, ensure_min_samples=2)
+    def _validated_thoroughly(self, D: Any, y: Any, reset: bool = True, rows: int = 2) -> tuple[Floats, Floats]:
+        D, y = validate_data(
+            self, D, y, dtype=np.float64, multi_output=True, y_numeric=True, reset=reset, ensure_min_samples=rows
+        )
         # scikit-learn lets sparse targets pass
         return D, np.asarray(y.toarray() if hasattr(y, "toarray") else y, dtype=np.float64)
 
@@ -164,7 +167,7 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             As `fit`; `forgetting` out of range, other columns or targets than before, or fewer than 2 rows in all.
         """
         first = not hasattr(self, "coef_")
-        D, y = self._validated_block(D, y, first)
+        D, y = self._validated_thoroughly(D, y, reset=first, rows=1)
         weights = _falling(self.forgetting, len(D))
         if sample_weight is not None:
             weights = weights * checked_weights(sample_weight, len(D))
@@ -181,10 +184,6 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 " at a time, or a forgetting closer to 1"
             )
         return self._fitted(grams, several)
-
-    def _validated_block(self, D: Any, y: Any, first: bool) -> tuple[Floats, Floats]:
-        D, y = validate_data(self, D, y, dtype=np.float64, multi_output=True, y_numeric=True, reset=first)
-        return D, np.asarray(y.toarray() if hasattr(y, "toarray") else y, dtype=np.float64)
 
     def _former(self) -> tuple[Gram, ...]:
         """The sums over earlier rows."""
@@ -263,23 +262,18 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return tags
 
 
+@dataclass(eq=False, repr=False)
 class SpikeSlabRegressor(SparseRegressor):
     """An estimator with the spike-and-slab prior among its parameters."""
 
-    slab_variance: float
-    prior_inclusion: ArrayLike
-    noise_shape: float
-    noise_rate: float
-    inclusion_beta: tuple[float, float] | None
+    slab_variance: float = 10.0
+    prior_inclusion: ArrayLike = 0.1
+    noise_shape: float = 1e-4
+    noise_rate: float = 1e-4
+    inclusion_beta: tuple[float, float] | None = None
 
     def _prior(self) -> Prior:
-        return Prior(
-            self.slab_variance,
-            self.prior_inclusion,
-            self.noise_shape,
-            self.noise_rate,
-            self.inclusion_beta,
-        )
+        return Prior(self.slab_variance, self.prior_inclusion, self.noise_shape, self.noise_rate, self.inclusion_beta)
 
     def _solve(self, gram: Gram | LazyGram) -> Posterior:
         # even a perfect fit gains no more than n y'y / (4 noise_rate) nats, too few for any term

@@ -1,14 +1,15 @@
 """scikit-learn faces of the engines.
 
 Each estimator builds a `Gram`, standardises it (eq. (32)), runs its engine and transforms the answer back to the
-units of D and y. The prior applies in the units of y, as in the paper.
+units of D and y. The prior applies in the units of y, as in the paper. The fields of a class are its parameters, those
+of its base first; the constructor stores them.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -34,6 +35,7 @@ from bayeq.inference.vb import spike_slab_vb
 __all__ = ["RVM", "STLSQ", "SpikeSlabBMA", "SpikeSlabGibbs", "SpikeSlabVB"]
 
 
+@dataclass(eq=False, repr=False)
 class SpikeSlabVB(SpikeSlabRegressor):
     """Sparse linear regression by variational Bayes with spike-and-slab priors.
 
@@ -98,36 +100,13 @@ class SpikeSlabVB(SpikeSlabRegressor):
     [False, True, False, False, True]
     """
 
-    def __init__(
-        self,
-        slab_variance: float = 10.0,
-        prior_inclusion: ArrayLike = 0.1,
-        noise_shape: float = 1e-4,
-        noise_rate: float = 1e-4,
-        inclusion_beta: tuple[float, float] | None = None,
-        init: Literal["search", "greedy", "rvm"] | Floats = "search",
-        tol: float = 1e-6,
-        max_iter: int = 1000,
-        forgetting: float = 1.0,
-    ) -> None:
-        self.slab_variance = slab_variance
-        self.prior_inclusion = prior_inclusion
-        self.noise_shape = noise_shape
-        self.noise_rate = noise_rate
-        self.inclusion_beta = inclusion_beta
-        self.init = init
-        self.tol = tol
-        self.max_iter = max_iter
-        self.forgetting = forgetting
+    init: Literal["search", "greedy", "rvm"] | Floats = "search"
+    tol: float = 1e-6
+    max_iter: int = 1000
+    forgetting: float = 1.0
 
     def _engine(self, gram: GramLike) -> Posterior:
-        return spike_slab_vb(
-            gram,
-            self._prior(),
-            init=self.init,
-            tolerance=self.tol,
-            max_iter=self.max_iter,
-        )
+        return spike_slab_vb(gram, self._prior(), init=self.init, tolerance=self.tol, max_iter=self.max_iter)
 
     def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:
         super()._keep(grams, read)
@@ -135,6 +114,7 @@ class SpikeSlabVB(SpikeSlabRegressor):
         self.elbo_trace_ = read("elbo_trace", listed=True)
 
 
+@dataclass(eq=False, repr=False)
 class SpikeSlabGibbs(SpikeSlabRegressor):
     """Sparse linear regression by collapsed Gibbs sampling with spike-and-slab priors.
 
@@ -167,31 +147,12 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
         As in `SpikeSlabVB`.
     """
 
-    def __init__(
-        self,
-        slab_variance: float = 10.0,
-        prior_inclusion: ArrayLike = 0.1,
-        noise_shape: float = 1e-4,
-        noise_rate: float = 1e-4,
-        inclusion_beta: tuple[float, float] | None = None,
-        chains: int = 4,
-        samples: int = 5000,
-        burn_in: int = 1000,
-        exchange: bool = True,
-        random_state: int | Sequence[int] = 0,
-        forgetting: float = 1.0,
-    ) -> None:
-        self.slab_variance = slab_variance
-        self.prior_inclusion = prior_inclusion
-        self.noise_shape = noise_shape
-        self.noise_rate = noise_rate
-        self.inclusion_beta = inclusion_beta
-        self.chains = chains
-        self.samples = samples
-        self.burn_in = burn_in
-        self.exchange = exchange
-        self.random_state = random_state
-        self.forgetting = forgetting
+    chains: int = 4
+    samples: int = 5000
+    burn_in: int = 1000
+    exchange: bool = True
+    random_state: int | Sequence[int] = 0
+    forgetting: float = 1.0
 
     def _engine(self, gram: GramLike) -> Posterior:
         return spike_slab_gibbs(
@@ -248,6 +209,7 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
         return to_arviz(self.posteriors_[k], D=D, y=y, rng=np.random.default_rng(random_state))
 
 
+@dataclass(eq=False, repr=False)
 class SpikeSlabBMA(SpikeSlabRegressor):
     """Sparse linear regression by Bayesian model averaging with spike-and-slab priors: exact weights, no sampling.
 
@@ -293,27 +255,10 @@ class SpikeSlabBMA(SpikeSlabRegressor):
     [(0, 1)]
     """
 
-    def __init__(
-        self,
-        slab_variance: float = 10.0,
-        prior_inclusion: ArrayLike = 0.1,
-        noise_shape: float = 1e-4,
-        noise_rate: float = 1e-4,
-        inclusion_beta: tuple[float, float] | None = None,
-        signs: ArrayLike | None = None,
-        tolerance: float = 5e-3,
-        enumerate_up_to: int = 14,
-        forgetting: float = 1.0,
-    ) -> None:
-        self.slab_variance = slab_variance
-        self.prior_inclusion = prior_inclusion
-        self.noise_shape = noise_shape
-        self.noise_rate = noise_rate
-        self.inclusion_beta = inclusion_beta
-        self.signs = signs
-        self.tolerance = tolerance
-        self.enumerate_up_to = enumerate_up_to
-        self.forgetting = forgetting
+    signs: ArrayLike | None = None
+    tolerance: float = 5e-3
+    enumerate_up_to: int = 14
+    forgetting: float = 1.0
 
     def _prior(self) -> Prior:
         return replace(super()._prior(), signs=self.signs)
@@ -451,6 +396,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         return to_arviz(posterior, chain, D=D, y=y, rng=rng, statistics={"model": which[None]})
 
 
+@dataclass(eq=False, repr=False)
 class STLSQ(SparseRegressor):
     """Sequentially thresholded least squares (SINDy).
 
@@ -482,21 +428,12 @@ class STLSQ(SparseRegressor):
     nonlinear dynamical systems, PNAS 113 (2016).
     """
 
-    def __init__(
-        self,
-        threshold: float = 0.1,
-        ridge: float = 0.05,
-        standardise: bool = False,
-        fit_intercept: bool = True,
-        max_iter: int = 20,
-        forgetting: float = 1.0,
-    ) -> None:
-        self.threshold = threshold
-        self.ridge = ridge
-        self.standardise = standardise
-        self.fit_intercept = fit_intercept
-        self.max_iter = max_iter
-        self.forgetting = forgetting
+    threshold: float = 0.1
+    ridge: float = 0.05
+    standardise: bool = False
+    fit_intercept: bool = True
+    max_iter: int = 20
+    forgetting: float = 1.0
 
     def _solve(self, gram: Gram | LazyGram) -> Posterior:
         if self.standardise and not self.fit_intercept:
@@ -509,6 +446,7 @@ class STLSQ(SparseRegressor):
         )
 
 
+@dataclass(eq=False, repr=False)
 class RVM(SparseRegressor):
     """Relevance vector machine: Student-t sparsity by automatic relevance determination.
 
@@ -531,9 +469,8 @@ class RVM(SparseRegressor):
     M. E. Tipping, A. C. Faul, Fast marginal likelihood maximisation for sparse Bayesian models, AISTATS 2003.
     """
 
-    def __init__(self, max_iter: int = 10_000, forgetting: float = 1.0) -> None:
-        self.max_iter = max_iter
-        self.forgetting = forgetting
+    max_iter: int = 10_000
+    forgetting: float = 1.0
 
     def _engine(self, gram: GramLike) -> Posterior:
         return rvm(gram, max_iter=self.max_iter)
