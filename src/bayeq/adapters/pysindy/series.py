@@ -11,19 +11,20 @@ they would share: two-stage least squares.
 
 Noise of a derivative grows with frequency, and a smoothed motion holds nothing of the signal where noise was above it.
 So the regression is one of the bins below the frequency at which the target comes near to the residual, each weighted
-by the inverse of the residual's density, which is taken never to fall with frequency.
+by the inverse of the residual's density, which is taken never to fall with frequency: the equation holds for any
+linear transform of both sides, and the bins of tapered columns have independent residuals, each with a variance of its
+own, so that these weights are efficient and the intervals honest (generalised least squares; Hannan 1963).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.adapters.pysindy.in_band import Band, band_gram, residual_spectrum, taper, to_band
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
@@ -31,9 +32,31 @@ from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 
-__all__ = ["LEAST_FLOOR", "pieces_of", "row_gram", "series_grams", "systematic_floor"]
+__all__ = [
+    "LEAST_FLOOR",
+    "Band",
+    "band_gram",
+    "pieces_of",
+    "residual_spectrum",
+    "row_gram",
+    "series_grams",
+    "systematic_floor",
+    "taper",
+    "to_band",
+]
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+# Share of a piece that is tapered at either end, and the least number of rows; this many times the inverse of the
+# band's width, since that is how far a smoother's errors at the ends reach; and not more than this share.
+TAPERED = 1 / 40
+LEAST_TAPER = 16
+MEMORY = 4.0
+MOST_TAPERED = 1 / 5
+
+# Bins on either side over which the spectrum of residuals is averaged: 122 degrees of freedom.
+SMOOTHING = 30
 
 # Error that central differences of second order leave: the coefficients of d2, d4 and d6 that complete them.
 COMPLETION = np.array([1 / 6, 1 / 30, 1 / 140])
@@ -51,7 +74,7 @@ JOINT = 10.0
 # The band ends where the target's density is no more than this many times that of the residual, ...
 ABOVE_RESIDUAL = 30.0
 # ... each averaged over this many bins on either side, and holds this many bins at least.
-SMOOTHING = 5
+COARSE = 5
 LEAST_BINS = 40
 
 # Share of the target that counts as noise in any case: rounding.
@@ -64,6 +87,28 @@ UNSEEN_ROWS = 10.0
 
 # Fits that find the spectrum of the residual.
 PILOTS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """The rows of one piece as bins of a band, from frequency zero on.
+
+    Attributes
+    ----------
+    frequency : (b,) array
+        Frequencies [1/row].
+    count : (b,) array
+        Real numbers that a bin stands for: 1 at zero frequency, otherwise 2.
+    columns : (b, P + 1) complex array
+        Transforms of the columns and of the target, scaled so that white noise of variance s^2 has E|.|^2 = s^2.
+    kept : float
+        Share of the rows' information that the taper leaves.
+    """
+
+    frequency: Floats
+    count: Floats
+    columns: Complexes
+    kept: float
 
 
 def pieces_of(Z: Floats, gaps: NDArray[np.bool_]) -> list[slice] | None:
@@ -108,11 +153,9 @@ def row_gram(Z: Floats, t: Floats, weights: Floats | None, floor: float) -> Gram
         Standard deviation of noise that is there in any case.
     """
     w = np.ones(len(t)) if weights is None else weights
-    n = float(w.sum())
-    weighted = Z * w[:, None]
-    names = tuple(f"x{j}" for j in range(Z.shape[1]))
-    Dty, yty = weighted.T @ t, float(w @ t**2) + n * floor**2
-    return Gram(names, n, np.zeros(len(names)), 0.0, np.ascontiguousarray(weighted.T @ Z), Dty, yty, n)
+    columns = np.column_stack([Z, t])
+    found = _uncentred((columns * w[:, None]).T @ columns, float(w.sum()))
+    return replace(found, yty=found.yty + found.n * floor**2)
 
 
 def systematic_floor(rows: float) -> float:
@@ -154,12 +197,12 @@ def _with_differences(
     The differences are not of the target itself, whose noise they would share, but of what all columns, differences
     among them, give of it: two-stage least squares, in turn.
     """
-    bands = [_in_band(D, y, highest) for D, y in zip(library, t, strict=True)]
+    bands = [to_band(D, y, highest) for D, y in zip(library, t, strict=True)]
     fitted = [Z[p] @ _least_squares(bands) for p in pieces]
     for _ in range(TURNS):
         own = [_differences(y) for y in fitted]
         columns = [np.column_stack([D, E[ORDERS:-ORDERS]]) for D, E in zip(library, own, strict=True)]
-        bands = [_in_band(D, y, highest) for D, y in zip(columns, t, strict=True)]
+        bands = [to_band(D, y, highest) for D, y in zip(columns, t, strict=True)]
         coef = _least_squares(bands)
         terms = Z.shape[1]
         # rows at either end that have no differences of their own take those of the nearest
@@ -172,7 +215,7 @@ def _with_differences(
 
 def _least_squares(bands: Sequence[Band]) -> Floats:
     """Coefficients of all columns, bins weighted by the residual's density."""
-    stacked = np.concatenate([b.columns for b in bands])[:, 1:]
+    stacked = np.concatenate([b.columns for b in bands])
     weight = np.ones(len(stacked))
     for _ in range(2):
         rows = stacked * weight[:, None]
@@ -212,7 +255,7 @@ def _band_end(t: Sequence[Floats], left: Sequence[Floats]) -> float:
     """Frequency [1/row] below which a target stands out of its residual."""
     frequency = np.concatenate([np.fft.rfftfreq(len(y)) for y in t])
     order = np.argsort(frequency, kind="stable")
-    reach = SMOOTHING * len(t)
+    reach = COARSE * len(t)
     average = np.full(2 * reach + 1, 1.0 / (2 * reach + 1))
 
     def density(pieces: Sequence[Floats]) -> Floats:
@@ -226,20 +269,81 @@ def _band_end(t: Sequence[Floats], left: Sequence[Floats]) -> float:
     return max(end, LEAST_BINS / max(len(y) for y in t))
 
 
-def _in_band(D: Floats, y: Floats, highest: float) -> Band:
-    """Rows of a piece in the band, without the constant that is no candidate."""
-    band = to_band(D, y, 1.0, (0.0, highest))
-    columns = band.columns.copy()
-    columns[:, 0] = 0.0
-    return replace(band, columns=columns)
+def taper(n: int, memory: float = 0.0) -> Floats:
+    """Window that rises from 0 to 1 with three continuous derivatives at either end.
+
+    It does so over 1/40 of the rows, or 16, or over four times the `memory` in rows, whichever is most.
+    """
+    length = max(LEAST_TAPER, round(TAPERED * n), round(min(MEMORY * memory, MOST_TAPERED * n)))
+    s = np.clip(np.minimum(np.arange(n), n - 1 - np.arange(n)) / length, 0.0, 1.0)
+    return np.asarray(s**4 * (35.0 - 84.0 * s + 70.0 * s**2 - 20.0 * s**3))
+
+
+def to_band(D: Floats, y: Floats, highest: float) -> Band:
+    """Transform columns (n, P) and a target (n,): the bins up to `highest` [1/row]."""
+    n = len(y)
+    window = taper(n, 1.0 / highest)
+    power = float(np.sum(window**2))
+    frequency = np.asarray(np.fft.rfftfreq(n), dtype=np.float64)
+    # the bin at half the sampling rate is left out: it is real, and aliased
+    last = max(min(int(np.searchsorted(frequency, highest, side="right")), (n + 1) // 2), 1)
+    columns = np.column_stack([np.fft.rfft(window * values)[:last] for values in (*D.T, y)]) / np.sqrt(power)
+    count = np.full(last, 2.0)
+    count[0] = 1.0
+    return Band(frequency[:last], count, columns, power**2 / (n * float(np.sum(window**4))))
+
+
+def band_gram(bands: Sequence[Band], spectrum: Sequence[Floats]) -> Gram:
+    """Uncentred sufficient statistics of the bins of all pieces.
+
+    Parameters
+    ----------
+    bands : sequence of Band
+        One per piece.
+    spectrum : sequence of (b,) array
+        Variance of the residual in each bin. Weights, its inverse, are scaled to a mean of 1, so that the n of the Gram
+        is the number of real numbers in the band.
+    """
+    total = sum(float(np.sum(b.count)) for b in bands)
+    mean_weight = sum(float(np.sum(b.count / s)) for b, s in zip(bands, spectrum, strict=True)) / total
+    products, rows = 0.0, 0.0
+    for variance, band in zip(spectrum, bands, strict=True):
+        root = np.sqrt(band.count * band.kept / variance / mean_weight)[:, None] * band.columns
+        stacked = np.concatenate([root.real, root.imag])
+        products = products + stacked.T @ stacked
+        rows += float(np.sum(band.count)) * band.kept
+    return _uncentred(np.asarray(products), rows)
+
+
+def _uncentred(products: Floats, n: float) -> Gram:
+    """A Gram from sums of products of columns and target, of which no mean is taken off."""
+    terms = len(products) - 1
+    DtD, Dty = np.ascontiguousarray(products[:terms, :terms]), products[:terms, terms].copy()
+    names = tuple(f"x{j}" for j in range(terms))
+    return Gram(names, n, np.zeros(terms), 0.0, DtD, Dty, float(products[terms, terms]), n)
+
+
+def residual_spectrum(bands: Sequence[Band], coef: Floats) -> list[Floats]:
+    """Variance in each bin of the residual that coefficients (P,) leave.
+
+    It is the periodogram, averaged over neighbouring frequencies of all pieces.
+    """
+    power = [np.abs(band.columns[:, -1] - band.columns[:, :-1] @ coef) ** 2 for band in bands]
+    order = np.argsort(np.concatenate([band.frequency for band in bands]), kind="stable")
+    values = np.concatenate(power)[order]
+    half = min(SMOOTHING, max(1, (len(values) - 1) // 4))
+    padded = np.pad(values, half, mode="reflect")
+    smooth = np.convolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), mode="valid")
+    out = np.empty_like(smooth)
+    out[order] = np.maximum(smooth, 1e-6 * smooth.max())
+    return np.split(out, np.cumsum([len(p) for p in power])[:-1])
 
 
 def _banded(bands: Sequence[Band], terms: int, floor: float) -> Gram:
     """Statistics of the terms, weighted by the residual's spectrum, the differences integrated out."""
-    names = tuple(f"x{j}" for j in range(terms + ORDERS))
     coef = _least_squares(bands)
     for _ in range(PILOTS):
-        whole, gram, unit = _weighted(bands, names, terms, _spectrum(bands, coef, floor), floor)
+        whole, gram, unit = _weighted(bands, terms, _spectrum(bands, coef, floor), floor)
         coef = np.zeros(terms + ORDERS)
         coef[:terms] = _pilot(gram)
         E = slice(terms, None)
@@ -247,12 +351,12 @@ def _banded(bands: Sequence[Band], terms: int, floor: float) -> Gram:
         coef[E] = np.linalg.solve(ridged, whole.Dty[E] - whole.DtD[E, :terms] @ coef[:terms])
     spectrum = _spectrum(bands, coef, floor)
     counted = _counted(bands, coef, floor, spectrum)
-    return replace(_weighted(bands, names, terms, spectrum, floor)[1], n=counted, dof=counted)
+    return replace(_weighted(bands, terms, spectrum, floor)[1], n=counted, dof=counted)
 
 
 def _spectrum(bands: Sequence[Band], coef: Floats, floor: float) -> list[Floats]:
     """Density of the residual, which does not fall with frequency, and of the floor."""
-    found = np.concatenate(residual_spectrum(bands, coef, 0.0))
+    found = np.concatenate(residual_spectrum(bands, coef))
     order = np.argsort(np.concatenate([b.frequency for b in bands]), kind="stable")
     found[order] = np.maximum.accumulate(found[order])
     return np.split(found + floor**2, np.cumsum([len(b.frequency) for b in bands])[:-1])
@@ -264,15 +368,13 @@ def _counted(bands: Sequence[Band], coef: Floats, floor: float, spectrum: Sequen
     Beyond the pass band of a smoothed motion the residual is next to nothing. Counted as whole ones, such bins would be
     evidence that the noise is small in the others too.
     """
-    own = residual_spectrum(bands, coef, 0.0)
+    own = residual_spectrum(bands, coef)
     return sum(float(b.count @ ((o + floor**2) / s)) for b, o, s in zip(bands, own, spectrum, strict=True))
 
 
-def _weighted(
-    bands: Sequence[Band], names: tuple[str, ...], terms: int, spectrum: Sequence[Floats], floor: float
-) -> tuple[Gram, Gram, float]:
+def _weighted(bands: Sequence[Band], terms: int, spectrum: Sequence[Floats], floor: float) -> tuple[Gram, Gram, float]:
     """Statistics of all columns, of the terms with the others integrated out, and the noise variance they imply."""
-    whole = band_gram(bands, names, spectrum)
+    whole = band_gram(bands, spectrum)
     count = sum(float(b.count.sum()) for b in bands)
     unit = count / sum(float((b.count / s).sum()) for b, s in zip(bands, spectrum, strict=True))
     T, E = slice(0, terms), slice(terms, None)
