@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -31,118 +31,90 @@ OPERATORS = {**dict.fromkeys(COMPARISONS, 0), "+": 1, "-": 1, "*": 2, "/": 2, "*
 _UNARY, _ATOM = 3, 5
 
 
-class _Hashed:
+class _Node:
     """Nodes are dictionary keys in inner loops, so the hash of a tree is computed once, on construction."""
 
-    __slots__ = ()
+    __slots__ = ("_hash", "_parts")
+    __match_args__: tuple[str, ...] = ()
+    _hash: int
+    _parts: tuple[Any, ...]
 
-    def _remember(self, *parts: object) -> None:
-        object.__setattr__(self, "_hash", hash((type(self).__name__, *parts)))
+    def __post_init__(self) -> None:
+        parts = tuple([getattr(self, name) for name in self.__match_args__])
+        object.__setattr__(self, "_parts", parts)
+        object.__setattr__(self, "_hash", hash((type(self).__name__, parts)))
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and self._parts == other._parts
+
+    # Hashes of strings differ between processes: a pickled node is built again.
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._parts
 
 
-@dataclass(frozen=True, slots=True)
-class Number(_Hashed):
+@dataclass(frozen=True, slots=True, eq=False)
+class Number(_Node):
     """A non-negative finite constant; one value has one form (integral up to 2**53 as int, else float)."""
 
     value: int | float
-    _hash: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         value = float(self.value)
         if not math.isfinite(value) or math.copysign(1.0, value) < 0:
             raise ExpressionError(f"a number in a term must be finite and not negative, not {value!r}")
         object.__setattr__(self, "value", int(value) if value.is_integer() and value <= 2**53 else value)
-        self._remember(self.value)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Number, (self.value,)
+        _Node.__post_init__(self)
 
 
-@dataclass(frozen=True, slots=True)
-class Symbol(_Hashed):
+@dataclass(frozen=True, slots=True, eq=False)
+class Symbol(_Node):
     """A channel or a parameter."""
 
     name: str
-    _hash: int = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        self._remember(self.name)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    # Hashes of strings differ between processes: a pickled node is built again (here and below).
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Symbol, (self.name,)
 
 
-@dataclass(frozen=True, slots=True)
-class Constant(_Hashed):
+@dataclass(frozen=True, slots=True, eq=False)
+class Constant(_Node):
     """A number that has a name: a key of `CONSTANTS`."""
 
     name: str
-    _hash: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.name not in CONSTANTS:
             raise ExpressionError(f"no constant {self.name!r}; there are: {', '.join(CONSTANTS)}")
-        self._remember(self.name)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Constant, (self.name,)
+        _Node.__post_init__(self)
 
 
-@dataclass(frozen=True, slots=True)
-class Negate(_Hashed):
+@dataclass(frozen=True, slots=True, eq=False)
+class Negate(_Node):
     """Unary minus."""
 
     operand: Node
-    _hash: int = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        self._remember(self.operand)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Negate, (self.operand,)
 
 
-@dataclass(frozen=True, slots=True)
-class Binary(_Hashed):
+@dataclass(frozen=True, slots=True, eq=False)
+class Binary(_Node):
     """``left op right`` with `op` one of `OPERATORS`; comparisons are 1 or 0, and conditions of ``where`` only."""
 
     op: str
     left: Node
     right: Node
-    _hash: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.op not in OPERATORS:
             raise ExpressionError(f"no operator {self.op!r}; there are: {' '.join(OPERATORS)}")
-        self._remember(self.op, self.left, self.right)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Binary, (self.op, self.left, self.right)
+        _Node.__post_init__(self)
 
 
-@dataclass(frozen=True, slots=True)
-class Call(_Hashed):
+@dataclass(frozen=True, slots=True, eq=False)
+class Call(_Node):
     """``function(arguments)`` with `function` a key of `FUNCTIONS`."""
 
     function: str
     arguments: tuple[Node, ...]
-    _hash: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.function not in FUNCTIONS:
@@ -150,13 +122,7 @@ class Call(_Hashed):
         least, most = FUNCTIONS[self.function].arguments
         if not least <= len(self.arguments) <= (most or len(self.arguments)):
             raise ExpressionError(f"{self.function} takes {argument_count(least, most)}, not {len(self.arguments)}")
-        self._remember(self.function, self.arguments)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Call, (self.function, self.arguments)
+        _Node.__post_init__(self)
 
 
 def argument_count(least: int, most: int | None) -> str:
@@ -226,14 +192,10 @@ def _bracketed(node: Node, least: int) -> str:
     return text if strength >= least else f"({text})"
 
 
-def _symbols(node: Node) -> frozenset[str]:
-    own = frozenset((node.name,)) if isinstance(node, Symbol) else frozenset[str]()
-    return own.union(*map(_symbols, arguments_of(node)))
-
-
-def _constants(node: Node) -> frozenset[str]:
-    own = frozenset((node.name,)) if isinstance(node, Constant) else frozenset[str]()
-    return own.union(*map(_constants, arguments_of(node)))
+def _named(node: Node, kind: type[Symbol | Constant]) -> frozenset[str]:
+    """The names of all symbols, or of all constants, in a tree."""
+    own = frozenset((node.name,)) if isinstance(node, kind) else frozenset[str]()
+    return own.union(*(_named(part, kind) for part in arguments_of(node)))
 
 
 def _size(node: Node) -> int:
@@ -273,11 +235,11 @@ class Expression:
 
     @cached_property
     def names(self) -> frozenset[str]:
-        return _symbols(self.tree)
+        return _named(self.tree, Symbol)
 
     @cached_property
     def constants(self) -> frozenset[str]:
-        return _constants(self.tree)
+        return _named(self.tree, Constant)
 
     @cached_property
     def size(self) -> int:
