@@ -25,7 +25,7 @@ from bayeq.expressions import parse
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
-from bayeq.plan.measured import Measured
+from bayeq.plan.conditions import Measured
 from bayeq.plan.models import CandidateModel
 from bayeq.records.validate import check_name
 from bayeq.refine.results import Refinement

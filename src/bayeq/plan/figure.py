@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, RED, log_ticks, new_figure, picture
-from bayeq.plan.outcome import Outcome, Planned
+from bayeq.plan.result import Outcome, Plan
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,12 +36,12 @@ LEAST = 1e-4
 
 
 @picture
-def draw_plan(plan: Planned) -> Figure:
+def draw_plan(plan: Plan) -> Figure:
     """Information by second of each design (left), spectrum and first part of the best excitation (right).
 
     Parameters
     ----------
-    plan : Planned
+    plan : Plan
         Designs, the best first.
 
     Returns
@@ -87,7 +87,7 @@ def _label(one: Outcome, units: Mapping[str, str]) -> str:
     return f"{one.design.kind}, {low:.3g} to {high:.3g} Hz, {size}"
 
 
-def _inputs(plan: Planned) -> list[tuple[str, Floats, dict[str, Any]]]:
+def _inputs(plan: Plan) -> list[tuple[str, Floats, dict[str, Any]]]:
     """Name, samples and look of each input of the best excitation."""
     return [
         (name, samples, {"color": LOOKS[k % len(LOOKS)][0], "linewidth": 0.8})
@@ -95,7 +95,7 @@ def _inputs(plan: Planned) -> list[tuple[str, Floats, dict[str, Any]]]:
     ]
 
 
-def _spectrum(ax: Axes, plan: Planned) -> None:
+def _spectrum(ax: Axes, plan: Plan) -> None:
     """Amplitude of each line."""
     n, dt = len(plan.time), float(plan.time[1] - plan.time[0])
     low, high = plan.outcomes[0].design.band
@@ -112,7 +112,7 @@ def _spectrum(ax: Axes, plan: Planned) -> None:
     ax.set_title("the best: spectrum")
 
 
-def _start(ax: Axes, plan: Planned) -> None:
+def _start(ax: Axes, plan: Plan) -> None:
     """The first periods."""
     low, high = plan.outcomes[0].design.band
     shown = plan.time <= PERIODS * 2.0 / (low + high)
@@ -126,7 +126,7 @@ def _start(ax: Axes, plan: Planned) -> None:
         ax.legend(loc="upper right", ncols=2, fontsize=7)
 
 
-def _quantity(plan: Planned, what: str) -> str:
+def _quantity(plan: Plan, what: str) -> str:
     units = {plan.units.get(name, "") for name in plan.inputs}
     unit = units.pop() if len(units) == 1 else ""
     return f"{what} [{unit}]" if unit else what

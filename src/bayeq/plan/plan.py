@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,10 @@ from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.forecast.rows import whole_number
 from bayeq.inference.posterior import Posterior
 from bayeq.plan.conditions import Conditions
-from bayeq.plan.designs import SHARES, Design, designs_for, shapes
+from bayeq.plan.designs import SHARES, Design, Motions, designs_for, largest_share, shapes
 from bayeq.plan.information import coefficient_gain, seconds_to_halve, seconds_until, unexplained
 from bayeq.plan.models import CandidateModel
-from bayeq.plan.motion import Motions, largest_share
-from bayeq.plan.outcome import Compared, Outcome, Separation
-from bayeq.plan.result import Plan
+from bayeq.plan.result import Compared, Outcome, Plan, Separation
 from bayeq.states import Chain
 
 __all__ = ["Found", "plan_excitation"]
@@ -96,60 +94,149 @@ def plan_excitation(
         raise InputError(f"odds must be a number above 1, not {odds!r}")
     whole_number("realisations", realisations, 2)
     whole_number("seed", seed, 0)
-    leading = [_leading(equation) for equation in equations]
-    listed = [(k, model) for k, equation in enumerate(equations) for model in equation.models[1:]]
-    listed.sort(key=lambda one: -one[1].probability / equations[one[0]].models[0].probability)
-    within = [one for one in listed if one[1].probability * odds > equations[one[0]].models[0].probability]
-    rivals = [_rival(equations, leading, inputs, conditions, *one) for one in within[:MOST_RIVALS]]
-    if not rivals:  # the coefficients to learn are those of the terms shown
-        leading = [equation.shown_posterior for equation in equations]
-    lead = Motions(_dynamics(equations, leading, inputs), conditions)
-    largest = max(int(model.support.sum()) for model in [*leading, *(rival.model for rival in rivals)])
-    designs = designs_for(conditions, largest)
-    outcomes = []
-    for k, design in enumerate(designs):
-        progress("designs", k, len(designs))
-        realised = [shapes(design, conditions, (seed, r)) for r in range(realisations)]
-        most = largest_share(lead, realised)
-        for share in SHARES:
-            if most > 0.0 and (share < most or share == SHARES[0]):
-                amplitude = min(share, most)
-                outcomes.append(
-                    _outcome(equations, leading, lead, rivals, design, realised, amplitude, conditions, odds)
-                )
-    progress("designs", len(designs), len(designs))
-    if not outcomes:
-        raise InputError(
-            "no excitation keeps the motion within the limits and bounded: lower the amplitude, or raise limits"
+    return _Planning(equations, inputs, conditions, odds).plan(realisations, seed, progress)
+
+
+class _Planning:
+    """Equations with the models that a measurement is to tell apart, and the conditions of it."""
+
+    def __init__(self, equations: Sequence[Found], inputs: Sequence[str], conditions: Conditions, odds: float) -> None:
+        self.equations, self.inputs, self.conditions, self.odds = equations, inputs, conditions, odds
+        self.leading = [_leading(equation) for equation in equations]
+        listed = [(k, model) for k, equation in enumerate(equations) for model in equation.models[1:]]
+        self.listed = sorted(listed, key=lambda one: -one[1].probability / equations[one[0]].models[0].probability)
+        within = [one for one in self.listed if one[1].probability * odds > equations[one[0]].models[0].probability]
+        self.rivals = [self._rival(*one) for one in within[:MOST_RIVALS]]
+        if not self.rivals:  # the coefficients to learn are those of the terms shown
+            self.leading = [equation.shown_posterior for equation in equations]
+        self.lead = self._motions(self.leading)
+
+    def _motions(self, models: Sequence[Posterior]) -> Motions:
+        laws = [Law(e.chain, e.terms, model, e.unit_gains) for e, model in zip(self.equations, models, strict=True)]
+        return Motions(Dynamics.of(laws, self.inputs), self.conditions)
+
+    def _rival(self, k: int, model: CandidateModel) -> Rival:
+        equation = self.equations[k]
+        found = model.posterior(equation.shown_posterior)
+        return Rival(
+            k=k,
+            model=found,
+            compared=_compared(equation, self.leading[k], model),
+            log_odds=math.log(equation.models[0].probability / model.probability),
+            motions=self._motions([*self.leading[:k], found, *self.leading[k + 1 :]]),
         )
-    outcomes.sort(key=lambda one: -one.rate)
-    best = outcomes[0]
-    shape = shapes(best.design, conditions, (seed, 0))
-    sizes = np.array(list(best.amplitudes.values()))
-    samples = conditions.offset + sizes * shape
-    purpose: Literal["models", "coefficients"] = "models" if rivals else "coefficients"
-    return Plan(
-        purpose=purpose,
-        leading=tuple(_named(e, model) for e, model in zip(equations, leading, strict=True)),
-        rivals=tuple(rival.compared for rival in rivals),
-        decided=_decided(equations, listed) if not rivals and listed else None,
-        outcomes=tuple(outcomes),
-        time=np.arange(conditions.n) / conditions.fs,
-        inputs=dict(zip(inputs, samples.T, strict=True)),
-        offsets=dict(zip(inputs, conditions.offset.tolist(), strict=True)),
-        odds=float(odds),
-        conditions={
-            "band": list(conditions.band),
-            "seconds": conditions.seconds,
-            "fs": conditions.fs,
-            "noise": dict(zip((e.target for e in equations), conditions.noise, strict=True)),
-            "limits": dict(conditions.limits),
-            "realisations": realisations,
-            "seed": seed,
-        },
-        units={name: unit for equation in equations for name, unit in equation.units.items()},
-        ranges={name: max(abs(low), abs(high)) for name, (low, high) in conditions.ranges.items()},
-    )
+
+    def plan(self, realisations: int, seed: int, progress: Progress) -> Plan:
+        """Simulate all designs, and rank them."""
+        c, inputs = self.conditions, self.inputs
+        largest = max(int(model.support.sum()) for model in [*self.leading, *(rival.model for rival in self.rivals)])
+        designs = designs_for(c, largest)
+        outcomes = []
+        for k, design in enumerate(designs):
+            progress("designs", k, len(designs))
+            realised = [shapes(design, c, (seed, r)) for r in range(realisations)]
+            most = largest_share(self.lead, realised)
+            tried = [share for share in SHARES if most > 0.0 and (share < most or share == SHARES[0])]
+            outcomes += [self._outcome(design, realised, min(share, most)) for share in tried]
+        progress("designs", len(designs), len(designs))
+        if not outcomes:
+            raise InputError(
+                "no excitation keeps the motion within the limits and bounded: lower the amplitude, or raise limits"
+            )
+        outcomes.sort(key=lambda one: -one.rate)
+        best = outcomes[0]
+        samples = c.offset + np.array(list(best.amplitudes.values())) * shapes(best.design, c, (seed, 0))
+        return Plan(
+            purpose="models" if self.rivals else "coefficients",
+            leading=tuple(_named(e, model) for e, model in zip(self.equations, self.leading, strict=True)),
+            rivals=tuple(rival.compared for rival in self.rivals),
+            decided=self._decided() if not self.rivals and self.listed else None,
+            outcomes=tuple(outcomes),
+            time=np.arange(c.n) / c.fs,
+            inputs=dict(zip(inputs, samples.T, strict=True)),
+            offsets=dict(zip(inputs, c.offset.tolist(), strict=True)),
+            odds=float(self.odds),
+            conditions={
+                "band": list(c.band),
+                "seconds": c.seconds,
+                "fs": c.fs,
+                "noise": dict(zip((e.target for e in self.equations), c.noise, strict=True)),
+                "limits": dict(c.limits),
+                "realisations": realisations,
+                "seed": seed,
+            },
+            units={name: unit for equation in self.equations for name, unit in equation.units.items()},
+            ranges={name: max(abs(low), abs(high)) for name, (low, high) in c.ranges.items()},
+        )
+
+    def _decided(self) -> Compared:
+        """The likeliest rival of all, which is beyond the odds."""
+        k, model = self.listed[0]
+        equation = self.equations[k]
+        return _compared(equation, equation.models[0].posterior(equation.shown_posterior), model)
+
+    def _outcome(self, design: Design, realised: Sequence[Floats], share: float) -> Outcome:
+        """What realisations of a design, at a share of the amplitude that keeps the limits, are expected to tell."""
+        lead, seconds_each = self.lead, self.conditions.seconds
+        runs = [run for shape in realised if (run := lead.run(shape, share)) is not None]
+        peaks = {name: float(np.mean([np.abs(run[name]).max() for run in runs])) for name in lead.dynamics.states}
+        separations: list[Separation] = []
+        if self.rivals:
+            for place, rival in enumerate(self.rivals):
+                own = [rival.motions.run(shape, share) for shape in realised]
+                separations.append(self._separation(rival, place, runs, own))
+            separations.sort(key=lambda one: one.rate)
+            rate, sd, seconds = separations[0].rate, separations[0].sd, max(one.seconds for one in separations)
+        else:
+            gains = [np.concatenate(self._gains(run)) for run in runs]
+            rates = np.array([0.5 * float(np.log1p(gain).sum()) for gain in gains]) / seconds_each
+            rate, sd = float(rates.mean()), float(rates.std(ddof=1))
+            seconds = float(np.mean([seconds_to_halve(gain, seconds_each) for gain in gains]))
+        amplitudes = dict(zip(lead.dynamics.inputs, (share * self.conditions.reach).tolist(), strict=True))
+        return Outcome(design, amplitudes, share not in SHARES, rate, sd, seconds, peaks, tuple(separations))
+
+    def _gains(self, run: Mapping[str, Floats]) -> list[Floats]:
+        """What a motion tells of the coefficients of each equation."""
+        return [
+            coefficient_gain(_columns(equation, model, run), model.covariance, noise**2)
+            for equation, model, noise in zip(self.equations, self.leading, self.conditions.noise, strict=True)
+        ]
+
+    def _separation(
+        self,
+        rival: Rival,
+        place: int,
+        runs: Sequence[Mapping[str, Floats]],
+        own: Sequence[Mapping[str, Floats] | None],
+    ) -> Separation:
+        """How some realisations tell a rival: of the leading model's motion, and of the rival's own."""
+        equation, leading, fs = self.equations[rival.k], self.leading[rival.k], self.conditions.fs
+        scale = 2.0 * self.conditions.noise[rival.k] ** 2 * self.conditions.seconds
+        ahead = np.array([_inimitable(equation, leading, rival.model, run) for run in runs]) / scale
+        back = [math.nan if run is None else _inimitable(equation, rival.model, leading, run) for run in own]
+        behind = np.array(back) / scale
+        if_rival = None if np.isnan(behind).all() else float(np.nanmean(behind))
+        extra = int(rival.model.support.sum()) - int(leading.support.sum())
+        wanted = math.log(self.odds)
+        cases = [(leading, rival.model, ahead, seconds_until(wanted - rival.log_odds, float(ahead.mean()), extra, fs))]
+        if if_rival is not None:
+            seconds = seconds_until(wanted + rival.log_odds, if_rival, -extra, fs)
+            cases.append((rival.model, leading, behind[np.isfinite(behind)], seconds))
+        # of nested models the smaller is never shown by the motion
+        shown = [(rates, seconds) for true, other, rates, seconds in cases if not _contains(other, true)]
+        by_size = [seconds for true, other, _, seconds in cases if _contains(other, true)]
+        if not shown:  # the larger of nested models runs away
+            shown = [(np.zeros(len(ahead)), math.inf)]
+        rates = min((rates for rates, _ in shown), key=np.mean)
+        return Separation(
+            rival=place,
+            rate=float(rates.mean()),
+            sd=float(rates.std(ddof=1)) if len(rates) > 1 else 0.0,
+            if_leading=float(ahead.mean()),
+            if_rival=if_rival,
+            seconds=max(seconds for _, seconds in shown),
+            by_size=by_size[0] if by_size else None,
+        )
 
 
 def _leading(equation: Found) -> Posterior:
@@ -159,36 +246,6 @@ def _leading(equation: Found) -> Posterior:
     if tuple(np.flatnonzero(shown.support).tolist()) == likeliest.members:
         return shown
     return likeliest.posterior(shown)
-
-
-def _dynamics(equations: Sequence[Found], models: Sequence[Posterior], inputs: Sequence[str]) -> Dynamics:
-    laws = [Law(e.chain, e.terms, model, e.unit_gains) for e, model in zip(equations, models, strict=True)]
-    return Dynamics.of(laws, inputs)
-
-
-def _rival(
-    equations: Sequence[Found],
-    leading: Sequence[Posterior],
-    inputs: Sequence[str],
-    conditions: Conditions,
-    k: int,
-    model: CandidateModel,
-) -> Rival:
-    found = model.posterior(equations[k].shown_posterior)
-    others = [*leading[:k], found, *leading[k + 1 :]]
-    return Rival(
-        k=k,
-        model=found,
-        compared=_compared(equations[k], leading[k], model),
-        log_odds=math.log(equations[k].models[0].probability / model.probability),
-        motions=Motions(_dynamics(equations, others, inputs), conditions),
-    )
-
-
-def _decided(equations: Sequence[Found], listed: Sequence[tuple[int, CandidateModel]]) -> Compared:
-    """The likeliest model of those that none is within the odds of."""
-    k, model = listed[0]
-    return _compared(equations[k], equations[k].models[0].posterior(equations[k].shown_posterior), model)
 
 
 def _named(equation: Found, leading: Posterior) -> Compared:
@@ -209,78 +266,6 @@ def _compared(equation: Found, leading: Posterior, model: CandidateModel) -> Com
     return Compared(equation.target, f"with {more} added" if more else f"without {less}", model.probability)
 
 
-def _outcome(
-    equations: Sequence[Found],
-    leading: Sequence[Posterior],
-    lead: Motions,
-    rivals: Sequence[Rival],
-    design: Design,
-    realised: Sequence[Floats],
-    share: float,
-    conditions: Conditions,
-    odds: float,
-) -> Outcome:
-    """What realisations of a design, at a share of the amplitude that keeps the limits, are expected to tell."""
-    runs = [run for shape in realised if (run := lead.run(shape, share)) is not None]
-    peaks = {name: float(np.mean([np.abs(run[name]).max() for run in runs])) for name in lead.dynamics.states}
-    separations: list[Separation] = []
-    if rivals:
-        for place, rival in enumerate(rivals):
-            own = [rival.motions.run(shape, share) for shape in realised]
-            separations.append(
-                _separation(equations[rival.k], leading[rival.k], rival, place, runs, own, conditions, odds)
-            )
-        separations.sort(key=lambda one: one.rate)
-        rate, sd, seconds = separations[0].rate, separations[0].sd, max(one.seconds for one in separations)
-    else:
-        gains = [np.concatenate(list(_gains(equations, leading, run, conditions))) for run in runs]
-        rates = np.array([0.5 * float(np.log1p(gain).sum()) for gain in gains]) / conditions.seconds
-        rate, sd = float(rates.mean()), float(rates.std(ddof=1))
-        seconds = float(np.mean([seconds_to_halve(gain, conditions.seconds) for gain in gains]))
-    amplitudes = dict(zip(lead.dynamics.inputs, (share * conditions.reach).tolist(), strict=True))
-    return Outcome(design, amplitudes, share not in SHARES, rate, sd, seconds, peaks, tuple(separations))
-
-
-def _separation(
-    equation: Found,
-    leading: Posterior,
-    rival: Rival,
-    place: int,
-    runs: Sequence[Mapping[str, Floats]],
-    own: Sequence[Mapping[str, Floats] | None],
-    conditions: Conditions,
-    odds: float,
-) -> Separation:
-    """How some realisations tell a rival: of the leading model's motion, and of the rival's own."""
-    scale = 2.0 * conditions.noise[rival.k] ** 2 * conditions.seconds
-    ahead = np.array([_inimitable(equation, leading, rival.model, run) for run in runs]) / scale
-    back = (
-        np.array([math.nan if run is None else _inimitable(equation, rival.model, leading, run) for run in own]) / scale
-    )
-    if_rival = None if np.isnan(back).all() else float(np.nanmean(back))
-    extra = int(rival.model.support.sum()) - int(leading.support.sum())
-    wanted, fs = math.log(odds), conditions.fs
-    cases = [(leading, rival.model, ahead, seconds_until(wanted - rival.log_odds, float(ahead.mean()), extra, fs))]
-    if if_rival is not None:
-        seconds = seconds_until(wanted + rival.log_odds, if_rival, -extra, fs)
-        cases.append((rival.model, leading, back[np.isfinite(back)], seconds))
-    # of nested models the smaller is never shown by the motion
-    shown = [(rates, seconds) for true, other, rates, seconds in cases if not _contains(other, true)]
-    by_size = [seconds for true, other, _, seconds in cases if _contains(other, true)]
-    if not shown:  # the larger of nested models runs away
-        shown = [(np.zeros(len(ahead)), math.inf)]
-    rates = min((rates for rates, _ in shown), key=np.mean)
-    return Separation(
-        rival=place,
-        rate=float(rates.mean()),
-        sd=float(rates.std(ddof=1)) if len(rates) > 1 else 0.0,
-        if_leading=float(ahead.mean()),
-        if_rival=if_rival,
-        seconds=max(seconds for _, seconds in shown),
-        by_size=by_size[0] if by_size else None,
-    )
-
-
 def _contains(one: Posterior, other: Posterior) -> bool:
     return not (other.support & ~one.support).any()
 
@@ -296,10 +281,3 @@ def _inimitable(equation: Found, true: Posterior, other: Posterior, run: Mapping
 def _columns(equation: Found, model: Posterior, run: Mapping[str, Floats]) -> Floats:
     terms = [term for term, kept in zip(equation.terms, model.support, strict=True) if kept]
     return evaluate_terms(terms, run)
-
-
-def _gains(
-    equations: Sequence[Found], leading: Sequence[Posterior], run: Mapping[str, Floats], conditions: Conditions
-) -> Iterator[Floats]:
-    for equation, model, noise in zip(equations, leading, conditions.noise, strict=True):
-        yield coefficient_gain(_columns(equation, model, run), model.covariance, noise**2)
