@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.records import Record
 from bayeq.systems import BandLimitedForce, System, simulate
-from bayeq.systems.force import band_limited_noise
+from bayeq.systems.simulate import band_limited_noise
 
 __all__ = ["CASES", "CHANNELS", "Case", "draw_record"]
 

@@ -23,7 +23,7 @@ from bayeq.records import Record
 from bayeq.states import derive_states, parse_chains
 from bayeq.study.config import STUDY_SYSTEMS
 from bayeq.systems import get_system, simulate
-from bayeq.systems.force import band_limited_noise
+from bayeq.systems.simulate import band_limited_noise
 from studies.lines import print_table
 from studies.savitzky_golay import smooth_derivative
 

@@ -20,7 +20,7 @@ import numpy as np
 from bayeq.discovery import discover
 from bayeq.records import Record
 from bayeq.systems import BandLimitedForce, System, simulate
-from bayeq.systems.force import band_limited_noise
+from bayeq.systems.simulate import band_limited_noise
 from studies.judge import judged, rates, timed
 from studies.resumable import Cell, Outcome, run_study
 

@@ -22,7 +22,7 @@ from bayeq.equation.equations import Equations
 from bayeq.equation.verdict import KINDS
 from bayeq.records import Record
 from bayeq.systems import BandLimitedForce, get_system, simulate
-from bayeq.systems.force import band_limited_noise
+from bayeq.systems.simulate import band_limited_noise
 from studies.judge import judged, rates, timed
 from studies.resumable import Cell, Outcome, run_study
 

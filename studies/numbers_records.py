@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bayeq.records import Record
 from bayeq.states import Roles
 from bayeq.systems import BandLimitedForce, System, get_system, simulate
-from bayeq.systems.force import band_limited_noise
+from bayeq.systems.simulate import band_limited_noise
 from studies.adverse_records import CASES, Case
 from studies.adverse_records import draw_record as draw_adverse
 from studies.judge import CONSTANT

@@ -19,11 +19,9 @@ from hypothesis import strategies as st
 
 import bayeq as bq
 from bayeq.app.child import Child
-from bayeq.app.commands import Choices, discover_command
-from bayeq.app.guard import Guard
-from bayeq.app.roles import ROLES, Choice, chains_of, inputs_of, proposed
-from bayeq.app.session import Session
-from bayeq.app.workspace import LARGEST, LONGEST_NAME, Workspace, safe_name
+from bayeq.app.choices import ROLES, Choice, Choices, chains_of, discover_command, inputs_of, proposed
+from bayeq.app.guard import LARGEST, Guard
+from bayeq.app.session import LONGEST_NAME, Session, Workspace, safe_name
 from bayeq.cli.app import main
 from bayeq.cli.discover import discover
 from bayeq.errors import InputError

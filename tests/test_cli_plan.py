@@ -93,7 +93,7 @@ def test_amplitudes_by_input_and_by_range(saved, capsys):
         (["--band", "5"], "--band '5': give two numbers with a colon between"),
         (["--band", "a:b"], "--band: 'a' is no number"),
         (["--limit", "x"], "--limit 'x': give a name and a value"),
-        (["--limit", "x=1", "--limit", "x=2"], "--limit: x is given twice"),
+        (["--limit", "x=1", "--limit", "x=2"], "--limit: 'x' is given twice, 1 and 2"),
         (["--limit", "y=1"], "no state named 'y'"),
         (["--noise", "u=1"], "no target named 'u'"),
         (["--amplitude", "strong"], "--amplitude: 'strong' is no number"),

@@ -253,7 +253,7 @@ def test_standard_input(duffing, tmp_path, capsys, monkeypatch):
     ("options", "part"),
     [
         (["--units", "x"], "--units 'x': write a channel and its unit, such as x=mm"),
-        (["--units", "x=mm,x=m"], "the unit of 'x' is given twice, mm and m"),
+        (["--units", "x=mm,x=m"], "--units: 'x' is given twice, mm and m"),
         (["--units", "x=mmm"], "'mmm' is no unit that is known; did you mean mm"),
         (["--units", "y=mm"], "run.csv: no column named 'y'; there are: t, x, v, a, u"),
         (["--rows", "1-5"], "--rows '1-5': write A:B as in Python"),

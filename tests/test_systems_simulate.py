@@ -13,7 +13,7 @@ from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Tape, parse
 from bayeq.ode.rk4 import Drive, free_runs, interpolant
 from bayeq.systems import BandLimitedForce, System, get_system, simulate
-from bayeq.systems.force import band_limited_noise
+from bayeq.systems.simulate import band_limited_noise
 
 
 def with_substeps(name: str, substeps: int) -> System:

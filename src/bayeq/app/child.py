@@ -23,17 +23,7 @@ _ERROR = "bayeq: error: "
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a command ended.
-
-    Attributes
-    ----------
-    out : str
-        What it printed.
-    error : str
-        Why it failed, a line; empty if it did not.
-    stopped : bool
-        Whether it was stopped.
-    """
+    """How a command ended: what it printed, why it failed (a line; empty if it did not), whether it was stopped."""
 
     out: str
     error: str = ""
@@ -41,17 +31,7 @@ class Outcome:
 
 
 class Child:
-    """A command, to be run once.
-
-    Parameters
-    ----------
-    words : sequence of str
-        After ``bayeq``.
-    folder : Path
-        Where it is run.
-    say : callable
-        Called with each line of its standard error.
-    """
+    """A command, the words after ``bayeq``, to be run once in a folder; `say` gets each line of its standard error."""
 
     def __init__(self, words: Sequence[str], folder: Path, say: Callable[[str], None]) -> None:
         self.words, self.folder, self.say = list(words), folder, say

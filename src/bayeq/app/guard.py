@@ -7,9 +7,10 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs
 
-from bayeq.app.workspace import LARGEST
+__all__ = ["LARGEST", "Guard"]
 
-__all__ = ["Guard"]
+#: Largest file that is taken from the browser [bytes]; larger ones are opened where they are.
+LARGEST = 200_000_000
 
 # Of an upload, beside the file [bytes].
 AROUND = 100_000
@@ -32,17 +33,9 @@ HEADERS = {
 class Guard:
     """An ASGI application in front of another one; it answers all others with an error.
 
-    A request has to name this server as its host (a foreign name that was made to point here does not), to come from
-    no other page (Origin), and to bring the token: in the address at first, which is exchanged for a cookie.
-
-    Parameters
-    ----------
-    app : ASGI application
-        What is guarded.
-    host : str
-        Address and port, ``127.0.0.1:8000``.
-    token : str
-        What the address holds.
+    A request has to name this server, ``127.0.0.1:8000``, as its host (a foreign name that was made to point here does
+    not), to come from no other page (Origin), and to bring the token: in the address at first, which is exchanged for a
+    cookie.
     """
 
     def __init__(self, app: Any, host: str, token: str) -> None:

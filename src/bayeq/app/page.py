@@ -1,15 +1,16 @@
-"""The steps of the page: file, channels, terms, discovery, result."""
+"""The steps of the page: file, channels, terms, discovery, result. Texts from files are set as text, never as HTML."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nicegui import background_tasks, ui
 
-from bayeq.app import parts
-from bayeq.app.look import BLUE, RED, SHEET
-from bayeq.app.session import LOOKING, Session
-from bayeq.app.workspace import LARGEST, safe_name
+from bayeq.app.choices import INPUT, RATE, ROLES, Choice
+from bayeq.app.guard import LARGEST
+from bayeq.app.session import LOOKING, Session, safe_name
+from bayeq.equation.report.look import STYLE
 
 __all__ = ["build", "refresh"]
 
@@ -29,7 +30,72 @@ DROP = """<div class="drop-words"><span>{words}</span>
 </div>"""
 FORMATS = "CSV, Excel, MATLAB, HDF5, Parquet, LabVIEW, universal files, WAV and others"
 
+# More channels are not offered on a page.
+MOST_CHANNELS = 60
+
+# More coordinates are not offered.
+MOST_COORDINATES = 9
+
 TERMS_HINT = "oscillator, polynomial:3, or terms in the names of the channels: x, v, x**3, v*abs(v), sign(v), u"
+
+
+BLUE, RED = "#0072B2", "#B00020"
+
+# The style sheet: that of the report, and what steps, channels and buttons need beside it.
+SHEET = (
+    STYLE
+    + """
+.q-layout, .q-page-container, .q-page { min-height: 0 !important; }
+.nicegui-content { display: block; padding: 0; }
+.q-field, .q-btn, .q-uploader, .q-checkbox, .q-menu, .q-item { font-family: inherit; }
+.q-btn { font-weight: 600; }
+h1, h2, h3 { font-weight: 700; line-height: 1.3; letter-spacing: normal; }
+.q-field--with-bottom { padding-bottom: .6rem; }
+.q-field__bottom { position: static; transform: none !important; min-height: 0; padding: .2rem .75rem 0;
+  font-size: .85rem; line-height: 1.3; color: #555; }
+.q-checkbox { margin-left: -.5rem; }
+.q-field--dense .q-field__label, .q-field__native { font-size: 1rem; }
+p { margin: .4rem 0; }
+a { color: var(--blue); }
+:focus-visible { outline: 3px solid var(--blue); outline-offset: 2px; }
+.lead { font-size: 1.05rem; max-width: 44rem; }
+.error { border-left: .5rem solid #D50000; background: var(--pale); padding: .5rem 1rem; margin: .7rem 0; }
+.said { border-left: .5rem solid #E69F00; background: var(--pale); padding: .5rem 1rem; margin: .7rem 0; }
+.error p, .said p { margin: .1rem 0; }
+ul { padding-left: 1.2rem; margin: .4rem 0; }
+.drop { width: 100% !important; border: 2px dashed #8a8a8a; border-radius: 6px; box-shadow: none; max-height: 11rem; }
+.drop.q-uploader--dnd { border-color: var(--blue); }
+.drop .q-uploader__header { background: var(--pale); color: var(--ink); }
+.drop .q-uploader__list { display: none; }
+.drop-words { display: flex; flex-wrap: wrap; gap: .6rem 1.5rem; align-items: center; justify-content: space-between;
+  padding: 1rem; }
+.drop-words span:first-child { flex: 1 1 16rem; }
+.drop .q-uploader__dnd { outline: none; }
+.channels { display: grid; grid-template-columns: minmax(7rem, max-content) minmax(12rem, 1fr) 15rem; gap: .2rem 1.2rem;
+  align-items: center; }
+.channels.several { grid-template-columns: minmax(7rem, max-content) minmax(9rem, 1fr) 15rem 7rem; }
+.channels > * { min-width: 0; }
+.channel-name { font-weight: 600; }
+.channel-about { font-size: .9rem; color: #444; }
+.fields { display: grid; grid-template-columns: repeat(3, 1fr); gap: .2rem 1.2rem; }
+.fields .whole { grid-column: 1 / -1; }
+.command span { display: inline-block; max-width: 100%; vertical-align: top; }
+.buttons { display: flex; flex-wrap: wrap; gap: .8rem; align-items: center; margin: .6rem 0; }
+.button-like { border: 1px solid var(--blue); border-radius: 4px; padding: .35rem .9rem; text-decoration: none;
+  font-weight: 600; }
+.button-like:hover { background: var(--pale); }
+.report { border: 0; display: block; width: calc(100% + 2.4rem); margin: .5rem -1.2rem 0; min-height: 30rem; }
+.q-linear-progress { margin: .6rem 0; }
+@media (max-width: 40rem) {
+  .channels { grid-template-columns: 1fr; gap: .1rem; }
+  .channels.several { grid-template-columns: 1fr 7.7rem; gap: .1rem .6rem; }
+  .channels.several > .channel-name, .channels.several > .channel-about { grid-column: 1 / -1; }
+  .channels .q-field { margin-bottom: .7rem; }
+  .fields { grid-template-columns: 1fr; }
+  .report { width: calc(100% + 1.6rem); margin: .5rem -.8rem 0; }
+}
+"""
+)
 
 
 def build(session: Session) -> None:
@@ -38,12 +104,12 @@ def build(session: Session) -> None:
     ui.colors(primary=BLUE, negative=RED)
     with ui.element("main"):
         ui.html("bayeq", tag="h1", sanitize=False)
-        parts.text(
+        text(
             "From a measured motion to the equation that governs it, with how sure that is. Everything is computed on"
             " this computer; no data leave it.",
             "lead",
         )
-        parts.heading(1, "Measured file")
+        heading(1, "Measured file")
         file_step(session)
         choice_steps(session)
         result_step(session)
@@ -80,10 +146,10 @@ def file_step(session: Session) -> None:
 
     size = f"{LARGEST // 1_000_000} MB"
     if session.busy == LOOKING:
-        parts.text("Another file can be opened when this is done or stopped.", "note")
+        text("Another file can be opened when this is done or stopped.", "note")
     elif session.busy:
         with ui.element("div").classes("buttons").props("aria-live=polite"):
-            parts.text(f"{session.busy.capitalize()} ...", "note")
+            text(f"{session.busy.capitalize()} ...", "note")
             stop_button(session)
     else:
         upload = ui.upload(
@@ -96,24 +162,24 @@ def file_step(session: Session) -> None:
         upload.add_slot("header", DROP.format(words=f"Drop a measured file here, up to {size}: {FORMATS}."))
         upload.on("failed", lambda: refused(f"the file did not arrive: is it larger than {size}, or was it moved?"))
     if session.file_error:
-        parts.message(session.file_error, "error")
-        parts.text(
+        message(session.file_error, "error")
+        text(
             "A file that needs more to be read, such as names of its columns or paths of its arrays, is read on the"
             " command line: bayeq discover -h.",
             "note",
         )
         if session.opened is not None:
-            parts.text(f"{session.opened.name} is still open.", "note")
+            text(f"{session.opened.name} is still open.", "note")
     if session.opened is not None:
-        parts.text(f"{session.opened.name}: {parts.summary(session.opened.info)}")
-        parts.bullets(session.opened.info["findings"])
+        text(f"{session.opened.name}: {in_a_line(session.opened.info)}")
+        bullets(session.opened.info["findings"])
 
 
 @ui.refreshable
 def choice_steps(session: Session) -> None:
     """What each channel is, what may be in the equation, and the button that looks for it."""
     if session.opened is None:
-        parts.text(
+        text(
             "A file has a column for each channel, such as displacement, velocity, acceleration and force, and one for"
             " time. Next you say which is which, press Discover, and read the equation.",
             "note",
@@ -121,17 +187,17 @@ def choice_steps(session: Session) -> None:
         example = ui.button("Open an example", on_click=lambda: background_tasks.create(session.open_example()))
         example.props("no-caps outline").bind_enabled_from(session, "busy", lambda busy: not busy)
         return
-    parts.heading(2, "What each channel is")
-    parts.text("Roles are proposed from names, units and the motion itself. Change what is wrong.", "note")
-    channels(session, parts.is_several(session.choices.roles))
-    parts.heading(3, "What may be in the equation")
+    heading(2, "What each channel is")
+    text("Roles are proposed from names, units and the motion itself. Change what is wrong.", "note")
+    channels(session, is_several(session.choices.roles))
+    heading(3, "What may be in the equation")
     with ui.element("div").classes("fields"):
-        parts.field("Candidate terms", TERMS_HINT, session.choices, "dictionary").classes("whole")
-        parts.field("Rows, A:B (optional)", "0:2000 are the first 2000", session.choices, "rows")
-        parts.field("Band, LO:HI in Hz (optional)", "frequencies to fit, as in 0.5:40", session.choices, "band")
+        text_field("Candidate terms", TERMS_HINT, session.choices, "dictionary").classes("whole")
+        text_field("Rows, A:B (optional)", "0:2000 are the first 2000", session.choices, "rows")
+        text_field("Band, LO:HI in Hz (optional)", "frequencies to fit, as in 0.5:40", session.choices, "band")
         if session.opened.info["time"]["fs"] is None or session.choices.fs:
-            parts.field("Sampling rate in Hz", "as there is no time in the file", session.choices, "fs")
-    parts.heading(4, "Discover")
+            text_field("Sampling rate in Hz", "as there is no time in the file", session.choices, "fs")
+    heading(4, "Discover")
     with ui.element("div").classes("buttons"):
         start = ui.button("Discover", on_click=lambda: background_tasks.create(session.discover()))
         start.props("no-caps unelevated").bind_enabled_from(session, "busy", lambda busy: not busy)
@@ -156,7 +222,7 @@ def channels(session: Session, several: bool) -> None:
         channels.refresh(session, event.value)
 
     assert session.opened is not None
-    parts.channel_rows(session.opened.info, session.choices.roles, several)
+    channel_rows(session.opened.info, session.choices.roles, several)
     ui.checkbox("Several coordinates, such as two masses", value=several, on_change=number)
 
 
@@ -173,16 +239,16 @@ def run_status(session: Session) -> None:
 
             show()
             ui.timer(1.0, show, immediate=False)
-            parts.bullets(session.progress[-4:])
+            bullets(session.progress[-4:])
         if session.run_error:
-            parts.message(session.run_error, "error")
+            message(session.run_error, "error")
         if session.note:
-            parts.message(session.note, "said")
+            message(session.note, "said")
         if session.result is not None and (session.run_error or session.stopped):
-            parts.text("The result below is that of the run before.", "note")
+            text("The result below is that of the run before.", "note")
     if session.command:
-        parts.text("The same on the command line:", "note")
-        parts.command(session.command)
+        text("The same on the command line:", "note")
+        command(session.command)
 
 
 @ui.refreshable
@@ -191,7 +257,7 @@ def result_step(session: Session) -> None:
     found = session.result
     if found is None:
         return
-    parts.heading(5, "Result")
+    heading(5, "Result")
     with ui.element("div").classes("buttons"):
         for words, file, ending in (
             ("Download report", "report.html", "report.html"),
@@ -199,7 +265,107 @@ def result_step(session: Session) -> None:
         ):
             link = ui.link(words, f"/{file}?run={found.number}").classes("button-like")
             link.props["download"] = f"{found.name}_{ending}"
-    parts.text("Change roles, terms, rows or band above and press Discover to look again.", "note")
+    text("Change roles, terms, rows or band above and press Discover to look again.", "note")
     frame = ui.element("iframe").classes("report").props('title="Report: verdict, equation, pictures and warnings"')
     frame.props["src"] = f"/report.html?run={found.number}"
     frame.on("load", js_handler=FIT)
+
+
+def command(words: str) -> None:
+    """A command, which breaks between its options."""
+    with ui.element("pre").classes("command"):
+        for part in words.replace(" --", " \0--").split("\0"):
+            text(part, tag="span")
+
+
+def heading(number: int, title: str) -> None:
+    """The title of a step."""
+    ui.html(f"{number}. {title}", tag="h2", sanitize=False)
+
+
+def text(words: str, kind: str = "", tag: str = "p") -> Any:
+    """A paragraph."""
+    element = ui.element(tag).classes(kind)
+    with element:
+        ui.label(words).style("display: inline")
+    return element
+
+
+def message(words: str, kind: str) -> None:
+    """A line that should be seen: an error or a note."""
+    with ui.element("div").classes(kind).props("role=alert" if kind == "error" else "role=status"):
+        text(words)
+
+
+def bullets(texts: Sequence[str]) -> None:
+    """A list; nothing of none."""
+    if texts:
+        with ui.element("ul"):
+            for words in texts:
+                text(words, tag="li")
+
+
+def text_field(label: str, hint: str, target: Any, name: str) -> Any:
+    """A labelled field for a text, bound to an attribute."""
+    made = ui.input(label).props(f'outlined dense spellcheck=false autocomplete=off hint="{hint}"')
+    return made.bind_value(target, name)
+
+
+def in_a_line(info: Mapping[str, Any]) -> str:
+    """What is in a file, in a line."""
+    time, count = info["time"], len(info["channels"])
+    channels = f"{count} channel{'s' * (count != 1)}"
+    if time["fs"] is None:
+        return f"{info['rows']} rows, {channels}; no time in the file"
+    steps = "at" if time["uniform"] else "at uneven steps, mostly at"
+    return f"{info['rows']} rows {steps} {time['fs']:.6g} Hz, {time['duration']:.6g} s; {channels}"
+
+
+def channel_rows(info: Mapping[str, Any], choices: dict[str, Choice], several: bool) -> None:
+    """A row for each channel: its name, what it is like, and its role."""
+    channels = sorted(info["channels"], key=lambda one: not choices[one["name"]].role)
+    with ui.element("div").classes("channels several" if several else "channels"):
+        for channel in channels[:MOST_CHANNELS]:
+            name, choice = channel["name"], choices[channel["name"]]
+            unit = f" [{channel['unit']}]" if channel["unit"] else ""
+            text(name + unit, "channel-name", "div")
+            text(_about(channel), "channel-about", "div")
+            ui.select(ROLES, label=f"Role of {name}").props("outlined dense options-dense").bind_value(choice, "role")
+            if several:
+                _coordinate(name, choice)
+    if len(channels) > MOST_CHANNELS:
+        message(
+            f"The file has {len(channels)} channels; the first {MOST_CHANNELS} are offered here. For others, write the"
+            " command below in a terminal.",
+            "said",
+        )
+
+
+def _coordinate(name: str, choice: Choice) -> None:
+    """Of which coordinate a channel is."""
+    numbers = list(range(1, max(MOST_COORDINATES, choice.coordinate) + 1))
+    made = ui.select(numbers, label="Coordinate").props(
+        f'outlined dense options-dense aria-label="Coordinate of {name}"'
+    )
+    made.bind_value(choice, "coordinate")
+    made.bind_visibility_from(choice, "role", lambda role: role not in ("", INPUT))
+
+
+def is_several(choices: Mapping[str, Choice]) -> bool:
+    """Whether coordinates need numbers."""
+    return any(choice.coordinate > 1 or choice.role == RATE for choice in choices.values())
+
+
+def _about(channel: Mapping[str, Any]) -> str:
+    """Range, and what is wrong with a channel."""
+    if channel["min"] is None:
+        return "no numbers in it"
+    if channel["constant"]:
+        return f"constant, {channel['min']:.4g}: it says nothing of the motion"
+    parts = [f"{channel['min']:.3g} to {channel['max']:.3g}"]
+    if channel["missing"]:
+        parts.append(f"{channel['missing']} samples missing")
+    parts += [f"{kind}: {found['samples']} samples" for kind, found in channel["bad"].items()]
+    if channel["why"]:
+        parts.append(f"role proposed: {channel['why']}")
+    return "; ".join(parts)

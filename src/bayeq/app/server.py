@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from bayeq.app.guard import Guard
-from bayeq.app.session import Session
-from bayeq.app.workspace import Workspace
+from bayeq.app.session import Session, Workspace
 from bayeq.errors import InputError, MissingExtraError
 
 __all__ = ["HOST", "serve"]
@@ -28,18 +27,9 @@ GRACE = 1
 
 
 def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None]) -> None:
-    """Show the page until it is interrupted.
+    """Show the page until it is interrupted, on a port of this computer alone (0: a free one).
 
-    Parameters
-    ----------
-    file : Path or None
-        Opened where it is.
-    port : int
-        0 for a free one.
-    browser : bool
-        Whether a browser is opened.
-    say : callable
-        Called with the address.
+    A file is opened where it is; `say` is called with the address.
 
     Raises
     ------

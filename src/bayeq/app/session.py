@@ -1,8 +1,12 @@
-"""What was opened, chosen and found; one for the page, however many windows show it."""
+"""What was opened, chosen and found, one for the page however many windows show it, and the private folder for it."""
 
 from __future__ import annotations
 
 import json
+import os
+import re
+import shutil
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,20 +14,16 @@ from time import monotonic
 from typing import Any
 
 from bayeq.app.child import Child, Outcome
-from bayeq.app.commands import (
-    EQUATION,
-    EXAMPLE,
-    REPORT,
-    Choices,
-    as_typed,
-    discover_command,
-    example_command,
-    info_command,
-)
-from bayeq.app.workspace import Workspace
+from bayeq.app.choices import EQUATION, REPORT, Choices, as_typed, discover_command
 from bayeq.errors import InputError
 
-__all__ = ["LOOKING", "READING", "Opened", "Result", "Session", "in_words"]
+__all__ = ["LOOKING", "READING", "Opened", "Result", "Session", "Workspace", "in_words", "safe_name"]
+
+# The file of the example.
+EXAMPLE = "example.csv"
+
+# Longest name of a file [characters], with its ending.
+LONGEST_NAME = 80
 
 _PROGRESS = "bayeq: progress: "
 
@@ -43,17 +43,7 @@ _STAGES = {
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """A file that is open.
-
-    Attributes
-    ----------
-    name : str
-        What the page calls it.
-    path : Path
-        Where it is.
-    info : dict
-        What ``bayeq info --json`` says of it.
-    """
+    """A file that is open: what the page calls it, where it is, and what ``bayeq info --json`` says of it."""
 
     name: str
     path: Path
@@ -62,17 +52,7 @@ class Opened:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What was found.
-
-    Attributes
-    ----------
-    number : int
-        Of the run, counted from 1.
-    folder : Path
-        That holds the equations and the report.
-    name : str
-        Of the file, without its ending.
-    """
+    """What was found: the number of the run, from 1, the folder of its files, and the name of the record."""
 
     number: int
     folder: Path
@@ -89,13 +69,43 @@ class Result:
         return self.folder / REPORT
 
 
+class Workspace:
+    """A folder that only this user can read.
+
+    Attributes
+    ----------
+    path : Path
+        The folder, of mode 0700.
+    """
+
+    def __init__(self) -> None:
+        # resolved, as messages of commands that are run in it have no other name for it
+        self.path = Path(tempfile.mkdtemp(prefix="bayeq-app-")).resolve()  # mkdtemp makes it private
+        self._count = 0
+
+    def new_folder(self) -> Path:
+        """An empty folder in it, for a file or a result."""
+        self._count += 1
+        folder = self.path / str(self._count)
+        folder.mkdir(mode=0o700)
+        return folder
+
+    def remove(self, folder: Path | None = None) -> None:
+        """Remove a folder in it, or all of it.
+
+        Raises
+        ------
+        ValueError
+            The folder is not in it.
+        """
+        folder = folder or self.path
+        if folder != self.path and self.path not in folder.parents:
+            raise ValueError(f"{folder} is not in {self.path}")
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 class Session:
     """The state of the page, and what can be done with it.
-
-    Parameters
-    ----------
-    workspace : Workspace
-        Where files and results are.
 
     Attributes
     ----------
@@ -127,7 +137,7 @@ class Session:
             return
         # messages name the file as it is called here
         inside = self.workspace.path in path.parents
-        outcome = await self._run(READING, info_command(path.name if inside else str(path)), path.parent)
+        outcome = await self._run(READING, ["info", path.name if inside else str(path), "--json"], path.parent)
         self.file_error = outcome.error or ("Stopped: the file was not opened." if outcome.stopped else "")
         if not self.file_error:
             if self.opened is not None:
@@ -146,7 +156,7 @@ class Session:
         if self.busy:
             return
         folder = self.workspace.new_folder()
-        outcome = await self._run("making an example", example_command(), folder)
+        outcome = await self._run("making an example", ["simulate", "duffing", "--n", "2000", "-o", EXAMPLE], folder)
         if outcome.error or outcome.stopped:
             self.file_error = outcome.error
             self.workspace.remove(folder)
@@ -237,3 +247,25 @@ def in_words(line: str) -> str:
     """
     stage, comma, rest = line.removeprefix(_PROGRESS).partition(",")
     return _STAGES.get(stage, stage) + comma + rest
+
+
+def safe_name(name: str) -> str:
+    """A name of a file that came from a browser, as one that can be used: no folder, no sign that means something.
+
+    The ending stays, since it says the format.
+
+    Examples
+    --------
+    >>> safe_name("../../etc/run 1.csv"), safe_name("-rf <b>.mat"), safe_name("..")
+    ('run 1.csv', 'rf _b_.mat', 'record')
+    """
+    base = name.replace("\\", "/").rsplit("/", 1)[-1]
+    clean = re.sub(r"[^\w .()+-]", "_", base).lstrip(" .-").rstrip(" .")
+    stem, ending = os.path.splitext(clean or "record")
+    if ending.lower() == ".gz":
+        stem, inner = os.path.splitext(stem)
+        ending = inner + ending
+    ending = ending[:LONGEST_NAME]
+    # most file systems count bytes, of which a letter may have four
+    kept = stem.encode()[: max(LONGEST_NAME - len(ending), 1)].decode(errors="ignore")
+    return (kept + ending).rstrip(" .") or "record"

@@ -7,6 +7,7 @@ arguments are wrong (one line says what and where), 1: anything else, 130: inter
 from __future__ import annotations
 
 import json
+import os
 import sys
 import warnings
 from io import UnsupportedOperation
@@ -14,22 +15,21 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import get_completion_class, shell_complete
 
 from bayeq.cli.batch import batch
-from bayeq.cli.completion import complete, completion
 from bayeq.cli.discover import discover
+from bayeq.cli.environment import INTERRUPTED, address_space, no_memory, prepare_streams, say
 from bayeq.cli.info import info
-from bayeq.cli.local_page import local_page
-from bayeq.cli.memory import address_space, no_memory
 from bayeq.cli.options import FILE, Command, option
-from bayeq.cli.plan import plan
-from bayeq.cli.predict import predict
-from bayeq.cli.show import show
-from bayeq.cli.streams import INTERRUPTED, prepare_streams, say
+from bayeq.cli.saved import plan, predict, show
 from bayeq.cli.study import study
 from bayeq.errors import BayeqError, BayeqWarning, InputError, InterruptedRun, MissingExtraError
 
 __all__ = ["app", "main"]
+
+# The variable in which the script of `bayeq completion` asks for completions, after click's rule.
+COMPLETE = "_BAYEQ_COMPLETE"
 
 
 @click.group(invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
@@ -102,6 +102,34 @@ def systems(as_json: bool) -> None:
         click.echo(f"    {', '.join(f'{k} = {v:g}' for k, v in s.parameters.items())}")
 
 
+@click.command("app")
+@click.argument("file", required=False, type=FILE)
+@option("--port", type=int, default=0, help="Port to listen to on this computer; 0 for a free one.")
+@option("--no-browser", is_flag=True, help="Print the address, and open no browser.")
+def local_page(file: Path | None, port: int, no_browser: bool) -> None:
+    """Show a page in the browser: drop a file, choose roles, press Discover, read and keep the result.
+
+    FILE is opened where it is. The page is for this computer alone: no data leave it. It needs bayeq[app].
+    """
+    from bayeq.app.server import serve
+
+    serve(file, port, not no_browser, click.echo)
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+@click.pass_context
+def completion(context: click.Context, shell: str) -> None:
+    """Print the script by which SHELL completes commands and options.
+
+    Load it where the shell starts: eval "$(bayeq completion bash)" in ~/.bashrc, the same with zsh in ~/.zshrc, or
+    bayeq completion fish > ~/.config/fish/completions/bayeq.fish.
+    """
+    found = get_completion_class(shell)
+    assert found is not None
+    click.echo(found(context.find_root().command, {}, "bayeq", COMPLETE).source())
+
+
 for command in (info, discover, batch, show, predict, plan, simulate, systems, study, local_page, completion):
     app.add_command(command)
 
@@ -122,8 +150,8 @@ def main(arguments: list[str] | None = None) -> int:
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", BayeqWarning)
     try:
-        if arguments is None and (code := complete(app)) is not None:
-            return code
+        if arguments is None and (asked := os.environ.get(COMPLETE)):
+            return shell_complete(app, {}, "bayeq", COMPLETE, asked)
         given = sys.argv[1:] if arguments is None else list(arguments)
         with app.make_context("bayeq", list(given), obj=given) as context:
             app.invoke(context)

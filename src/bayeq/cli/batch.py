@@ -12,11 +12,11 @@ import click
 
 from bayeq.cli.channels import named_channels
 from bayeq.cli.discover import cleaned, discover, source_of, used_channels
-from bayeq.cli.options import ALTERED, FILE, MEASURED, SURE, TERMS, WRITTEN, Command, option
+from bayeq.cli.environment import say
+from bayeq.cli.options import FILE, WRITTEN, Command, file_written, json_option, option
 from bayeq.cli.outputs import require_place
 from bayeq.cli.progress import COMPILING, Progress
 from bayeq.cli.reading import STANDARD_INPUT, Reading
-from bayeq.cli.streams import say
 from bayeq.errors import BayeqError, InputError, InterruptedRun
 from bayeq.kernels import announce_compiling
 
@@ -59,9 +59,9 @@ Examples:
     is_flag=True,
     help="Find one equation from all files together; each file then has the coefficients of its terms.",
 )
-@option("--table", group=WRITTEN, type=FILE, help="Write the coefficients over files: a table (.csv).")
-@option("--figure", group=WRITTEN, type=FILE, help="Write a figure of the coefficients over files (.png, .svg, .pdf).")
-@option("--json", "as_json", group=WRITTEN, is_flag=True, help="Print one JSON object and nothing else.")
+@file_written("--table", help="Write the coefficients over files: a table (.csv).")
+@file_written("--figure", help="Write a figure of the coefficients over files (.png, .svg, .pdf).")
+@json_option(group=WRITTEN)
 def batch(
     files: tuple[Path, ...],
     store: Path,
@@ -112,9 +112,7 @@ _READING = [name for name in Reading.__dataclass_fields__ if name != "join"]
 
 # All that says how `discover` reads and what it looks for, but not what it writes; files are not joined.
 batch.params[1:1] = [
-    one
-    for one in discover.params
-    if getattr(one, "group", "") in (MEASURED, ALTERED, TERMS, SURE) and one.name != "join"
+    one for one in discover.params if getattr(one, "group", "") not in ("", WRITTEN) and one.name != "join"
 ]
 
 

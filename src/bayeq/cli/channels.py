@@ -16,19 +16,9 @@ _INDEX = re.compile(r"\[(?:\*|\d+(?:,\d+)?)\]")
 
 
 def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """The options with channels by their names, and the paths of those that have one.
+    """The options of a command with channels by their names, and the paths of those written ``name=path``.
 
-    Parameters
-    ----------
-    options : mapping
-        Of `bayeq discover`; channels may be written ``name=path``.
-
-    Returns
-    -------
-    options : dict
-        Names alone.
-    paths : dict of str to str
-        Name to path of every channel that is used; empty if none is written so.
+    The paths, by name, are those of every channel that is used; there are none if no channel is written so.
 
     Raises
     ------

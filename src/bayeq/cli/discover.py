@@ -8,13 +8,27 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayeq.cli.channels import channel_name, named_channels
-from bayeq.cli.cluster import cluster_client, dask_option
-from bayeq.cli.options import FILE, MEASURED, SURE, TERMS, WRITTEN, Command, option, pair_of_numbers
+from bayeq.cli.channels import ROLES, channel_name, named_channels
+from bayeq.cli.environment import say
+from bayeq.cli.options import (
+    FILE,
+    WRITTEN,
+    Command,
+    by_name,
+    cluster_client,
+    dask_option,
+    file_written,
+    in_terms,
+    json_option,
+    measured,
+    option,
+    pair_of_numbers,
+    sure,
+    written,
+)
 from bayeq.cli.outputs import OUTPUTS, Outputs
 from bayeq.cli.progress import COMPILING, Progress
 from bayeq.cli.reading import STANDARD_INPUT, Reading, reading_options
-from bayeq.cli.streams import say
 from bayeq.errors import InputError
 from bayeq.inference.engines import ENGINES
 from bayeq.kernels import announce_compiling
@@ -46,146 +60,120 @@ Examples:
 
 @click.command(cls=Command, epilog=EXAMPLES)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
-@option(
+@measured(
     "--disp",
     "displacement",
-    group=MEASURED,
     help="Displacement channel: its name, or name=path in files of many arrays.",
 )
-@option("--vel", "velocity", group=MEASURED, help="Velocity channel.")
-@option("--acc", "acceleration", group=MEASURED, help="Acceleration channel.")
-@option("--force", group=MEASURED, help="Force channel.")
-@option(
+@measured("--vel", "velocity", help="Velocity channel.")
+@measured("--acc", "acceleration", help="Acceleration channel.")
+@measured("--force", help="Force channel.")
+@measured(
     "--chain",
     "chains",
-    group=MEASURED,
     multiple=True,
     help="A coordinate and its measured derivatives: x:v:a, x:: (only x measured), ::a (only a), x (first order),"
     " x:xdot. Once per coordinate.",
 )
-@option("--input", "inputs", group=MEASURED, multiple=True, help="Input channel; once per input.")
+@measured("--input", "inputs", multiple=True, help="Input channel; once per input.")
 @reading_options
-@option(
+@in_terms(
     "--dictionary",
     "dictionaries",
-    group=TERMS,
     multiple=True,
     help="Candidate terms: oscillator, polynomial:3, fourier:2, neighbours, a file of terms, or terms separated by"
     " commas; 'oscillator + sin(x) - x**5' joins and leaves out. 'a1: oscillator' is for equation a1 alone, once per"
     " equation. By default oscillator.",
 )
-@option(
+@sure(
     "--method",
-    group=SURE,
     type=click.Choice(list(ENGINES)),
     default="auto",
     help="Engine; auto: optimum by VB, probabilities by model averaging.",
 )
-@option(
+@sure(
     "--smooth",
-    group=SURE,
     type=click.Choice(["auto", "band", "none"]),
     default="auto",
     help="Likelihood of the record (auto, formerly band), or channels as measured (none).",
 )
-@option(
+@sure(
     "--band",
-    group=SURE,
     help="Frequencies in which the record is believed, LO:HI [Hz], where hum or drift lie outside.",
 )
-@option(
+@in_terms(
     "--constraint",
     "constraints",
-    group=TERMS,
     multiple=True,
     help="What is known of coefficients, by the names of terms: 'u == 1', 'v <= 0', 'a: x*abs(x) == 0.5*x**3' (of"
     " equation a). Once per constraint.",
 )
-@option(
+@sure(
     "--noise",
-    group=SURE,
     multiple=True,
     help="Known noise of a channel: standard deviation in its unit (u=0.1) or share of the channel's (u=2%). Once per"
     " channel.",
 )
-@option(
+@sure(
     "--gain-sd",
     "gain_sd",
-    group=SURE,
     multiple=True,
     help="Uncertainty of a sensor's calibration, which intervals take in: x=0.01 for 1 %. Once per channel.",
 )
-@option(
+@sure(
     "--tails",
-    group=SURE,
     type=click.Choice(["gauss", "student"]),
     default="gauss",
     help="Distribution of the noise: normal, or Student's t, for noise of many outliers.",
 )
-@option("--holdout", group=SURE, type=float, default=0.2, help="Share of the rows, the last, to judge the equation by.")
-@option(
-    "--max-terms", group=TERMS, type=int, help="Show at most this number of terms: the likeliest equation within it."
-)
-@option(
+@sure("--holdout", type=float, default=0.2, help="Share of the rows, the last, to judge the equation by.")
+@in_terms("--max-terms", type=int, help="Show at most this number of terms: the likeliest equation within it.")
+@sure(
     "--tolerance",
-    group=SURE,
     type=float,
     help="What the law may lack beside the terms, as a share of the target's standard deviation (0.01); learned by"
     " default, 0: nothing.",
 )
-@option(
+@sure(
     "--coarsen",
-    group=SURE,
     type=float,
     default=1.0,
     help="Power (0 to 1) of the likelihood, for models that are only nearly true.",
 )
-@option(
+@written(
     "--conditional",
-    group=WRITTEN,
     is_flag=True,
     help="Print the intervals given the terms shown, also where those over all models differ. --json has both.",
 )
-@option("--json", "as_json", group=WRITTEN, is_flag=True, help="Print one JSON object and nothing else.")
-@option("--save", group=WRITTEN, type=FILE, help="Write the equations to a JSON file, for bayeq.load.")
-@option(
+@json_option(group=WRITTEN)
+@file_written("--save", help="Write the equations to a JSON file, for bayeq.load.")
+@file_written(
     "--sensitivity",
-    group=WRITTEN,
-    type=FILE,
     help="Write the PIPs under other v_s and p_0: a table (.csv) or a figure (.png, .svg, .pdf).",
 )
-@option(
+@file_written(
     "--path",
-    group=WRITTEN,
-    type=FILE,
     help="Write the best equation of each size, with evidence and errors: a table (.csv) or a figure (.png, .svg,"
     " .pdf).",
 )
-@option(
+@file_written(
     "--forecast",
-    group=WRITTEN,
-    type=FILE,
     help="Write the free run over the held-out rows, with its 95 % band: a table (.csv) or a figure (.png, .svg,"
     " .pdf).",
 )
-@option(
+@file_written(
     "--report",
-    group=WRITTEN,
-    type=FILE,
     help="Write a page (.html) that loads nothing and prints well: verdict, equations, pictures, warnings, hashes of"
     " files, this command.",
 )
-@option(
+@written(
     "--refine",
-    group=WRITTEN,
     is_flag=True,
     help="Coefficients by output error: those whose free run is closest to the record.",
 )
-@option("--physical", group=WRITTEN, is_flag=True, help="Also mass, damping, stiffness ... of a second-order equation.")
-@option(
+@written("--physical", is_flag=True, help="Also mass, damping, stiffness ... of a second-order equation.")
+@file_written(
     "--checkpoint",
-    group=WRITTEN,
-    type=FILE,
     help="Folder for sums over the rows of long files, kept on the way: a run that is killed goes on where it was. By"
     " default one in the user's cache.",
 )
@@ -194,8 +182,8 @@ Examples:
     " file that it wrote. Files are then read some rows at a time.",
     group=WRITTEN,
 )
-@option("--seed", group=SURE, type=int, default=0, help="Seed of methods that draw random numbers (gibbs).")
-@option("--explain", group=WRITTEN, is_flag=True, help="Explain below the answer, in plain words, what is printed.")
+@sure("--seed", type=int, default=0, help="Seed of methods that draw random numbers (gibbs).")
+@written("--explain", is_flag=True, help="Explain below the answer, in plain words, what is printed.")
 @option("--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes.")
 def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | None, **options: Any) -> None:
     """Find the equation of motion of a measured record.
@@ -250,7 +238,7 @@ def source_of(
 def cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options as `bayeq.discover` takes them: channels by their names, without those that were not given."""
     out = {name: value for name, value in options.items() if value is not None}
-    for role in ("displacement", "velocity", "acceleration", "force"):
+    for role in ROLES:
         if role in out:
             out[role] = channel_name(out[role])
     out["inputs"] = [name for name in map(channel_name, out["inputs"]) if name]
@@ -263,23 +251,17 @@ def cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
         )
     out["dictionary"] = "; ".join(dictionaries)
     for name in ("noise", "gain_sd"):
-        out[name] = dict(_pair(name, text) for text in out[name])
+        flag = f"--{name.replace('_', '-')}"
+        known = by_name(flag, out[name], "write a channel and a value, such as u=0.01", str.rpartition)
+        out[name] = {channel_name(channel): value for channel, value in known.items()}
     if "band" in out:
         out["band"] = pair_of_numbers("--band", out["band"])
     return out
 
 
-def _pair(option: str, text: str) -> tuple[str, str]:
-    """A channel and what is known of it, written as ``u=0.1``."""
-    name, equals, value = text.rpartition("=")
-    if not equals or not name.strip() or not value.strip():
-        raise InputError(f"--{option.replace('_', '-')} {text[:60]!r}: write a channel and a value, such as u=0.01")
-    return channel_name(name.strip()), value.strip()
-
-
 def used_channels(options: Mapping[str, Any]) -> list[str]:
     """Channels that the options name."""
-    single = (options.get(role, "") for role in ("displacement", "velocity", "acceleration", "force"))
+    single = (options.get(role, "") for role in ROLES)
     texts = (*(options["chains"] or ()), *single, *options["inputs"])
     return [name for text in texts for name in text.split(":") if name and not name.startswith("~")]
 

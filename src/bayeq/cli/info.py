@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayeq.cli.options import FILE, Command, option
+from bayeq.cli.environment import say
+from bayeq.cli.options import FILE, Command, json_option, option
 from bayeq.cli.progress import COMPILING
-from bayeq.cli.streams import say
 from bayeq.kernels import announce_compiling
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ __all__ = ["info"]
 @option("--fs", type=float, help="Sampling frequency [Hz], where there is no time column.")
 @option("--names", help="Column names, separated by commas, for a file without header.")
 @option("--group", help="Column that numbers the trials within a file.")
-@option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+@json_option()
 def info(files: tuple[Path, ...], as_json: bool, **reading: Any) -> None:
     """Say what is in a file: channels, rate, units, power, bad samples, likely roles, and what to run next.
 

@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from bayeq.cli.memory import require_address_space
+from bayeq.cli.environment import require_address_space
+from bayeq.errors import InputError
 
-__all__ = ["ALTERED", "FILE", "MEASURED", "SURE", "TERMS", "WRITTEN", "Command", "option", "pair_of_numbers"]
+__all__ = [
+    "FILE",
+    "WRITTEN",
+    "Command",
+    "altered",
+    "by_name",
+    "cluster_client",
+    "dask_option",
+    "file_written",
+    "in_terms",
+    "json_option",
+    "measured",
+    "number",
+    "option",
+    "pair_of_numbers",
+    "sure",
+    "written",
+]
 
-#: Groups of options in the help.
-MEASURED = "What is measured"
-ALTERED = "What is done to it first"
-TERMS = "What may be in the equation"
-SURE = "How sure"
+
 WRITTEN = "What to write"
 
 
@@ -46,8 +62,33 @@ class _Option(click.Option):
         self.group = group
 
 
-# Defaults are shown where there are any.
+# Options, of which defaults are shown where there are any, and those of the groups of the help.
 option = partial(click.option, show_default=True, cls=_Option)
+measured = partial(option, group="What is measured")
+altered = partial(option, group="What is done to it first")
+in_terms = partial(option, group="What may be in the equation")
+sure = partial(option, group="How sure")
+written = partial(option, group=WRITTEN)
+file_written = partial(written, type=FILE)
+
+json_option = partial(option, "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+
+
+def dask_option(text: str, **settings: Any) -> Callable[[Any], Any]:
+    """The option ``--dask``; `text` is its help."""
+    return option("--dask", metavar="ADDRESS", help=text, **settings)
+
+
+@contextmanager
+def cluster_client(address: str | None) -> Iterator[Any]:
+    """The client of the Dask cluster at an address; None where none is given."""
+    if address is None:
+        yield None
+        return
+    from bayeq.streaming.cluster import connected
+
+    with connected(address) as client:
+        yield client
 
 
 class Command(click.Command):
@@ -77,17 +118,30 @@ class Command(click.Command):
             formatter.write(f"{line}\n")
 
 
+def number(where: str, text: str) -> float:
+    """A number; an InputError if it is not."""
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{where}: {text[:60]!r} is no number") from None
+
+
 def pair_of_numbers(where: str, text: str) -> tuple[float, float]:
     """``LO:HI`` as two numbers; an InputError if it is not."""
-    from bayeq.errors import InputError
-
     low, colon, high = text.partition(":")
     if not colon:
         raise InputError(f"{where} {text[:60]!r}: give two numbers with a colon between, as in 1:50")
-    numbers = []
-    for part in (low, high):
-        try:
-            numbers.append(float(part))
-        except ValueError:
-            raise InputError(f"{where}: {part[:60]!r} is no number") from None
-    return numbers[0], numbers[1]
+    return number(where, low), number(where, high)
+
+
+def by_name(where: str, texts: Iterable[str], how: str, split: Callable[..., Any] = str.partition) -> dict[str, str]:
+    """Values by name, of texts ``name=value``; an InputError says `how` to write them, or that one is given twice."""
+    out: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = (part.strip() for part in split(text, "="))
+        if not (name and equals and value):
+            raise InputError(f"{where} {text.strip()[:60]!r}: {how}")
+        if name in out:
+            raise InputError(f"{where}: {name!r} is given twice, {out[name]} and {value}")
+        out[name] = value
+    return out

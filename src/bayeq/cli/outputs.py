@@ -48,16 +48,7 @@ class Outputs:
     explain: bool = False
 
     def check(self, files: Sequence[Path], options: Mapping[str, Any], as_json: bool = False) -> None:
-        """Refuse, before the work, what could not be done after it.
-
-        Parameters
-        ----------
-        files : sequence of Path
-            Records that are read.
-        options : mapping
-            Of `bayeq.discover`, as they were given.
-        as_json : bool
-            Whether JSON is printed.
+        """Refuse, before the work, what could not be done after it; `files` are the records that are read.
 
         Raises
         ------

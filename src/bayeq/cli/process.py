@@ -10,7 +10,7 @@ import signal
 import sys
 from types import FrameType
 
-from bayeq.cli.streams import INTERRUPTED, say
+from bayeq.cli.environment import INTERRUPTED, say
 
 __all__ = ["run"]
 

@@ -8,7 +8,7 @@ import time as clock
 from types import TracebackType
 from typing import Any, Self
 
-from bayeq.cli.streams import say
+from bayeq.cli.environment import say
 
 __all__ = ["COMPILING", "PROGRESS", "Progress"]
 
@@ -30,12 +30,8 @@ MANY = 1000
 class Progress:
     """What is being done; call it with (stage, done, total).
 
-    A thread watches, for a stage may take minutes without a call.
-
-    Parameters
-    ----------
-    verbose : bool
-        Whether every stage is named at once, and how long it took.
+    A thread watches, for a stage may take minutes without a call. With `verbose` every stage is named at once, and how
+    long it took.
     """
 
     def __init__(self, verbose: bool = False) -> None:

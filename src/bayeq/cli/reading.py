@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from bayeq.cli.channels import channel_name, path_of
-from bayeq.cli.options import ALTERED, MEASURED, option
+from bayeq.cli.options import altered, by_name, measured, number
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -32,36 +32,32 @@ _CALLED = "standard input"
 _ROWS = re.compile(r"\s*(-?\d{1,18})?\s*:\s*(-?\d{1,18})?\s*")
 
 _OPTIONS = (
-    option("--time", group=MEASURED, help="Time column [s], or the path of an array."),
-    option("--fs", group=MEASURED, type=float, help="Sampling frequency [Hz], where there is no time column."),
-    option(
+    measured("--time", help="Time column [s], or the path of an array."),
+    measured("--fs", type=float, help="Sampling frequency [Hz], where there is no time column."),
+    measured(
         "--units",
-        group=MEASURED,
         multiple=True,
         help="Units of channels, x=mm,a=g, instead of those in the file; also that of the time column (t=ms).",
     ),
-    option("--names", group=MEASURED, help="Column names, separated by commas, for a file without header."),
-    option("--skip", group=MEASURED, type=int, default=0, help="Lines at the top of a text file that are passed over."),
-    option("--group", group=MEASURED, help="Column that numbers the trials within a file."),
-    option(
+    measured("--names", help="Column names, separated by commas, for a file without header."),
+    measured("--skip", type=int, default=0, help="Lines at the top of a text file that are passed over."),
+    measured("--group", help="Column that numbers the trials within a file."),
+    measured(
         "--join",
-        group=MEASURED,
         is_flag=True,
         help="FILE... are channels of one motion: join them on the time of the first.",
     ),
-    option(
+    measured(
         "--stream/--no-stream",
         "stream",
-        group=MEASURED,
         default=None,
         help="Read some rows at a time, for files larger than memory: Parquet, HDF5, NPY, text. By default folders, and"
         " files of more than 256 MB together.",
     ),
-    option("--rows", group=ALTERED, help="Rows that are used, A:B as in Python, of each record: 0:2000, 500:, :-100."),
-    option(
+    altered("--rows", help="Rows that are used, A:B as in Python, of each record: 0:2000, 500:, :-100."),
+    altered(
         "--remove-offset",
         "offsets",
-        group=ALTERED,
         multiple=True,
         help="Subtract a value from a channel, x=0.2, or its mean over the rows that are used, x. Once per channel.",
     ),
@@ -77,28 +73,9 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What the options say about reading.
+    """What the options say about reading; `offsets` are subtracted, None for the mean.
 
-    Attributes
-    ----------
-    time, group : str or None
-        The columns that are time, and the number of the trial.
-    fs : float or None
-        Sampling rate [Hz].
-    names : list of str or None
-        Names of the columns.
-    join : bool
-        Whether the files are channels of one motion.
-    units : mapping of str to str
-        Units of channels.
-    skip : int
-        Lines at the top of text files.
-    rows : slice or None
-        Of each record.
-    offsets : mapping of str to (float or None)
-        By channel what is subtracted, None for the mean.
-    stream : bool or None
-        Whether files are read some rows at a time; None where their size decides.
+    `stream` is whether files are read some rows at a time; None where their size decides.
     """
 
     time: str | None = None
@@ -189,18 +166,7 @@ class Reading:
         paths: Mapping[str, str],
         progress: Callable[[str, int, int], None],
     ) -> list[Record]:
-        """The records of the files.
-
-        Parameters
-        ----------
-        files : sequence of Path
-            ``-`` is standard input.
-        used : list of str
-            Channels that are used; others need not be numbers.
-        paths : mapping of str to str
-            Paths of channels, if any are named so.
-        progress : callable
-            Called with (stage, done, total).
+        """The records of the files; ``-`` is standard input, and channels that are not used need not be numbers.
 
         Raises
         ------
@@ -278,16 +244,10 @@ def _units(texts: Sequence[str]) -> dict[str, str]:
     """Units by channel, from ``x=mm,a=g``."""
     from bayeq.records.units import require_unit
 
-    out: dict[str, str] = {}
-    for text in texts:
-        for part in text.split(","):
-            name, equals, unit = (one.strip() for one in part.partition("="))
-            if not (name and equals and unit):
-                raise InputError(f"--units {part.strip()[:60]!r}: write a channel and its unit, such as x=mm")
-            if name in out:
-                raise InputError(f"--units: the unit of {name!r} is given twice, {out[name]} and {unit}")
-            require_unit(unit, f"--units {name}={unit}")
-            out[name] = unit
+    parts = (part for text in texts for part in text.split(","))
+    out = by_name("--units", parts, "write a channel and its unit, such as x=mm")
+    for name, unit in out.items():
+        require_unit(unit, f"--units {name}={unit}")
     return out
 
 
@@ -307,16 +267,13 @@ def _rows(text: str | None) -> slice | None:
 def _offsets(texts: Sequence[str]) -> dict[str, float | None]:
     out: dict[str, float | None] = {}
     for text in texts:
-        name, equals, number = (part.strip() for part in text.partition("="))
-        if not name or (equals and not number):
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not name or (equals and not value):
             raise InputError(f"--remove-offset {text[:60]!r}: write a channel, x, or a channel and a value, x=0.2")
         channel = channel_name(name)
         if channel in out:
             raise InputError(f"--remove-offset: {channel!r} is named twice")
-        try:
-            out[channel] = float(number) if equals else None
-        except ValueError:
-            raise InputError(f"--remove-offset {name}: {number[:60]!r} is no number") from None
+        out[channel] = number(f"--remove-offset {name}", value) if equals else None
     return out
 
 

@@ -7,9 +7,8 @@ from typing import Literal, cast
 
 import click
 
-from bayeq.cli.cluster import cluster_client, dask_option
-from bayeq.cli.options import FILE, Command, option
-from bayeq.cli.streams import say
+from bayeq.cli.environment import say
+from bayeq.cli.options import FILE, Command, cluster_client, dask_option, json_option, option
 from bayeq.errors import InputError, InterruptedRun
 
 __all__ = ["study"]
@@ -97,7 +96,7 @@ def table2(
 @option(
     "--format", "form", type=click.Choice(["text", "markdown", "csv"]), default="text", help="How to write the table."
 )
-@option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+@json_option()
 @option("--table", type=int, default=2, help="The paper's table 2 (errors) or 3 (run times).")
 def show(store: Path, form: Literal["text", "markdown", "csv"], as_json: bool, table: int) -> None:
     """Show the results of a study beside the paper's.

@@ -10,8 +10,8 @@ import numpy as np
 
 from bayeq.errors import InputError, MissingExtraError, UnknownNameError
 from bayeq.expressions import Binary, Call, Constant, Evaluator, Expression, Negate, Node, Number
-from bayeq.expressions.definitions import substituted, template
 from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS, TIME
+from bayeq.expressions.parse import substituted, template
 from bayeq.forecast.dynamics import Law
 from bayeq.states import rates
 

@@ -1,7 +1,7 @@
 """The functions, comparisons and constants of a term: one table for parsing, evaluating, compiling and SymPy.
 
 A new function is a row here. Where its row defines it by other functions, that is all. Otherwise it has an opcode, and
-in `bayeq.expressions.tape` a line for its value and its derivative.
+in the kernels below a line for its value and its derivative, which `bayeq.expressions.tape` calls.
 """
 
 from __future__ import annotations
@@ -13,7 +13,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["ALIASES", "COMPARISONS", "CONSTANTS", "FUNCTIONS", "SQUARE", "TIME", "Comparison", "Function"]
+from bayeq.kernels import kernel
+
+__all__ = [
+    "ALIASES",
+    "COMPARISONS",
+    "CONSTANTS",
+    "FUNCTIONS",
+    "SQUARE",
+    "TIME",
+    "Comparison",
+    "Function",
+    "apply_function",
+    "apply_pair",
+]
 
 # The time [s], where no channel has that name.
 TIME = "t"
@@ -165,3 +178,95 @@ ALIASES: dict[str, str] = {
 
 # square(a) is a**2.
 SQUARE = "square"
+
+
+@kernel(borrowing=True)
+def apply_function(opcode: int, a: float, slope: bool) -> float:
+    """Value of the function with this opcode at `a`, or its derivative there; NaN if there is no such opcode."""
+    if opcode == ABS:
+        return (1.0 if a > 0.0 else -1.0 if a < 0.0 else 0.0) if slope else abs(a)
+    if opcode == SIGN:
+        return 0.0 if slope else 1.0 if a > 0.0 else -1.0 if a < 0.0 else 0.0 if a == 0.0 else a
+    if opcode == SIN:
+        return math.cos(a) if slope else math.sin(a)
+    if opcode == COS:
+        return -math.sin(a) if slope else math.cos(a)
+    if opcode == TAN:
+        return 1.0 + math.tan(a) ** 2 if slope else math.tan(a)
+    if opcode == ASIN:
+        return 1.0 / math.sqrt(1.0 - a * a) if slope else math.asin(a)
+    if opcode == ACOS:
+        return -1.0 / math.sqrt(1.0 - a * a) if slope else math.acos(a)
+    if opcode == ATAN:
+        return 1.0 / (1.0 + a * a) if slope else math.atan(a)
+    if opcode == EXP:
+        return math.exp(a)
+    if opcode == LOG:
+        return 1.0 / a if slope else math.log(a)
+    if opcode == SQRT:
+        return 0.5 / math.sqrt(a) if slope else math.sqrt(a)
+    if opcode == SINH:
+        return math.cosh(a) if slope else math.sinh(a)
+    if opcode == COSH:
+        return math.sinh(a) if slope else math.cosh(a)
+    if opcode == TANH:
+        return 1.0 - math.tanh(a) ** 2 if slope else math.tanh(a)
+    return _further_function(opcode, a, slope)
+
+
+@kernel(borrowing=True)
+def _further_function(opcode: int, a: float, slope: bool) -> float:
+    """As `apply_function`, of the rarer ones."""
+    if opcode == FLOOR:
+        return 0.0 if slope else np.floor(a)
+    if opcode == ASINH:
+        return 1.0 / math.sqrt(1.0 + a * a) if slope else math.asinh(a)
+    if opcode == ACOSH:
+        return 1.0 / math.sqrt(a * a - 1.0) if slope else math.acosh(a)
+    if opcode == ATANH:
+        return 1.0 / (1.0 - a * a) if slope else math.atanh(a)
+    if opcode == LOG10:
+        return 1.0 / (a * math.log(10.0)) if slope else math.log10(a)
+    if opcode == LOG1P:
+        return 1.0 / (1.0 + a) if slope else math.log1p(a)
+    if opcode == CBRT:
+        root = np.cbrt(a)
+        return 1.0 / (3.0 * root * root) if slope else root
+    if opcode == ERF:
+        return 2.0 / math.sqrt(math.pi) * math.exp(-a * a) if slope else math.erf(a)
+    return math.nan
+
+
+@kernel(borrowing=True)
+def apply_pair(opcode: int, a: float, b: float) -> tuple[float, float, float]:
+    """Value of a function of two numbers, and its derivatives by them; NaN if there is no such opcode."""
+    if opcode == PICK:
+        return (b, 0.0, 1.0) if a != 0.0 else (0.0, 0.0, 0.0)
+    if opcode == UNLESS:
+        return (0.0, 0.0, 0.0) if a != 0.0 else (b, 0.0, 1.0)
+    if opcode == MAX:
+        return (a, 1.0, 0.0) if a >= b or a != a else (b, 0.0, 1.0)
+    if opcode == MIN:
+        return (a, 1.0, 0.0) if a <= b or a != a else (b, 0.0, 1.0)
+    if opcode == ATAN2:
+        # by the ratio that is at most 1: squares overflow
+        steep = abs(a) > abs(b)
+        ratio, larger = (b / a, a) if steep else (a / b, b)
+        unit = 1.0 / (larger * (1.0 + ratio * ratio))
+        return math.atan2(a, b), (ratio if steep else 1.0) * unit, (-1.0 if steep else -ratio) * unit
+    if opcode == MOD:
+        return np.mod(a, b), 1.0, -np.floor(a / b)
+    holds = math.nan
+    if opcode == LESS:
+        holds = 1.0 if a < b else 0.0
+    elif opcode == AT_MOST:
+        holds = 1.0 if a <= b else 0.0
+    elif opcode == MORE:
+        holds = 1.0 if a > b else 0.0
+    elif opcode == AT_LEAST:
+        holds = 1.0 if a >= b else 0.0
+    elif opcode == EQUAL:
+        holds = 1.0 if a == b else 0.0
+    elif opcode == OTHER:
+        holds = 1.0 if a != b else 0.0
+    return holds, 0.0, 0.0

@@ -22,15 +22,8 @@ _INVISIBLE_TIMES = '<mo rspace="0.17em">&#x2062;</mo>'
 def mathml(expression: Expression, names: Mapping[str, str] | None = None, factor: bool = False) -> str:
     """The expression in presentation MathML, one ``mrow``.
 
-    Parameters
-    ----------
-    expression : Expression
-        From `parse`.
-    names : mapping of str to str, optional
-        MathML of symbols that are not to be written by their names, such as ``symbol_mathml("x", dots=1)`` of v.
-
-    factor : bool
-        Whether it stands behind a coefficient, and gets brackets where it must.
+    `names` has MathML of symbols that are not to be written by their names, such as ``symbol_mathml("x", dots=1)`` of
+    v. A `factor` stands behind a coefficient, and gets brackets where it must.
 
     Examples
     --------

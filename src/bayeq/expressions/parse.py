@@ -11,7 +11,7 @@ import keyword
 import math
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -33,7 +33,7 @@ from bayeq.expressions.nodes import (
     with_arguments,
 )
 
-__all__ = ["MAX_DEPTH", "MAX_LENGTH", "MAX_NODES", "parse"]
+__all__ = ["MAX_DEPTH", "MAX_LENGTH", "MAX_NODES", "parse", "substituted", "template"]
 
 MAX_LENGTH = 1000
 MAX_DEPTH = 50
@@ -373,3 +373,26 @@ def _with_constants(node: Node, names: frozenset[str]) -> Node:
 def _column(text: str, name: str) -> int:
     """Where a name stands in a text that has been parsed, counted from 1."""
     return next(token.column for token in _tokens(text) if token.kind == "name" and token.text == name)
+
+
+# The names of the arguments in the definitions of functions.
+_PLACES = ("a", "b")
+
+
+@lru_cache(maxsize=64)
+def template(text: str) -> Node:
+    """A function by other functions: an expression in a and b, which stand for its arguments."""
+    return parse(text, _PLACES).tree
+
+
+def substituted(node: Node, arguments: Sequence[Node]) -> Node:
+    """A template with arguments for a and b.
+
+    Examples
+    --------
+    >>> Expression(substituted(template("(1+sign(a))/2"), [parse("x-v").tree])).text
+    '(1+sign(x-v))/2'
+    """
+    if isinstance(node, Symbol):
+        return arguments[_PLACES.index(node.name)]
+    return with_arguments(node, tuple(substituted(part, arguments) for part in arguments_of(node)))

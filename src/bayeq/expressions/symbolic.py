@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from bayeq.expressions.definitions import substituted, template
 from bayeq.expressions.functions import COMPARISONS, FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.parse import substituted, template
 
 __all__ = ["latex", "to_sympy"]
 
@@ -19,21 +19,11 @@ _LARGE_POWER = 64
 
 
 def to_sympy(expression: Expression) -> Any:
-    """The expression as a SymPy object.
+    """The expression as a SymPy object, built from the tree; no text is handed to ``sympify``.
 
-    Integers become `sympy.Integer` (so that ``1/3`` is the rational), other numbers `sympy.Float`, names
-    plain symbols, ``pi`` and ``e`` SymPy's numbers. Built from the tree; no text is handed to ``sympify``.
-
-    Parameters
-    ----------
-    expression : Expression
-        From `parse`.
-
-    Returns
-    -------
-    sympy.Expr
-        SymPy's automatic simplification applies (``x + x`` is ``2*x``); numbers beyond the range of a float
-        become infinite, as they do in evaluation.
+    Integers become `sympy.Integer` (so that ``1/3`` is the rational), other numbers `sympy.Float`, names plain symbols,
+    ``pi`` and ``e`` SymPy's numbers. SymPy's automatic simplification applies (``x + x`` is ``2*x``); numbers beyond
+    the range of a float become infinite, as they do in evaluation.
 
     Examples
     --------
@@ -46,15 +36,6 @@ def to_sympy(expression: Expression) -> Any:
 
 def latex(expression: Expression) -> str:
     r"""The expression in LaTeX, as written by SymPy.
-
-    Parameters
-    ----------
-    expression : Expression
-        From `parse`.
-
-    Returns
-    -------
-    str
 
     Examples
     --------

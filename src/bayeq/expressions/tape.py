@@ -2,7 +2,8 @@
 
 An integrator needs the right-hand side at one state at a time, where arrays do not help. A tape is plain
 arrays, so that one compiled integrator serves every system without compiling anything per system. Derivatives by any
-variables are carried along where asked for (forward differentiation), exact to rounding.
+variables are carried along where asked for (forward differentiation), exact to rounding. `run_on_rows` evaluates many
+points at once: every instruction goes over a block of rows that stays in the cache.
 """
 
 from __future__ import annotations
@@ -17,52 +18,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.expressions.definitions import substituted, template
 from bayeq.expressions.evaluate import ARITHMETIC, MAX_INTEGER_POWER, FloatArray
 from bayeq.expressions.functions import (
     ABS,
-    ACOS,
-    ACOSH,
-    ASIN,
-    ASINH,
-    AT_LEAST,
-    AT_MOST,
-    ATAN,
-    ATAN2,
-    ATANH,
-    CBRT,
     COMPARISONS,
     CONSTANTS,
-    COS,
-    COSH,
-    EQUAL,
-    ERF,
-    EXP,
-    FLOOR,
     FUNCTIONS,
-    LESS,
-    LOG,
-    LOG1P,
-    LOG10,
-    MAX,
-    MIN,
-    MOD,
-    MORE,
-    OTHER,
     PAIRS,
     PICK,
     SIGN,
-    SIN,
-    SINH,
-    SQRT,
-    TAN,
-    TANH,
     UNLESS,
+    apply_function,
+    apply_pair,
 )
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.parse import substituted, template
 from bayeq.kernels import kernel
 
-__all__ = ["IndexArray", "Program", "Tape", "run_tape"]
+__all__ = ["IndexArray", "Program", "Tape", "registers_for", "run_on_rows", "run_tape"]
 
 IndexArray: TypeAlias = NDArray[np.uint32]
 
@@ -102,98 +75,6 @@ class Program(NamedTuple):
     code: IndexArray
     outputs: IndexArray
     registers: FloatArray
-
-
-@kernel(borrowing=True)
-def apply_function(opcode: int, a: float, slope: bool) -> float:
-    """Value of the function with this opcode at `a`, or its derivative there; NaN if there is no such opcode."""
-    if opcode == ABS:
-        return (1.0 if a > 0.0 else -1.0 if a < 0.0 else 0.0) if slope else abs(a)
-    if opcode == SIGN:
-        return 0.0 if slope else 1.0 if a > 0.0 else -1.0 if a < 0.0 else 0.0 if a == 0.0 else a
-    if opcode == SIN:
-        return math.cos(a) if slope else math.sin(a)
-    if opcode == COS:
-        return -math.sin(a) if slope else math.cos(a)
-    if opcode == TAN:
-        return 1.0 + math.tan(a) ** 2 if slope else math.tan(a)
-    if opcode == ASIN:
-        return 1.0 / math.sqrt(1.0 - a * a) if slope else math.asin(a)
-    if opcode == ACOS:
-        return -1.0 / math.sqrt(1.0 - a * a) if slope else math.acos(a)
-    if opcode == ATAN:
-        return 1.0 / (1.0 + a * a) if slope else math.atan(a)
-    if opcode == EXP:
-        return math.exp(a)
-    if opcode == LOG:
-        return 1.0 / a if slope else math.log(a)
-    if opcode == SQRT:
-        return 0.5 / math.sqrt(a) if slope else math.sqrt(a)
-    if opcode == SINH:
-        return math.cosh(a) if slope else math.sinh(a)
-    if opcode == COSH:
-        return math.sinh(a) if slope else math.cosh(a)
-    if opcode == TANH:
-        return 1.0 - math.tanh(a) ** 2 if slope else math.tanh(a)
-    return _further_function(opcode, a, slope)
-
-
-@kernel(borrowing=True)
-def _further_function(opcode: int, a: float, slope: bool) -> float:
-    """As `apply_function`, of the rarer ones."""
-    if opcode == FLOOR:
-        return 0.0 if slope else np.floor(a)
-    if opcode == ASINH:
-        return 1.0 / math.sqrt(1.0 + a * a) if slope else math.asinh(a)
-    if opcode == ACOSH:
-        return 1.0 / math.sqrt(a * a - 1.0) if slope else math.acosh(a)
-    if opcode == ATANH:
-        return 1.0 / (1.0 - a * a) if slope else math.atanh(a)
-    if opcode == LOG10:
-        return 1.0 / (a * math.log(10.0)) if slope else math.log10(a)
-    if opcode == LOG1P:
-        return 1.0 / (1.0 + a) if slope else math.log1p(a)
-    if opcode == CBRT:
-        root = np.cbrt(a)
-        return 1.0 / (3.0 * root * root) if slope else root
-    if opcode == ERF:
-        return 2.0 / math.sqrt(math.pi) * math.exp(-a * a) if slope else math.erf(a)
-    return math.nan
-
-
-@kernel(borrowing=True)
-def apply_pair(opcode: int, a: float, b: float) -> tuple[float, float, float]:
-    """Value of a function of two numbers, and its derivatives by them; NaN if there is no such opcode."""
-    if opcode == PICK:
-        return (b, 0.0, 1.0) if a != 0.0 else (0.0, 0.0, 0.0)
-    if opcode == UNLESS:
-        return (0.0, 0.0, 0.0) if a != 0.0 else (b, 0.0, 1.0)
-    if opcode == MAX:
-        return (a, 1.0, 0.0) if a >= b or a != a else (b, 0.0, 1.0)
-    if opcode == MIN:
-        return (a, 1.0, 0.0) if a <= b or a != a else (b, 0.0, 1.0)
-    if opcode == ATAN2:
-        # by the ratio that is at most 1: squares overflow
-        steep = abs(a) > abs(b)
-        ratio, larger = (b / a, a) if steep else (a / b, b)
-        unit = 1.0 / (larger * (1.0 + ratio * ratio))
-        return math.atan2(a, b), (ratio if steep else 1.0) * unit, (-1.0 if steep else -ratio) * unit
-    if opcode == MOD:
-        return np.mod(a, b), 1.0, -np.floor(a / b)
-    holds = math.nan
-    if opcode == LESS:
-        holds = 1.0 if a < b else 0.0
-    elif opcode == AT_MOST:
-        holds = 1.0 if a <= b else 0.0
-    elif opcode == MORE:
-        holds = 1.0 if a > b else 0.0
-    elif opcode == AT_LEAST:
-        holds = 1.0 if a >= b else 0.0
-    elif opcode == EQUAL:
-        holds = 1.0 if a == b else 0.0
-    elif opcode == OTHER:
-        holds = 1.0 if a != b else 0.0
-    return holds, 0.0, 0.0
 
 
 @kernel(borrowing=True)
@@ -406,3 +287,46 @@ class _Compiler:
         for _ in range(1, abs(int(value))):
             product = self.emit(MULTIPLY, product, base)
         return product if value > 0 else self.emit(DIVIDE, self.constant(np.float64(1.0)), product)
+
+
+def registers_for(tape: Tape, rows: int) -> FloatArray:
+    """Work space of `run_on_rows`, (n_registers, rows), with the constants in their places."""
+    return np.repeat(tape.initial[:, None], rows, axis=1)
+
+
+@kernel
+def run_on_rows(code: IndexArray, registers: FloatArray, rows: int) -> None:
+    """Execute a tape on the first `rows` columns of `registers`, (n_registers, R); variables are given in the first."""
+    for i in range(code.shape[0]):
+        opcode, to, left, right = code[i, 0], code[i, 1], code[i, 2], code[i, 3]
+        out, a, b = registers[to], registers[left], registers[right]
+        if opcode == MULTIPLY:
+            for j in range(rows):
+                out[j] = a[j] * b[j]
+        elif opcode == ADD:
+            for j in range(rows):
+                out[j] = a[j] + b[j]
+        elif opcode == SUBTRACT:
+            for j in range(rows):
+                out[j] = a[j] - b[j]
+        elif opcode == DIVIDE:
+            for j in range(rows):
+                out[j] = a[j] / b[j]
+        elif opcode == NEGATE:
+            for j in range(rows):
+                out[j] = -a[j]
+        elif opcode == ABS:
+            for j in range(rows):
+                out[j] = abs(a[j])
+        elif opcode == SIGN:
+            for j in range(rows):
+                out[j] = a[j] if a[j] == 0.0 or a[j] != a[j] else np.copysign(1.0, a[j])
+        elif opcode == POWER:
+            for j in range(rows):
+                out[j] = a[j] ** b[j]
+        elif opcode >= PAIRS:
+            for j in range(rows):
+                out[j] = apply_pair(opcode, a[j], b[j])[0]
+        else:
+            for j in range(rows):
+                out[j] = apply_function(opcode, a[j], False)

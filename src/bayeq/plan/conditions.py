@@ -96,22 +96,8 @@ def band_of(samples: NDArray[np.float64], fs: float) -> tuple[float, float] | No
 class Conditions:
     """What may be done, and what is known.
 
-    Attributes
-    ----------
-    offset, reach : (m,) arrays
-        Middle and half width of the range of each input.
-    band : (float, float)
-        [Hz].
-    n : int
-        Samples.
-    fs : float
-        [Hz].
-    noise : tuple of float
-        Standard deviation of the noise of every target.
-    limits : mapping of str to float
-        Largest magnitude of states.
-    ranges : mapping of str to (float, float)
-        Of the channels of the record.
+    Middle and half width of the range of each of the m inputs, band and rate [Hz], samples, standard deviation of the
+    noise of every target, largest magnitude of states, and ranges of the channels of the record.
     """
 
     offset: Floats
@@ -142,18 +128,7 @@ def conditions_of(
     given_noise: Mapping[str, float],
     limits: Mapping[str, float],
 ) -> Conditions:
-    """What was asked for, and the rest from the record.
-
-    Parameters
-    ----------
-    measured : Measured
-        The record that the equations were found from.
-    states, inputs : sequence of str
-        Of the equations; there is at least one input.
-    noise : mapping of str to float
-        Of every target, as the equations state it.
-    amplitude, band, seconds, fs, given_noise, limits
-        As for `bayeq.Equations.plan`.
+    """What was asked for, as for `bayeq.Equations.plan`, and the rest from the record; `noise` is that of every target.
 
     Raises
     ------

@@ -34,32 +34,17 @@ HALVINGS = 10
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """An excitation that could be applied, at the whole amplitude or less.
-
-    Attributes
-    ----------
-    kind : str
-        A row of `bayeq.plan.excitations.EXCITATIONS`.
-    band : (float, float)
-        [Hz].
-    """
+    """A kind of excitation, a row of `EXCITATIONS`, and its band [Hz], to be applied at the whole amplitude or less."""
 
     kind: str
     band: tuple[float, float]
 
 
 def designs_for(conditions: Conditions, parameters: int) -> list[Design]:
-    """All designs within the conditions.
+    """All designs within the conditions, for models of so many parameters at most.
 
     A part of the band is left out if its odd lines are too few to tell the parameters: k sines are persistently
     exciting of order 2 k (Ljung 1999, section 13.2).
-
-    Parameters
-    ----------
-    conditions : Conditions
-        Of the measurement.
-    parameters : int
-        Coefficients of the largest model.
     """
     bands = [conditions.band, *(part for part in _parts(conditions) if _lines(conditions, part) * 2 >= parameters)]
     lines_within(conditions.n, conditions.fs, conditions.band, odd=True)  # raises where there are none
@@ -90,20 +75,10 @@ def shapes(design: Design, conditions: Conditions, seed: tuple[int, ...]) -> Flo
 
 
 class Motions:
-    """Free runs of some dynamics from rest.
+    """Free runs of some dynamics from rest, under conditions.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        The equations.
-    conditions : Conditions
-        Of the measurement.
-
-    Attributes
-    ----------
-    first : (d,) array
-        The state at rest: the equilibrium under the middle of the inputs, if there is one within the range of the
-        record; else coordinates in the middle of their range (0 where it is not known) and derivatives 0.
+    At rest is the equilibrium under the middle of the inputs, if there is one within the range of the record; else
+    coordinates are in the middle of their range (0 where it is not known) and derivatives 0.
     """
 
     def __init__(self, dynamics: Dynamics, conditions: Conditions) -> None:
@@ -138,15 +113,7 @@ class Motions:
         return np.asarray(found.x) if found.success and inside else middle
 
     def run(self, shape: Floats, share: float) -> Mapping[str, Floats] | None:
-        """States and inputs under ``offset + share reach shape``; None if the run leaves every range.
-
-        Parameters
-        ----------
-        shape : (n, m) array
-            Of the excitation, largest magnitude 1.
-        share : float
-            Amplitude, as a share of the range allowed.
-        """
+        """States and inputs under ``offset + share reach shape``, of shape (n, m); None if they leave every range."""
         c = self.conditions
         inputs = c.offset + share * c.reach * shape
         time = np.arange(c.n) / c.fs

@@ -61,16 +61,8 @@ def unexplained(y: Floats, D: Floats) -> float:
 def seconds_until(needed: float, rate: float, occam: float, fs: float) -> float:
     """Time after which ``rate t + occam (ln(fs t) - 1)/2`` stays at or above `needed`; infinite if it never does.
 
-    Parameters
-    ----------
-    needed : float
-        Nats.
-    rate : float
-        lambda by second, at least 0.
-    occam : float
-        Coefficients that the rival has more.
-    fs : float
-        Samples per second [Hz].
+    `needed` in nats, `rate` is lambda by second, at least 0, `occam` the coefficients that the rival has more, `fs` in
+    Hz.
 
     Examples
     --------

@@ -72,24 +72,7 @@ def plan_excitation(
     seed: int,
     progress: Progress,
 ) -> Plan:
-    """Compare excitations by what they are expected to tell.
-
-    Parameters
-    ----------
-    equations : sequence of Found
-        With their models.
-    inputs : sequence of str
-        All of which are excited.
-    conditions : Conditions
-        Of the measurement.
-    odds, realisations, seed, progress
-        As for `bayeq.Equations.plan`.
-
-    Raises
-    ------
-    InputError
-        Numbers out of range; no design keeps the limits.
-    """
+    """Compare excitations of all inputs by what they are expected to tell; see `bayeq.Equations.plan`."""
     if not (math.isfinite(odds) and odds > 1):
         raise InputError(f"odds must be a number above 1, not {odds!r}")
     whole_number("realisations", realisations, 2)

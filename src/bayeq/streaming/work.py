@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bayeq.errors import RecordError
 from bayeq.expressions import Evaluator, Expression, Tape
-from bayeq.expressions.on_rows import registers_for, run_on_rows
+from bayeq.expressions.tape import registers_for, run_on_rows
 from bayeq.gram.gram import Moments
 from bayeq.gram.products import add_products, block_for
 from bayeq.kernels import kernel

@@ -17,19 +17,7 @@ def oscillator(
     terms: Mapping[str, str] | None = None,
     parameters: Mapping[str, float] | None = None,
 ) -> System:
-    """``m*a + c*v + k*x + g(x, v) = u`` with a band-limited Gaussian force.
-
-    Parameters
-    ----------
-    name, title : str
-        Of the system.
-    restoring : str, optional
-        The nonlinear force ``g``, to be subtracted.
-    terms : mapping of str to str, optional
-        Its terms in the acceleration, with their coefficients.
-    parameters : mapping of str to float, optional
-        Its parameters.
-    """
+    """``m*a + c*v + k*x + g(x, v) = u`` with a band-limited Gaussian force; `restoring` is g, `terms` are its own."""
     force = "u-c*v-k*x" + (f"-{restoring}" if restoring else "")
     return System(
         name=name,

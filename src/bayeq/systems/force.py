@@ -17,24 +17,10 @@ _LINES = 20
 
 
 def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.random.Generator) -> FloatArray:
-    """Samples of Gaussian noise with a flat spectrum inside a band, made in the frequency domain.
+    """(n,) samples of Gaussian noise with a flat spectrum inside a band, made in the frequency domain; fs in Hz.
 
-    Parameters
-    ----------
-    force : BandLimitedForce
-        Standard deviation and band.
-    n : int
-        Number of samples.
-    fs : float
-        Sampling rate [Hz].
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    (n,) float array
-        Zero mean and the given standard deviation in expectation. Periodic, unless `n` is so short that
-        fewer than 20 spectral lines lie in the band: then a piece of a longer sequence.
+    Zero mean and the given standard deviation in expectation. Periodic, unless n is so short that fewer than 20
+    spectral lines lie in the band: then a piece of a longer sequence.
 
     Raises
     ------

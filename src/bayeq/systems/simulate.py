@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from bayeq.errors import InputError, UnknownNameError, require_kind, require_mapping
 from bayeq.expressions import Evaluator, Expression, FloatArray, parse
 from bayeq.records import Record, Truth
-from bayeq.systems.force import band_limited_noise
+from bayeq.systems.simulate import band_limited_noise
 from bayeq.systems.system import System
 
 if TYPE_CHECKING:

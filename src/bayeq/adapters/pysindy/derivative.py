@@ -48,14 +48,7 @@ class KinematicDerivative(BaseDifferentiation):  # type: ignore[misc]
         self.noise_sd = noise_sd
 
     def _differentiate(self, x: Any, t: ArrayLike = 1) -> Any:
-        """Derivatives of samples, in the shape of `x`.
-
-        Parameters
-        ----------
-        x : (n,) or (n, K) array
-            Samples, rows in order of time.
-        t : float or (n,) array
-            Step of time or times [s].
+        """Derivatives of samples (n,) or (n, K), in the shape of `x`; `t` is the step of time or the times (n,) [s].
 
         Raises
         ------

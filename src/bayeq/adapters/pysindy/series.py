@@ -112,20 +112,11 @@ class Band:
 
 
 def pieces_of(Z: Floats, gaps: NDArray[np.bool_]) -> list[slice] | None:
-    """Uninterrupted pieces of rows, or None where they are no resolved time series.
+    """Uninterrupted pieces of rows of a library (n, P), or None where they are no resolved time series.
 
-    Parameters
-    ----------
-    Z : (n, P) array
-        Library, columns in units of their own.
-    gaps : (n,) bool array
-        Rows that do not follow on the one before.
-
-    Returns
-    -------
-    list of slice or None
-        None where fewer than half of the rows are in pieces of 64 rows, or the columns change more from row to row than
-        at about six rows per period: samples in no order, or subdomains of a weak form.
+    Gaps (n,) are rows that do not follow on the one before. None where fewer than half of the rows are in pieces of 64
+    rows, or the columns change more from row to row than at about six rows per period: samples in no order, or
+    subdomains of a weak form.
     """
     step = np.linalg.norm(np.diff(Z, axis=0), axis=1)
     padded = np.concatenate([[0.0], step, [0.0]])
@@ -141,16 +132,9 @@ def pieces_of(Z: Floats, gaps: NDArray[np.bool_]) -> list[slice] | None:
 
 
 def row_gram(Z: Floats, t: Floats, weights: Floats | None, floor: float) -> Gram:
-    """Uncentred statistics of rows that are no time series, the floor of noise added.
+    """Uncentred statistics of rows that are no time series, white noise of standard deviation `floor` added.
 
-    Parameters
-    ----------
-    Z, t : (n, P) and (n,) arrays
-        Library and target.
-    weights : (n,) array, optional
-        How often each row counts.
-    floor : float
-        Standard deviation of noise that is there in any case.
+    Library (n, P) and target (n,); a weight is how often its row counts, once without weights.
     """
     w = np.ones(len(t)) if weights is None else weights
     columns = np.column_stack([Z, t])
@@ -166,16 +150,8 @@ def systematic_floor(rows: float) -> float:
 def series_grams(Z: Floats, T: Floats, pieces: Sequence[slice], floors: Floats) -> list[Gram]:
     """Statistics of each target in its band, errors of the derivative allowed for.
 
-    Parameters
-    ----------
-    Z : (n, P) array
-        Library, columns of unit size.
-    T : (n, K) array
-        Targets of unit size, or zero.
-    pieces : sequence of slice
-        From `pieces_of`.
-    floors : (K,) array
-        Standard deviation of noise that is there in any case.
+    Library (n, P), columns of unit size; targets (n, K) of unit size, or zero; pieces from `pieces_of`; floors (K,),
+    the standard deviations of noise that is there in any case.
     """
     spare = 2 * ORDERS
     inner = [slice(p.start + spare, p.stop - spare) for p in pieces]
@@ -294,15 +270,9 @@ def to_band(D: Floats, y: Floats, highest: float) -> Band:
 
 
 def band_gram(bands: Sequence[Band], spectrum: Sequence[Floats]) -> Gram:
-    """Uncentred sufficient statistics of the bins of all pieces.
+    """Uncentred sufficient statistics of the bins of all pieces, weighted by the inverse of their residual's variance.
 
-    Parameters
-    ----------
-    bands : sequence of Band
-        One per piece.
-    spectrum : sequence of (b,) array
-        Variance of the residual in each bin. Weights, its inverse, are scaled to a mean of 1, so that the n of the Gram
-        is the number of real numbers in the band.
+    Weights are scaled to a mean of 1, so that the n of the Gram is the number of real numbers in the band.
     """
     total = sum(float(np.sum(b.count)) for b in bands)
     mean_weight = sum(float(np.sum(b.count / s)) for b, s in zip(bands, spectrum, strict=True)) / total

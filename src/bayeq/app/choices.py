@@ -1,14 +1,35 @@
-"""Roles of channels, as the page offers them, and the chains and inputs that they make."""
+"""What is chosen on the page, above all the roles of channels, and the command that this makes.
+
+Commands are words for a process, never a line for a shell.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from bayeq.errors import InputError
 
-__all__ = ["ROLES", "Choice", "chains_of", "inputs_of", "proposed"]
+__all__ = [
+    "EQUATION",
+    "REPORT",
+    "ROLES",
+    "Choice",
+    "Choices",
+    "as_typed",
+    "chains_of",
+    "discover_command",
+    "inputs_of",
+    "proposed",
+]
+
+#: Names of the files that are written.
+EQUATION, REPORT = "equation.json", "report.html"
+
+# What a proposal says of reading, and is kept as it is.
+READING = ("--time", "--names", "--group")
 
 DISPLACEMENT, VELOCITY, ACCELERATION = "displacement", "velocity", "acceleration"
 STATE, RATE, INPUT = "state", "rate", "input"
@@ -28,15 +49,7 @@ MOTION = (DISPLACEMENT, VELOCITY, ACCELERATION)
 
 @dataclass
 class Choice:
-    """What a channel is.
-
-    Attributes
-    ----------
-    role : str
-        A key of `ROLES`.
-    coordinate : int
-        Of which coordinate, counted from 1, where there are several.
-    """
+    """What a channel is: a key of `ROLES`, and of which coordinate, counted from 1, where there are several."""
 
     role: str = ""
     coordinate: int = 1
@@ -112,3 +125,66 @@ def _only(of: Mapping[str, str], role: str, number: int) -> str:
 def _and(names: Iterable[str]) -> str:
     *first, last = names
     return f"{', '.join(first)} and {last}"
+
+
+@dataclass
+class Choices:
+    """What was chosen on the page; texts as they were typed, empty where nothing is chosen.
+
+    Roles by channel, candidate terms, rows ``A:B``, band ``LO:HI`` and sampling rate [Hz], as the options of the
+    command take them, and the options that say how the file is read.
+    """
+
+    roles: dict[str, Choice] = field(default_factory=dict)
+    dictionary: str = "oscillator"
+    rows: str = ""
+    band: str = ""
+    fs: str = ""
+    reading: list[str] = field(default_factory=list)
+
+    @classmethod
+    def proposed(cls, info: Mapping[str, Any]) -> Choices:
+        """What ``bayeq info --json`` proposes to run."""
+        words = shlex.split(info["next"]["command"] or "")[3:]
+        options = dict(zip(words[::2], words[1::2], strict=False))
+        made = cls(roles=proposed(info))
+        made.dictionary = options.get("--dictionary", made.dictionary)
+        made.reading = [word for key in READING if key in options for word in (key, options[key])]
+        rate = options.get("--fs", "")
+        made.fs = rate if rate != "RATE" else ""
+        return made
+
+
+def discover_command(file: str, choices: Choices) -> list[str]:
+    """What finds the equations; it writes `EQUATION` and `REPORT` where it is run.
+
+    Raises
+    ------
+    InputError
+        Roles that make no chain.
+    """
+    words = ["discover", file, *choices.reading]
+    for chain in chains_of(choices.roles):
+        words += ["--chain", chain]
+    for name in inputs_of(choices.roles):
+        words += ["--input", name]
+    for option, text in (
+        ("--fs", choices.fs),
+        ("--dictionary", choices.dictionary),
+        ("--rows", choices.rows),
+        ("--band", choices.band),
+    ):
+        if text.strip():
+            words += [option, text.strip()]
+    return [*words, "--save", EQUATION, "--report", REPORT]
+
+
+def as_typed(words: Sequence[str]) -> str:
+    """A command as a shell takes it.
+
+    Examples
+    --------
+    >>> as_typed(["discover", "run 1.csv", "--chain", "x:v:a"])
+    "bayeq discover 'run 1.csv' --chain x:v:a"
+    """
+    return shlex.join(["bayeq", *words])

@@ -1,0 +1,248 @@
+"""Commands about saved equations: `bayeq show`; `bayeq predict` of another record, `bayeq plan` of the next one."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bayeq.cli.environment import say
+from bayeq.cli.options import (
+    FILE,
+    WRITTEN,
+    Command,
+    by_name,
+    file_written,
+    json_option,
+    measured,
+    number,
+    option,
+    pair_of_numbers,
+    written,
+)
+from bayeq.cli.outputs import require_place
+from bayeq.cli.progress import COMPILING, Progress
+from bayeq.cli.reading import Reading, reading_options
+from bayeq.errors import DataWarning, InputError, UnknownNameError
+from bayeq.kernels import announce_compiling
+
+__all__ = ["plan", "predict", "show"]
+
+EXAMPLES = """
+Examples:
+
+  The second half of a file, and the free run as a figure:
+
+    bayeq predict eq.json run.csv --rows 2000: --forecast run.png
+
+  A file with other names:
+
+    bayeq predict eq.json shaker.csv --channel x=Weg --channel "u=Kraft [N]"
+"""
+
+# How values of `bayeq plan` by name are written.
+_HOW = "give a name and a value, as in x=0.01"
+
+
+@click.command(cls=Command)
+@click.argument("file", metavar="EQ.json", type=FILE)
+@json_option()
+@option("--conditional", is_flag=True, help="Print the intervals given the terms shown. --json has both.")
+@option("--physical", is_flag=True, help="Also mass, damping, stiffness ... of a second-order equation.")
+@option("--latex", is_flag=True, help="Print the equations alone, as LaTeX.")
+@option("--explain", is_flag=True, help="Explain below the answer, in plain words, what is printed.")
+def show(file: Path, as_json: bool, conditional: bool, physical: bool, latex: bool, explain: bool) -> None:
+    """Print saved equations as they were printed when they were found.
+
+    EQ.json holds equations that `bayeq discover --save` has written.
+    """
+    if as_json and (latex or explain):
+        raise InputError(f"--json and --{'latex' if latex else 'explain'} exclude each other; give one of them")
+    if latex and (explain or physical):
+        raise InputError("--latex prints the equations alone; leave out --explain and --physical")
+    from bayeq.cli.outputs import show_equations
+    from bayeq.equation.load import load
+
+    equations = load(file)
+    if latex:
+        click.echo(equations.to_latex())
+        return
+    for message in equations.warnings:
+        warnings.warn(message, DataWarning, stacklevel=1)
+    show_equations(equations, as_json, conditional, physical, explain)
+
+
+@click.command(cls=Command, epilog=EXAMPLES)
+@click.argument("equations", metavar="EQ.json", type=FILE)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
+@measured(
+    "--channel",
+    "channels",
+    multiple=True,
+    help="Where a channel of the equations is in the file: x=Weg, or its path. Once per channel that has another name.",
+)
+@reading_options
+@written("--draws", type=int, default=200, help="Runs with coefficients from the posterior, for bands.")
+@written("--seed", type=int, default=0, help="Seed of these.")
+@json_option(group=WRITTEN)
+@file_written(
+    "--forecast",
+    help="Write the free run with its 95 % band: a table (.csv) or a figure (.png, .svg, .pdf).",
+)
+@option("--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes.")
+def predict(
+    equations: Path,
+    files: tuple[Path, ...],
+    channels: tuple[str, ...],
+    draws: int,
+    seed: int,
+    as_json: bool,
+    forecast: Path | None,
+    verbose: bool,
+    **options: Any,
+) -> None:
+    """Predict a record by saved equations, and say how far they hold.
+
+    EQ.json holds equations that `bayeq discover --save` has written, FILE... one or several records with all of their
+    channels; - is standard input.
+    """
+    reading = Reading.of(options)
+    if draws < 0:
+        raise InputError(f"--draws {draws}: give a number of runs, 0 or more")
+    if seed < 0:
+        raise InputError(f"--seed {seed}: a seed is a whole number, 0 or more")
+    if forecast is not None:
+        from bayeq.figures.style import require_suffix
+
+        require_place(forecast, [equations, *files])
+        require_suffix(forecast)
+    announce_compiling(lambda: say(COMPILING))
+    from bayeq.equation.load import load
+
+    found = load(equations)
+    names = found.roles.channels
+    paths = _paths(channels, names)
+    with Progress(verbose) as progress:
+        records = reading.records(files, names, paths, progress)
+        progress("predicting", 0, 1)
+        from bayeq.equation.applied import apply_to
+
+        prediction = apply_to(found, records, draws, seed)
+        progress.close()
+        for note in prediction.notes:
+            warnings.warn(note, DataWarning, stacklevel=1)
+        click.echo(json.dumps(prediction.to_dict(), allow_nan=False) if as_json else str(prediction))
+        if forecast is not None:
+            from bayeq.forecast.write import write_forecasts
+
+            progress(f"writing {forecast.name}", 0, 1)
+            write_forecasts(forecast, prediction.runs)
+
+
+def _paths(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Where every channel is in the files, from ``x=Weg``; empty if nothing is said."""
+    given = by_name("--channel", texts, "write a channel of the equations and its name there, x=Weg")
+    for name in given:
+        if name not in names:
+            raise UnknownNameError("channel", name, names, "--channel: the equations")
+    return {name: given.get(name, name) for name in names} if given else {}
+
+
+@click.command(cls=Command)
+@click.argument("file", metavar="EQ.json", type=FILE)
+@option(
+    "--amplitude",
+    "amplitudes",
+    multiple=True,
+    help="Largest magnitude of the input, 5, or its range, 0:5; of one of several inputs, u=5. By default the range in"
+    " the record.",
+)
+@option("--band", help="Frequencies that may be excited, LO:HI [Hz]; by default where the power of the input was.")
+@option(
+    "--seconds", type=float, help="Length of the measurement [s]; by default that of the record, up to 4000 samples."
+)
+@option("--fs", type=float, help="Sampling rate [Hz]; by default that of the record.")
+@option("--noise", "noises", multiple=True, help="Noise sd of a target, a=0.1; by default that of the equation.")
+@option(
+    "--limit", "limits", multiple=True, help="Largest magnitude of a state, x=0.01: amplitudes are lowered to keep it."
+)
+@option("--odds", type=float, default=100.0, help="Odds at which two models count as told apart.")
+@option("--realisations", type=int, default=5, help="Of every excitation.")
+@option("--seed", type=int, default=0, help="Seed.")
+@json_option()
+@option("--figure", type=FILE, help="Write the comparison as a figure: .png, .svg or .pdf.")
+@option("--output", "-o", type=FILE, help="Write the best excitation as CSV: time and the inputs.")
+def plan(
+    file: Path,
+    amplitudes: tuple[str, ...],
+    band: str | None,
+    noises: tuple[str, ...],
+    limits: tuple[str, ...],
+    as_json: bool,
+    figure: Path | None,
+    output: Path | None,
+    **options: Any,
+) -> None:
+    """Plan the next measurement: which excitation tells the likeliest models apart best.
+
+    EQ.json holds equations that `bayeq discover --save` has written. Band-limited noise, sweep and multisine are
+    simulated and compared by the information that they are expected to bring by second.
+    """
+    _check_outputs(file, figure, output)
+    given = {
+        "amplitude": _amplitude(amplitudes),
+        "band": None if band is None else pair_of_numbers("--band", band),
+        "noise": _numbers("--noise", noises),
+        "limits": _numbers("--limit", limits),
+    }
+    announce_compiling(lambda: say(COMPILING))
+    from bayeq.equation.load import load
+
+    equations = load(file)
+    with Progress() as progress:
+        found = equations.plan(**given, **options, progress=progress)
+    click.echo(found.to_json() if as_json else found.text)
+    if figure is not None:
+        from bayeq.figures.style import write_output
+
+        write_output(figure, found.table, found.plot)
+    if output is not None:
+        found.write(output)
+
+
+def _check_outputs(file: Path, figure: Path | None, output: Path | None) -> None:
+    """Refuse, before the work, what could not be written after it."""
+    for path in (figure, output):
+        if path is not None:
+            require_place(path, [file])
+    if figure is not None:
+        from bayeq.figures.style import UNSIGNED, require_matplotlib
+
+        if figure.suffix.lower()[1:] not in UNSIGNED:
+            raise InputError(
+                f"{figure}: is to be written as a figure: end it in {', '.join('.' + s for s in UNSIGNED)}"
+            )
+        require_matplotlib()
+    if output is not None and output.suffix.lower() != ".csv":
+        raise InputError(f"{output}: the excitation is written as a table: end it in .csv")
+
+
+def _numbers(where: str, texts: Sequence[str]) -> dict[str, float]:
+    return {name: number(f"{where} {name}", value) for name, value in by_name(where, texts, _HOW).items()}
+
+
+def _amplitude(texts: Sequence[str]) -> Any:
+    """A number, a range, or a mapping of them by input."""
+
+    def value(text: str) -> float | tuple[float, float]:
+        return pair_of_numbers("--amplitude", text) if ":" in text else number("--amplitude", text)
+
+    if not texts:
+        return None
+    if len(texts) == 1 and "=" not in texts[0]:
+        return value(texts[0])
+    return {name: value(text) for name, text in by_name("--amplitude", texts, _HOW).items()}
