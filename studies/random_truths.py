@@ -34,8 +34,7 @@ from bayeq.likelihood.signs import jumps_of
 from bayeq.records import Record
 from bayeq.states import parse_chain
 from bayeq.systems import simulate
-from bayeq.systems.simulate import BandLimitedForce
-from bayeq.systems.system import System
+from bayeq.systems.system import BandLimitedForce, System
 from studies.judge import timed
 from studies.resumable import Cell, Outcome, percent, run_study
 

@@ -60,11 +60,7 @@ Examples:
 
 @click.command(cls=Command, epilog=EXAMPLES)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
-@measured(
-    "--disp",
-    "displacement",
-    help="Displacement channel: its name, or name=path in files of many arrays.",
-)
+@measured("--disp", "displacement", help="Displacement channel: its name, or name=path in files of many arrays.")
 @measured("--vel", "velocity", help="Velocity channel.")
 @measured("--acc", "acceleration", help="Acceleration channel.")
 @measured("--force", help="Force channel.")
@@ -97,10 +93,7 @@ Examples:
     default="auto",
     help="Likelihood of the record (auto, formerly band), or channels as measured (none).",
 )
-@sure(
-    "--band",
-    help="Frequencies in which the record is believed, LO:HI [Hz], where hum or drift lie outside.",
-)
+@sure("--band", help="Frequencies in which the record is believed, LO:HI [Hz], where hum or drift lie outside.")
 @in_terms(
     "--constraint",
     "constraints",
@@ -135,10 +128,7 @@ Examples:
     " default, 0: nothing.",
 )
 @sure(
-    "--coarsen",
-    type=float,
-    default=1.0,
-    help="Power (0 to 1) of the likelihood, for models that are only nearly true.",
+    "--coarsen", type=float, default=1.0, help="Power (0 to 1) of the likelihood, for models that are only nearly true."
 )
 @written(
     "--conditional",
@@ -148,8 +138,7 @@ Examples:
 @json_option(group=WRITTEN)
 @file_written("--save", help="Write the equations to a JSON file, for bayeq.load.")
 @file_written(
-    "--sensitivity",
-    help="Write the PIPs under other v_s and p_0: a table (.csv) or a figure (.png, .svg, .pdf).",
+    "--sensitivity", help="Write the PIPs under other v_s and p_0: a table (.csv) or a figure (.png, .svg, .pdf)."
 )
 @file_written(
     "--path",
@@ -166,11 +155,7 @@ Examples:
     help="Write a page (.html) that loads nothing and prints well: verdict, equations, pictures, warnings, hashes of"
     " files, this command.",
 )
-@written(
-    "--refine",
-    is_flag=True,
-    help="Coefficients by output error: those whose free run is closest to the record.",
-)
+@written("--refine", is_flag=True, help="Coefficients by output error: those whose free run is closest to the record.")
 @written("--physical", is_flag=True, help="Also mass, damping, stiffness ... of a second-order equation.")
 @file_written(
     "--checkpoint",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import threading
 import time as clock
-from types import TracebackType
 from typing import Any, Self
 
 from bayeq.cli.environment import say
@@ -49,9 +48,7 @@ class Progress:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def __call__(self, stage: str, done: int, total: int) -> None:

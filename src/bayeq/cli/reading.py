@@ -42,11 +42,7 @@ _OPTIONS = (
     measured("--names", help="Column names, separated by commas, for a file without header."),
     measured("--skip", type=int, default=0, help="Lines at the top of a text file that are passed over."),
     measured("--group", help="Column that numbers the trials within a file."),
-    measured(
-        "--join",
-        is_flag=True,
-        help="FILE... are channels of one motion: join them on the time of the first.",
-    ),
+    measured("--join", is_flag=True, help="FILE... are channels of one motion: join them on the time of the first."),
     measured(
         "--stream/--no-stream",
         "stream",

@@ -90,8 +90,7 @@ def show(file: Path, as_json: bool, conditional: bool, physical: bool, latex: bo
 @written("--seed", type=int, default=0, help="Seed of these.")
 @json_option(group=WRITTEN)
 @file_written(
-    "--forecast",
-    help="Write the free run with its 95 % band: a table (.csv) or a figure (.png, .svg, .pdf).",
+    "--forecast", help="Write the free run with its 95 % band: a table (.csv) or a figure (.png, .svg, .pdf)."
 )
 @option("--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes.")
 def predict(

@@ -30,10 +30,7 @@ def study(context: click.Context) -> None:
 @dask_option("Workers of a Dask cluster instead of --jobs: the address of its scheduler, or its file.")
 @option("--seed", type=int, default=0, help="Seed of the study.")
 @option(
-    "--store",
-    type=FILE,
-    default=Path("study.db"),
-    help="File of results; a study that was stopped continues in it.",
+    "--store", type=FILE, default=Path("study.db"), help="File of results; a study that was stopped continues in it."
 )
 @option("--systems", default=SYSTEMS, help="Systems, separated by commas.")
 @option("--algorithms", default="sindy,rvm,gibbs,vb,vb-rvm", help="Algorithms, separated by commas.")

@@ -21,15 +21,7 @@ from bayeq.expressions import Evaluator, Expression, parse
 from bayeq.expressions.functions import FUNCTIONS
 from bayeq.records.io import near_files
 
-__all__ = [
-    "FAMILIES",
-    "MAX_TERMS",
-    "Family",
-    "build_dictionaries",
-    "build_dictionary",
-    "evaluate_terms",
-    "read_terms",
-]
+__all__ = ["FAMILIES", "MAX_TERMS", "Family", "build_dictionaries", "build_dictionary", "evaluate_terms", "read_terms"]
 
 
 class Family(NamedTuple):

@@ -44,7 +44,6 @@ MAX_NESTING = 2 * MAX_DEPTH
 
 _NUMBER = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.])"
 _TOKEN = re.compile(rf"(?P<number>{_NUMBER})|(?P<name>[^\W\d]\w*)|(?P<mark>\*\*|[<>=!]=|[-+*/^()<>,])")
-_SPACE = re.compile(r"[ \t]*")
 _BAD_NUMBER = re.compile(r"\.?[0-9][\w.]*")
 _HINTS = {
     "=": "give the right-hand side only; there are no keyword arguments, and == compares",
@@ -74,7 +73,7 @@ def _error(text: object, reason: str) -> ExpressionError:
 def _tokens(text: str) -> list[_Token]:
     """The tokens of a text, which refuses every character, number and word outside the language, by name and place."""
     out, at = [], 0
-    while (at := _end_of_space(text, at)) < len(text):
+    while (at := len(text) - len(text[at:].lstrip(" \t"))) < len(text):
         token = _TOKEN.match(text, at)
         if token is None:
             bad = _BAD_NUMBER.match(text, at)
@@ -90,11 +89,6 @@ def _tokens(text: str) -> list[_Token]:
         out.append(_Token(kind, "**" if part == "^" else part, at + 1))
         at = token.end()
     return [*out, _Token("end", "", len(text.rstrip(" \t")) + 1)]
-
-
-def _end_of_space(text: str, at: int) -> int:
-    space = _SPACE.match(text, at)
-    return space.end() if space else at
 
 
 def _name(text: str, written: str, column: int) -> str:
@@ -125,6 +119,7 @@ class _Parser:
         self.nodes = 0
         self.nesting = 0
         self.depth: dict[Node, int] = {}
+        self.compared: dict[Node, int] = {}  # columns of comparisons
 
     @property
     def next(self) -> _Token:
@@ -172,21 +167,22 @@ class _Parser:
 
     def value(self) -> Node:
         """Anything but a comparison."""
-        column = self.next.column
         node = self.operation()
-        if is_comparison(node):
-            raise self.error(f"a comparison stands at column {column} where a value should: {_CONDITION}")
-        if self.next.text in COMPARISONS:
-            raise self.error(f"{self.next.text!r} at column {self.next.column} is not allowed: {_CONDITION}")
+        if isinstance(node, Binary) and node.op in COMPARISONS:
+            raise self.error(f"{node.op!r} at column {self.compared[node]} is not allowed: {_CONDITION}")
         return node
 
-    def operation(self, least: int = 1) -> Node:
+    def operation(self, least: int = 0) -> Node:
         """Values and operators between them that bind at least so strongly; comparisons bind less than all."""
         left = self.signed()
-        while (op := self.next).kind == "mark" and OPERATORS.get(op.text, 0) >= least:
+        while (op := self.next).kind == "mark" and OPERATORS.get(op.text, -1) >= least:
+            if op.text in COMPARISONS and is_comparison(left):
+                raise self.error(f"{op.text!r} at column {op.column}: one comparison each; nest where in where")
             self.take()
             right = self.operation(OPERATORS[op.text] + 1)
             left = self.made(Binary(op.text, self.number(left, op), self.number(right, op)))
+            if op.text in COMPARISONS:
+                self.compared[left] = op.column
         return left
 
     def number(self, node: Node, op: _Token) -> Node:
@@ -198,17 +194,9 @@ class _Parser:
     def condition(self) -> Node:
         """The first argument of where."""
         column = self.next.column
-        left = self.operation()
-        if is_comparison(left):  # in brackets
-            return left
-        op = self.accept(*COMPARISONS)
-        if op is None:
+        node = self.operation()
+        if not is_comparison(node):
             raise self.error(f"where needs a condition at column {column}, as in where(x > 0, x, 0)")
-        node = self.made(Binary(op.text, left, self.number(self.operation(), op)))
-        if self.next.text in COMPARISONS:
-            raise self.error(
-                f"{self.next.text!r} at column {self.next.column}: one comparison each; nest where in where"
-            )
         return node
 
     def signed(self) -> Node:
@@ -237,21 +225,12 @@ class _Parser:
             opened = self.accept("(")
             return self.call(token, opened) if opened else self.made(Symbol(token.text))
         if token.text == "(":
-            node = self.bracket()
+            node = self.operation()
             self.close(token)
             return node
         self.at -= 1
         what = "at the end" if token.kind == "end" else f"before {token.text!r}"
         raise self.error(f"malformed: a number, a name or a bracket is missing {what}, at column {token.column}")
-
-    def bracket(self) -> Node:
-        """What stands in brackets: a value, or a comparison."""
-        node = self.operation()
-        op = self.accept(*COMPARISONS)
-        if op is None:
-            return node
-        right = self.operation()
-        return self.made(Binary(op.text, self.number(node, op), self.number(right, op)))
 
     def close(self, opened: _Token) -> None:
         if self.accept(")") is None:

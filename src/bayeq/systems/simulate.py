@@ -6,26 +6,23 @@ import math
 import operator
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayeq.errors import InputError, UnknownNameError, require_kind, require_mapping
-from bayeq.expressions import Evaluator, Expression, FloatArray, parse
+from bayeq.expressions import Evaluator, Expression, FloatArray, Tape, parse
 from bayeq.records import Record, Truth
-from bayeq.systems.simulate import band_limited_noise
-from bayeq.systems.system import System
+from bayeq.systems.system import BandLimitedForce, System
 
-if TYPE_CHECKING:
-    from bayeq.expressions import Tape
-
-__all__ = ["simulate"]
-
+__all__ = ["band_limited_noise", "simulate"]
 
 # More samples in one record than anybody measures, and noise that drowns any signal: mistakes of typing.
 MAX_SAMPLES = 100_000_000
 MAX_NOISE = 1e6
+
+# With fewer spectral lines than this inside its band, a force would be a sine, or nothing.
+_LINES = 20
 
 
 def simulate(
@@ -137,8 +134,6 @@ def _parsed(system: System) -> dict[str, Expression]:
 @lru_cache(maxsize=64)
 def _tape(system: System) -> Tape:
     """The right-hand side in states, inputs and parameters, so that parameters change without compiling."""
-    from bayeq.expressions import Tape
-
     return Tape.compile(_parsed(system).values(), [*system.states, *system.inputs, *system.parameters])
 
 
@@ -277,3 +272,42 @@ def _positive(what: str, value: float) -> float:
     if not 1e-12 <= number <= 1e12:
         raise InputError(f"{what} must lie between 1e-12 and 1e12, not {value!r}")
     return number
+
+
+def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.random.Generator) -> FloatArray:
+    """(n,) samples of Gaussian noise with a flat spectrum inside a band, made in the frequency domain; fs in Hz.
+
+    Zero mean and the given standard deviation in expectation. Periodic, unless n is so short that fewer than 20
+    spectral lines lie in the band: then a piece of a longer sequence.
+
+    Raises
+    ------
+    InputError
+        If no frequency below ``fs/2`` lies in the band.
+    """
+    lo, hi = force.band
+    if not 0.0 <= lo < min(hi, fs / 2):
+        raise InputError(f"the force's band {lo:g} to {hi:g} Hz is not below half the sampling rate ({fs:g} Hz)")
+    line = np.arange(n // 2 + 1)
+    inside = (line * fs > lo * n) & (line * fs <= hi * n)
+    if np.count_nonzero(inside) < _LINES:
+        return _few_periods(force.std, lo / fs, min(hi, fs / 2) / fs, n, rng)
+    # Lines stand for two frequencies, +f and -f, except the one at fs/2, which is real.
+    paired = np.where(2 * line == n, 1.0, 2.0)
+    spectrum = rng.standard_normal(len(line)) + 1j * rng.standard_normal(len(line))
+    spectrum *= math.sqrt(0.5)
+    if n % 2 == 0:
+        spectrum[-1] = math.sqrt(2.0) * spectrum[-1].real
+    spectrum *= np.where(inside, force.std * n / math.sqrt(np.sum(paired, where=inside)), 0.0)
+    return np.fft.irfft(spectrum, n)
+
+
+def _few_periods(std: float, lo: float, hi: float, n: int, rng: np.random.Generator) -> FloatArray:
+    """A piece of band-limited noise so short that its own spectral lines are few; band in cycles per sample.
+
+    The lines of a longer record, summed where needed.
+    """
+    frequency = lo + (hi - lo) * np.arange(1, _LINES + 1) / _LINES
+    phase = 2 * np.pi * np.outer(np.arange(n), frequency)
+    amplitudes = std / math.sqrt(_LINES) * rng.standard_normal((2, _LINES))
+    return np.cos(phase) @ amplitudes[0] + np.sin(phase) @ amplitudes[1]
