@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.cli.channels import named_channels
+from bayeq.cli.options import named_channels
 from bayeq.errors import FileFormatError, InputError, RecordError, UnknownNameError
 from bayeq.records import FORMATS, Record, as_record, as_records, join, read
 from bayeq.records.formats import limits

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from bayeq.cli.channels import named_channels
+from bayeq.cli import options as opt
 from bayeq.cli.discover import cleaned, discover, source_of, used_channels
 from bayeq.cli.environment import say
-from bayeq.cli.options import FILE, WRITTEN, Command, file_written, json_option, option
 from bayeq.cli.outputs import require_place
 from bayeq.cli.progress import COMPILING, Progress
 from bayeq.cli.reading import STANDARD_INPUT, Reading
@@ -43,25 +42,25 @@ Examples:
 """
 
 
-@click.command(cls=Command, epilog=EXAMPLES)
-@click.argument("files", metavar="FILES...", nargs=-1, required=True, type=FILE)
-@option(
+@click.command(cls=opt.Command, epilog=EXAMPLES)
+@click.argument("files", metavar="FILES...", nargs=-1, required=True, type=opt.FILE)
+@opt.option(
     "--store",
     group=MANY,
-    type=FILE,
+    type=opt.FILE,
     default=Path("batch.db"),
     help="File of results. Files that have been done with the same options are not done again, unless they changed.",
 )
-@option("--jobs", group=MANY, type=int, default=1, help="Worker processes; the results do not depend on it.")
-@option(
+@opt.option("--jobs", group=MANY, type=int, default=1, help="Worker processes; the results do not depend on it.")
+@opt.option(
     "--common",
     group=MANY,
     is_flag=True,
     help="Find one equation from all files together; each file then has the coefficients of its terms.",
 )
-@file_written("--table", help="Write the coefficients over files: a table (.csv).")
-@file_written("--figure", help="Write a figure of the coefficients over files (.png, .svg, .pdf).")
-@json_option(group=WRITTEN)
+@opt.file_written("--table", help="Write the coefficients over files: a table (.csv).")
+@opt.file_written("--figure", help="Write a figure of the coefficients over files (.png, .svg, .pdf).")
+@opt.json_option(group=opt.WRITTEN)
 def batch(
     files: tuple[Path, ...],
     store: Path,
@@ -80,7 +79,7 @@ def batch(
     used.
     """
     reading = Reading.of({**options, "join": False})
-    options, paths = named_channels({name: value for name, value in options.items() if name not in _READING})
+    options, paths = opt.named_channels({name: value for name, value in options.items() if name not in _READING})
     options = cleaned(options)
     if STANDARD_INPUT in files:
         raise InputError("-: a batch is of files, which it knows again; write standard input to one")
@@ -112,7 +111,7 @@ _READING = [name for name in Reading.__dataclass_fields__ if name != "join"]
 
 # All that says how `discover` reads and what it looks for, but not what it writes; files are not joined.
 batch.params[1:1] = [
-    one for one in discover.params if getattr(one, "group", "") not in ("", WRITTEN) and one.name != "join"
+    one for one in discover.params if getattr(one, "group", "") not in ("", opt.WRITTEN) and one.name != "join"
 ]
 
 

@@ -8,24 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayeq.cli.channels import ROLES, channel_name, named_channels
+from bayeq.cli import options as opt
 from bayeq.cli.environment import say
-from bayeq.cli.options import (
-    FILE,
-    WRITTEN,
-    Command,
-    by_name,
-    cluster_client,
-    dask_option,
-    file_written,
-    in_terms,
-    json_option,
-    measured,
-    option,
-    pair_of_numbers,
-    sure,
-    written,
-)
 from bayeq.cli.outputs import OUTPUTS, Outputs
 from bayeq.cli.progress import COMPILING, Progress
 from bayeq.cli.reading import STANDARD_INPUT, Reading, reading_options
@@ -58,22 +42,22 @@ Examples:
 """
 
 
-@click.command(cls=Command, epilog=EXAMPLES)
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
-@measured("--disp", "displacement", help="Displacement channel: its name, or name=path in files of many arrays.")
-@measured("--vel", "velocity", help="Velocity channel.")
-@measured("--acc", "acceleration", help="Acceleration channel.")
-@measured("--force", help="Force channel.")
-@measured(
+@click.command(cls=opt.Command, epilog=EXAMPLES)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=opt.FILE)
+@opt.measured("--disp", "displacement", help="Displacement channel: its name, or name=path in files of many arrays.")
+@opt.measured("--vel", "velocity", help="Velocity channel.")
+@opt.measured("--acc", "acceleration", help="Acceleration channel.")
+@opt.measured("--force", help="Force channel.")
+@opt.measured(
     "--chain",
     "chains",
     multiple=True,
     help="A coordinate and its measured derivatives: x:v:a, x:: (only x measured), ::a (only a), x (first order),"
     " x:xdot. Once per coordinate.",
 )
-@measured("--input", "inputs", multiple=True, help="Input channel; once per input.")
+@opt.measured("--input", "inputs", multiple=True, help="Input channel; once per input.")
 @reading_options
-@in_terms(
+@opt.in_terms(
     "--dictionary",
     "dictionaries",
     multiple=True,
@@ -81,95 +65,98 @@ Examples:
     " commas; 'oscillator + sin(x) - x**5' joins and leaves out. 'a1: oscillator' is for equation a1 alone, once per"
     " equation. By default oscillator.",
 )
-@sure(
+@opt.sure(
     "--method",
     type=click.Choice(list(ENGINES)),
     default="auto",
     help="Engine; auto: optimum by VB, probabilities by model averaging.",
 )
-@sure(
+@opt.sure(
     "--smooth",
     type=click.Choice(["auto", "band", "none"]),
     default="auto",
     help="Likelihood of the record (auto, formerly band), or channels as measured (none).",
 )
-@sure("--band", help="Frequencies in which the record is believed, LO:HI [Hz], where hum or drift lie outside.")
-@in_terms(
+@opt.sure("--band", help="Frequencies in which the record is believed, LO:HI [Hz], where hum or drift lie outside.")
+@opt.in_terms(
     "--constraint",
     "constraints",
     multiple=True,
     help="What is known of coefficients, by the names of terms: 'u == 1', 'v <= 0', 'a: x*abs(x) == 0.5*x**3' (of"
     " equation a). Once per constraint.",
 )
-@sure(
+@opt.sure(
     "--noise",
     multiple=True,
     help="Known noise of a channel: standard deviation in its unit (u=0.1) or share of the channel's (u=2%). Once per"
     " channel.",
 )
-@sure(
+@opt.sure(
     "--gain-sd",
     "gain_sd",
     multiple=True,
     help="Uncertainty of a sensor's calibration, which intervals take in: x=0.01 for 1 %. Once per channel.",
 )
-@sure(
+@opt.sure(
     "--tails",
     type=click.Choice(["gauss", "student"]),
     default="gauss",
     help="Distribution of the noise: normal, or Student's t, for noise of many outliers.",
 )
-@sure("--holdout", type=float, default=0.2, help="Share of the rows, the last, to judge the equation by.")
-@in_terms("--max-terms", type=int, help="Show at most this number of terms: the likeliest equation within it.")
-@sure(
+@opt.sure("--holdout", type=float, default=0.2, help="Share of the rows, the last, to judge the equation by.")
+@opt.in_terms("--max-terms", type=int, help="Show at most this number of terms: the likeliest equation within it.")
+@opt.sure(
     "--tolerance",
     type=float,
     help="What the law may lack beside the terms, as a share of the target's standard deviation (0.01); learned by"
     " default, 0: nothing.",
 )
-@sure(
+@opt.sure(
     "--coarsen", type=float, default=1.0, help="Power (0 to 1) of the likelihood, for models that are only nearly true."
 )
-@written(
+@opt.written(
     "--conditional",
     is_flag=True,
     help="Print the intervals given the terms shown, also where those over all models differ. --json has both.",
 )
-@json_option(group=WRITTEN)
-@file_written("--save", help="Write the equations to a JSON file, for bayeq.load.")
-@file_written(
+@opt.json_option(group=opt.WRITTEN)
+@opt.file_written("--save", help="Write the equations to a JSON file, for bayeq.load.")
+@opt.file_written(
     "--sensitivity", help="Write the PIPs under other v_s and p_0: a table (.csv) or a figure (.png, .svg, .pdf)."
 )
-@file_written(
+@opt.file_written(
     "--path",
     help="Write the best equation of each size, with evidence and errors: a table (.csv) or a figure (.png, .svg,"
     " .pdf).",
 )
-@file_written(
+@opt.file_written(
     "--forecast",
     help="Write the free run over the held-out rows, with its 95 % band: a table (.csv) or a figure (.png, .svg,"
     " .pdf).",
 )
-@file_written(
+@opt.file_written(
     "--report",
     help="Write a page (.html) that loads nothing and prints well: verdict, equations, pictures, warnings, hashes of"
     " files, this command.",
 )
-@written("--refine", is_flag=True, help="Coefficients by output error: those whose free run is closest to the record.")
-@written("--physical", is_flag=True, help="Also mass, damping, stiffness ... of a second-order equation.")
-@file_written(
+@opt.written(
+    "--refine", is_flag=True, help="Coefficients by output error: those whose free run is closest to the record."
+)
+@opt.written("--physical", is_flag=True, help="Also mass, damping, stiffness ... of a second-order equation.")
+@opt.file_written(
     "--checkpoint",
     help="Folder for sums over the rows of long files, kept on the way: a run that is killed goes on where it was. By"
     " default one in the user's cache.",
 )
-@dask_option(
-    "Read the files and sum over their rows on a Dask cluster: the address of its scheduler, tcp://host:8786, or the"
-    " file that it wrote. Files are then read some rows at a time.",
-    group=WRITTEN,
+@opt.written(
+    "--dask",
+    metavar="ADDRESS",
+    help="Read the files and sum over their rows on a Dask cluster: the address of its scheduler, tcp://host:8786, or"
+    " the file that it wrote. Files are then read some rows at a time.",
 )
-@sure("--seed", type=int, default=0, help="Seed of methods that draw random numbers (gibbs).")
-@written("--explain", is_flag=True, help="Explain below the answer, in plain words, what is printed.")
-@option("--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes.")
+@opt.sure("--seed", type=int, default=0, help="Seed of methods that draw random numbers (gibbs).")
+@opt.written("--explain", is_flag=True, help="Explain below the answer, in plain words, what is printed.")
+@opt.option("--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes.")
 def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | None, **options: Any) -> None:
     """Find the equation of motion of a measured record.
 
@@ -179,7 +166,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
     """
     outputs = Outputs(**{name: options.pop(name) for name in OUTPUTS})
     reading = Reading.of(options)
-    options, paths = named_channels(options)
+    options, paths = opt.named_channels(options)
     outputs.check(files, options, as_json)
     options = cleaned(options)
     announce_compiling(lambda: say(COMPILING))
@@ -189,7 +176,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
         reading = reading.clustered()
         files = tuple(file if file == STANDARD_INPUT else file.absolute() for file in files)
     read = {file: state_of(file) for file in files}
-    with cluster_client(dask) as client, Progress(verbose) as progress:
+    with opt.cluster_client(dask) as client, Progress(verbose) as progress:
         records, source = source_of(reading, files, used_channels(options), paths, outputs.refine, progress)
         if not options["chains"]:  # which may be badly written
             _require_channels(records, used_channels(options))
@@ -223,10 +210,10 @@ def source_of(
 def cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options as `bayeq.discover` takes them: channels by their names, without those that were not given."""
     out = {name: value for name, value in options.items() if value is not None}
-    for role in ROLES:
+    for role in opt.ROLES:
         if role in out:
-            out[role] = channel_name(out[role])
-    out["inputs"] = [name for name in map(channel_name, out["inputs"]) if name]
+            out[role] = opt.channel_name(out[role])
+    out["inputs"] = [name for name in map(opt.channel_name, out["inputs"]) if name]
     out["chains"] = list(out["chains"]) or None
     dictionaries = out.pop("dictionaries") or ("oscillator",)
     if len(dictionaries) > 1 and not all(":" in text for text in dictionaries):
@@ -237,16 +224,16 @@ def cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
     out["dictionary"] = "; ".join(dictionaries)
     for name in ("noise", "gain_sd"):
         flag = f"--{name.replace('_', '-')}"
-        known = by_name(flag, out[name], "write a channel and a value, such as u=0.01", str.rpartition)
-        out[name] = {channel_name(channel): value for channel, value in known.items()}
+        known = opt.by_name(flag, out[name], "write a channel and a value, such as u=0.01", str.rpartition)
+        out[name] = {opt.channel_name(channel): value for channel, value in known.items()}
     if "band" in out:
-        out["band"] = pair_of_numbers("--band", out["band"])
+        out["band"] = opt.pair_of_numbers("--band", out["band"])
     return out
 
 
 def used_channels(options: Mapping[str, Any]) -> list[str]:
     """Channels that the options name."""
-    single = (options.get(role, "") for role in ROLES)
+    single = (options.get(role, "") for role in opt.ROLES)
     texts = (*(options["chains"] or ()), *single, *options["inputs"])
     return [name for text in texts for name in text.split(":") if name and not name.startswith("~")]
 

@@ -15,8 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from bayeq.cli.channels import channel_name, path_of
-from bayeq.cli.options import altered, by_name, measured, number
+from bayeq.cli import options as opt
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -32,26 +31,28 @@ _CALLED = "standard input"
 _ROWS = re.compile(r"\s*(-?\d{1,18})?\s*:\s*(-?\d{1,18})?\s*")
 
 _OPTIONS = (
-    measured("--time", help="Time column [s], or the path of an array."),
-    measured("--fs", type=float, help="Sampling frequency [Hz], where there is no time column."),
-    measured(
+    opt.measured("--time", help="Time column [s], or the path of an array."),
+    opt.measured("--fs", type=float, help="Sampling frequency [Hz], where there is no time column."),
+    opt.measured(
         "--units",
         multiple=True,
         help="Units of channels, x=mm,a=g, instead of those in the file; also that of the time column (t=ms).",
     ),
-    measured("--names", help="Column names, separated by commas, for a file without header."),
-    measured("--skip", type=int, default=0, help="Lines at the top of a text file that are passed over."),
-    measured("--group", help="Column that numbers the trials within a file."),
-    measured("--join", is_flag=True, help="FILE... are channels of one motion: join them on the time of the first."),
-    measured(
+    opt.measured("--names", help="Column names, separated by commas, for a file without header."),
+    opt.measured("--skip", type=int, default=0, help="Lines at the top of a text file that are passed over."),
+    opt.measured("--group", help="Column that numbers the trials within a file."),
+    opt.measured(
+        "--join", is_flag=True, help="FILE... are channels of one motion: join them on the time of the first."
+    ),
+    opt.measured(
         "--stream/--no-stream",
         "stream",
         default=None,
         help="Read some rows at a time, for files larger than memory: Parquet, HDF5, NPY, text. By default folders, and"
         " files of more than 256 MB together.",
     ),
-    altered("--rows", help="Rows that are used, A:B as in Python, of each record: 0:2000, 500:, :-100."),
-    altered(
+    opt.altered("--rows", help="Rows that are used, A:B as in Python, of each record: 0:2000, 500:, :-100."),
+    opt.altered(
         "--remove-offset",
         "offsets",
         multiple=True,
@@ -99,10 +100,10 @@ class Reading:
         if skip < 0:
             raise InputError(f"--skip {skip}: give a number of lines, 0 or more")
         return cls(
-            time=path_of(options.pop("time")),
+            time=opt.path_of(options.pop("time")),
             fs=options.pop("fs"),
             names=None if names is None else [name.strip() for name in names.split(",")],
-            group=path_of(options.pop("group")),
+            group=opt.path_of(options.pop("group")),
             join=options.pop("join"),
             units=_units(options.pop("units")),
             skip=skip,
@@ -232,7 +233,7 @@ class Reading:
             return
         known = sorted({name for part in parts for record in part for name in record.names})
         for name in self.units:
-            if channel_name(name) not in known and name not in ("t", self.time):
+            if opt.channel_name(name) not in known and name not in ("t", self.time):
                 raise UnknownNameError("channel", name, known, "--units")
 
 
@@ -241,7 +242,7 @@ def _units(texts: Sequence[str]) -> dict[str, str]:
     from bayeq.records.units import require_unit
 
     parts = (part for text in texts for part in text.split(","))
-    out = by_name("--units", parts, "write a channel and its unit, such as x=mm")
+    out = opt.by_name("--units", parts, "write a channel and its unit, such as x=mm")
     for name, unit in out.items():
         require_unit(unit, f"--units {name}={unit}")
     return out
@@ -266,10 +267,10 @@ def _offsets(texts: Sequence[str]) -> dict[str, float | None]:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not name or (equals and not value):
             raise InputError(f"--remove-offset {text[:60]!r}: write a channel, x, or a channel and a value, x=0.2")
-        channel = channel_name(name)
+        channel = opt.channel_name(name)
         if channel in out:
             raise InputError(f"--remove-offset: {channel!r} is named twice")
-        out[channel] = number(f"--remove-offset {name}", value) if equals else None
+        out[channel] = opt.number(f"--remove-offset {name}", value) if equals else None
     return out
 
 

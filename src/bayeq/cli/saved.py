@@ -10,20 +10,8 @@ from typing import Any
 
 import click
 
+from bayeq.cli import options as opt
 from bayeq.cli.environment import say
-from bayeq.cli.options import (
-    FILE,
-    WRITTEN,
-    Command,
-    by_name,
-    file_written,
-    json_option,
-    measured,
-    number,
-    option,
-    pair_of_numbers,
-    written,
-)
 from bayeq.cli.outputs import require_place
 from bayeq.cli.progress import COMPILING, Progress
 from bayeq.cli.reading import Reading, reading_options
@@ -48,13 +36,13 @@ Examples:
 _HOW = "give a name and a value, as in x=0.01"
 
 
-@click.command(cls=Command)
-@click.argument("file", metavar="EQ.json", type=FILE)
-@json_option()
-@option("--conditional", is_flag=True, help="Print the intervals given the terms shown. --json has both.")
-@option("--physical", is_flag=True, help="Also mass, damping, stiffness ... of a second-order equation.")
-@option("--latex", is_flag=True, help="Print the equations alone, as LaTeX.")
-@option("--explain", is_flag=True, help="Explain below the answer, in plain words, what is printed.")
+@click.command(cls=opt.Command)
+@click.argument("file", metavar="EQ.json", type=opt.FILE)
+@opt.json_option()
+@opt.option("--conditional", is_flag=True, help="Print the intervals given the terms shown. --json has both.")
+@opt.option("--physical", is_flag=True, help="Also mass, damping, stiffness ... of a second-order equation.")
+@opt.option("--latex", is_flag=True, help="Print the equations alone, as LaTeX.")
+@opt.option("--explain", is_flag=True, help="Explain below the answer, in plain words, what is printed.")
 def show(file: Path, as_json: bool, conditional: bool, physical: bool, latex: bool, explain: bool) -> None:
     """Print saved equations as they were printed when they were found.
 
@@ -76,23 +64,23 @@ def show(file: Path, as_json: bool, conditional: bool, physical: bool, latex: bo
     show_equations(equations, as_json, conditional, physical, explain)
 
 
-@click.command(cls=Command, epilog=EXAMPLES)
-@click.argument("equations", metavar="EQ.json", type=FILE)
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
-@measured(
+@click.command(cls=opt.Command, epilog=EXAMPLES)
+@click.argument("equations", metavar="EQ.json", type=opt.FILE)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=opt.FILE)
+@opt.measured(
     "--channel",
     "channels",
     multiple=True,
     help="Where a channel of the equations is in the file: x=Weg, or its path. Once per channel that has another name.",
 )
 @reading_options
-@written("--draws", type=int, default=200, help="Runs with coefficients from the posterior, for bands.")
-@written("--seed", type=int, default=0, help="Seed of these.")
-@json_option(group=WRITTEN)
-@file_written(
+@opt.written("--draws", type=int, default=200, help="Runs with coefficients from the posterior, for bands.")
+@opt.written("--seed", type=int, default=0, help="Seed of these.")
+@opt.json_option(group=opt.WRITTEN)
+@opt.file_written(
     "--forecast", help="Write the free run with its 95 % band: a table (.csv) or a figure (.png, .svg, .pdf)."
 )
-@option("--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes.")
+@opt.option("--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes.")
 def predict(
     equations: Path,
     files: tuple[Path, ...],
@@ -144,37 +132,37 @@ def predict(
 
 def _paths(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
     """Where every channel is in the files, from ``x=Weg``; empty if nothing is said."""
-    given = by_name("--channel", texts, "write a channel of the equations and its name there, x=Weg")
+    given = opt.by_name("--channel", texts, "write a channel of the equations and its name there, x=Weg")
     for name in given:
         if name not in names:
             raise UnknownNameError("channel", name, names, "--channel: the equations")
     return {name: given.get(name, name) for name in names} if given else {}
 
 
-@click.command(cls=Command)
-@click.argument("file", metavar="EQ.json", type=FILE)
-@option(
+@click.command(cls=opt.Command)
+@click.argument("file", metavar="EQ.json", type=opt.FILE)
+@opt.option(
     "--amplitude",
     "amplitudes",
     multiple=True,
     help="Largest magnitude of the input, 5, or its range, 0:5; of one of several inputs, u=5. By default the range in"
     " the record.",
 )
-@option("--band", help="Frequencies that may be excited, LO:HI [Hz]; by default where the power of the input was.")
-@option(
+@opt.option("--band", help="Frequencies that may be excited, LO:HI [Hz]; by default where the power of the input was.")
+@opt.option(
     "--seconds", type=float, help="Length of the measurement [s]; by default that of the record, up to 4000 samples."
 )
-@option("--fs", type=float, help="Sampling rate [Hz]; by default that of the record.")
-@option("--noise", "noises", multiple=True, help="Noise sd of a target, a=0.1; by default that of the equation.")
-@option(
+@opt.option("--fs", type=float, help="Sampling rate [Hz]; by default that of the record.")
+@opt.option("--noise", "noises", multiple=True, help="Noise sd of a target, a=0.1; by default that of the equation.")
+@opt.option(
     "--limit", "limits", multiple=True, help="Largest magnitude of a state, x=0.01: amplitudes are lowered to keep it."
 )
-@option("--odds", type=float, default=100.0, help="Odds at which two models count as told apart.")
-@option("--realisations", type=int, default=5, help="Of every excitation.")
-@option("--seed", type=int, default=0, help="Seed.")
-@json_option()
-@option("--figure", type=FILE, help="Write the comparison as a figure: .png, .svg or .pdf.")
-@option("--output", "-o", type=FILE, help="Write the best excitation as CSV: time and the inputs.")
+@opt.option("--odds", type=float, default=100.0, help="Odds at which two models count as told apart.")
+@opt.option("--realisations", type=int, default=5, help="Of every excitation.")
+@opt.option("--seed", type=int, default=0, help="Seed.")
+@opt.json_option()
+@opt.option("--figure", type=opt.FILE, help="Write the comparison as a figure: .png, .svg or .pdf.")
+@opt.option("--output", "-o", type=opt.FILE, help="Write the best excitation as CSV: time and the inputs.")
 def plan(
     file: Path,
     amplitudes: tuple[str, ...],
@@ -194,7 +182,7 @@ def plan(
     _check_outputs(file, figure, output)
     given = {
         "amplitude": _amplitude(amplitudes),
-        "band": None if band is None else pair_of_numbers("--band", band),
+        "band": None if band is None else opt.pair_of_numbers("--band", band),
         "noise": _numbers("--noise", noises),
         "limits": _numbers("--limit", limits),
     }
@@ -231,17 +219,17 @@ def _check_outputs(file: Path, figure: Path | None, output: Path | None) -> None
 
 
 def _numbers(where: str, texts: Sequence[str]) -> dict[str, float]:
-    return {name: number(f"{where} {name}", value) for name, value in by_name(where, texts, _HOW).items()}
+    return {name: opt.number(f"{where} {name}", value) for name, value in opt.by_name(where, texts, _HOW).items()}
 
 
 def _amplitude(texts: Sequence[str]) -> Any:
     """A number, a range, or a mapping of them by input."""
 
     def value(text: str) -> float | tuple[float, float]:
-        return pair_of_numbers("--amplitude", text) if ":" in text else number("--amplitude", text)
+        return opt.pair_of_numbers("--amplitude", text) if ":" in text else opt.number("--amplitude", text)
 
     if not texts:
         return None
     if len(texts) == 1 and "=" not in texts[0]:
         return value(texts[0])
-    return {name: value(text) for name, text in by_name("--amplitude", texts, _HOW).items()}
+    return {name: value(text) for name, text in opt.by_name("--amplitude", texts, _HOW).items()}

@@ -8,7 +8,7 @@ from typing import Literal, cast
 import click
 
 from bayeq.cli.environment import say
-from bayeq.cli.options import FILE, Command, cluster_client, dask_option, json_option, option
+from bayeq.cli.options import FILE, Command, cluster_client, json_option, option
 from bayeq.errors import InputError, InterruptedRun
 
 __all__ = ["study"]
@@ -27,7 +27,11 @@ def study(context: click.Context) -> None:
 @study.command(cls=Command)
 @option("--realisations", type=int, default=1000, help="Realisations of each system.")
 @option("--jobs", type=int, default=2, help="Worker processes; the results do not depend on it.")
-@dask_option("Workers of a Dask cluster instead of --jobs: the address of its scheduler, or its file.")
+@option(
+    "--dask",
+    metavar="ADDRESS",
+    help="Workers of a Dask cluster instead of --jobs: the address of its scheduler, or its file.",
+)
 @option("--seed", type=int, default=0, help="Seed of the study.")
 @option(
     "--store", type=FILE, default=Path("study.db"), help="File of results; a study that was stopped continues in it."

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any, ClassVar, Self
@@ -22,28 +21,13 @@ from bayeq.gram.lazy import LazyGram, grams_of
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 
-__all__ = ["Floats", "Read", "SparseRegressor", "SpikeSlabRegressor"]
+__all__ = ["Floats", "SparseRegressor", "SpikeSlabRegressor"]
 
 Floats = NDArray[np.float64]
-
-# Reads a field of the posterior, or of those of all targets: stacked, or as a list with `listed=True`.
-Read = Callable[..., Any]
 
 
 class _SeveralTargetsError(InputError, AttributeError):
     """An attribute that a fit to several targets does not have: also an AttributeError, as `hasattr` expects."""
-
-
-def _reader(posteriors: Sequence[Posterior], several: bool) -> Read:
-    def read_one(field: str, listed: bool = False) -> Any:
-        del listed
-        return getattr(posteriors[0], field)
-
-    def read_all(field: str, listed: bool = False) -> Any:
-        values = [getattr(posterior, field) for posterior in posteriors]
-        return values if listed else np.array(values)
-
-    return read_all if several else read_one
 
 
 def _falling(forgetting: Any, rows: int) -> Floats:
@@ -136,9 +120,9 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def _fitted(self, grams: tuple[Gram | LazyGram, ...], several: bool) -> Self:
         """Set all that a fit leaves."""
-        posteriors = tuple([self._solve(gram) for gram in grams])
-        self.posteriors_ = posteriors
-        self._keep(grams, _reader(posteriors, several))
+        self.posteriors_ = tuple([self._solve(gram) for gram in grams])
+        self._several = several
+        self._keep(grams)
         self.n_effective_ = float(grams[0].n)
         # what `partial_fit` adds to; a lazy one is the data themselves, which are not kept
         self._sums = tuple([gram for gram in grams if isinstance(gram, Gram)])
@@ -201,15 +185,17 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             shapes = [f"(n, {shape[0]})" if shape else "(n,)" for shape in (now, before)]
             raise InputError(f"partial_fit: y has shape {shapes[0]}, that of the rows before was {shapes[1]}")
 
-    def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:
+    def _read(self, field: str, listed: bool = False) -> Any:
+        """A field of the posterior; of those of several targets stacked, or as a list."""
+        values = [getattr(posterior, field) for posterior in self.posteriors_]
+        return values[0] if not self._several else values if listed else np.array(values)
+
+    def _keep(self, grams: tuple[Gram | LazyGram, ...]) -> None:
         """Set the fitted attributes; a subclass adds its own."""
         del grams
-        self.coef_ = read("coef")
-        self.intercept_ = read("intercept")
-        self.pip_ = read("pip")
-        self.support_ = read("support")
-        self.covariance_ = read("covariance", listed=True)
-        self.noise_variance_ = read("noise_variance")
+        self.coef_, self.intercept_, self.pip_ = map(self._read, ("coef", "intercept", "pip"))
+        self.support_, self.noise_variance_ = map(self._read, ("support", "noise_variance"))
+        self.covariance_ = self._read("covariance", listed=True)
         self.n_iter_ = max([posterior.n_iter for posterior in self.posteriors_])
 
     @property
@@ -253,7 +239,7 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def _columns(self, values: list[Floats]) -> Floats:
         """Values of each target in the shape that y had."""
-        return values[0] if self.coef_.ndim == 1 else np.column_stack(values)
+        return np.column_stack(values) if self._several else values[0]
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()

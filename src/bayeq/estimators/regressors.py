@@ -20,7 +20,7 @@ from bayeq.adapters.arviz import to_arviz
 from bayeq.equation.pip_curve import PriorSensitivity
 from bayeq.equation.sensitivity import prior_sensitivity
 from bayeq.errors import DataWarning, InputError
-from bayeq.estimators.base import Floats, Read, SparseRegressor, SpikeSlabRegressor
+from bayeq.estimators.base import Floats, SparseRegressor, SpikeSlabRegressor
 from bayeq.gram import Gram, GramLike
 from bayeq.gram.lazy import LazyGram
 from bayeq.inference.bma import sample_average, spike_slab_bma
@@ -108,10 +108,10 @@ class SpikeSlabVB(SpikeSlabRegressor):
     def _engine(self, gram: GramLike) -> Posterior:
         return spike_slab_vb(gram, self._prior(), init=self.init, tolerance=self.tol, max_iter=self.max_iter)
 
-    def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:
-        super()._keep(grams, read)
-        self.elbo_ = read("elbo")
-        self.elbo_trace_ = read("elbo_trace", listed=True)
+    def _keep(self, grams: tuple[Gram | LazyGram, ...]) -> None:
+        super()._keep(grams)
+        self.elbo_ = self._read("elbo")
+        self.elbo_trace_ = self._read("elbo_trace", listed=True)
 
 
 @dataclass(eq=False, repr=False)
@@ -165,12 +165,11 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
             seed=self.random_state,
         )
 
-    def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:
-        super()._keep(grams, read)
-        self.averaged_coef_ = read("averaged_coef")
-        self.averaged_sd_ = read("averaged_sd")
-        self.rhat_ = read("rhat")
-        self.draws_ = read("draws", listed=True)
+    def _keep(self, grams: tuple[Gram | LazyGram, ...]) -> None:
+        super()._keep(grams)
+        self.averaged_coef_, self.averaged_sd_ = map(self._read, ("averaged_coef", "averaged_sd"))
+        self.rhat_ = self._read("rhat")
+        self.draws_ = self._read("draws", listed=True)
 
     def to_arviz(
         self,
@@ -274,11 +273,10 @@ class SpikeSlabBMA(SpikeSlabRegressor):
             )
         return found
 
-    def _keep(self, grams: tuple[Gram | LazyGram, ...], read: Read) -> None:
-        super()._keep(grams, read)
-        self.averaged_coef_ = read("averaged_coef")
-        self.averaged_sd_ = read("averaged_sd")
-        self.average_ = read("average", listed=True)
+    def _keep(self, grams: tuple[Gram | LazyGram, ...]) -> None:
+        super()._keep(grams)
+        self.averaged_coef_, self.averaged_sd_ = map(self._read, ("averaged_coef", "averaged_sd"))
+        self.average_ = self._read("average", listed=True)
         # what `sample` draws from: parameters may be set again, and arrays written to, before the next fit
         prior = self._prior()
         inclusion = np.array(prior.prior_inclusion, dtype=np.float64)
@@ -313,7 +311,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         check_is_fitted(self, "coef_")
         rng = np.random.default_rng(random_state)
         draws = [self._draw(k, n, rng)[:2] for k in range(len(self.posteriors_))]
-        if self.coef_.ndim == 1:
+        if not self._several:
             return draws[0]
         return np.stack([theta for theta, _ in draws], axis=1), np.stack([noise for _, noise in draws], axis=1)
 

@@ -41,7 +41,7 @@ class Design:
 
 
 def designs_for(conditions: Conditions, parameters: int) -> list[Design]:
-    """All designs within the conditions, for models of so many parameters at most.
+    """All designs within the conditions, for models of this many parameters at most.
 
     A part of the band is left out if its odd lines are too few to tell the parameters: k sines are persistently
     exciting of order 2 k (Ljung 1999, section 13.2).

@@ -179,7 +179,7 @@ class _Planning:
         return Outcome(design, amplitudes, share not in SHARES, rate, sd, seconds, peaks, tuple(separations))
 
     def _gains(self, run: Mapping[str, Floats]) -> list[Floats]:
-        """What a motion tells of the coefficients of each equation."""
+        """Gains of information on the coefficients of each equation."""
         return [
             coefficient_gain(_columns(equation, model, run), model.covariance, noise**2)
             for equation, model, noise in zip(self.equations, self.leading, self.conditions.noise, strict=True)
