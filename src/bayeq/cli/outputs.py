@@ -110,10 +110,9 @@ class Outputs:
         as_json: bool,
         progress: Progress,
     ) -> None:
-        """Print the equations, then write the files.
+        """Print the equations, then write the files; `files`, those that were read, come with their state before.
 
-        Each is done whatever becomes of the others: what was found is printed although a file cannot be written. The
-        files that were read come with their state before.
+        Each is done whatever becomes of the others: what was found is printed although a file cannot be written.
 
         Raises
         ------

@@ -88,13 +88,7 @@ class Reading:
 
     @classmethod
     def of(cls, options: dict[str, Any]) -> Self:
-        """Take the options about reading out of all options of a command.
-
-        Raises
-        ------
-        InputError
-            One that is badly written.
-        """
+        """Take the options about reading out of all of a command; one that is badly written is an InputError."""
         names = options.pop("names")
         skip = options.pop("skip")
         if skip < 0:
@@ -129,10 +123,7 @@ class Reading:
     def extents(self, files: Sequence[Path], paths: Mapping[str, str]) -> list[Extent]:
         """The rows of files that are read some at a time.
 
-        Raises
-        ------
-        InputError
-            An option that takes whole records, a file that cannot be read, rows that are not there.
+        An InputError says which option takes whole records, which file cannot be read, or that rows are not there.
         """
         from bayeq.records.stream import open_streams
         from bayeq.streaming.units import Extent

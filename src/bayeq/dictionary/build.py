@@ -27,14 +27,8 @@ __all__ = ["FAMILIES", "MAX_TERMS", "Family", "build_dictionaries", "build_dicti
 class Family(NamedTuple):
     """A row of `FAMILIES`.
 
-    Attributes
-    ----------
-    terms : callable
-        From `Variables`, and the text after the colon or None, to the texts of its terms.
-    argument : str
-        What the number after the colon is; empty for a family that takes none.
-    by_equation : bool
-        Whether each equation has terms of its own.
+    `terms` makes their texts from `Variables` and the text after the colon, or None; `argument` says what the number
+    after the colon is, empty for a family that takes none; `by_equation` is whether each equation has terms of its own.
     """
 
     terms: Callable[[Variables, str | None], list[str]]
@@ -107,24 +101,11 @@ def build_dictionary(specification: str | Sequence[str], variables: Variables) -
 def build_dictionaries(
     specification: Specification, targets: Sequence[str], variables: Variables
 ) -> tuple[tuple[Expression, ...], Bools]:
-    """Candidate terms of several equations.
+    """Candidate terms of several equations: the P terms of all together, and (C, P) which of them each may have.
 
-    Parameters
-    ----------
-    specification : str, sequence of str or mapping
-        As for `build_dictionary`, the same for every equation; or one for each by its target, ``{"a1": "oscillator",
-        "a2": "polynomial:3"}`` or ``"a1: oscillator; a2: polynomial:3"``.
-    targets : sequence of str
-        Names of the C equations' targets.
-    variables : Variables
-        With chains, in the same order.
-
-    Returns
-    -------
-    tuple of Expression
-        The P terms of all equations together.
-    (C, P) bool array
-        Which of them each equation may have.
+    The specification is as for `build_dictionary`, the same for every equation; or one for each by its target, ``{"a1":
+    "oscillator", "a2": "polynomial:3"}`` or ``"a1: oscillator; a2: polynomial:3"``. Chains of the variables are in the
+    order of the C targets.
 
     Raises
     ------

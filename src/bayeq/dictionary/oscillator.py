@@ -13,12 +13,7 @@ MAX_DEGREE = 6
 def terms(variables: Variables, argument: str | None = None) -> list[str]:
     """P^1(x) ... P^6(x), sgn(x), |x|, x (x) |x| of the states, and the inputs: 36 terms for one x, v and u.
 
-    Parameters
-    ----------
-    variables : Variables
-        States and inputs.
-    argument : str, optional
-        Highest polynomial order instead of 6.
+    ``oscillator:3`` has 3 as the highest order of the polynomials instead of 6.
     """
     degree = MAX_DEGREE if argument is None else int(argument)
     s = variables.states

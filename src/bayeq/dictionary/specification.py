@@ -92,12 +92,7 @@ def split_at_commas(text: str) -> list[str]:
 def of_equations(specification: Specification, targets: Sequence[str]) -> dict[str, str | Sequence[str]] | None:
     """The dictionary of each equation, by its target; None where all have the same.
 
-    Parameters
-    ----------
-    specification : str, sequence of str or mapping
-        Text may be ``"a1: oscillator; a2: polynomial:3"``.
-    targets : sequence of str
-        Names of the equations' targets.
+    Text may be ``"a1: oscillator; a2: polynomial:3"``.
 
     Raises
     ------

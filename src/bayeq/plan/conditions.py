@@ -35,18 +35,9 @@ BELOW, ABOVE = 0.005, 0.05
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Records as a plan needs them.
+    """Records as a plan needs them: rate [Hz], None without time, and length [s] of the longest one.
 
-    Attributes
-    ----------
-    fs : float or None
-        Sampling rate [Hz]; None without time.
-    seconds : float or None
-        Length of the longest record.
-    ranges : mapping of str to (float, float)
-        Least and largest sample of every channel.
-    bands : mapping of str to (float, float)
-        Where the power of every input is [Hz].
+    Also the least and largest sample of every channel, and the band where the power of every input is [Hz].
     """
 
     fs: float | None = None

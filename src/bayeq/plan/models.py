@@ -21,18 +21,10 @@ WINDOW = 12.0
 
 @dataclass(frozen=True, slots=True)
 class CandidateModel:
-    """A model of one equation.
+    """A model of one equation: the places of its terms among the candidates, and their coefficients.
 
-    Attributes
-    ----------
-    probability : float
-        Posterior probability; of an engine that does not average, relative to its neighbours.
-    members : tuple of int
-        Places of its terms among the candidates.
-    coef : tuple of float
-        Posterior means of their coefficients given the model, in original units.
-    intercept : float
-        Given the model.
+    Coefficients and intercept are posterior means given the model, in original units. The probability is that of the
+    model; of an engine that does not average, relative to its neighbours.
     """
 
     probability: float

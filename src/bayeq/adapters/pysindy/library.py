@@ -27,13 +27,9 @@ def is_library(thing: Any) -> bool:
 def terms_of(library: Any, names: Sequence[str]) -> list[str]:
     """Terms of a feature library of some channels; its constant is left out, for the intercept is always estimated.
 
-    Parameters
-    ----------
-    library : object
-        `PolynomialLibrary`, `FourierLibrary`, `CustomLibrary` or any other whose features have names that can be read:
-        products by spaces, powers by ``^``, functions of docs/terms.md. It need not be fitted, and stays as it is.
-    names : sequence of str
-        The channels, states first, then inputs, as its columns.
+    `PolynomialLibrary`, `FourierLibrary`, `CustomLibrary` or any other whose features have names that can be read:
+    products by spaces, powers by ``^``, functions of docs/terms.md. It need not be fitted, and stays as it is. The
+    names are those of its columns: states first, then inputs.
 
     Raises
     ------
