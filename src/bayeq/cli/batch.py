@@ -14,10 +14,9 @@ from bayeq.cli import options as opt
 from bayeq.cli.discover import cleaned, discover, source_of, used_channels
 from bayeq.cli.environment import say
 from bayeq.cli.outputs import require_place
-from bayeq.cli.progress import COMPILING, Progress
+from bayeq.cli.progress import Progress
 from bayeq.cli.reading import STANDARD_INPUT, Reading
 from bayeq.errors import BayeqError, InputError, InterruptedRun
-from bayeq.kernels import announce_compiling
 
 if TYPE_CHECKING:
     from bayeq.batches.result import Batch, BatchFile
@@ -83,7 +82,6 @@ def batch(
     options = cleaned(options)
     if STANDARD_INPUT in files:
         raise InputError("-: a batch is of files, which it knows again; write standard input to one")
-    announce_compiling(lambda: say(COMPILING))
     from bayeq.batches.files import files_of
 
     given = files_of(files)

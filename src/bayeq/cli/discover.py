@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bayeq.cli import options as opt
-from bayeq.cli.environment import say
 from bayeq.cli.outputs import OUTPUTS, Outputs
-from bayeq.cli.progress import COMPILING, Progress
+from bayeq.cli.progress import Progress
 from bayeq.cli.reading import STANDARD_INPUT, Reading, reading_options
 from bayeq.errors import InputError
 from bayeq.inference.engines import ENGINES
-from bayeq.kernels import announce_compiling
 
 if TYPE_CHECKING:
     from bayeq.records import Record
@@ -169,7 +167,6 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
     options, paths = opt.named_channels(options)
     outputs.check(files, options, as_json)
     options = cleaned(options)
-    announce_compiling(lambda: say(COMPILING))
     from bayeq.records.files import state_of
 
     if dask is not None:

@@ -9,10 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayeq.cli.environment import say
 from bayeq.cli.options import FILE, Command, json_option, option
-from bayeq.cli.progress import COMPILING
-from bayeq.kernels import announce_compiling
 
 if TYPE_CHECKING:
     from bayeq.inspection.info import RecordInfo
@@ -37,7 +34,6 @@ def info(files: tuple[Path, ...], as_json: bool, **reading: Any) -> None:
     from bayeq.inspection.info import info as describe
     from bayeq.inspection.info import proposal_for_all
 
-    announce_compiling(lambda: say(COMPILING))
     found: list[RecordInfo] = []
     for file in files:
         found.append(describe(file, **reading))

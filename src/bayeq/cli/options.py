@@ -14,8 +14,10 @@ from typing import Any
 
 import click
 
-from bayeq.cli.environment import require_address_space
+from bayeq.cli.environment import require_address_space, say
+from bayeq.cli.progress import COMPILING
 from bayeq.errors import InputError
+from bayeq.kernels import announce_compiling
 
 __all__ = [
     "FILE",
@@ -103,8 +105,9 @@ class Command(click.Command):
     """A command that needs numerical libraries; its help lists options in groups, and examples as they are written."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run it, if there is memory for it."""
+        """Run it, if there is memory for it; it takes longer where kernels have to be compiled first."""
         require_address_space()
+        announce_compiling(lambda: say(COMPILING))
         return super().invoke(ctx)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -11,12 +11,10 @@ from typing import Any
 import click
 
 from bayeq.cli import options as opt
-from bayeq.cli.environment import say
 from bayeq.cli.outputs import require_place
-from bayeq.cli.progress import COMPILING, Progress
+from bayeq.cli.progress import Progress
 from bayeq.cli.reading import Reading, reading_options
 from bayeq.errors import DataWarning, InputError, UnknownNameError
-from bayeq.kernels import announce_compiling
 
 __all__ = ["plan", "predict", "show"]
 
@@ -107,7 +105,6 @@ def predict(
 
         require_place(forecast, [equations, *files])
         require_suffix(forecast)
-    announce_compiling(lambda: say(COMPILING))
     from bayeq.equation.load import load
 
     found = load(equations)
@@ -186,7 +183,6 @@ def plan(
         "noise": _numbers("--noise", noises),
         "limits": _numbers("--limit", limits),
     }
-    announce_compiling(lambda: say(COMPILING))
     from bayeq.equation.load import load
 
     equations = load(file)
