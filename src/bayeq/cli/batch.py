@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -86,18 +86,18 @@ def batch(
 
     given = files_of(files)
     _require_outputs(given, store, table, figure)
-    from bayeq.batches.run import run_batch
+    from bayeq.batches.run import FILES, run_batch
 
     if common and reading.stream is None:
         reading = replace(reading, stream=reading.streamed(given))
     read = _FileReading(reading, tuple(used_channels(options)), paths)
-    with _BatchProgress() as progress:
+    with Progress() as progress:
         try:
             found = run_batch(given, options, read, store, jobs, common, progress)
         except KeyboardInterrupt:
-            progress.close()
+            done = progress.done if progress.stage == FILES else 0
             raise InterruptedRun(
-                f"interrupted: {progress.done} files were added to {store}; the same command continues"
+                f"interrupted: {done} files were added to {store}; the same command continues"
             ) from None
     _show(found, store, as_json)
     if len(found.refused) < len(found):
@@ -128,43 +128,6 @@ class _FileReading:
 
 def _silent(stage: str, done: int, total: int) -> None:
     """No progress of a single file."""
-
-
-class _BatchProgress:
-    """The common equation by its stages, the files with rate and time left."""
-
-    def __init__(self) -> None:
-        from bayeq.study.progress import StudyProgress
-
-        self.stages, self.files = Progress(), StudyProgress("files")
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        from bayeq.batches.run import FILES
-
-        if stage != FILES:
-            self.stages(stage, done, total)
-            return
-        self.stages.close()
-        if done <= 1:  # the first waits for processes to start
-            self.files.begin(done)
-        else:
-            self.files(done, total)
-
-    @property
-    def done(self) -> int:
-        """How many files."""
-        return self.files.done
-
-    def close(self) -> None:
-        """Take bars away."""
-        self.stages.close()
-        self.files.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _require_outputs(files: Sequence[Path], store: Path, table: Path | None, figure: Path | None) -> None:

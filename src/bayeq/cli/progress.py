@@ -64,7 +64,7 @@ class Progress:
                     say(f"bayeq: {stage} ...")
             self.done, self.total = done, total
             if self.bar is not None:
-                self.bar.update(self.task, description=stage, completed=done, total=total)
+                self.bar.update(self.task, description=stage + self._count(), completed=done, total=total)
 
     def close(self) -> None:
         """Take the bar away, and be silent until the next call."""
@@ -100,10 +100,13 @@ class Progress:
             if self.stage != self.named and self.verbose:
                 self.said = now  # it has been named when it began
             else:
-                count = f", {self.done:,} of {self.total:,}{self._left(now)}" if self.total > 1 else ""
-                say(f"{PROGRESS}{self.stage}{count}, {now - self.began:.0f} s")
+                left = self._left(now) if self.total > 1 else ""
+                say(f"{PROGRESS}{self.stage}{self._count()}{left}, {now - self.began:.0f} s")
                 self.said = now
             self.named = self.stage
+
+    def _count(self) -> str:
+        return f", {self.done:,} of {self.total:,}" if self.total > 1 else ""
 
     def _left(self, now: float) -> str:
         """The rate, of rows, and the time that is left."""
@@ -121,7 +124,7 @@ class Progress:
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
         self.bar = Bar(*columns, console=Console(stderr=True), transient=True)
         self.bar.start()
-        self.task = self.bar.add_task(self.stage, completed=self.done, total=self.total)
+        self.task = self.bar.add_task(self.stage + self._count(), completed=self.done, total=self.total)
 
 
 def _is_terminal() -> bool:
