@@ -17,7 +17,7 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import BayeqWarning, DataWarning, FileFormatError, InputError
 from bayeq.inference.prior import Prior
-from bayeq.inference.signs.truncated import truncated
+from bayeq.inference.signs.orthant import truncated
 from bayeq.refine.known import Known
 from bayeq.refine.output_error import _bounded
 from bayeq.regression.constraints import parse_constraints

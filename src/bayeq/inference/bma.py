@@ -90,7 +90,7 @@ def average_models(
     if signs is None:
         return list_models(problem, tolerance, enumerate_up_to)
     # brings scipy.special, which takes a while to import
-    from bayeq.inference.signs.listing import list_signed
+    from bayeq.inference.signs.truncation import list_signed
 
     return list_signed(problem, signs, tolerance, enumerate_up_to)
 

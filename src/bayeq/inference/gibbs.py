@@ -22,6 +22,7 @@ from bayeq.inference.collapsed.tableau import (
     Tableau,
     data_gain,
     drifted,
+    expit,
     flip,
     renew,
     residual_sum,
@@ -88,13 +89,7 @@ def _scan(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, inclu
             continue
         gain = data_gain(diagonal[j], partial[j], diagonal[-1], floor, h)
         gain += leaves - log_odds[j] if active[j] else enters + log_odds[j]
-        # log-odds of the flip -> probability of inclusion, formed without cancellation near 0 and 1
-        log_odds_in = -gain if active[j] else gain
-        if log_odds_in >= 0.0:
-            inside = 1.0 / (1.0 + math.exp(-log_odds_in))
-        else:
-            e = math.exp(log_odds_in)
-            inside = e / (1.0 + e)
+        inside = expit(-gain if active[j] else gain)
         inclusion[j] = inside
         if (rng.random() < inside) != active[j]:
             flip(p, T, j)
@@ -236,7 +231,7 @@ def sample_posterior(
     # as many terms as the prior expects, as in the paper, but not so many that they would fit anything
     expected = min(float(np.sum(1.0 / (1.0 + np.exp(-finite)))), max(0.1 * problem.dof, 5.0), MOST_AT_START)
     start = greedy_start(problem, max(1, round(expected)))
-    rss = residual_sum(problem.columns, problem.Dty, problem.yty, problem.dof)
+    rss = residual_sum(problem)
     nominal = max(rss, problem.floor) / max(problem.dof - terms, 1.0)
     for k, stream in enumerate(_seed(seed).spawn(chains)):
         rng = np.random.Generator(np.random.PCG64(stream))

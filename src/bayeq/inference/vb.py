@@ -19,7 +19,7 @@ from bayeq.errors import InputError
 from bayeq.gram import GramLike
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem, fetch
 from bayeq.inference.collapsed.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
-from bayeq.inference.collapsed.tableau import GAIN_TOLERANCE
+from bayeq.inference.collapsed.tableau import GAIN_TOLERANCE, expit
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm_gamma
@@ -86,14 +86,6 @@ def _factorise(A: Floats, C: Floats) -> float:
             C[i, j] = A[i, j]
             C[j, i] = A[i, j]
     return logdet
-
-
-@kernel
-def _expit(eta: float) -> float:
-    if eta >= 0.0:
-        return 1.0 / (1.0 + math.exp(-eta))
-    e = math.exp(eta)
-    return e / (1.0 + e)
 
 
 @kernel
@@ -176,7 +168,7 @@ def _update_indicators(
                 if b != a:
                     cross -= w[index[b]] * own[index[b]] * (mu[a] * mu[b] + C[a, b] / tau_old)
             eta += tau * cross
-        w[i] = 0.0 if eta < ETA_OUT else _expit(eta)
+        w[i] = 0.0 if eta < ETA_OUT else expit(eta)
 
 
 @kernel

@@ -198,7 +198,7 @@ def _of_course(
     excess = max(_excess(*_sensitivity(free.found, known.basis)), 1.0)
     mean, spread = free.phi, excess * covariance
     if known.signs.any():
-        from bayeq.inference.signs.truncated import truncated
+        from bayeq.inference.signs.orthant import truncated
 
         freedom = 0.5 * max(task.rows - len(A), 1.0)
         mean, spread = truncated(free.phi, covariance, known.signs, 2.0 * freedom * excess, freedom)

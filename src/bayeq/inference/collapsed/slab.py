@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from bayeq.gram import Gram, GramLike
-from bayeq.inference.collapsed.problem import Bools, Problem, gram_block, gram_columns
+from bayeq.inference.collapsed.problem import Bools, Problem, gram_block
 from bayeq.inference.collapsed.search import best_models, greedy_start
 from bayeq.inference.collapsed.tableau import residual_sum, swept
 from bayeq.inference.prior import Prior
@@ -70,7 +70,7 @@ def learn_slab_variance(gram: GramLike, prior: Prior, floor: float = 10.0) -> fl
     """
     problem = Problem.of(gram, prior)
     lowest = math.log(floor)
-    ratio = gram.yty / max(_residual_sum(gram), LEAST_RESIDUAL**2 * gram.yty, 1e-300)
+    ratio = gram.yty / max(residual_sum(problem), LEAST_RESIDUAL**2 * gram.yty, 1e-300)
     best_value, best_log = -math.inf, lowest
     for start in {lowest, max(lowest, math.log(max(ratio, 1e-300)))}:
         log_v = start
@@ -85,10 +85,6 @@ def learn_slab_variance(gram: GramLike, prior: Prior, floor: float = 10.0) -> fl
     return math.exp(best_log)
 
 
-def _residual_sum(gram: GramLike) -> float:
-    return residual_sum(gram_columns(gram), np.ascontiguousarray(gram.Dty), gram.yty, gram.dof)
-
-
 def residual_scale(gram: Gram) -> float:
     """Standard deviation of what all terms together leave of y: the unit in which the noise prior applies.
 
@@ -101,13 +97,11 @@ def residual_scale(gram: Gram) -> float:
     spare = gram.n - 1 - len(gram.names)
     if sd == 0.0:
         return 1.0
-    standard = gram.standardise(sd).gram
+    problem = Problem.of(gram.standardise(sd).gram, Prior(slab_variance=UNSHRUNK))
     if spare < max(10, 0.1 * gram.n):
-        chosen = min(int(gram.n) // 4, MOST_SELECTED)
-        problem = Problem.of(standard, Prior(slab_variance=UNSHRUNK))
-        active = greedy_start(problem, chosen)
+        active = greedy_start(problem, min(int(gram.n) // 4, MOST_SELECTED))
         rss = float(swept(problem, active).diagonal[-1]) - 2.0 * problem.noise_rate
         spare = gram.n - 1 - int(active.sum())
     else:
-        rss = _residual_sum(standard)
+        rss = residual_sum(problem)
     return sd * max(math.sqrt(max(rss, 0.0) / spare), LEAST_RESIDUAL)

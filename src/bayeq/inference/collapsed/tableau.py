@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayeq.inference.collapsed.problem import Bools, Columns, Floats, Ints, Problem, all_rows, fetch
+from bayeq.inference.collapsed.problem import Bools, Columns, Floats, Ints, Problem, fetch
 from bayeq.kernels import kernel
 
 __all__ = [
@@ -36,8 +36,8 @@ __all__ = [
     "data_gain",
     "drifted",
     "enter",
+    "expit",
     "flip",
-    "flip_gain",
     "flip_gains",
     "leave",
     "renew",
@@ -283,6 +283,15 @@ def data_gain(pivot: float, partial: float, s: float, floor: float, h: float) ->
 
 
 @kernel
+def expit(log_odds: float) -> float:
+    """The probability of some log-odds, without cancellation near 0 and 1."""
+    if log_odds >= 0.0:
+        return 1.0 / (1.0 + math.exp(-log_odds))
+    e = math.exp(log_odds)
+    return e / (1.0 + e)
+
+
+@kernel
 def size_gains(p: Problem, T: Tableau) -> tuple[float, float]:
     """Change of the log prior, apart from the term's own log-odds, when any term enters and when any leaves."""
     r = T.size[0]
@@ -290,14 +299,6 @@ def size_gains(p: Problem, T: Tableau) -> tuple[float, float]:
     enters = -math.inf if full else p.size_prior[r + 1] - p.size_prior[r] - p.half_log_slab
     leaves = p.size_prior[r - 1] - p.size_prior[r] + p.half_log_slab if r > 0 else -math.inf
     return enters, leaves
-
-
-@kernel
-def flip_gain(p: Problem, T: Tableau, j: int) -> float:
-    """Change of the log posterior when term j is flipped."""
-    enters, leaves = size_gains(p, T)
-    data = data_gain(T.diagonal[j], T.partial[j], T.diagonal[-1], p.floor, p.h)
-    return data - p.log_odds[j] + leaves if T.row[j] >= 0 else data + p.log_odds[j] + enters
 
 
 @kernel
@@ -421,16 +422,16 @@ def score(p: Problem, active: Bools, slab_variance: float) -> float:
     return total - p.h * math.log(0.5 * max(s, p.floor))
 
 
-def residual_sum(columns: Columns, Dty: Floats, yty: float, dof: float) -> float:
+def residual_sum(p: Problem) -> float:
     """Residual sum of squares of all terms together; 0 where there are as many terms as degrees of freedom.
 
     It is the square of the last pivot of the Cholesky factor of [[D'D, D'y], [y'D, y'y]].
     """
-    if len(Dty) >= dof:
+    if len(p.Dty) >= p.dof:
         return 0.0
-    DtD = all_rows(columns)
+    DtD, Dty = p.DtD, p.Dty
     try:
-        pivots = np.diagonal(np.linalg.cholesky(np.block([[DtD, Dty[:, None]], [Dty, np.float64(yty)]]))) ** 2
+        pivots = np.diagonal(np.linalg.cholesky(np.block([[DtD, Dty[:, None]], [Dty, np.float64(p.yty)]]))) ** 2
     except np.linalg.LinAlgError:
         pivots = np.zeros(len(Dty) + 1)
     if (pivots[:-1] > DEPENDENT * DtD.diagonal()).all():
@@ -439,4 +440,4 @@ def residual_sum(columns: Columns, Dty: Floats, yty: float, dof: float) -> float
     values, vectors = np.linalg.eigh(DtD)
     kept = values > DEPENDENT * values[-1]
     explained = float(np.sum((vectors[:, kept].T @ Dty) ** 2 / values[kept]))
-    return max(yty - explained, 0.0)
+    return max(p.yty - explained, 0.0)
