@@ -108,7 +108,7 @@ def _value(kind: Any, saved: Any) -> Any:
         return tuple(_value(inside[0], item) for item in saved)
     if origin is Mapping:
         return {name: _value(inside[1], item) for name, item in saved.items()}
-    if is_dataclass(kind):
+    if isinstance(kind, type) and is_dataclass(kind):
         return kind(**_fields(kind, saved))
     return kind(saved) if kind in (int, float) else saved
 
