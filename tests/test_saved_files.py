@@ -10,6 +10,7 @@ from dataclasses import fields
 from importlib.resources import files
 
 import pytest
+from bayeq.plan.measured import Measured
 
 import bayeq as bq
 from bayeq.equation.equation import RunnerUp
@@ -18,7 +19,6 @@ from bayeq.equation.verdict import Verdict
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.forecast.results import Scores
 from bayeq.inference.engines import ENGINES
-from bayeq.plan.measured import Measured
 from bayeq.plan.models import CandidateModel
 from bayeq.refine.results import Refinement
 from bayeq.regression.design import DroppedTerm
