@@ -30,6 +30,14 @@ __all__ = ["Example", "draw", "markers", "put_blocks", "write_figure", "write_ta
 # Resolution of the figures [dots per inch]: for the screen.
 DPI = 150
 
+# Lines of a printed answer that the page leaves out: candidates outside the equation and their bounds, noise, training
+# fit, statistics of residuals, runners-up, and how the record was used.
+LEFT_OUT = re.compile(
+    r"\| .* \| not included|\* interval over|\d+ more candidates|noise sd|training rows|residuals:"
+    r"|not determined by|by the likelihood alone|runners-up| +1:\d|\d+ rows at|not measured, estimated"
+    r"|\d+ runs with coefficients"
+)
+
 
 @dataclass
 class Example:
@@ -55,8 +63,8 @@ class Example:
     def block(self, name: str) -> Iterator[None]:
         """Run what stands in the `with` statement; keep its source and what it prints.
 
-        Warnings of `discover` are part of what equations print; those of `refine` that nothing better was found are
-        not, and are added.
+        Lines of an answer that the page does not need (`LEFT_OUT`) are dropped. Warnings of `discover` are part of
+        what equations print; those of `refine` that nothing better was found are not, and are added.
         """
         current = inspect.currentframe()
         # this generator is called by contextlib's __enter__, and that by the function with the statement
@@ -68,12 +76,18 @@ class Example:
         with warnings.catch_warnings(record=True) as caught, redirect_stdout(printed):
             warnings.simplefilter("always")
             yield
-        shown = printed.getvalue().rstrip()
+        shown = _shortened(printed.getvalue()).rstrip()
         for warning in caught:
             if issubclass(warning.category, ConvergenceWarning):
                 shown += f"\nwarning: {warning.message}"
         output = f"\n\n```text\n{shown.strip()}\n```" if shown.strip() else ""
         self.blocks[name] = f"```python\n{code}\n```{output}"
+
+
+def _shortened(text: str) -> str:
+    """What was printed without the lines that the page leaves out, and without two empty lines in a row."""
+    kept = "\n".join(line for line in text.splitlines() if not LEFT_OUT.match(line))
+    return re.sub(r"\n{3,}", "\n\n", kept)
 
 
 def _body(frame: FrameType) -> str:

@@ -30,11 +30,6 @@ def run(example: Example, data: Path) -> None:
             forms.append(one)
             run = one.simulate(rec, draws=0)
             print(f"{one[0].text:40} free run of the whole record: o {100 * run.nrmse['o']:.0f} %")
-    with example.block("given"):
-        raw = bq.discover(rec, chains="o:w:a", dictionary=terms, smooth="none")
-        print(raw[0].text)
-        print(f"free run of the whole record: o {100 * raw.simulate(rec, draws=0).nrmse['o']:.0f} %")
-
     with example.block("period"):
         time = np.asarray(rec.time)
         angle = CubicSpline(time, rec["o"])
@@ -52,7 +47,11 @@ def run(example: Example, data: Path) -> None:
 
     low, high = eq[0].shown_ci95[list(eq[0].posterior.names).index("sin(o)")]
     found, true = -eq[0].shown_coef["sin(o)"], float(np.mean(exact))
+    raw = bq.discover(rec, chains="o:w:a", dictionary=terms, smooth="none")
     example.numbers |= {
+        "smooth='none', all channels as given": raw[0].text,
+        "the same, free run of the whole record, error of o": f"{100 * raw.simulate(rec, draws=0).nrmse['o']:.0f} %",
+        "bound of the coefficient of w": f"{eq[0].table().set_index('term').loc['w', 'bound']:.3f}",
         "stiffness by periods, mean": f"{true:.3f}",
         "width of the interval of sin(o)": f"{100 * (high - low) / found:.1f} %",
         "coefficient of sin(o) against periods": f"{100 * (found / true - 1):+.1f} %",
