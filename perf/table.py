@@ -90,44 +90,29 @@ def _cell(row: Row | None, cell: Callable[[Row], str]) -> str:
     return _short(row.status) if cell is _time else "–"
 
 
-SECTIONS: tuple[tuple[str, str, Callable[[Row], str]], ...] = (
-    ("Time", "Median time of a whole fit.", _time),
+# Sections of the page: title, text, cell, cases. Other cases, coefficients, evidence and memory are in perf/results.
+SECTIONS: tuple[tuple[str, str, Callable[[Row], str], tuple[str, ...]], ...] = (
+    ("Time", "Median time of a whole fit.", _time, ("linear", "duffing", "p200", "p2000", "p10000", "n2000000")),
     (
         "Terms",
         "Problems on which exactly the true terms were selected, and in brackets how many false terms were selected "
         "and how many true ones missed, on average.",
         _exact,
-    ),
-    (
-        "Coefficients",
-        "Median distance of the coefficients from the true ones, each times the standard deviation of its column, "
-        "in % of the true ones.",
-        _error,
-    ),
-    (
-        "Evidence",
-        "ln p(y, z) of the selected terms less that of the true ones [nats], median; above 0 is better than the truth.",
-        _evidence,
+        ("linear", "duffing", "quadratic", "coulomb", "p200"),
     ),
 )
 
 
 def markdown_tables(remarks: Iterable[str], rows: Sequence[Row]) -> str:
-    """All sections as Markdown."""
-    present = [name for name in CASES if any(row.case == name for row in rows)]
-    small = [name for name in present if CASES[name].columns == 36 and CASES[name].rows == 2000]
-    larger = [name for name in present if name not in small]
+    """The sections as Markdown."""
     lines = ["Measured with:", "", *(f"- {remark}" for remark in remarks), ""]
-    for title, text, cell in SECTIONS:
+    for title, text, cell, shown in SECTIONS:
+        present = [name for name in shown if any(row.case == name for row in rows)]
+        small = [name for name in present if CASES[name].columns == 36 and CASES[name].rows == 2000]
         lines += [f"### {title}", "", text, ""]
-        for cases in (small, larger):
+        for cases in (small, [name for name in present if name not in small]):
             if cases:
                 lines += [*_grid(rows, cases, cell), ""]
-    apart = [name for name in larger if CASES[name].large]
-    if apart:
-        data = ", ".join(f"{CASES[n].title}: {8e-6 * CASES[n].rows * CASES[n].columns:,.0f} MB" for n in apart)
-        text = f"Most memory during the fit above that before it [MiB]; the data are there already ({data})."
-        lines += ["### Memory", "", text, "", *_grid(rows, apart, _memory), ""]
     failures = [f"- {row.contestant}, {row.case}: {row.status}" for row in rows if row.status.startswith("failed")]
     if failures:
         lines += ["Failures:", "", *failures, ""]
