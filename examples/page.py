@@ -30,10 +30,11 @@ __all__ = ["Example", "draw", "markers", "put_blocks", "write_figure", "write_ta
 # Resolution of the figures [dots per inch]: for the screen.
 DPI = 150
 
-# Lines of a printed answer that the page leaves out: candidates outside the equation and their bounds, noise, training
-# fit, statistics of residuals, runners-up, and how the record was used.
+# Lines of a printed answer that the page leaves out: candidates outside the equation and their bounds, the intercept,
+# noise, training fit, statistics of residuals, runners-up, and how the record was used. Longer lines are cut.
+LONGEST = 150
 LEFT_OUT = re.compile(
-    r"\| .* \| not included|\* interval over|\d+ more candidates|noise sd|training rows|residuals:"
+    r"\| .* \| not included|\| intercept|\* interval over|\d+ more candidates|noise sd|training rows|residuals:"
     r"|not determined by|by the likelihood alone|runners-up| +1:\d|\d+ rows at|not measured, estimated"
     r"|\d+ runs with coefficients"
 )
@@ -85,8 +86,12 @@ class Example:
 
 
 def _shortened(text: str) -> str:
-    """What was printed without the lines that the page leaves out, and without two empty lines in a row."""
-    kept = "\n".join(line for line in text.splitlines() if not LEFT_OUT.match(line))
+    """What was printed without the lines that the page leaves out, long ones cut, and no two empty lines in a row."""
+    cut = [
+        line if len(line) <= LONGEST else textwrap.shorten(line, LONGEST, placeholder=" ...")
+        for line in text.splitlines()
+    ]
+    kept = "\n".join(line for line in cut if not LEFT_OUT.match(line))
     return re.sub(r"\n{3,}", "\n\n", kept)
 
 
