@@ -122,16 +122,17 @@ def markdown_tables(remarks: Iterable[str], rows: Sequence[Row]) -> str:
 def optimum_table(counts: Sequence[Count]) -> str:
     """How often somebody's model is better than ours, as Markdown."""
     lines = [
-        "| terms of | problems | the same as the best model | higher than SpikeSlabBMA's best model "
-        "| by at most [nats] | higher than SpikeSlabVB's terms | by at most [nats] |",
-        "| --- |" + " ---: |" * 6,
+        "| terms of | problems | the same as the best model | above SpikeSlabBMA's, by at most [nats] "
+        "| above SpikeSlabVB's, by at most [nats] |",
+        "| --- |" + " ---: |" * 4,
     ]
     for count in counts:
         title = CONTESTANTS[count.candidate].title if count.candidate in CONTESTANTS else "the truth"
-        numbers = (count.problems, count.same, count.above_bma, f"{count.most_above_bma:.3g}")
-        lines.append(
-            f"| {title} | " + " | ".join(map(str, (*numbers, count.above_vb, f"{count.most_above_vb:.3g}"))) + " |"
-        )
+        above = [
+            f"{above}, {most:.3g}" if above else "0"
+            for above, most in ((count.above_bma, count.most_above_bma), (count.above_vb, count.most_above_vb))
+        ]
+        lines.append(f"| {title} | " + " | ".join([str(count.problems), str(count.same), *above]) + " |")
     return "\n".join(lines)
 
 
