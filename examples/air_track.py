@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,8 @@ def run(example: Example, data: Path) -> None:
         print(f"v is {rec['v'] @ rate / (rate @ rate):.3f} of dx/dt")
 
     whole = eq.simulate(rec)
-    raw = bq.discover(rec, displacement="x", velocity="v", acceleration="a", smooth="none")
+    with warnings.catch_warnings(action="ignore"):
+        raw = bq.discover(rec, displacement="x", velocity="v", acceleration="a", smooth="none")
     run = compared[1].simulate(rec)
     low, high = compared[1][0].shown_ci95[list(compared[1][0].posterior.names).index("v")]
     example.numbers |= {

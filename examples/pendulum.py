@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,8 @@ def run(example: Example, data: Path) -> None:
 
     low, high = eq[0].shown_ci95[list(eq[0].posterior.names).index("sin(o)")]
     found, true = -eq[0].shown_coef["sin(o)"], float(np.mean(exact))
-    raw = bq.discover(rec, chains="o:w:a", dictionary=terms, smooth="none")
+    with warnings.catch_warnings(action="ignore"):
+        raw = bq.discover(rec, chains="o:w:a", dictionary=terms, smooth="none")
     example.numbers |= {
         "smooth='none', all channels as given": raw[0].text,
         "the same, free run of the whole record, error of o": f"{100 * raw.simulate(rec, draws=0).nrmse['o']:.0f} %",
