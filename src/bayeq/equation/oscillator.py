@@ -1,10 +1,11 @@
-"""Which of several equations is an oscillator, and whether its stiffness can be told."""
+"""Physical parameters of whatever equations there are: of one oscillator, of several, or of first order."""
 
 from __future__ import annotations
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.equation.physical import PhysicalParameters, physical_parameters
+from bayeq.equation.modes import system_parameters
+from bayeq.equation.physical import PhysicalParameters, first_order_parameters, physical_parameters
 from bayeq.errors import InputError, UnknownNameError
 
 __all__ = ["oscillator_parameters"]
@@ -18,6 +19,13 @@ def oscillator_parameters(
         raise InputError(
             "physical parameters are per second, and time is not known: give the sampling rate (fs=, --fs)"
         )
+    if target is None:
+        second = [one.law for one in eq.equations if one.chain.order == 2]
+        if len(second) > 1 and len(second) == len(eq.equations) and mass is None and force is None:
+            return system_parameters(second, eq.inputs, eq.equations[0].units, draws=draws, seed=seed)
+        if all(one.chain.order == 1 for one in eq.equations):
+            laws = [one.law for one in eq.equations]
+            return first_order_parameters(laws, eq.inputs, eq.equations[0].units, draws=draws, seed=seed)
     equation = _oscillator(eq, target)
     name = equation.chain.names[0]
     span = eq.data.measured.ranges.get(name)

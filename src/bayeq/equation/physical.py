@@ -25,7 +25,7 @@ from bayeq.numerics.normal import Z95
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["PhysicalParameters", "Quantity", "physical_parameters"]
+__all__ = ["PhysicalParameters", "Quantity", "first_order_parameters", "physical_parameters", "quantity"]
 
 Floats = NDArray[np.float64]
 
@@ -191,16 +191,56 @@ def physical_parameters(
     quantities = _modal(theta)
     weight = _mass(mass, None if driven is None else coefficients[driven] * system.scale_force(), draws)
     if weight is not None:
-        quantities.append(_quantity("m", "mass", weight, system.mass()))
+        quantities.append(quantity("m", "mass", weight, system.mass()))
     per = "" if weight is not None else "/m"
     for f in forces:
         values = -theta[f.symbol] * (1.0 if weight is None else weight)
         meaning = f.meaning if weight is not None else f"{f.meaning} per unit of mass"
-        quantities.append(_quantity(f.symbol + per, meaning, values, system.unit(f.powers, weight is not None)))
+        quantities.append(quantity(f.symbol + per, meaning, values, system.unit(f.powers, weight is not None)))
     if position is not None:
-        quantities.append(_quantity("x0", "position of rest", position * system.per_length, system.displacement()))
+        quantities.append(quantity("x0", "position of rest", position * system.per_length, system.displacement()))
     explained = {f.term for f in forces} | ({driven} if driven is not None else set())
     return PhysicalParameters(tuple(quantities), tuple(name for name in coefficients if name not in explained))
+
+
+def first_order_parameters(
+    laws: Sequence[Law], inputs: Sequence[str], units: Mapping[str, str], *, draws: int, seed: int
+) -> PhysicalParameters:
+    """Time constant and gains of states of first order, ``tau x' = -x + gain u + ...``.
+
+    Parameters
+    ----------
+    laws : sequence of Law
+        One per state.
+    inputs, units, draws, seed
+        As for `physical_parameters`.
+
+    Raises
+    ------
+    InputError
+        No state that decays by a term of its own.
+    """
+    found, other, rng = list[Quantity](), list[str](), np.random.default_rng(seed)
+    for law in laws:
+        (x,), gains = law.chain.states, list[Quantity]()
+        names = {name for term in law.terms for name in term.names} - {x}
+        alone = Dynamics.of([law], sorted(names))
+        drawn = normal_draws(alone.mean, alone.covariance, draws, rng)
+        values = {term.text: drawn[:, 1 + j] for j, term in enumerate(alone.terms[0])}
+        if x not in values or not np.quantile(-values[x], 0.025) > 0.0:
+            other += [name for name in values if name not in other]
+            continue
+        rate = np.where(values[x] < 0.0, -values[x], np.nan)
+        for name, own in values.items():
+            if name in inputs:
+                both = units.get(x) and units.get(name) and f"{units[x]}/{units[name]}"
+                gains.append(quantity(f"gain[{x}, {name}]", f"static gain of {x} by {name}", own / rate, both or None))
+            elif name != x and name not in other:
+                other.append(name)
+        found += [quantity(f"tau[{x}]", f"time constant of {x}", 1.0 / rate, "s"), *gains]
+    if not found:
+        raise InputError("no state decays by a linear term of its own: there is no time constant")
+    return PhysicalParameters(tuple(found), tuple(other))
 
 
 def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> tuple[dict[str, Floats], Floats | None]:
@@ -240,10 +280,10 @@ def _named_forces(law: Law, coefficients: Mapping[str, Floats]) -> list[_Force]:
     chain = law.chain
     x, v = chain.states
     forces = [f for f in _forces(x, v) if f.term in coefficients]
-    if not any(f.powers[0] > 0 for f in forces):
+    if not forces:
         raise InputError(
-            f"the equation of {chain.target} has no restoring term (a power of {x}): it has no stiffness and no natural"
-            " frequency"
+            f"the equation of {chain.target} has neither a restoring term (a power of {x}) nor damping: it has no"
+            " parameters of an oscillator or a drive"
         )
     return forces
 
@@ -283,14 +323,15 @@ def _modal(theta: Mapping[str, Floats]) -> list[Quantity]:
     square = np.where(theta["k"] < 0, -theta["k"], np.nan)
     omega = np.sqrt(square)
     out = [
-        _quantity("omega_n", "natural frequency", omega, "rad/s"),
-        _quantity("f_n", "natural frequency", omega / (2.0 * math.pi), "Hz"),
+        quantity("omega_n", "natural frequency", omega, "rad/s"),
+        quantity("f_n", "natural frequency", omega / (2.0 * math.pi), "Hz"),
     ]
     if "c" in theta:
-        out.append(_quantity("zeta", "damping ratio", -theta["c"] / (2.0 * omega), ""))
+        out.append(quantity("zeta", "damping ratio", -theta["c"] / (2.0 * omega), ""))
     return out
 
 
-def _quantity(symbol: str, meaning: str, values: Floats, unit: str | None) -> Quantity:
+def quantity(symbol: str, meaning: str, values: Floats, unit: str | None) -> Quantity:
+    """Of draws."""
     low, high = np.nanquantile(values, [0.025, 0.975])
     return Quantity(symbol, meaning, float(np.nanmean(values)), float(np.nanstd(values)), float(low), float(high), unit)
