@@ -154,7 +154,11 @@ Examples:
 )
 @opt.sure("--seed", type=int, default=0, help="Seed of methods that draw random numbers (gibbs).")
 @opt.written("--explain", is_flag=True, help="Explain below the answer, in plain words, what is printed.")
-@opt.option("--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes.")
+@opt.option(
+    "--verbose",
+    is_flag=True,
+    help="Print all of the answer: fits, residuals, bounds, runners-up; say on standard error what is being done.",
+)
 def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | None, **options: Any) -> None:
     """Find the equation of motion of a measured record.
 
@@ -181,7 +185,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
         answer = run(source, **options, progress=progress, client=client)
-        outputs.write(answer, records, read, options["holdout"], as_json, progress)
+        outputs.write(answer, records, read, options["holdout"], as_json, progress, verbose)
 
 
 def source_of(

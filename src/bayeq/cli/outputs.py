@@ -109,6 +109,7 @@ class Outputs:
         holdout: float,
         as_json: bool,
         progress: Progress,
+        verbose: bool = False,
     ) -> None:
         """Print the equations, then write the files; `files`, those that were read, come with their state before.
 
@@ -124,7 +125,7 @@ class Outputs:
         answer = found.refine(records, holdout=holdout) if self.refine else found
         progress.close()
         try:
-            show_equations(answer, as_json, self.conditional, self.physical, self.explain)
+            show_equations(answer, as_json, self.conditional, self.physical, self.explain, verbose)
         finally:
             self._write_files(found, answer, records, files, holdout, progress)
 
@@ -181,13 +182,25 @@ def _require_report(path: Path) -> None:
     require_report()
 
 
-def show_equations(answer: Equations, as_json: bool, conditional: bool, physical: bool, explain: bool = False) -> None:
-    """Print equations as text, or as one JSON object."""
+def show_equations(
+    answer: Equations,
+    as_json: bool,
+    conditional: bool,
+    physical: bool,
+    explain: bool = False,
+    verbose: bool = False,
+) -> None:
+    """Print equations in a few lines, in full where that or more than them is asked for, or as one JSON object."""
     if as_json:
         out = answer.to_dict()
         if physical:
             out["physical"] = {target: _plain(parameters) for target, parameters in _physical(answer).items()}
         click.echo(json.dumps(out, allow_nan=False))
+        return
+    if not (verbose or conditional or physical or explain):
+        from bayeq.equation.brief import brief
+
+        click.echo(brief(answer))
         return
     from bayeq.equation.text import render
 

@@ -41,7 +41,10 @@ _HOW = "give a name and a value, as in x=0.01"
 @opt.option("--physical", is_flag=True, help="Also mass, damping, stiffness ... of a second-order equation.")
 @opt.option("--latex", is_flag=True, help="Print the equations alone, as LaTeX.")
 @opt.option("--explain", is_flag=True, help="Explain below the answer, in plain words, what is printed.")
-def show(file: Path, as_json: bool, conditional: bool, physical: bool, latex: bool, explain: bool) -> None:
+@opt.option("--verbose", is_flag=True, help="Print all of the answer: fits, residuals, bounds, runners-up.")
+def show(
+    file: Path, as_json: bool, conditional: bool, physical: bool, latex: bool, explain: bool, verbose: bool
+) -> None:
     """Print saved equations as they were printed when they were found.
 
     EQ.json holds equations that `bayeq discover --save` has written.
@@ -59,7 +62,7 @@ def show(file: Path, as_json: bool, conditional: bool, physical: bool, latex: bo
         return
     for message in equations.warnings:
         warnings.warn(message, DataWarning, stacklevel=1)
-    show_equations(equations, as_json, conditional, physical, explain)
+    show_equations(equations, as_json, conditional, physical, explain, verbose)
 
 
 @click.command(cls=opt.Command, epilog=EXAMPLES)

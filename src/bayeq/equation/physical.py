@@ -21,11 +21,12 @@ from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
 from bayeq.numerics.normal import Z95
+from bayeq.states import Chain
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["PhysicalParameters", "Quantity", "first_order_parameters", "physical_parameters", "quantity"]
+__all__ = ["PhysicalParameters", "Quantity", "first_order_parameters", "force_of", "physical_parameters", "quantity"]
 
 Floats = NDArray[np.float64]
 
@@ -146,6 +147,11 @@ def _forces(x: str, v: str) -> list[_Force]:
         _Force("c3", "cubic damping", f"{v}**3", (0, 3)),
         _Force("Fc", "Coulomb friction", f"sign({v})", (0, 0)),
     ]
+
+
+def force_of(chain: Chain) -> list[tuple[str, str]]:
+    """Parameters of an oscillator's forces, by symbol, and the terms that they multiply."""
+    return [(force.symbol, force.term) for force in _forces(*chain.states)]
 
 
 def physical_parameters(

@@ -23,7 +23,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.regression.residuals import Residuals
 from bayeq.states import rates
 
-__all__ = ["render"]
+__all__ = ["escape", "render", "source_of"]
 
 # Candidates that are not included are listed from this PIP on.
 NOTEWORTHY_PIP = 0.01
@@ -70,16 +70,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     console.print(f"verdict: {escape(str(eq.verdict))}\n")
     for equation in eq.equations:
         _render_equation(console, equation, eq.method, eq.scores, terminal, conditional)
-    names = [name for name in eq.data.files if name]
-    source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
-    used = f"{eq.data.n_train} used"
-    if eq.data.stretches:
-        judged = "fits" if eq.data.refitted else "residuals"
-        used = "all used" if eq.data.refitted else used
-        used += f"; {judged}, free runs and verdict are those of {eq.data.stretches} stretches of them"
-    elif eq.data.refitted:
-        used = f"all used; fits and free runs on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
-    console.print(f"{eq.data.n} rows{_rate(eq)}{source}, {used}; method: {ENGINES[eq.method].title}")
+    console.print(f"{source_of(eq)}; method: {ENGINES[eq.method].title}")
     if eq.data.band is not None:
         low, high = eq.data.band
         console.print(f"band: the record is believed between {low:g} and {high:g} Hz")
@@ -105,6 +96,22 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     lines = [line.rstrip() for line in buffer.getvalue().rstrip().splitlines()]
     # tables bring empty lines of their own
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
+
+
+def source_of(eq: Answer, short: bool = False) -> str:
+    """Rows, rate and file, and which rows were used; only that some were not, where it is to be short."""
+    names = [name for name in eq.data.files if name]
+    source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
+    used = f"{eq.data.n_train} used"
+    if eq.data.stretches:
+        judged = "fits" if eq.data.refitted else "residuals"
+        used = "all used" if eq.data.refitted else used
+        used += f"; {judged}, free runs and verdict are those of {eq.data.stretches} stretches of them"
+    elif eq.data.refitted:
+        used = f"all used; fits and free runs on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
+    if short and eq.data.refitted and not eq.data.stretches:
+        used = f"all used; checks are of the first {eq.data.n_train}"
+    return f"{eq.data.n} rows{_rate(eq)}{source}, {used}"
 
 
 def _rate(eq: Answer) -> str:

@@ -1,0 +1,192 @@
+"""The answer in a few lines, as `bayeq discover` prints it: verdict, law, checks; `text.render` has all of it."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from bayeq.equation.answer import Answer
+from bayeq.equation.equation import Equation, round_to
+from bayeq.equation.oscillator import oscillator_parameters
+from bayeq.equation.physical import PhysicalParameters, Quantity, force_of
+from bayeq.equation.text import CERTAIN, DOUBTFUL, NOTEWORTHY_PIP, escape, source_of
+from bayeq.errors import InputError
+from bayeq.forecast.results import percentages
+from bayeq.inference.engines import ENGINES
+
+__all__ = ["brief"]
+
+WIDTH = 100
+
+# Runners-up of more than this probability against the equation are rivals, and then probabilities are printed.
+RIVAL = 0.05
+
+# Terms that are too small to be seen are listed up to this number.
+FEW = 2
+
+# Symbols of the parameters of an oscillator that are printed, by the term that they multiply; others are derived.
+DERIVED = ("omega_n",)
+
+
+def brief(eq: Answer) -> str:
+    """Verdict, law in physical parameters where there are any, equations, checks and source.
+
+    No equation is printed where none was found.
+    """
+    lines = _wrapped(f"verdict: {eq.verdict.kind}: {_sentence(eq)}")
+    if eq.verdict.kind == "none":
+        return "\n".join([*lines, "", *_wrapped(_what_to_try(eq))])
+    physical = _physical(eq)
+    for one in eq.equations:
+        found = physical if len(eq.equations) == 1 else None
+        lines += ["", *(() if found is None else _law(one, found, eq.inputs)), *_wrapped(escape(one.text), "    ")]
+        if found is None or _doubtful(one):
+            lines += _table(one, ENGINES[eq.method].score)
+    if physical is not None and len(eq.equations) > 1:
+        lines += ["", *_quantities([q for q in physical if not q.symbol.startswith("phi_")])]
+    lines.append("")
+    for one in eq.equations:
+        lines += _wrapped(_checks(one, eq))
+        lines += [line for text in (*_failed(one), *_unseen(one)) for line in _wrapped(text)]
+    return "\n".join([*lines, *_wrapped(source_of(eq, short=True))])
+
+
+def _wrapped(text: str, indent: str = "  ") -> list[str]:
+    return textwrap.wrap(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
+def _sentence(eq: Answer) -> str:
+    verdict = eq.verdict
+    if verdict.kind != "found":
+        return str(verdict).partition(": ")[2].removeprefix("no equation found: ")
+    ranges = []
+    for name in dict.fromkeys([*(n for one in eq.equations for n in one.chain.states), *eq.inputs]):
+        if name in eq.data.measured.ranges:
+            low, high = eq.data.measured.ranges[name]
+            unit = eq.equations[0].units.get(name, "")
+            ranges.append(f"{name} {low:.2g} .. {high:.2g}{' ' if unit else ''}{unit}")
+    within = f" for {', '.join(ranges)}" if ranges else ""
+    return escape(f"no test speaks against {'it' if len(eq.equations) == 1 else 'them'}{within}")
+
+
+def _what_to_try(eq: Answer) -> str:
+    names = [name for name in eq.data.files if name]
+    file = escape(names[0]) if names else "FILE"
+    return (
+        "Likely a channel has another role, unit or sign than was said, or the candidates lack what moves it."
+        f" Try: bayeq info {file}"
+    )
+
+
+def _physical(eq: Answer) -> PhysicalParameters | None:
+    """Physical parameters; None where the equations have none."""
+    try:
+        return oscillator_parameters(eq, None, target=None, force=None, draws=2000, seed=0)
+    except InputError:
+        return None
+
+
+def _law(equation: Equation, found: PhysicalParameters, inputs: Sequence[str]) -> Iterator[str]:
+    """The law in physical parameters, and these."""
+    law = _in_symbols(equation, found, inputs)
+    if law is not None:
+        yield escape(law)
+    yield from _quantities([q for q in found if q.symbol not in DERIVED])
+
+
+def _in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[str]) -> str | None:
+    """``m*a + c*v + k*x = u``; None where terms or a constant have no place in it."""
+    symbols = {q.symbol for q in found}
+    if equation.chain.order != 2 or found.unexplained or (equation.intercept_matters and "x0" not in symbols):
+        return None
+    per = "" if "m" in symbols else "/m"
+    about = f"({equation.chain.states[0]} - x0)" if "x0" in symbols else equation.chain.states[0]
+    parts = [f"m*{equation.target}" if not per else equation.target]
+    parts += [
+        f"{symbol if not per else f'({symbol}{per})'}*{term.replace(equation.chain.states[0], about)}"
+        for symbol, term in force_of(equation.chain)
+        if symbol + per in symbols
+    ]
+    driven = [name for name in equation.shown if name in inputs]
+    return f"{' + '.join(parts)} = {driven[0] if driven and not per else '0'}" if not (driven and per) else None
+
+
+def _quantities(quantities: Sequence[Quantity]) -> list[str]:
+    rows = [
+        (q.symbol, round_to(q.mean, q.sd), f"({round_to(q.low, q.sd)} .. {round_to(q.high, q.sd)})", q.unit or "")
+        for q in quantities
+    ]
+    widths = [max((len(row[k]) for row in rows), default=0) for k in range(4)]
+    return [
+        f"    {a:<{widths[0]}}  {b:>{widths[1]}}  {c:<{widths[2]}}  {d:<{widths[3]}}  {q.meaning}".rstrip()
+        for (a, b, c, d), q in zip(rows, quantities, strict=True)
+    ]
+
+
+def _doubtful(equation: Equation) -> bool:
+    """Whether terms need their probabilities: one of those shown is not certain, or there is a rival."""
+    pip = equation.posterior.pip[equation.shown_posterior.support]
+    rivals = [r for r in equation.runners_up if r.log_odds > np.log(RIVAL)]
+    return bool((pip < CERTAIN).any() or rivals or equation.left_out)
+
+
+def _table(equation: Equation, score: str) -> list[str]:
+    p, with_pip = equation.shown_posterior, _doubtful(equation)
+    rows = [("term", "coefficient", "95 % interval", "unit", score)]
+    for j, term in enumerate(equation.terms):
+        unit, pip = equation.coef_units[j] or "", f"{equation.posterior.pip[j]:.3f}"
+        if p.support[j]:
+            low, high = (round_to(end, p.sd[j]) for end in equation.printed_ci95[j])
+            rows.append((term.text, round_to(p.coef[j], p.sd[j]), f"{low} .. {high}", unit, pip))
+        elif with_pip and equation.posterior.pip[j] >= NOTEWORTHY_PIP:
+            rows.append((term.text, "not in it", "", "", pip))
+    if equation.intercept_matters:
+        value, sd = equation.intercept_estimate
+        low, high = (round_to(end, sd) for end in equation.printed_intercept_ci95)
+        rows.append(("constant", round_to(value, sd), f"{low} .. {high}", equation.units.get(equation.target, ""), ""))
+    columns = [0, 1, 2, *([3] if any(row[3] for row in rows[1:]) else []), *([4] if with_pip else [])]
+    widths = {k: max(len(row[k]) for row in rows) for k in columns}
+    return [
+        escape("    " + "  ".join(f"{row[k]:{'<' if k in (0, 3) else '>'}{widths[k]}}" for k in columns).rstrip())
+        for row in rows
+    ]
+
+
+def _checks(equation: Equation, eq: Answer) -> str:
+    """How well the equation predicts rows that were not used."""
+    fit, where = equation.held_out, "rows that were not used"
+    if fit is None:
+        fit, where = equation.train, "the rows used (none were held out)"
+    parts = [percentages({equation.target: fit.nrmse}).replace(" ", " within ", 1)]
+    if eq.scores is not None and eq.scores.blew_up_at is None:
+        errors = {name: eq.scores.free_run[name] for name in equation.chain.states if name in eq.scores.free_run}
+        if errors:
+            parts.append(f"free run within {percentages(errors)}")
+    elif eq.scores is not None:
+        parts.append(f"a free run over them blew up at {eq.scores.blew_up_at:.6g} s")
+    if not list(_failed(equation)) and equation.verdict.kind == "found":
+        parts.append("what is left looks like noise")
+    return escape(f"checked on {fit.n} {where}: {', '.join(parts)}")
+
+
+def _failed(equation: Equation) -> Iterator[str]:
+    """Diagnostics that fail, and what to do."""
+    found = equation.residuals
+    if found.normality < DOUBTFUL and found.kurtosis > 0.0:
+        yield "what is left has heavy tails: try --tails student"
+    if found.driver is not None and found.driver.p_value < DOUBTFUL:
+        yield escape(f"what is left follows {found.driver}: a term with it may be missing, or it is delayed")
+    for left in equation.left_out:
+        yield escape(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")
+
+
+def _unseen(equation: Equation) -> Iterator[str]:
+    """Terms that could matter elsewhere and are too small here."""
+    if not equation.undetermined or equation.bound is None:
+        return
+    bound = dict(zip([term.text for term in equation.terms], equation.bound.tolist(), strict=True))
+    listed = [f"{name} below {bound[name]:.2g}" for name in equation.undetermined[:FEW]]
+    rest = len(equation.undetermined) - len(listed)
+    yield escape(f"too small to be seen here: {', '.join(listed)}{f', {rest} more (--verbose)' if rest else ''}")
