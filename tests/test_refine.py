@@ -20,8 +20,7 @@ from bayeq.forecast.windows import typical_period, window_runs
 from bayeq.ode.rk4 import Drive, interpolant
 from bayeq.ode.tangents import shoot
 from bayeq.refine import refine as refining
-from bayeq.refine.known import Known
-from bayeq.refine.output_error import _excess, output_error
+from bayeq.refine.output_error import Known, _excess, output_error
 from bayeq.states import estimate_motion
 from tests.data import measured
 from tests.simulated import coarse
@@ -65,7 +64,7 @@ def test_the_minimum_is_that_of_a_general_solver(eq, record):
     few = record.slice(0, 240)
     dynamics, time = eq.dynamics([False]), few.time
     motion = estimate_motion([few], eq.roles)
-    found = output_error(motion, dynamics, dynamics.mean, Known.nothing(4), ["cubic"])
+    found = output_error(motion, dynamics, dynamics.mean, Known.of(dynamics, eq.known()), ["cubic"])
     assert found.converged
     assert found.excess == 1.0
     wide = np.full(2, 1e6)

@@ -23,7 +23,7 @@ _NAMES = {
     "equation.size_path": "ParsimonyPath",
     "estimators.regressors": "RVM STLSQ SpikeSlabBMA SpikeSlabGibbs SpikeSlabVB",
     "forecast.results": "Scores",
-    "refine.results": "Refinement",
+    "refine.refine": "Refinement",
     "forecast.run": "Forecast",
     "gram": "Gram",
     "inference.posterior": "Posterior",
@@ -52,7 +52,7 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.estimators.regressors import RVM as RVM, STLSQ as STLSQ, SpikeSlabBMA as SpikeSlabBMA
     from bayeq.estimators.regressors import SpikeSlabGibbs as SpikeSlabGibbs, SpikeSlabVB as SpikeSlabVB
     from bayeq.forecast.results import Scores as Scores
-    from bayeq.refine.results import Refinement as Refinement
+    from bayeq.refine.refine import Refinement as Refinement
     from bayeq.forecast.run import Forecast as Forecast
     from bayeq.gram import Gram as Gram
     from bayeq.inference.posterior import Posterior as Posterior

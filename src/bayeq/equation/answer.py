@@ -11,7 +11,7 @@ from bayeq.equation.verdict import Verdict
 from bayeq.forecast.results import Scores
 from bayeq.plan.conditions import Measured
 from bayeq.records import Record, counts_rows
-from bayeq.refine.results import Refinement
+from bayeq.refine.refine import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.states import Chain, Motion, Roles, Sensors, Smooth
 

@@ -25,7 +25,7 @@ from bayeq.expressions.functions import TIME
 from bayeq.forecast.results import Scores
 from bayeq.records import Record, with_row_numbers
 from bayeq.records.files import replacing
-from bayeq.refine.results import Refinement
+from bayeq.refine.refine import Refinement
 from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import DroppedTerm
 from bayeq.states import Chain, Roles, Smooth, estimate_motion, rates

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import State, adjoints, marginal, maximised, of_inputs
+from bayeq.likelihood.fit import State, adjoints, maximised, of_inputs
 from bayeq.likelihood.levels import LEAST_DISCREPANCY, MEMORY, Levels
-from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.numerics.beta import incomplete_beta
 from bayeq.numerics.normal import Z95
@@ -136,55 +135,43 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     task, fitted : Task, Fitted
         What was explained, and how.
     """
-    layout, state = task.layout, fitted.state
-    linears = task.linearised(state)
-    precision = task.precision[task.number(state.chosen)]
+    state = fitted.state
     if (state.levels.memory > AT_BOUND * state.levels.longest).any():
         # a fit is kept from remembering as long as a slow force may last
         free = replace(state, levels=state.levels.unbounded)
-        state = replace(state, levels=maximised(linears, free, precision)[0])
-    levels = state.levels
+        state = replace(state, levels=maximised(task.linearised(state), free, task.precision_of(state))[0])
+    here = task.marginal(state)
     interval = float(np.median(np.concatenate([one.intervals for one in task.series])))
+    discrepancies = [_discrepancy(task, state, here.value, c, interval) for c in range(task.layout.chains)]
+    return Adequacy(tuple(discrepancies), tuple(_octaves(task, state, here.delta, interval)))
 
-    def log_likelihood(c: int, factor: float) -> float:
-        try:
-            return marginal(
-                linears, state, levels.with_discrepancy(c, factor * levels.discrepancy[c]), precision, keep=False
-            ).value
-        except np.linalg.LinAlgError:  # far from any motion
-            return -math.inf
 
-    here = marginal(linears, state, levels, precision)
-    discrepancies = []
-    for c, size in enumerate(levels.kappa.tolist()):
-        gain = 2.0 * (here.value - log_likelihood(c, 0.0))
-        if LEAST_GAIN < gain < math.inf:
-            gain = min(gain, 2.0 * gain_of(task, replace(state, levels=levels), c))
-        p = 0.0 if gain > 0.0 else 1.0
-        if 0.0 < gain < math.inf:
-            p = chance_of(gain, _length(task, state, linears, precision, c))
-        bend = -(log_likelihood(c, math.exp(STEP)) - 2.0 * here.value + log_likelihood(c, math.exp(-STEP))) / STEP**2
-        factor = math.exp(0.5 * Z95 / math.sqrt(bend)) if bend > LEAST_BEND else math.inf
-        paths = [path[:, layout.discrepancy[c]] for path in state.paths]
-        discrepancies.append(Discrepancy(size, size / factor, size * factor, p, _main_octave(paths, interval)))
+def _discrepancy(task: Task, state: State, value: float, c: int, interval: float) -> Discrepancy:
+    """The discrepancy of equation c, in a fit of log likelihood `value`."""
+    levels, size = state.levels, float(state.levels.kappa[c])
 
-    # inputs first: their course need not be that of low-passed noise
-    noisy = len(layout.roles.inputs)
+    def log_likelihood(factor: float) -> float:
+        return task.value(replace(state, levels=levels.with_discrepancy(c, factor * levels.discrepancy[c])))
+
+    gain = 2.0 * (value - log_likelihood(0.0))
+    if LEAST_GAIN < gain < math.inf:
+        gain = min(gain, 2.0 * gain_of(task, state, c))
+    p = 0.0 if gain > 0.0 else 1.0
+    if 0.0 < gain < math.inf:
+        p = chance_of(gain, _length(task, state, c))
+    bend = -(log_likelihood(math.exp(STEP)) - 2.0 * value + log_likelihood(math.exp(-STEP))) / STEP**2
+    factor = math.exp(0.5 * Z95 / math.sqrt(bend)) if bend > LEAST_BEND else math.inf
+    paths = [path[:, task.layout.discrepancy[c]] for path in state.paths]
+    return Discrepancy(size, size / factor, size * factor, p, _main_octave(paths, interval))
+
+
+def _octaves(task: Task, state: State, delta: Floats, interval: float) -> list[Octave]:
+    """Tests of the innovations of all channels of chains, coefficients `delta` from those of the fit."""
+    layout, levels, noisy = task.layout, state.levels, len(task.layout.roles.inputs)
+    # inputs are filtered first: their course need not be that of low-passed noise
     order = np.roll(np.arange(len(layout.channels)), noisy)
     noise = levels.noise._replace(channels=levels.noise.channels[order])
-    filtered = [
-        run_filter(
-            one._replace(
-                residual=np.ascontiguousarray(one.residual[:, order]),
-                kinds=one.kinds[order],
-                spread=np.ascontiguousarray(one.spread[:, order]),
-                unresolved=np.ascontiguousarray(one.unresolved[:, order]),
-            ),
-            state.chosen,
-            noise,
-        )
-        for one in linears
-    ]
+    filtered = [run_filter(one.in_order(order), state.chosen, noise) for one in task.linearised(state)]
     octaves: list[Octave] = []
     otherwise: set[tuple[float, float]] = set()
     for k, (channel, kind) in enumerate(layout.channels[i] for i in order):
@@ -192,7 +179,7 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
         for found in filtered:
             measured = found.variance[:, k] > 0.0
             innovation = found.innovation[measured, k]
-            left.append((innovation[:, 0] - innovation[:, 1:] @ here.delta) / np.sqrt(found.variance[measured, k]))
+            left.append((innovation[:, 0] - innovation[:, 1:] @ delta) / np.sqrt(found.variance[measured, k]))
         if k < noisy:
             otherwise |= {(one.low, one.high) for one in octaves_of(channel, left, interval) if one.p < LEVEL}
             continue
@@ -200,7 +187,7 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
         least = LEAST_DISCREPANCY * levels.scales.channels[order[k]] / levels.channels[order[k]]
         tested = octaves_of(channel, left, interval, otherwise if kind < 0 else set())
         octaves += [one for one in tested if abs(one.ratio - 1.0) * one.share > least]
-    return Adequacy(tuple(discrepancies), tuple(octaves))
+    return octaves
 
 
 def gain_of(task: Task, state: State, c: int) -> float:
@@ -209,14 +196,15 @@ def gain_of(task: Task, state: State, c: int) -> float:
     Other levels are learned again without. The samples of an input tell its noise by the model of its course, which is
     a convenience: any noise is plausible up to the power of the input in the octave in which it has least.
     """
-    linears, precision = task.linearised(state), task.precision[task.number(state.chosen)]
+    linears = task.linearised(state)
     held = np.zeros(len(state.levels.free), dtype=np.bool_)
     held[len(state.levels.channels) + c] = True
 
     def value(levels: Levels) -> float:
-        return marginal(linears, state, levels, precision, keep=False).value - of_inputs(linears, levels)
+        return task.marginal(replace(state, levels=levels), keep=False).value - of_inputs(linears, levels)
 
-    levels = maximised(linears, replace(state, levels=state.levels.with_discrepancy(c, 0.0)), precision, held)[0]
+    without = replace(state, levels=state.levels.with_discrepancy(c, 0.0))
+    levels = maximised(linears, without, task.precision_of(state), held)[0]
     best = value(levels)
     first = task.layout.first_input
     for i in (np.flatnonzero(levels.learned[first:]) + first).tolist():
@@ -268,19 +256,16 @@ def chance_of(gain: float, length: float) -> float:
     return min(1.0, 0.5 * math.erfc(math.sqrt(0.5 * gain)) + math.exp(-0.5 * gain) * length / (2.0 * math.pi))
 
 
-def _length(task: Task, state: State, linears: Sequence[Linear], precision: Floats, c: int) -> float:
+def _length(task: Task, state: State, c: int) -> float:
     """What `chance_of` takes, of the discrepancy of equation c."""
     levels, d = state.levels, task.layout.discrepancy[c]
     memory = levels.memory.copy()
     memory[c] = MEMORY[0]
     # a small discrepancy without memory is, smoothed, what the likelihood would gain by a force at each sample
     little = replace(levels.with_discrepancy(c, 0.0), memory=memory)
-    found = marginal(linears, state, little, precision)
-    pulls = [
-        path[:, d] + one.deviation[:, d]
-        for path, one in zip(state.paths, adjoints(linears, little, found, found.delta), strict=True)
-    ]
-    return turn_of(pulls)
+    found = task.marginal(replace(state, levels=little))
+    smoothed = adjoints(task.linearised(state), little, found, found.delta)
+    return turn_of([path[:, d] + one.deviation[:, d] for path, one in zip(state.paths, smoothed, strict=True)])
 
 
 def turn_of(pulls: Sequence[Floats]) -> float:

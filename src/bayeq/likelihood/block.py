@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayeq.likelihood.filter import Adjoint, run_filter
 from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, corrections, information
-from bayeq.likelihood.layout import Candidates
+from bayeq.likelihood.layout import NOTHING
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.low_pass import SEGMENT, periodograms
 from bayeq.likelihood.projection import ENOUGH, LEAST_ROWS, batched, time_around
@@ -170,11 +170,9 @@ def at_its_path(task: Task, state: State) -> tuple[State, list[Linear], list[Adj
 
 def adjoints_of(state: State, linears: Sequence[Linear]) -> list[Adjoint]:
     """The adjoints of records at the coefficients that they are linearised about."""
-    none = np.zeros(0)
-    nothing = Candidates(none.astype(np.int64), none.astype(np.int64))
-    filtered = tuple(run_filter(linear, nothing, state.levels.noise) for linear in linears)
-    about = Statistics(0.0, none, np.zeros((0, 0)), filtered)
-    return adjoints(linears, state.levels, about, none, np.zeros((0, 0)), True, bool(state.levels.layout.jumps))
+    none, square = np.zeros(0), np.zeros((0, 0))
+    about = Statistics(0.0, none, square, tuple(run_filter(linear, NOTHING, state.levels.noise) for linear in linears))
+    return adjoints(linears, state.levels, about, none, square, True, bool(state.levels.layout.jumps))
 
 
 def statistics(

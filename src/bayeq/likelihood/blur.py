@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Call, Evaluator, Expression
-from bayeq.likelihood.layout import Candidates, Layout
+from bayeq.likelihood.layout import NOTHING, Candidates, Layout
 from bayeq.likelihood.series import Series
 from bayeq.likelihood.signs import SLOPE, half_of_jump, middle_of_jump, unresolved_share
 
@@ -123,9 +123,8 @@ def first_blur(layout: Layout, series: Series, path: Floats, substeps: int = 1) 
     n, size = path.shape
     if not layout.jumps:
         return Blur(np.zeros((n, 0)), np.zeros(series.samples.shape), np.zeros((n - 1, layout.chains)))
-    none = layout.everything.take(np.zeros(0, dtype=np.intp))
     covariance, push = np.zeros((n, size, size)), np.zeros((n - 1, size, layout.chains))
-    return blur_of(layout, series, path, covariance, push, none, np.zeros(0), np.full(n - 1, substeps))
+    return blur_of(layout, series, path, covariance, push, NOTHING, np.zeros(0), np.full(n - 1, substeps))
 
 
 def blur_of(

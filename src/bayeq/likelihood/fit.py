@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayeq.likelihood.blur import Blur, blur_of
 from bayeq.likelihood.filter import Adjoint, Filtered, adjoint, run_filter
-from bayeq.likelihood.layout import Candidates, Layout
+from bayeq.likelihood.layout import NOTHING, Candidates, Layout
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.linear import Linear, derivatives_along, linearise, terms_at
 from bayeq.likelihood.series import Series
@@ -183,11 +183,11 @@ def of_inputs(linears: Sequence[Linear], levels: Levels) -> float:
     layout = levels.layout
     if not layout.roles.inputs:
         return 0.0
-    alone, nothing = [], layout.everything.take(np.zeros(0, dtype=np.intp))
+    alone = []
     for linear in linears:
         residual = linear.residual.copy()
         residual[:, : -len(layout.roles.inputs)] = np.nan
-        alone.append(run_filter(linear._replace(residual=residual), nothing, levels.noise, keep=False))
+        alone.append(run_filter(linear._replace(residual=residual), NOTHING, levels.noise, keep=False))
     return quadratic(alone).level
 
 

@@ -21,7 +21,7 @@ from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import jumps_of, mean_of_jumps
 from bayeq.states import Roles, rates
 
-__all__ = ["Candidates", "Course", "Layout"]
+__all__ = ["NOTHING", "Candidates", "Course", "Layout"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -44,6 +44,10 @@ class Candidates(NamedTuple):
     def take(self, index: NDArray[np.intp]) -> Candidates:
         """Some of the coefficients."""
         return Candidates(self.chain[index], self.term[index])
+
+
+#: No coefficient.
+NOTHING = Candidates(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
 
 @dataclass(frozen=True, eq=False)

@@ -144,6 +144,12 @@ class Linear(NamedTuple):
     steps: Steps
     holds: tuple[tuple[NDArray[np.intp], Floats], ...]
 
+    def in_order(self, channels: NDArray[np.intp]) -> Linear:
+        """The same with the samples of the channels in another order."""
+        columns = {name: getattr(self, name)[:, channels] for name in ("residual", "spread", "unresolved")}
+        contiguous = {name: np.ascontiguousarray(values) for name, values in columns.items()}
+        return self._replace(kinds=self.kinds[channels], **contiguous)
+
 
 @kernel(borrowing=True)
 def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction: float) -> None:

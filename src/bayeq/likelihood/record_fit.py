@@ -327,10 +327,8 @@ def fit_record(
         with np.errstate(all="ignore"):
             some, places = _stretches(motion)
             log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
-            start = start_from(some, terms, grams, log_odds[:, :-1] > -np.inf)
-            odds = log_odds.ravel()
-            task = Task(start.layout, start.series, start.precision, odds, tolerance=tolerance)
-            found = search(task, start.states, partial(with_courses, some))
+            task, states = start_from(some, terms, grams, log_odds, tolerance)
+            found = search(task, states, partial(with_courses, some))
             if some is not motion:
                 return _resumed(motion, *found, places)
             if motion.sensors.tails == "student":

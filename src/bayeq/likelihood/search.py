@@ -23,6 +23,7 @@ from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import (
     Quadratic,
     State,
+    Statistics,
     improved,
     information,
     linearised,
@@ -156,6 +157,21 @@ class Task:
         self.recent.append((about, linearised(self.layout, self.series, state, self.substeps)))
         return self.recent[-1][1]
 
+    def precision_of(self, state: State) -> Floats:
+        """1/variance of the prior of each coefficient of a fit, (r,)."""
+        return self.precision[self.number(state.chosen)]
+
+    def marginal(self, state: State, keep: bool = True) -> Statistics:
+        """The likelihood where a fit stands, its coefficients integrated out; `keep` as in `run_filter`."""
+        return marginal(self.linearised(state), state, state.levels, self.precision_of(state), keep)
+
+    def value(self, state: State) -> float:
+        """ln p(data | levels) where a fit stands; -inf where that is far from any motion."""
+        try:
+            return self.marginal(state, keep=False).value
+        except np.linalg.LinAlgError:
+            return -math.inf
+
     @property
     def rows(self) -> float:
         """Number of samples."""
@@ -240,16 +256,24 @@ Alternatives = Callable[[Task, Fitted, int], Iterable[list[tuple[Task, State]]]]
 def fit(
     task: Task, state: State, coarse: bool = False, further: bool = True, calm: int = 0, beside: Fitted | None = None
 ) -> Fitted:
-    """Fit a model by Gauss-Newton steps, levels learned about each.
+    """Fit a model by Gauss-Newton steps; before each the levels are learned.
 
-    Where another size of a discrepancy turns out to be likelier the fit goes on from there, once (`further`): a search
-    does not leave a discrepancy of nothing, about which the likelihood is flat. In the first steps, `calm` of them,
-    discrepancies stay as they are. A coarse fit takes few steps; its evidence is that of the likeliest discrepancies.
-    Equations that have the same terms in a fit `beside` are averaged over their discrepancies as there.
+    Parameters
+    ----------
+    task, state : Task, State
+        What is to be explained, and where the steps start.
+    coarse : bool
+        Few steps only; the evidence is then that of the likeliest discrepancies, not averaged over their sizes.
+    further : bool
+        Whether the fit starts once more, from the likeliest size of each discrepancy, if the average over sizes finds a
+        likelier one: about a discrepancy of nearly zero the likelihood is flat, and a search stays there.
+    calm : int
+        Number of first steps in which discrepancies keep their size.
+    beside : Fitted, optional
+        Equations with the same terms in this fit take its averages over sizes.
     """
-    layout, series = task.layout, task.series
-    number = task.number(state.chosen)
-    precision, before, last, halved = task.precision[number], -np.inf, None, 0
+    layout, precision = task.layout, task.precision_of(state)
+    before, last, halved = -np.inf, None, 0
     for step in range(STEPS if coarse else MOST_STEPS + calm):
         held = state.levels.optional if step < calm else None
         while True:
@@ -263,21 +287,21 @@ def fit(
                     raise
                 state = last.halfway(state)
         last = state
-        state, curved = improved(layout, series, linears, replace(state, levels=levels), found)
+        state, curved = improved(layout, task.series, linears, replace(state, levels=levels), found)
         if abs(found.value - before) < SETTLED and step >= calm:
             break
         before = found.value
-    linears = task.linearised(state)
-    value = marginal(linears, state, state.levels, precision, keep=False).value
+    value = task.marginal(state, keep=False).value
     model, averages = task.model(state.chosen), np.zeros(layout.chains)
     if not coarse:
         former = np.full(layout.chains, np.nan)
         if beside is not None:
             same = (beside.model == model).reshape(layout.chains, -1).all(axis=1)
             former[same] = beside.averages[same]
-        averages, met = over_sizes(linears, state, precision, value, former)
-        if further and marginal(linears, state, met, precision, keep=False).value > value + FLAT:
-            return fit(task, replace(state, levels=met), further=False, beside=beside)
+        averages, met = over_sizes(task.linearised(state), state, precision, value, former)
+        likelier = replace(state, levels=met)
+        if further and task.marginal(likelier, keep=False).value > value + FLAT:
+            return fit(task, likelier, further=False, beside=beside)
         value += float(averages.sum())
     return Fitted(model, state, value + task.prior(model), partial(expanded, task, state, curved), averages)
 
@@ -330,16 +354,11 @@ def with_small_discrepancy(task: Task, best: Fitted) -> Fitted:
     """The fit, or one of the same model with some discrepancy that is as likely or likelier."""
     if not (best.state.levels.kappa < NOTICED).any():
         return best
-    precision = task.precision[task.number(best.state.chosen)]
-
-    def value(state: State) -> float:
-        return marginal(task.linearised(state), state, state.levels, precision, keep=False).value
-
-    before, state = value(best.state), fit(task, roused(best.state), coarse=True).state
-    if value(state) < before - FLAT:
+    before, state = task.marginal(best.state, keep=False).value, fit(task, roused(best.state), coarse=True).state
+    if task.marginal(state, keep=False).value < before - FLAT:
         return best
     again = fit(task, state)
-    return again if value(again.state) > before - SETTLED else best
+    return again if task.marginal(again.state, keep=False).value > before - SETTLED else best
 
 
 def widened(task: Task, fitted: Fitted) -> Task:
@@ -384,36 +403,41 @@ def steady(task: Task, state: State) -> bool:
     return True
 
 
-def settle(task: Task, state: State, log: Callable[..., None]) -> tuple[Task, Fitted]:
-    """Rounds of selection and fit from one start, until the model stays; the task with steps as fine as they need.
+def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
+    """Fits, each of the model that is likeliest on the Gram of the one before, until that stays; the best of them.
 
-    On the way discrepancies remember as long as they like: from heavy noise that is the shorter way.
+    Between coarse fits priors may become wider, and steps of the integration finer: the task has these.
+    """
+    best = now = fit(task, state, coarse)
+    seen = {now.model.tobytes()}
+    for _ in range(ROUNDS):
+        task = widened(task, now) if coarse else task
+        state = likeliest(task, now)
+        model = task.model(state.chosen).tobytes()
+        if model in seen:
+            break
+        seen.add(model)
+        try:
+            task = finer(task, state) if coarse else task
+            now = fit(task, state, coarse)
+        except np.linalg.LinAlgError:  # of no motion that it stays near
+            if not coarse:
+                raise
+            break
+        best = max(best, now, key=lambda one: one.evidence)
+    return task, best
+
+
+def settle(task: Task, state: State) -> tuple[Task, Fitted]:
+    """Coarse rounds from one start, then a fit of their model; the task with steps as fine as they need.
+
+    In the rounds the memory of discrepancies is not bounded: from heavy noise that is the shorter way.
     """
     bounded = state.levels.scales
     state = replace(state, levels=state.levels.unbounded)
-    task = finer(task, state)
-    best = now = fit(task, state, coarse=True)
-    seen = {now.model.tobytes()}
-    log("start", now)
-    for _ in range(ROUNDS):
-        task = widened(task, now)
-        state = likeliest(task, now)
-        model = task.model(state.chosen)
-        if model.tobytes() in seen:
-            break
-        seen.add(model.tobytes())
-        try:
-            task = finer(task, state)
-            now = fit(task, state, coarse=True)
-        except np.linalg.LinAlgError:  # of no motion that it stays near
-            break
-        log("round", now)
-        if now.evidence > best.evidence:
-            best = now
+    task, best = rounds(finer(task, state), state, coarse=True)
     levels = replace(best.state.levels, scales=bounded)
-    best = from_all_levels(task, replace(best.state, levels=levels))
-    log("fit", best)
-    return task, best
+    return task, from_all_levels(task, replace(best.state, levels=levels))
 
 
 def all_together(task: Task, empty: State) -> State | None:
@@ -447,11 +471,7 @@ def of_motion(task: Task, fitted: Fitted) -> float:
 
 def at_once(task: Task, state: State) -> float:
     """The same of a fit that goes no further than its start."""
-    try:
-        linears, precision = task.linearised(state), task.precision[task.number(state.chosen)]
-        return marginal(linears, state, state.levels, precision, keep=False).value - of_inputs(linears, state.levels)
-    except np.linalg.LinAlgError:
-        return -math.inf
+    return task.value(state) - of_inputs(task.linearised(state), state.levels)
 
 
 def noisier(task: Task, state: State, k: int) -> State:
@@ -462,9 +482,9 @@ def noisier(task: Task, state: State, k: int) -> State:
     return replace(state, levels=levels.with_noise(i, max(levels.channels[i], INPUT_NOISE * levels.scales.channels[i])))
 
 
-def with_other_inputs(task: Task, best: Fitted, others: Alternatives, log: Callable[..., None]) -> tuple[Task, Fitted]:
+def with_other_inputs(task: Task, best: Fitted, others: Alternatives) -> tuple[Task, Fitted]:
     """The fit, or one with other courses of inputs between samples where the motion is then likelier."""
-    for k, name in enumerate(task.layout.roles.inputs):
+    for k in range(len(task.layout.roles.inputs)):
         tried = [(task, best)]
         for group in others(task, best, k):
             there, state = max(group, key=lambda pair: at_once(*pair))
@@ -472,27 +492,17 @@ def with_other_inputs(task: Task, best: Fitted, others: Alternatives, log: Calla
                 tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
             except np.linalg.LinAlgError:
                 continue
-            log(f"  {name} {there.layout.courses[k]} {there.layout.smoothness[k]}", tried[-1][1])
         likeliest = max(tried, key=lambda pair: of_motion(*pair))
         if likeliest[1] is not best:
             try:
-                found = settle(likeliest[0], likeliest[1].state, log)
+                found = settle(likeliest[0], likeliest[1].state)
             except np.linalg.LinAlgError:
                 continue
             task, best = max([(task, best), found], key=lambda pair: of_motion(*pair))
     return task, best
 
 
-def _no_log(word: str, fitted: Fitted) -> None:
-    """No trace kept."""
-
-
-def search(
-    task: Task,
-    starts: Sequence[State],
-    others: Alternatives = lambda task, fitted, k: (),
-    log: Callable[..., None] = _no_log,
-) -> tuple[Task, Fitted]:
+def search(task: Task, starts: Sequence[State], others: Alternatives) -> tuple[Task, Fitted]:
     """The best model that rounds of selection lead to.
 
     Parameters
@@ -502,10 +512,8 @@ def search(
     starts : sequence of State
         Where rounds start: from the next one too where those before left a discrepancy. The last one has no terms;
         the fit of all candidates from there is a further start if these are few.
-    others : callable, optional
+    others : callable
         Gives what may be tried in place of a fit: tasks with other courses of an input, and starts for them.
-    log : callable, optional
-        Called with a word and every fit, as a trace.
 
     Returns
     -------
@@ -517,7 +525,7 @@ def search(
         try:
             start = all_together(task, starts[-1]) if state is None else state
             if start is not None:
-                settled.append(settle(task, start, log))
+                settled.append(settle(task, start))
         except np.linalg.LinAlgError:
             continue
         if settled and settled[-1][1].state.levels.kappa.max() < ADEQUATE:
@@ -525,42 +533,21 @@ def search(
     if not settled:
         raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
     task, best = max(settled, key=lambda pair: pair[1].evidence)
-    task, best = with_other_inputs(task, best, others, log)
+    task, best = with_other_inputs(task, best, others)
     task.recent.clear()
     return task, best
 
 
-def resumed(task: Task, state: State, log: Callable[..., None] = _no_log) -> Fitted:
-    """The best model of a task, looked for from a fit of some of its rows.
-
-    Parameters
-    ----------
-    task : Task
-        What is to be explained.
-    state : State
-        From `bayeq.likelihood.start.carried_over`.
-    log : callable, optional
-        As in `search`.
-    """
-    best = now = fit(task, state)
-    log("resumed", now)
-    seen = {now.model.tobytes()}
-    for _ in range(ROUNDS):
-        state = likeliest(task, now)
-        if task.model(state.chosen).tobytes() in seen:
-            break
-        now = fit(task, state)
-        seen.add(now.model.tobytes())
-        log("round", now)
-        if now.evidence > best.evidence:
-            best = now
+def resumed(task: Task, state: State) -> Fitted:
+    """The best model of a task, looked for from a fit of some of its rows (`bayeq.likelihood.start.carried_over`)."""
+    _, best = rounds(task, state, coarse=False)
     if task.rows > MOST_TO_MOVE:
         best = with_small_discrepancy(task, best)
     task.recent.clear()
     return best
 
 
-def among_neighbours(task: Task, best: Fitted, log: Callable[..., None] = _no_log) -> Fitted:
+def among_neighbours(task: Task, best: Fitted) -> Fitted:
     """The model that single moves lead to, each compared by its own fit; of many samples the Gram tells them apart."""
     if task.rows > MOST_TO_MOVE:
         return best
@@ -576,13 +563,10 @@ def among_neighbours(task: Task, best: Fitted, log: Callable[..., None] = _no_lo
             except np.linalg.LinAlgError:
                 continue
             tried[model.tobytes()] = other.evidence
-            log(f"  {move.gain:.1f}", other)
-            if other.evidence > better.evidence:
-                better = other
+            better = max(better, other, key=lambda one: one.evidence)
         if better is best:
             break
         best = better
-        log("move", best)
     best.tried.update(tried)
     task.recent.clear()
     return best

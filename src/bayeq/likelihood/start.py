@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +18,8 @@ from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
-from bayeq.likelihood.fit import State, adjoints, linearised, marginal, maximised
-from bayeq.likelihood.layout import Candidates, Course, Layout
+from bayeq.likelihood.fit import State, adjoints, linearised, maximised
+from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout
 from bayeq.likelihood.levels import COURSES, LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
 from bayeq.likelihood.search import INPUT_NOISE, Fitted, Task
@@ -27,7 +27,7 @@ from bayeq.likelihood.series import Series
 from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
-__all__ = ["Start", "carried_over", "series_and_paths", "start_from", "start_of_runs", "with_courses", "with_spectra"]
+__all__ = ["carried_over", "series_and_paths", "start_from", "start_of_runs", "with_courses", "with_spectra"]
 
 Floats = NDArray[np.float64]
 
@@ -61,51 +61,37 @@ SLOWEST = 0.1
 LEAST_MEMORY, MOST_MEMORY = 0.05, 0.99
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
-    """What is to be explained, and where fits start.
-
-    Attributes
-    ----------
-    layout, series
-        States and samples.
-    states : tuple of State
-        The regression of the smoothed rows, and the motion without any term.
-    precision : (C (P + 1),) array
-        1/variance of each coefficient's prior.
-    """
-
-    layout: Layout
-    series: tuple[Series, ...]
-    states: tuple[State, ...]
-    precision: Floats
-
-
 def start_from(
-    motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram], allowed: NDArray[np.bool_] | None = None
-) -> Start:
-    """Where fits of a dictionary to the training rows of some motion start.
+    motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram], log_odds: Floats, tolerance: float | None
+) -> tuple[Task, tuple[State, ...]]:
+    """What is to be explained by a dictionary in the training rows of some motion, and where fits start.
 
     Parameters
     ----------
     motion : Motion
         With time.
     terms : sequence of Expression
-        The candidates.
+        The P candidates.
     grams : sequence of Gram
         Of the smoothed rows, one per equation.
-    allowed : (C, P) bool array, optional
-        Candidates of each equation; by default all.
+    log_odds : (C, P + 1) array
+        Of each candidate, and of the constant, not being zero.
+    tolerance : float or None
+        See `bayeq.discover`.
+
+    Returns
+    -------
+    Task, (State, State)
+        The states are the regression of the smoothed rows, and the motion without any term.
     """
     roles, pieces = motion.roles, motion.train
     known = motion.sensors.noise
-    inputs = [_input(name, pieces, known.get(name)) for name in roles.inputs]
+    inputs = [_input(name, pieces, known.get(name), SMOOTHNESS) for name in roles.inputs]
     layout = _with_inputs(Layout(roles, tuple(terms), motion.unit_gains, drift=_drift(motion)), inputs)
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
     targets = _targets(roles, pieces)
-    interval = _interval([one.intervals for one in series])
-    scales = _scales(layout, paths, targets.var(axis=0), np.concatenate([one.samples for one in series]), interval)
+    scales = _scales(layout, paths, targets.var(axis=0), series, _interval([one.intervals for one in series]))
     noise = FIRST_NOISE * scales.channels
     noise[len(noise) - len(inputs) :] = [one.noise for one in inputs]
     held = _set_known(noise, layout, scales, known)
@@ -121,9 +107,9 @@ def start_from(
         noise[: len(layout.drifts)],
         held=held,
     )
-    none = np.zeros(0, dtype=np.int64)
-    empty = State(Candidates(none, none), np.zeros(0), paths, levels)
-    return Start(layout, series, (_by_rows(empty, grams, allowed), empty), _precision(motion, layout))
+    empty = State(NOTHING, np.zeros(0), paths, levels)
+    task = Task(layout, series, _precision(motion, layout), log_odds.ravel(), tolerance=tolerance)
+    return task, (_by_rows(empty, grams, log_odds[:, :-1] > -np.inf), empty)
 
 
 def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str, float]) -> NDArray[np.bool_]:
@@ -134,9 +120,7 @@ def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str
     return held
 
 
-def start_of_runs(
-    motion: Motion, terms: Sequence[Expression], course: Course
-) -> tuple[Layout, tuple[Series, ...], Floats, State]:
+def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -> tuple[Task, State]:
     """Where free runs of equations start: inputs are exact and of one course, and there is hardly a discrepancy.
 
     Parameters
@@ -150,19 +134,18 @@ def start_of_runs(
 
     Returns
     -------
-    layout, series, precision, state
-        As in `Start`; the state is that of the smoothed motion, without any term.
+    Task, State
+        The state is that of the smoothed motion, without any term.
     """
-    roles, none = motion.roles, np.zeros(0, dtype=np.int64)
-    count = len(roles.inputs)
+    roles, count = motion.roles, len(motion.roles.inputs)
     bare = Layout(
         roles, tuple(terms), motion.unit_gains, (0,) * count, (0.0,) * count, (0.0,) * count, (course,) * count
     )
     series, paths = series_and_paths(bare, motion.train)
     for one, path in zip(series, paths, strict=True):
         path[:-1, bare.slope] = np.diff(path[:, bare.driven], axis=0) / one.intervals[:, None]
-    samples, interval = np.concatenate([one.samples for one in series]), _interval([one.intervals for one in series])
-    scales = _scales(bare, paths, _targets(roles, motion.train).var(axis=0), samples, interval)
+    interval = _interval([one.intervals for one in series])
+    scales = _scales(bare, paths, _targets(roles, motion.train).var(axis=0), series, interval)
     layout = replace(bare, centres=tuple(scales.mean[bare.driven].tolist()))
     known, noise = motion.sensors.noise, FIRST_NOISE * scales.channels
     noise[layout.first_input :] = LEAST_NOISE * scales.channels[layout.first_input :]
@@ -172,15 +155,17 @@ def start_of_runs(
     slope = scales.variance[layout.driven] / interval**2
     memory, exact = np.full(layout.chains, LEAST_MEMORY), np.full(count, COURSES[0])
     levels = Levels(layout, scales, noise, target, memory, slope, exact, np.zeros(0), held=held)
-    return layout, series, _precision(motion, layout), State(Candidates(none, none), np.zeros(0), paths, levels)
+    precision = _precision(motion, layout)
+    task = Task(layout, series, precision, np.zeros(len(precision)))
+    return task, State(NOTHING, np.zeros(0), paths, levels)
 
 
-def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_] | None) -> State:
+def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_]) -> State:
     """The likeliest model of each equation as a regression of the smoothed rows."""
     chains, terms, theta, left = [], [], [], []
     for c, gram in enumerate(grams):
         standard = gram.standardise(residual_scale(gram))
-        first = Prior() if allowed is None else Prior(prior_inclusion=np.where(allowed[c], 0.1, 0.0))
+        first = Prior(prior_inclusion=np.where(allowed[c], 0.1, 0.0))
         prior = replace(first, slab_variance=learn_slab_variance(standard.gram, first))
         problem = Problem.of(standard.gram, prior)
         model = best_models(problem)[0][1]
@@ -222,7 +207,7 @@ def _with_inputs(layout: Layout, inputs: Sequence[_Input]) -> Layout:
 def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator[list[tuple[Task, State]]]:
     """The task with other courses of input k, smooth as it is and a random sequence; the fit as a start."""
     inputs, name = _inputs_of(fitted.state), task.layout.roles.inputs[k]
-    random = _of_course(name, motion.train, 0, motion.sensors.noise.get(name))._replace(noise=inputs[k].noise)
+    random = _input(name, motion.train, motion.sensors.noise.get(name), (0,))._replace(noise=inputs[k].noise)
     for own, courses in ((inputs[k], OTHERWISE), (random, (*OTHERWISE, *BENT))):
         others = [own._replace(course=course) for course in courses]
         yield [_with_others(motion, task, fitted.state, [*inputs[:k], one, *inputs[k + 1 :]]) for one in others]
@@ -230,19 +215,14 @@ def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator
 
 def _inputs_of(state: State) -> list[_Input]:
     """The inputs of a fit."""
-    layout, levels = state.levels.layout, state.levels
-    return [
-        _Input(
-            layout.smoothness[k],
-            layout.centres[k],
-            layout.corners[k],
-            layout.courses[k],
-            float(levels.channels[layout.first_input + k]),
-            float(levels.slope[k]),
-            tuple(path[:, first : last + 1] for path in state.paths),
-        )
-        for k, (first, last) in enumerate(zip(layout.driven, layout.slope, strict=True))
+    levels, layout = state.levels, state.levels.layout
+    noise = levels.channels[layout.first_input :]
+    paths = [
+        tuple(path[:, first : last + 1] for path in state.paths)
+        for first, last in zip(layout.driven, layout.slope, strict=True)
     ]
+    kinds = (layout.smoothness, layout.centres, layout.corners, layout.courses)
+    return [_Input(*one) for one in zip(*kinds, noise.tolist(), levels.slope.tolist(), paths, strict=True)]
 
 
 def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Input]) -> tuple[Task, State]:
@@ -251,8 +231,7 @@ def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Inp
     first = layout.before_inputs
     series = tuple(_series(layout, rows) for rows in motion.train)
     paths = tuple(np.hstack([path[:, :first], *(one.paths[i] for one in inputs)]) for i, path in enumerate(state.paths))
-    samples = np.concatenate([one.samples for one in series])
-    scales = _scales(layout, paths, levels.target, samples, levels.scales.interval)
+    scales = _scales(layout, paths, levels.target, series, levels.scales.interval)
     scales.mean[:first], scales.variance[:first] = levels.scales.mean[:first], levels.scales.variance[:first]
     noise = np.append(levels.channels[: layout.first_input], [one.noise for one in inputs])
     slope = np.array([one.slope for one in inputs])
@@ -310,8 +289,10 @@ def _path(layout: Layout, rows: MotionRows, inputs: Sequence[Floats]) -> Floats:
     return path
 
 
-def _scales(layout: Layout, paths: Sequence[Floats], targets: Floats, samples: Floats, interval: float) -> Scales:
-    whole = np.concatenate(paths)
+def _scales(
+    layout: Layout, paths: Sequence[Floats], targets: Floats, series: Sequence[Series], interval: float
+) -> Scales:
+    whole, samples = np.concatenate(paths), np.concatenate([one.samples for one in series])
     mean, variance = whole.mean(axis=0), whole.var(axis=0)
     mean[layout.motion :] = 0.0
     mean[layout.driven] = whole[:, layout.driven].mean(axis=0)
@@ -353,22 +334,17 @@ def _offsets(motion: Motion, terms: Sequence[Expression]) -> float:
 
 
 def _targets(roles: Roles, pieces: Sequence[MotionRows]) -> Floats:
-    """Highest derivatives, as measured where they are: a smoother may take what a force does for noise."""
+    """Highest derivatives, measured ones where there are: a smoother can mistake what a force does for noise."""
     return np.concatenate([np.column_stack([rows.observed[t] for t in roles.targets]) for rows in pieces])
 
 
-def _input(name: str, pieces: Sequence[MotionRows], known: float | None) -> _Input:
-    """An input of the smoothness that makes its own samples likeliest."""
-    found = [_alone(name, pieces, smoothness, known) for smoothness in SMOOTHNESS]
+def _input(name: str, pieces: Sequence[MotionRows], known: float | None, orders: Sequence[int]) -> _Input:
+    """An input of the smoothness, among `orders`, that makes its own samples likeliest."""
+    found = [_alone(name, pieces, smoothness, known) for smoothness in orders]
     # Schwarz (1978): a random sequence has neither corner nor noise, which white samples would be taken for
-    rows = sum(min(len(one.samples), INPUT_ROWS) for one in found[0][2])
-    extra = math.log(rows) * np.sign(SMOOTHNESS)
+    rows = sum(min(len(one.samples), INPUT_ROWS) for one in found[0][1].series)
+    extra = math.log(rows) * np.sign(orders)
     return _smoothed(*found[int(np.argmax([one[0] for one in found] - extra))][1:])
-
-
-def _of_course(name: str, pieces: Sequence[MotionRows], smoothness: int, known: float | None) -> _Input:
-    """An input of some smoothness."""
-    return _smoothed(*_alone(name, pieces, smoothness, known)[1:])
 
 
 def _spectrum(name: str, pieces: Sequence[MotionRows], mean: float) -> Spectrum:
@@ -397,9 +373,7 @@ def with_spectra(task: Task, state: State, spectra: Sequence[Spectrum]) -> tuple
     return replace(task, layout=layout, recent=[]), replace(state, levels=levels)
 
 
-def _alone(
-    name: str, pieces: Sequence[MotionRows], smoothness: int, known: float | None
-) -> tuple[float, State, list[Series]]:
+def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int, known: float | None) -> tuple[float, Task, State]:
     """Levels of an input by the likelihood of its own samples, nothing else in the model; that likelihood first."""
     values = np.concatenate([rows.columns[name] for rows in pieces])
     mean, variance = float(values.mean()), float(values.var()) or 1.0
@@ -417,29 +391,20 @@ def _alone(
     scales = Scales(np.array([mean, *[0.0] * (len(sizes) - 1)]), np.array(sizes), np.array([variance]))
     none = np.zeros(0)
     levels = Levels(layout, scales, np.array([noise]), none, none, np.array([slope]), np.ones(1), none)
-    series = [_series(layout, rows) for rows in pieces]
-    nothing = Candidates(none.astype(np.int64), none.astype(np.int64))
-    zero = tuple(np.zeros((len(one.samples), layout.size)) for one in series)
-    state = State(nothing, none, zero, levels)
-    short = [_stretch(one, INPUT_ROWS) for one in series]
-    few_rows = replace(state, paths=tuple(path[: len(one.samples)] for path, one in zip(zero, short, strict=True)))
+    task = Task(layout, tuple(_series(layout, rows) for rows in pieces), none, none)
+    state = State(NOTHING, none, tuple(np.zeros((rows.n, layout.size)) for rows in pieces), levels)
+    short = [Series(one.intervals[: INPUT_ROWS - 1], *(part[:INPUT_ROWS] for part in one[1:])) for one in task.series]
+    few_rows = replace(state, paths=tuple(path[:INPUT_ROWS] for path in state.paths))
     linears = linearised(layout, short, few_rows)
-    # of a random sequence noise cannot be told
+    # the noise of independent samples cannot be told from themselves
     held = np.array([not smoothness or known is not None, False, True])
     levels, found = maximised(linears, few_rows, none, held, steps=20, tolerance=1e-5)
-    return found.value, replace(state, levels=levels), series
+    return found.value, task, replace(state, levels=levels)
 
 
-def _smoothed(state: State, series: Sequence[Series]) -> _Input:
+def _smoothed(task: Task, state: State) -> _Input:
     """An input alone as its own samples have it; its paths are deviations from zero."""
-    levels = state.levels
-    layout, linears = levels.layout, linearised(levels.layout, series, state)
-    found = marginal(linears, state, levels, np.zeros(0))
-    paths = tuple(one.deviation for one in adjoints(linears, levels, found, found.delta))
-    sizes = float(levels.channels[0]), float(levels.slope[0])
-    return _Input(layout.smoothness[0], layout.centres[0], layout.corners[0], layout.courses[0], *sizes, paths)
-
-
-def _stretch(series: Series, rows: int) -> Series:
-    """The first rows of a record."""
-    return Series(series.intervals[: rows - 1], *(one[:rows] for one in series[1:]))
+    found = task.marginal(state)
+    smoothed = adjoints(task.linearised(state), state.levels, found, found.delta)
+    [one] = _inputs_of(state)
+    return one._replace(paths=tuple(adj.deviation for adj in smoothed))

@@ -15,21 +15,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.errors import InputError
 from bayeq.forecast.dynamics import Dynamics
+from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, quadratic, solved
 from bayeq.likelihood.layout import Candidates
 from bayeq.likelihood.levels import LEAST_DISCREPANCY
 from bayeq.likelihood.search import Task, finer
 from bayeq.likelihood.start import start_of_runs
 from bayeq.ode.rk4 import Interpolation
-from bayeq.refine.known import Known
+from bayeq.regression.constraints import Constraints
 from bayeq.states import Motion
 
-__all__ = ["OutputError", "Unrefined", "output_error"]
+__all__ = ["Known", "OutputError", "Unrefined", "output_error"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -118,6 +121,74 @@ class Unrefined:
     advice: str
 
 
+NO_RUN = Unrefined("no free run follows the records", "check signs and terms, or sample faster")
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of the parameters theta of `Dynamics`: offset + basis phi, phi the free ones among them, and signs.
+
+    Attributes
+    ----------
+    offset, basis : (p,), (p, f) arrays
+        Equations between coefficients, solved.
+    free : (p,) bool array
+        The parameters that phi is.
+    signs : (f,) int array
+        Known signs of phi, 0 for unknown.
+    """
+
+    offset: Floats
+    basis: Floats
+    free: Bools
+    signs: Ints
+
+    @classmethod
+    def of(cls, dynamics: Dynamics, constraints: Sequence[Constraints]) -> Self:
+        """What constraints, one per equation, say of the terms that the equations have.
+
+        Raises
+        ------
+        InputError
+            Terms that do not go together with the constraints, or nothing is left free.
+        """
+        size = dynamics.size
+        offset, basis = np.zeros(size), np.zeros((size, size))
+        free, signs = np.ones(size, dtype=np.bool_), np.zeros(size, dtype=np.int64)
+        for block, law, one in zip(dynamics.blocks(), dynamics.laws, constraints, strict=True):
+            support, equalities = law.posterior.support, one.equalities
+            if not equalities.closed(support):
+                raise InputError(
+                    f"{law.chain.target}: the terms shown do not keep to the constraints: find the equations again"
+                )
+            rows = np.arange(block.stop - int(support.sum()), block.stop)  # the intercept, in front of them, is free
+            kept = np.isin(np.flatnonzero(support), equalities.kept)
+            basis[block.start : rows[0], block.start : rows[0]] = 1.0
+            basis[np.ix_(rows, rows[kept])] = equalities.basis(support)
+            offset[rows], free[rows] = equalities.offset(support), kept
+            known = one.prior(Prior()).known_signs
+            if known is not None:
+                signs[rows[kept]] = known[support[equalities.kept]]
+        if not free.any():
+            raise InputError("refine: the constraints fix every coefficient: there is nothing to refine")
+        return cls(offset, basis[:, free], free, signs[free])
+
+    def full(self, phi: Floats) -> Floats:
+        """All parameters, (p,)."""
+        return np.asarray(self.offset + self.basis @ phi)
+
+    def start(self, theta: Floats) -> Floats:
+        """Parameters (p,) with the free ones of theta (p,), 0 where they have not their sign."""
+        phi = theta[self.free]
+        return self.full(np.where(phi * self.signs < 0.0, 0.0, phi))
+
+    def at_bound(self, theta: Floats) -> Bools:
+        """Parameters that are at the end of their known sign, (p,)."""
+        out = np.zeros(len(theta), dtype=np.bool_)
+        out[self.free] = (self.signs != 0) & (theta[self.free] == 0.0)
+        return out
+
+
 def output_error(
     motion: Motion, dynamics: Dynamics, parameters: Floats, known: Known, kinds: Sequence[Interpolation]
 ) -> OutputError | Unrefined:
@@ -161,32 +232,31 @@ def _of_course(
         term += [len(terms)] * constant + [number[one.text] for one in own]
         chain += [c] * (constant + len(own))
     chosen = Candidates(np.array(chain, dtype=np.int64), np.array(term, dtype=np.int64))
-    layout, series, precision, state = start_of_runs(motion, terms, kind)
-    phi = known.start(parameters)
-    state = replace(state, chosen=chosen, theta=known.full(phi))
-    task = Task(layout, series, FLAT * precision, np.zeros(len(precision)))
-    names = [name for name, _ in layout.channels[: layout.first_input]]
+    task, state = start_of_runs(motion, terms, kind)
+    task = replace(task, precision=FLAT * task.precision)
+    state = replace(state, chosen=chosen, theta=known.start(parameters))
+    measured = task.layout.first_input
+    names = [name for name, _ in task.layout.channels[:measured]]
     try:
         task = finer(task, state)
-        run = _followed(task, known, phi, state)
+        run = _followed(task, known, state)
         innovations = _sensitivity(run.found, known.basis)[1]
         power = (innovations**2).sum(axis=0) / np.maximum(np.count_nonzero(innovations, axis=0), 1)
         given = np.sqrt(run.state.levels.channels)
-        distrusted = [i for i in range(len(names)) if not run.state.levels.learned[i] and power[i] > MISFIT]
+        distrusted = [i for i in range(measured) if not run.state.levels.learned[i] and power[i] > MISFIT]
         if distrusted:
             held = ~run.state.levels.learned
             held[distrusted] = False
-            levels = replace(run.state.levels, held=held)
-            run = _followed(task, known, run.phi, replace(run.state, levels=levels))
+            run = _followed(task, known, replace(run.state, levels=replace(run.state.levels, held=held)))
         misfit = {names[i]: float(np.sqrt(run.state.levels.channels[i]) / given[i]) for i in distrusted}
-        at_bound, free = known.at_bound(run.phi), run
+        at_bound, free = known.at_bound(run.state.theta), run
         if at_bound.any():  # the runs would come closer beyond
-            free = _followed(task, replace(known, signs=np.zeros_like(known.signs)), run.phi, run.state)
+            free = _followed(task, replace(known, signs=np.zeros_like(known.signs)), run.state)
     except np.linalg.LinAlgError:
-        return Unrefined("no free run follows the records", "check signs and terms, or sample faster")
+        return NO_RUN
     levels = run.state.levels
-    if (levels.channels > LOST**2 * levels.scales.channels)[: layout.first_input].any():
-        return Unrefined("no free run follows the records", "check signs and terms, or sample faster")
+    if (levels.channels > LOST**2 * levels.scales.channels)[:measured].any():
+        return NO_RUN
     A, scale = free.information, 1.0 / np.sqrt(np.diagonal(free.information))
     if not np.isfinite(scale).all() or np.linalg.cond(A * scale[:, None] * scale) > SINGULAR:
         return Unrefined(
@@ -196,20 +266,18 @@ def _of_course(
     covariance = solved(A, np.eye(len(A)))
     covariance = 0.5 * (covariance + covariance.T)
     excess = max(_excess(*_sensitivity(free.found, known.basis)), 1.0)
-    mean, spread = free.phi, excess * covariance
+    mean, spread = free.state.theta[known.free], excess * covariance
     if known.signs.any():
         from bayeq.inference.signs.orthant import truncated
 
         freedom = 0.5 * max(task.rows - len(A), 1.0)
-        mean, spread = truncated(free.phi, covariance, known.signs, 2.0 * freedom * excess, freedom)
-    ended = np.zeros(len(parameters), dtype=np.bool_)
-    ended[known.free] = at_bound
+        mean, spread = truncated(mean, covariance, known.signs, 2.0 * freedom * excess, freedom)
     return OutputError(
         parameters=known.full(mean),
         covariance=known.basis @ spread @ known.basis.T,
         free=known.free,
         excess=excess,
-        at_bound=ended,
+        at_bound=at_bound,
         contradicted=2.0 * (free.found.value - run.found.value) > excess * CLOSER,
         noise_sd={name: float(np.sqrt(levels.channels[i])) for i, name in enumerate(names)},
         misfit=misfit,
@@ -223,50 +291,46 @@ def _of_course(
 class _Run:
     """Where a fit stands, and what the likelihood there says of the free parameters."""
 
-    phi: Floats
     state: State
     found: Statistics
     information: Floats
     converged: bool
 
 
-def _followed(task: Task, known: Known, phi: Floats, state: State) -> _Run:
+def _followed(task: Task, known: Known, state: State) -> _Run:
     """The path with less and less of a discrepancy, until nothing but noise separates it from the samples."""
-    run = None
     for size in SIZES:
         levels = replace(state.levels, discrepancy=size**2 * state.levels.target, hessian=None)
-        run = _fitted(task, known, phi, replace(state, levels=levels))
-        phi, state = run.phi, run.state
-    assert run is not None
+        run = _fitted(task, known, replace(state, levels=levels))
+        state = run.state
     return run
 
 
-def _fitted(task: Task, known: Known, phi: Floats, state: State) -> _Run:
+def _fitted(task: Task, known: Known, state: State) -> _Run:
     """Gauss-Newton steps of the free parameters and the path, noise learned about each."""
-    number, before, halved = task.number(state.chosen), None, 0
+    last, halved = None, 0
     held = np.arange(len(state.levels.free)) >= len(state.levels.channels)
     for step in range(MOST_STEPS):
         while True:
             linears = task.linearised(state)
             try:
-                levels, found = maximised(linears, state, task.precision[number], held)
+                levels, found = maximised(linears, state, task.precision_of(state), held)
                 break
             except np.linalg.LinAlgError:
                 halved += 1
-                if before is None or halved > MOST_HALVED:
+                if last is None or halved > MOST_HALVED:
                     raise
-                phi, state = 0.5 * (phi + before[0]), state.halfway(before[1])
-        before, state = (phi, state), replace(state, levels=levels)
-        q = quadratic(found.filtered)
+                state = state.halfway(last)
+        last = state = replace(state, levels=levels)
+        q, phi = quadratic(found.filtered), state.theta[known.free]
         slope, information = known.basis.T @ q.slope, known.basis.T @ q.information @ known.basis
         moved = _bounded(information, slope, phi, known.signs)
         near = float(np.max(np.abs(moved) * np.sqrt(np.diagonal(information)), initial=0.0)) < STEP
         if near or step == MOST_STEPS - 1:
-            return _Run(phi, state, found, information, near)
-        phi, delta = phi + moved, known.basis @ moved
-        smoothed = adjoints(linears, levels, found, delta, smoothed=bool(task.layout.jumps))
-        state = replace(state, theta=known.full(phi)).moved(task.layout, task.series, linears, smoothed)
-    raise AssertionError
+            break
+        smoothed = adjoints(linears, levels, found, known.basis @ moved, smoothed=bool(task.layout.jumps))
+        state = replace(state, theta=known.full(phi + moved)).moved(task.layout, task.series, linears, smoothed)
+    return _Run(state, found, information, near)
 
 
 def _bounded(information: Floats, slope: Floats, phi: Floats, signs: Ints) -> Floats:

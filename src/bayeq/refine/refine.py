@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,15 +19,13 @@ from bayeq.forecast.windows import apart, typical_period, window_runs
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
-from bayeq.refine.known import Known
-from bayeq.refine.output_error import OutputError, Unrefined, output_error
-from bayeq.refine.results import Refinement
+from bayeq.refine.output_error import Known, OutputError, Unrefined, output_error
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
 from bayeq.states import Motion, Sensors, Smooth, estimate_motion
 from bayeq.states.motion import held_out_share
 
-__all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "refine", "runs_are_worse"]
+__all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "Refinement", "refine", "runs_are_worse"]
 
 Floats = NDArray[np.float64]
 
@@ -50,6 +48,45 @@ SURE = 2.0
 
 # Rows that stand for an intercept without error.
 MOST_ROWS = 1e140
+
+
+@dataclass(frozen=True, slots=True)
+class Refinement:
+    """How equations were refined.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Names of the records.
+    n : int
+        Rows used.
+    segments, longest : int
+        Free runs, and the rows of the longest.
+    noise_sd : mapping of str to float
+        For each measured channel the standard deviation of what the runs leave: its noise.
+    interpolation : "cubic", "linear", "hold" or "band-limited"
+        Of the inputs between their samples.
+    converged : bool
+        Whether the fit ended by itself.
+    at_bound : tuple of str
+        Coefficients, ``"a: v"``, for which the runs were closest at 0, the end of their known sign.
+    """
+
+    files: tuple[str, ...]
+    n: int
+    segments: int
+    longest: int
+    noise_sd: Mapping[str, float]
+    interpolation: Interpolation
+    converged: bool
+    at_bound: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """In a line."""
+        runs = "one run" if self.segments == 1 else f"{self.segments} runs"
+        noise = ", ".join(f"{name} {sd:.3g}" for name, sd in self.noise_sd.items())
+        bound = f"; closest with 0, the end of the known sign, for {', '.join(self.at_bound)}" if self.at_bound else ""
+        return f"coefficients refined by output error: {runs} of up to {self.longest} rows, noise sd {noise}{bound}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +149,7 @@ def refine(
     InputError
         Channels that are missing, no time, too few rows, nothing that constraints leave free.
     """
-    known = Known.of(dynamics, constraints) if any(one.binding for one in constraints) else Known.nothing(dynamics.size)
+    known = Known.of(dynamics, constraints)
     kinds: list[Interpolation] = ["cubic", "linear", "band-limited"] if dynamics.inputs else ["cubic"]
     if interpolation is not None:
         kinds = [interpolation]
@@ -121,7 +158,14 @@ def refine(
     rows = list(zip(rows_of(motion, "refine"), motion.cuts, strict=True))
     if not motion.smoothing:
         motion = estimate_motion(records, dynamics.roles, "auto", share, sensors)
-    found = _fitted(motion, dynamics, known, kinds)
+    for piece in motion.train:
+        if piece.n < LEAST_ROWS:
+            raise RecordError(
+                f"{piece.name or 'record'}: {piece.n} rows are too few to refine on (at least {LEAST_ROWS})"
+            )
+    if not motion.smoothing:
+        return Unrefined("the records are too short, or have no noise that could be told from motion", "measure more")
+    found = output_error(motion, dynamics, dynamics.mean, known, kinds)
     if isinstance(found, Unrefined):
         return found
     whole = [(one.interpolated(dynamics.roles, found.interpolation), cut) for one, cut in rows]
@@ -252,19 +296,6 @@ def _summary(found: OutputError, motion: Motion, bound: tuple[str, ...]) -> Refi
         converged=found.converged,
         at_bound=bound,
     )
-
-
-def _fitted(
-    motion: Motion, dynamics: Dynamics, known: Known, kinds: Sequence[Interpolation]
-) -> OutputError | Unrefined:
-    for rows in motion.train:
-        if rows.n < LEAST_ROWS:
-            raise RecordError(
-                f"{rows.name or 'record'}: {rows.n} rows are too few to refine on (at least {LEAST_ROWS})"
-            )
-    if not motion.smoothing:
-        return Unrefined("the records are too short, or have no noise that could be told from motion", "measure more")
-    return output_error(motion, dynamics, dynamics.mean, known, kinds)
 
 
 def _posterior(
