@@ -14,8 +14,7 @@ from studies.adverse_records import CASES, draw_record
 import bayeq as bq
 from bayeq.expressions import Evaluator, Expression, number, parse
 from bayeq.likelihood.blur import blur_of
-from bayeq.likelihood.layout import Layout
-from bayeq.likelihood.series import Series
+from bayeq.likelihood.layout import Layout, Series
 from bayeq.likelihood.signs import half_of_jump, jumps_of, mean_of_jumps, unresolved_share
 from bayeq.states import Roles
 from bayeq.systems import get_system

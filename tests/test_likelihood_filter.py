@@ -9,14 +9,14 @@ import pytest
 from scipy import stats
 
 from bayeq.dictionary import Variables, build_dictionary
+from bayeq.likelihood.adjoint import adjoint
 from bayeq.likelihood.blur import Blur
-from bayeq.likelihood.filter import adjoint, run_filter
+from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, adjoints, corrections, linearised, marginal, maximised, quadratic
-from bayeq.likelihood.layout import Candidates, Layout
+from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.levels import Levels, Scales
 from bayeq.likelihood.linear import sources_of
 from bayeq.likelihood.search import Task
-from bayeq.likelihood.series import Series
 from bayeq.states import Roles
 
 from . import reference

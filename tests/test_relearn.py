@@ -10,7 +10,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.likelihood.low_pass import SEGMENT, mean_spectrum, of_segments, periodograms
-from bayeq.likelihood.relearn import _slopes, curvature, relearned
+from bayeq.likelihood.block import _slopes, curvature, relearned
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 DICTIONARY = "x, v, x**2, x**3, u"

@@ -20,7 +20,6 @@ from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.results import Scores
 from bayeq.inference.prior import SIGNED, Prior
-from bayeq.likelihood.drifts import without_drifts
 from bayeq.likelihood.record_fit import MOST_CANDIDATES, RecordFit, refit_record
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows
 from bayeq.regression.by_likelihood import regressions_of
@@ -214,7 +213,7 @@ class Question:
 
     def _judged(self, design: Design, record: RecordFit | None) -> Design:
         """The dictionary on the motion that equations are judged by."""
-        motion = without_drifts(design.motion, record)
+        motion = design.motion if record is None else record.without_drifts(design.motion)
         if motion is design.motion:
             return design
         judged = build_design(design.terms, motion, allowed=design.allowed)

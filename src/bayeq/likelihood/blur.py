@@ -9,15 +9,14 @@ stays at zero: friction holds a body at rest with just the force that it takes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Call, Evaluator, Expression
-from bayeq.likelihood.layout import NOTHING, Candidates, Layout
-from bayeq.likelihood.series import Series
+from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series
 from bayeq.likelihood.signs import SLOPE, half_of_jump, middle_of_jump, unresolved_share
 
 __all__ = ["Blur", "Hold", "blur_of", "crossings", "first_blur"]
@@ -119,7 +118,7 @@ def crossings(layout: Layout, series: Series, path: Floats, wanted: Bools) -> Bo
 
 
 def first_blur(layout: Layout, series: Series, path: Floats, substeps: int = 1) -> Blur:
-    """Widths along a path of which no error is known: the change of the arguments between samples where they jump."""
+    """Widths along a path of unknown error: the change of the arguments between samples where they jump."""
     n, size = path.shape
     if not layout.jumps:
         return Blur(np.zeros((n, 0)), np.zeros(series.samples.shape), np.zeros((n - 1, layout.chains)))
@@ -152,15 +151,15 @@ def blur_of(
     substeps : (n - 1,) int array
         Steps of the integration in each interval.
     """
-    n, evaluate = len(path), Evaluator(_columns(layout, series, path))
+    n, columns = len(path), _columns(layout, series, path)
+    evaluate = Evaluator(columns)
     width = np.zeros((n, len(layout.jumps)))
     left_out = np.zeros((n, layout.chains))
     passing = crossings(layout, series, path, np.ones(len(layout.jumps), dtype=np.bool_))
     inside, holds = layout.jumps_in(chosen), []
     for j, jump in enumerate(layout.jumps):
-        expression = Expression(jump.arguments[0])
-        values = evaluate(expression)
-        gradient = _gradient(layout, series, path, covariance, expression, values)
+        argument = Expression(jump.arguments[0])
+        values, gradient = evaluate(argument), _gradient(columns, layout.names, covariance, argument)
         error = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", gradient, covariance, gradient), 0.0))
         steps = substeps if inside[j] else np.full(n - 1, substeps.min())
         change = _at_both_ends(np.where(passing[:, j], np.abs(np.diff(values)), 0.0) / steps)
@@ -217,16 +216,14 @@ def _at_both_ends(values: Floats) -> Floats:
     return np.maximum(np.append(values, 0.0), np.append(0.0, values))
 
 
-def _gradient(
-    layout: Layout, series: Series, path: Floats, covariance: Floats, expression: Expression, values: Floats
-) -> Floats:
+def _gradient(columns: Mapping[str, Floats], names: Sequence[str], covariance: Floats, argument: Expression) -> Floats:
     """Derivatives of an argument by the states, (n, S), over their errors."""
-    columns: Mapping[str, Floats] = _columns(layout, series, path)
-    out = np.zeros(path.shape)
-    for i, name in enumerate(layout.names):
-        if name in expression.names:
-            sd = np.sqrt(np.maximum(covariance[:, i, i], 0.0)) + 1e-9 * np.abs(path[:, i]).max() + 1e-150
-            out[:, i] = (Evaluator({**columns, name: columns[name] + sd})(expression) - values) / sd
+    values, out = Evaluator(columns)(argument), np.zeros(covariance.shape[:2])
+    for i, name in enumerate(names):
+        if name in argument.names:
+            x = columns[name]
+            sd = np.sqrt(np.maximum(covariance[:, i, i], 0.0)) + 1e-9 * np.abs(x).max() + 1e-150
+            out[:, i] = (Evaluator({**columns, name: x + sd})(argument) - values) / sd
     return out
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.likelihood.adjoint import Adjoint, adjoint
 from bayeq.likelihood.blur import Blur, blur_of
-from bayeq.likelihood.filter import Adjoint, Filtered, adjoint, run_filter
-from bayeq.likelihood.layout import NOTHING, Candidates, Layout
+from bayeq.likelihood.filter import Filtered, run_filter
+from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.linear import Linear, derivatives_along, linearise, terms_at
-from bayeq.likelihood.series import Series
 from bayeq.numerics.minimise import minimise
 
 __all__ = [
@@ -97,6 +97,10 @@ class Quadratic:
     level: float
     slope: Floats
     information: Floats
+
+    def __add__(self, other: Quadratic) -> Quadratic:
+        parts = (self.level + other.level, self.slope + other.slope, self.information + other.information)
+        return Quadratic(*parts)
 
     def raised(self, power: float) -> Quadratic:
         """That of the likelihood to a power."""

@@ -1,4 +1,4 @@
-"""`Layout`: the state vector of a system, and its equations as a tape.
+"""`Layout`: the state vector of a system, and its equations as a tape; `Series`: samples of its channels.
 
 The states are, in this order: the derivatives of every chain but its highest; a discrepancy d of every equation; the
 drift of every channel, where they drift; every input with its derivatives. Between samples discrepancies, drifts and
@@ -21,12 +21,15 @@ from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import jumps_of, mean_of_jumps
 from bayeq.states import Roles, rates
 
-__all__ = ["NOTHING", "Candidates", "Course", "Layout"]
+__all__ = ["HELD", "NOTHING", "SMOOTH", "STRAIGHT", "Candidates", "Course", "Layout", "Series"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 Course = Literal["smooth", "linear", "hold", "cubic", "band-limited"]
+
+# How a state goes between samples: as its derivatives say, straight to the next sample, or held until then.
+SMOOTH, STRAIGHT, HELD = 0, 1, 2
 
 
 class Candidates(NamedTuple):
@@ -48,6 +51,31 @@ class Candidates(NamedTuple):
 
 #: No coefficient.
 NOTHING = Candidates(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+
+
+class Series(NamedTuple):
+    """The samples of one record.
+
+    Attributes
+    ----------
+    intervals : (n - 1,) array
+        Between samples [s].
+    samples : (n, M) array
+        Of `Layout.channels`; NaN where there is none.
+    inputs : (n, m, 4) array
+        What `Layout.given` names, from `bayeq.ode.rk4.interpolant`.
+    spread : (n, M) array
+        Variance of the noise of each sample as a multiple of its channel's.
+    bends : (n, L, 2) array
+        What the course of each input has beside a straight line: a fraction f after a sample, f (1 - f) times the first
+        and f times the second.
+    """
+
+    intervals: Floats
+    samples: Floats
+    inputs: Floats
+    spread: Floats
+    bends: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,9 +272,9 @@ class Layout:
 
     @cached_property
     def straight(self) -> Ints:
-        """See `bayeq.likelihood.linear.Steps`, (S,)."""
-        out = np.zeros(self.size, dtype=np.int64)
-        out[self.driven] = [0 if course == "smooth" else 2 if course == "hold" else 1 for course in self.courses]
+        """See `bayeq.likelihood.steps.Steps`, (S,)."""
+        out = np.full(self.size, SMOOTH, dtype=np.int64)
+        out[self.driven] = [{"smooth": SMOOTH, "hold": HELD}.get(course, STRAIGHT) for course in self.courses]
         return out
 
     @cached_property

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.likelihood.filter import Adjoint, Noise
+from bayeq.likelihood.adjoint import Adjoint
+from bayeq.likelihood.filter import Noise
 from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.linear import Linear
 
@@ -33,9 +34,12 @@ COURSES = (1e-6, 1.0)
 # (docs/tables/memory.csv).
 OWN_TIME = 0.4
 
-# The likelihood is about as sharp in the size of an input's steps as this share of its samples makes it.
-# Of discrepancies, which may be hardly there, it tells between nothing and as much: the geometric mean stands for that.
+# The likelihood is about as sharp in the size of an input's steps as this share of its samples makes it. On a small
+# discrepancy it may carry anywhere from no information to that of all samples: their geometric mean is taken.
 STEP_SHARPNESS = 0.25
+
+# What a search moves, in this order.
+PARTS = ("channels", "discrepancy", "memory", "slope", "courses", "drifts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,41 +176,21 @@ class Levels:
     @property
     def optional(self) -> NDArray[np.bool_]:
         """Those of `free` that may be nothing, about which the likelihood is flat: discrepancies, courses, drifts."""
-        m, c, inputs = len(self.channels), len(self.discrepancy), len(self.slope)
-        out = np.ones(len(self.free), dtype=np.bool_)
-        out[:m] = out[m + 2 * c : m + 2 * c + inputs] = False
-        return out
+        return np.concatenate([np.full(len(getattr(self, name)), name not in ("channels", "slope")) for name in PARTS])
 
     @property
     def free(self) -> Floats:
-        """The numbers that a search moves."""
-        return np.concatenate(
-            [
-                np.log(self.channels),
-                np.log(self.discrepancy),
-                _logit(self.memory),
-                np.log(self.slope),
-                np.log(self.courses),
-                np.log(self.drifts),
-            ]
-        )
+        """The numbers that a search moves, (F,): logarithms of the variances of all `PARTS`, logits of the memories."""
+        return np.concatenate([(_logit if name == "memory" else np.log)(getattr(self, name)) for name in PARTS])
 
     def moved(self, free: Floats) -> Levels:
         """The levels of other numbers."""
-        m, c = len(self.channels), len(self.discrepancy)
-        parts = np.split(free, np.cumsum([m, c, c, len(self.slope), len(self.courses)]))
-        channels = np.exp(parts[0])
-        return Levels(
-            self.layout,
-            self.scales,
-            channels if self.held is None else np.where(self.held, self.channels, channels),
-            np.exp(parts[1]),
-            1.0 / (1.0 + np.exp(-parts[2])),
-            np.exp(parts[3]),
-            np.exp(parts[4]),
-            np.exp(parts[5]),
-            held=self.held,
-        )
+        ends = np.cumsum([len(getattr(self, name)) for name in PARTS[:-1]])
+        parts = dict(zip(PARTS, np.split(free, ends), strict=True))
+        found = {name: 1.0 / (1.0 + np.exp(-x)) if name == "memory" else np.exp(x) for name, x in parts.items()}
+        if self.held is not None:
+            found["channels"] = np.where(self.held, self.channels, found["channels"])
+        return replace(self, hessian=None, **found)
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:

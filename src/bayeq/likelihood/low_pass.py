@@ -164,22 +164,18 @@ def spectrum_of(found: Spectrum, order: int, interval: float, variance: float) -
     low = np.log([CORNERS[0] * math.pi, LEVELS[0], NOISES[0]])
     high = np.log([CORNERS[1] * math.pi, LEVELS[1], NOISES[1]])
 
-    def negative(x: Floats) -> tuple[float, Floats]:
+    unit = 1.0 / math.sqrt(float(count.sum()))
+
+    def negative(moved: Floats) -> tuple[float, Floats]:
+        x = moved * unit
         beyond = np.exp(2.0 * order * (np.log(w) - x[0]))
         signal = np.exp(x[1]) / (1.0 + beyond)
         total = signal + np.exp(x[2])
         by_total = count * (1.0 / total - P / total**2)
         by_corner = 2.0 * order * signal * beyond / (1.0 + beyond)
         slopes = [float(by_total @ by_corner), float(by_total @ signal), float(by_total.sum() * np.exp(x[2]))]
-        return float(count @ (np.log(total) + P / total)), np.array(slopes)
+        return float(count @ (np.log(total) + P / total)), np.array(slopes) * unit
 
-    unit = 1.0 / math.sqrt(float(count.sum()))
-    least = minimise(
-        lambda x: _scaled(negative(x * unit), unit), np.clip(start, low, high) / unit, low / unit, high / unit
-    )
+    least = minimise(negative, np.clip(start, low, high) / unit, low / unit, high / unit)
     corner, level, noise = np.exp(least.x * unit).tolist()
     return corner / interval, level * variance, noise * variance
-
-
-def _scaled(found: tuple[float, Floats], unit: float) -> tuple[float, Floats]:
-    return found[0], found[1] * unit

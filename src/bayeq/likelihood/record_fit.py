@@ -15,8 +15,8 @@ from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.search import scores_of
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
-from bayeq.likelihood.block import Block
-from bayeq.likelihood.fit import Quadratic, State, candidates, marginal, solved
+from bayeq.likelihood.block import Block, at_its_path
+from bayeq.likelihood.fit import Quadratic, State, candidates, solved
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.power import power_of
 from bayeq.likelihood.projection import Leftover, leftover
@@ -33,7 +33,7 @@ from bayeq.likelihood.search import (
     with_model,
 )
 from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, among_fitted, averaged, soft_of
-from bayeq.likelihood.start import carried_over, start_from, with_courses
+from bayeq.likelihood.start import carried_over, series_and_paths, start_from, with_courses
 from bayeq.likelihood.student import with_heavy_tails
 from bayeq.states import Motion
 
@@ -166,16 +166,10 @@ class RecordFit:
     def inputs_of_known_noise(self) -> frozenset[str]:
         """Noisy inputs of which the likelihood says whether they have no noise, that which was found, or some."""
         task, state = self.task, self.fitted.state
-        layout, levels = task.layout, state.levels
-        linears, precision = task.linearised(state), task.precision[task.number(state.chosen)]
-        known = set()
-        for i, name in enumerate(layout.roles.inputs, layout.first_input):
-            values = []
-            for variance in (levels.channels[i], *(share * levels.scales.channels[i] for share in (LEAST_NOISE, SOME))):
-                try:
-                    values.append(marginal(linears, state, levels.with_noise(i, variance), precision, False).value)
-                except np.linalg.LinAlgError:  # far from any motion: noise that cannot be
-                    values.append(-np.inf)
+        levels, known = state.levels, set()
+        for i, name in enumerate(task.layout.roles.inputs, task.layout.first_input):
+            sizes = levels.channels[i], *(share * levels.scales.channels[i] for share in (LEAST_NOISE, SOME))
+            values = [task.value(replace(state, levels=levels.with_noise(i, size))) for size in sizes]
             if max(values) > min(values) + READ:
                 known.add(name)
         return frozenset(known)
@@ -195,8 +189,7 @@ class RecordFit:
             if self.more is None and moved.max(initial=0.0) > HARDLY:
                 try:
                     state = fit(task, state, coarse=True).state
-                    covariance = marginal(task.linearised(state), state, state.levels, precision).covariance
-                    return state, covariance / self.fitted.power
+                    return state, task.marginal(state).covariance / self.fitted.power
                 except np.linalg.LinAlgError:  # far from any motion
                     state = self.fitted.state
             return replace(state, theta=theta), covariance
@@ -233,6 +226,31 @@ class RecordFit:
             square=float(block.squares[c]),
             weight=block.weight,
         )
+
+    def without_drifts(self, motion: Motion) -> Motion:
+        """The motion, what drifts in the samples of its channels taken out of them, of the rows held out too.
+
+        A derivative that is not measured is taken to be that of the coordinate without its drift, which is slow.
+        """
+        if not self.task.layout.drift:
+            return motion
+        with np.errstate(all="ignore"):
+            series, paths = series_and_paths(self.task.layout, motion.records)
+            own = replace(self.task, series=series, recent=[])
+            try:
+                state, _, smoothed = at_its_path(own, replace(self.fitted.state, paths=paths, blurs=()))
+            except np.linalg.LinAlgError:  # rows held out that the motion does not stay near
+                return motion
+        names, records = [name for name, _ in own.layout.channels], []
+        for rows, path, found in zip(motion.records, state.paths, smoothed, strict=True):
+            drift = dict(zip(names, (path + found.deviation)[:, own.layout.drifts].T, strict=True))
+            kinds = {"columns": rows.columns, "observed": rows.observed, "samples": rows.samples}
+            freed = {
+                kind: {name: x - drift[name] if name in drift else x for name, x in columns.items()}
+                for kind, columns in kinds.items()
+            }
+            records.append(replace(rows, **freed))
+        return replace(motion, records=tuple(records))
 
     def block(self, c: int) -> slice:
         """The candidates of an equation among all."""

@@ -1,7 +1,9 @@
-"""Which coefficients are not zero: linearise, select on the Gram of all candidates, fit, and again until that stays.
+"""Which coefficients are not zero.
 
-What the Gram of one linearisation prefers may then be compared with its neighbours, each by the evidence of its own
-fit.
+1. `settle`, from each start: linearise, select on the Gram of all candidates, fit, and again until the model stays.
+2. `with_other_inputs`: other courses of the inputs between samples are tried, and taken where the motion is likelier.
+3. `resumed`: what was found on some rows is fitted to all, in rounds as in 1.
+4. `among_neighbours`: flips and swaps of single terms, each compared by the evidence of its own fit.
 """
 
 from __future__ import annotations
@@ -33,9 +35,8 @@ from bayeq.likelihood.fit import (
     over_sizes,
     solved,
 )
-from bayeq.likelihood.layout import Candidates, Layout
+from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.linear import Linear
-from bayeq.likelihood.series import Series
 
 __all__ = [
     "ADEQUATE",
@@ -100,9 +101,9 @@ KNOWN = 1e4
 # Noise of inputs at first, as a share of their variance, where their spectrum does not tell it.
 INPUT_NOISE = 2.5e-3
 
-# In a discrepancy that is hardly there the likelihood is flat, and a search does not leave it: of many samples a fit is
-# compared with one that starts from a discrepancy of this share of its target, and this memory. If that is as likely it
-# is taken: from there more rows lead to less of it as well as to more. One that begins worse by FLAT nats is left.
+# The likelihood is flat near zero discrepancy, so that a search stays there: of many samples a fit is compared with one
+# that starts from a discrepancy of this share of its target, and this memory. If that is as likely it is taken: from
+# there more rows lead to less of it as well as to more. One that begins worse by FLAT nats is dropped.
 NOTICED, ITS_MEMORY = 0.01, 0.7
 FLAT = 0.5
 
@@ -362,7 +363,7 @@ def with_small_discrepancy(task: Task, best: Fitted) -> Fitted:
 
 
 def widened(task: Task, fitted: Fitted) -> Task:
-    """The task with the prior of coefficients as wide as makes the likeliest model likeliest, and no narrower.
+    """The task with a wider prior of the coefficients, where the likeliest model is clearly likelier under it.
 
     Terms that cancel each other, as those of a growth that needs a crowd, have coefficients far larger than either
     would need alone.
@@ -391,7 +392,7 @@ def likeliest(task: Task, fitted: Fitted) -> State:
 
 
 def steady(task: Task, state: State) -> bool:
-    """Whether deviations from the path grow in a step by less than a factor, and steps end near the path."""
+    """Whether a step multiplies deviations from the path by less than `GROWTH`, and ends near the path."""
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
     for linear in task.linearised(state):
         missed = np.abs(linear.end - linear.path[1:])[:, : task.layout.motion] / spread
@@ -470,7 +471,7 @@ def of_motion(task: Task, fitted: Fitted) -> float:
 
 
 def at_once(task: Task, state: State) -> float:
-    """The same of a fit that goes no further than its start."""
+    """`of_motion` of a start, up to the prior of its model."""
     return task.value(state) - of_inputs(task.linearised(state), state.levels)
 
 

@@ -22,7 +22,7 @@ from bayeq.inference.bma import average_models, spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.filter import Adjoint
+from bayeq.likelihood.adjoint import Adjoint
 from bayeq.likelihood.fit import (
     Quadratic,
     State,
@@ -31,13 +31,11 @@ from bayeq.likelihood.fit import (
     coefficients,
     corrections,
     information,
-    linearised,
     marginal,
     solved,
 )
 from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.search import Fitted, Task
-from bayeq.likelihood.series import Series
 
 __all__ = [
     "IMPROBABLE",
@@ -207,14 +205,15 @@ class Soft:
         """Of a fit."""
         layout, state = task.layout, fitted.state
         allowed = task.log_odds.reshape(layout.chains, -1) > -np.inf
-        P, precision = len(layout.terms), task.precision[task.number(state.chosen)]
+        P, precision = len(layout.terms), task.precision_of(state)
         if task.counted is None:
             hidden = hidden_terms(layout, int(allowed[:, :-1].sum(axis=1).min()))
             layout = replace(layout, terms=(*layout.terms, *hidden))
         width = len(layout.terms) + 1
         column = np.append(np.arange(P), width - 1)
         state = replace(state, chosen=state.chosen._replace(term=column[state.chosen.term]))
-        linears = linearised(layout, task.series, state, task.substeps)
+        own = replace(task, layout=layout, recent=[])
+        linears = own.linearised(state)
         found = marginal(linears, state, state.levels, precision)
         smoothed = adjoints(linears, state.levels, found, found.delta, curved=True, smoothed=True)
         curved = corrections(layout, linears, smoothed)
@@ -223,13 +222,11 @@ class Soft:
             whole = information(layout, linears, state, curved).raised(fitted.power)
         # the determinant falls by no more than the motion's start is known better for: of J = exp(-a t) over a time T
         # its part of the likelihood, -ln(mean J^2)/2, is a T - (a T)^2/6 per state
-        bend = np.outer(curved, curved) / (3.0 * layout.motion)
-        whole = replace(
-            whole, information=whole.information + bend, slope=whole.slope + bend @ coefficients(layout, state)
-        )
+        bend, about = np.outer(curved, curved) / (3.0 * layout.motion), coefficients(layout, state)
+        whole = replace(whole, information=whole.information + bend, slope=whole.slope + bend @ about)
         step = max(1, sum(map(len, state.paths)) // max(ROWS, ROWS_PER_TERM * width))
         columns = np.concatenate(candidates(layout, task.series, state, step))
-        moved = moved_columns(layout, task.series, state, smoothed, columns, step)
+        moved = moved_columns(own, state, smoothed, columns, step)
         spreads = []
         for c in range(layout.chains):
             unit, deviation = np.zeros(width), float(np.sqrt(state.levels.target[c]))
@@ -241,7 +238,7 @@ class Soft:
             spread[c, used] = unit[used, None] * R
             spreads.append(spread.reshape(-1, R.shape[1]))
         visible = (np.arange(layout.chains)[:, None] * width + column).ravel()
-        return cls(task, fitted, visible, whole, coefficients(layout, state), spreads)
+        return cls(task, fitted, visible, whole, about, spreads)
 
     def quadratic(self, tau: Sizes) -> tuple[Quadratic, float]:
         """The likelihood of all candidates about zero, the functions integrated out, and ln of its largest value."""
@@ -272,22 +269,15 @@ class Soft:
         return float(np.logaddexp.reduce(self.models(tau).log_posterior))
 
 
-def moved_columns(
-    layout: Layout,
-    series: Sequence[Series],
-    state: State,
-    smoothed: Sequence[Adjoint],
-    columns: Floats,
-    step: int,
-) -> list[Floats]:
+def moved_columns(task: Task, state: State, smoothed: Sequence[Adjoint], columns: Floats, step: int) -> list[Floats]:
     """Changes of the columns, at every `step`-th sample, as each state moves by its standard deviation."""
+    layout, out = task.layout, []
     spread = [np.sqrt(np.maximum(np.diagonal(one.covariance, axis1=1, axis2=2), 0.0)) for one in smoothed]
-    moving = [i for i in range(layout.size) if i not in layout.discrepancy]
-    steps = [[np.where(np.arange(layout.size) == i, sd, 0.0) for sd in spread] for i in moving]
-    moved = [
-        replace(state, paths=tuple(path + step for path, step in zip(state.paths, one, strict=True))) for one in steps
-    ]
-    return [np.concatenate(candidates(layout, series, one, step)) - columns for one in moved]
+    for unit in np.delete(np.eye(layout.size), layout.discrepancy, axis=0):
+        paths = tuple(path + np.where(unit, sd, 0.0) for path, sd in zip(state.paths, spread, strict=True))
+        moved = candidates(layout, task.series, replace(state, paths=paths), step)
+        out.append(np.concatenate(moved) - columns)
+    return out
 
 
 def as_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
@@ -297,9 +287,7 @@ def as_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
     if own not in keys or fitted.power < 1.0:
         return found
     level = found.log_posterior[keys.index(own)] - fitted.evidence
-    values = [
-        level + fitted.tried.get(key, value - level) for key, value in zip(keys, found.log_posterior, strict=True)
-    ]
+    values = [level + fitted.tried.get(key, one - level) for key, one in zip(keys, found.log_posterior, strict=True)]
     return _sorted(found, found.models, np.array(values))
 
 

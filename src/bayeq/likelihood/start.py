@@ -19,11 +19,10 @@ from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, maximised
-from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout
+from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout, Series
 from bayeq.likelihood.levels import COURSES, LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
 from bayeq.likelihood.search import INPUT_NOISE, Fitted, Task
-from bayeq.likelihood.series import Series
 from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog
-from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.results import Scores, percentages
 from bayeq.forecast.rows import Rows, predicted_target, rows_of
@@ -22,7 +21,7 @@ from bayeq.records import Record
 from bayeq.refine.output_error import Known, OutputError, Unrefined, output_error
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
-from bayeq.states import Motion, Sensors, Smooth, estimate_motion
+from bayeq.states import Sensors, Smooth, estimate_motion
 from bayeq.states.motion import held_out_share
 
 __all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "Refinement", "refine", "runs_are_worse"]
@@ -209,8 +208,18 @@ def refine(
             " check the noise given, or whether terms are missing",
             DataWarning,
         )
-    refined = [_refined(dynamics, k, block, found, (train, held_out)) for k, block in enumerate(dynamics.blocks())]
-    return RefinedEquations(tuple(refined), _summary(found, motion, bound), scores, log)
+    summary = Refinement(
+        files=tuple(dict.fromkeys(rows.name for rows in motion.train)),
+        n=sum(rows.n for rows in motion.train),
+        segments=len(motion.train),
+        longest=max(rows.n for rows in motion.train),
+        noise_sd=found.noise_sd,
+        interpolation=found.interpolation,
+        converged=found.converged,
+        at_bound=bound,
+    )
+    refined = [_refined(dynamics, k, block, found, train, held_out) for k, block in enumerate(dynamics.blocks())]
+    return RefinedEquations(tuple(refined), summary, scores, log)
 
 
 def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tuple[Floats, Floats]]) -> bool:
@@ -253,24 +262,23 @@ def _worse_scores(before: Scores, after: Scores) -> list[str]:
 
 
 def _refined(
-    dynamics: Dynamics,
-    k: int,
-    block: slice,
-    found: OutputError,
-    parts: tuple[Sequence[Rows], Sequence[Rows]],
+    dynamics: Dynamics, k: int, block: slice, found: OutputError, train: Sequence[Rows], held_out: Sequence[Rows]
 ) -> RefinedEquation:
     """The k-th equation, its residuals on the rows used and on those held out."""
-    train, held_out = parts
-    target, terms = dynamics.targets[k], dynamics.terms[k]
     parameters, covariance = found.parameters[block], found.covariance[block, block]
-    free = found.free[block]
-    residuals = [_residual(target, terms, parameters, rows) for rows in train]
+    target, free = dynamics.targets[k], found.free[block]
+
+    def residuals_of(pieces: Sequence[Rows]) -> list[Floats]:
+        terms = dynamics.terms[k]
+        return [rows.columns[target] - predicted_target(terms, parameters, rows.columns) for rows in pieces]
+
+    residuals = residuals_of(train)
     noise = sum(float(e @ e) for e in residuals) / max(sum(map(len, residuals)) - int(free.sum()), 1)
     names = (*dynamics.inputs, *dynamics.chains[k].states)
     return RefinedEquation(
         _posterior(dynamics.laws[k].posterior, parameters, covariance, free, noise),
-        _fit(target, terms, parameters, train),
-        _fit(target, terms, parameters, held_out) if held_out else None,
+        _fit([rows.columns[target] for rows in train], residuals),
+        _fit([rows.columns[target] for rows in held_out], residuals_of(held_out)) if held_out else None,
         inspect_residuals(residuals, {name: [rows.columns[name] for rows in train] for name in names}),
     )
 
@@ -282,19 +290,6 @@ def _at_bound(dynamics: Dynamics, found: OutputError) -> tuple[str, ...]:
         for target, terms, block in zip(dynamics.targets, dynamics.terms, dynamics.blocks(), strict=True)
         for term, there in zip(terms, found.at_bound[block][-len(terms) :], strict=True)
         if there
-    )
-
-
-def _summary(found: OutputError, motion: Motion, bound: tuple[str, ...]) -> Refinement:
-    return Refinement(
-        files=tuple(dict.fromkeys(rows.name for rows in motion.train)),
-        n=sum(rows.n for rows in motion.train),
-        segments=len(motion.train),
-        longest=max(rows.n for rows in motion.train),
-        noise_sd=found.noise_sd,
-        interpolation=found.interpolation,
-        converged=found.converged,
-        at_bound=bound,
     )
 
 
@@ -332,14 +327,8 @@ def _posterior(
     )
 
 
-def _residual(target: str, terms: Sequence[Expression], parameters: Floats, rows: Rows) -> Floats:
-    """What the equation leaves of the target at each row."""
-    return np.asarray(rows.columns[target] - predicted_target(terms, parameters, rows.columns))
-
-
-def _fit(target: str, terms: Sequence[Expression], parameters: Floats, pieces: Sequence[Rows]) -> Fit:
-    whole = np.concatenate([rows.columns[target] for rows in pieces])
-    residual = np.concatenate([_residual(target, terms, parameters, rows) for rows in pieces])
+def _fit(targets: Sequence[Floats], residuals: Sequence[Floats]) -> Fit:
+    whole, residual = np.concatenate(targets), np.concatenate(residuals)
     variance = float(whole.var())
     share = float(np.mean(residual**2)) / variance if variance > 0 else 1.0
     return Fit(n=len(whole), r2=1.0 - share, nrmse=math.sqrt(share))

@@ -13,9 +13,8 @@ from bayeq.errors import DataWarning, RecordError, WarningLog
 from bayeq.expressions import Expression
 from bayeq.gram.gram import from_moments
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.block import Block
+from bayeq.likelihood.block import Block, Curvature, curvature, relearned
 from bayeq.likelihood.record_fit import RecordFit
-from bayeq.likelihood.relearn import Curvature, curvature, relearned
 from bayeq.regression.design import Design, usable_terms
 from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion

@@ -1,0 +1,269 @@
+"""Runge-Kutta steps of the model between samples, with their derivatives by the states and by coefficients."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.expressions.tape import Program, run_tape
+from bayeq.kernels import kernel
+from bayeq.likelihood.layout import HELD, SMOOTH, STRAIGHT, Candidates
+from bayeq.ode.rk4 import STAGES
+
+__all__ = ["Steps", "add_derivatives", "arrays", "integrate"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# From these many numbers on, 4 MB, numpy asks for large pages of memory; from a fourth on it is worth to have them.
+LARGE = 2**19
+SMALL = LARGE // 4
+
+
+class Steps(NamedTuple):
+    """What is integrated from each sample to the next.
+
+    Attributes
+    ----------
+    program : Program
+        Rates of the states, the targets and the terms of the model, in states, inputs and coefficients.
+    basis : Program
+        The candidates and the constant, in states and inputs.
+    inputs : (n, m, 4) array
+        Those of the `Series`, then the widths of jumps.
+    bends : (n, L, 2) array
+        As in `Series`.
+    driven : (L,) int array
+        See `Layout.driven`.
+    intervals : (n - 1,) array
+        Between samples [s].
+    substeps : (n - 1,) int array
+        Runge-Kutta steps of each interval.
+    last : (C,) int array
+        See `Layout.last`.
+    factors : (C,) array
+        Rate of that state for a target of 1.
+    motion : int
+        Number of states that are derivatives of chains: the first ones, which alone depend on coefficients.
+    rising : (S,) bool array
+        Whether the rate of a state behind them is the next one, and not 0.
+    straight : (S,) int array
+        How a state behind them goes from one sample to the next: `SMOOTH`, `STRAIGHT` or `HELD`.
+    """
+
+    program: Program
+    basis: Program
+    inputs: Floats
+    bends: Floats
+    driven: Ints
+    intervals: Floats
+    substeps: Ints
+    last: Ints
+    factors: Floats
+    motion: int
+    rising: NDArray[np.bool_]
+    straight: Ints
+
+    def fresh(self) -> Steps:
+        """The same with registers of its own."""
+        program, basis = (one._replace(registers=one.registers.copy()) for one in (self.program, self.basis))
+        return self._replace(program=program, basis=basis)
+
+
+class Tangents(NamedTuple):
+    """Derivatives by the states: `tangents` of a program's registers, `powers` of the states that are no chain's."""
+
+    tangents: Floats
+    powers: Floats
+
+
+@kernel(borrowing=True)
+def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction: float) -> None:
+    """What is given, and widths, a fraction of the interval after a sample, into the registers behind the states."""
+    rest = 1.0 - fraction
+    for k in range(inputs.shape[1]):
+        p = inputs[row, k]
+        program.registers[size + k] = rest * p[0] + fraction * p[1] + fraction * rest * (p[2] + fraction * p[3])
+
+
+@kernel(borrowing=True)
+def _drift(steps: Steps, path: Floats, row: int, interval: float, fraction: float, last: bool, powers: Floats) -> None:
+    """States that are no derivatives of chains, a fraction of an interval after a sample, into the program's registers.
+
+    Each is constant or has the next one as its rate: Taylor's series. An input that is not `SMOOTH` goes straight to
+    where that ends, or is held until there; `last` asks for that end. `powers` (S, S) receive derivatives by the states
+    at the sample.
+    """
+    size = path.shape[1]
+    for i in range(steps.motion, size):
+        value, power, j = path[row, i], 1.0, i
+        course = SMOOTH if last else steps.straight[i]
+        time, share = fraction * interval, 1.0
+        if course != SMOOTH:
+            time, share = interval, fraction if course == STRAIGHT else 0.0
+        powers[i, i] = 1.0
+        while steps.rising[j]:
+            j += 1
+            power *= time / (j - i)
+            powers[i, j] = share * power
+            value += share * power * path[row, j]
+        steps.program.registers[i] = value
+    for k in range(len(steps.driven)):
+        bend = steps.bends[row, k, 0] + fraction * steps.bends[row, k, 1]
+        steps.program.registers[steps.driven[k]] += fraction * (1.0 - fraction) * bend
+
+
+@kernel(borrowing=True)
+def _rates(
+    steps: Steps, chosen: Candidates, own: bool, row: int, fraction: float, work: Tangents, y: Floats, rate: Floats
+) -> None:
+    """Rates of the states of chains (first column), of their derivatives by all states, and by the coefficients."""
+    program, basis, motion = steps.program, steps.basis, steps.motion
+    width, size, registers = y.shape[1], work.powers.shape[0], program.registers
+    for i in range(motion):
+        registers[i] = y[i, 0]
+    _set_inputs(program, steps.inputs, size, row, fraction)
+    run_tape(program, work.tangents)
+    for i in range(motion):
+        output = program.outputs[i]
+        rate[i, 0] = registers[output]
+        for j in range(1, width):
+            rate[i, j] = 0.0
+        for o in range(size):
+            factor = work.tangents[output, o]
+            if factor == 0.0:
+                continue
+            if o < motion:
+                for j in range(1, width):
+                    rate[i, j] += factor * y[o, j]
+            else:
+                for j in range(o, size):
+                    rate[i, 1 + j] += factor * work.powers[o, j]
+    r = width - 1 - size
+    first = size + len(steps.factors)
+    if r and not own:
+        for i in range(size):
+            basis.registers[i] = registers[i]
+        _set_inputs(basis, steps.inputs, size, row, fraction)
+        run_tape(basis, None)
+    for j in range(r):
+        c = chosen.chain[j]
+        term = registers[program.outputs[first + j]] if own else basis.registers[basis.outputs[chosen.term[j]]]
+        rate[steps.last[c], 1 + size + j] += steps.factors[c] * term
+
+
+@kernel(borrowing=True)
+def _ahead(x: Floats, h: float, rate: Floats, y: Floats) -> None:
+    """x + h rate, into `y`."""
+    for i in range(x.shape[0]):
+        for j in range(x.shape[1]):
+            y[i, j] = x[i, j] + h * rate[i, j]
+
+
+@kernel
+def integrate(
+    steps: Steps,
+    chosen: Candidates,
+    own: bool,
+    path: Floats,
+    first: int,
+    stop: int,
+    end: Floats,
+    transition: Floats,
+    sources: Floats,
+    target: Floats,
+    gradient: Floats,
+) -> None:
+    """Runge-Kutta steps from samples `first` to `stop` of a path, with their derivatives by states and coefficients.
+
+    Receives, from its first row on, what `Linear` has; of empty arrays nothing. `own`: these are the coefficients of
+    the model.
+    """
+    (n, size), r, motion = path.shape, len(chosen.chain), steps.motion
+    work = Tangents(np.zeros((steps.program.registers.shape[0], size)), np.zeros((size, size)))
+    for i in range(size):
+        work.tangents[i, i] = 1.0
+    stages = np.zeros((STAGES, motion, 1 + size + r))
+    x, y, k1, k2, k3, k4 = stages[0], stages[1], stages[2], stages[3], stages[4], stages[5]
+    for row in range(first, stop):
+        for i in range(motion):
+            for j in range(1 + size + r):
+                x[i, j] = 1.0 if j == 1 + i else 0.0
+            x[i, 0] = path[row, i]
+        count = steps.substeps[row] if row < n - 1 else 1
+        share = 1.0 / count
+        for step in range(count):
+            whole = steps.intervals[row] if row < n - 1 else 0.0
+            _drift(steps, path, row, whole, step * share, False, work.powers)
+            _rates(steps, chosen, own, row, step * share, work, x, k1)
+            if step == 0:
+                for c in range(target.shape[1]):
+                    output = steps.program.outputs[size + c]
+                    target[row, c] = steps.program.registers[output]
+                    for j in range(size):
+                        gradient[row, c, j] = work.tangents[output, j]
+            if row == n - 1:
+                break
+            h = whole * share
+            _ahead(x, 0.5 * h, k1, y)
+            _drift(steps, path, row, whole, (step + 0.5) * share, False, work.powers)
+            _rates(steps, chosen, own, row, (step + 0.5) * share, work, y, k2)
+            _ahead(x, 0.5 * h, k2, y)
+            _rates(steps, chosen, own, row, (step + 0.5) * share, work, y, k3)
+            _ahead(x, h, k3, y)
+            _drift(steps, path, row, whole, (step + 1.0) * share, False, work.powers)
+            _rates(steps, chosen, own, row, (step + 1.0) * share, work, y, k4)
+            for i in range(motion):
+                for j in range(1 + size + r):
+                    x[i, j] += h / 6.0 * (k1[i, j] + 2.0 * (k2[i, j] + k3[i, j]) + k4[i, j])
+        if row < n - 1:
+            at = row - first
+            if end.shape[1]:
+                _drift(steps, path, row, whole, 1.0, True, work.powers)
+            for i in range(end.shape[1]):
+                end[at, i] = x[i, 0] if i < motion else steps.program.registers[i]
+                for j in range(size):
+                    transition[at, i, j] = x[i, 1 + j] if i < motion else work.powers[i, j]
+            for i in range(motion):
+                for j in range(r):
+                    sources[at, i, j] = x[i, 1 + size + j]
+
+
+@kernel
+def add_derivatives(steps: Steps, start: Floats, end: Floats, directions: Floats, between: bool, out: Floats) -> None:
+    """Adds to `out` (C, P + 1) the derivatives of the candidates along directions (n, C, S), summed over rows.
+
+    They are taken at the starts of steps, or, `between`, as the mean over the middles of the Runge-Kutta steps on the
+    straight lines to their ends.
+    """
+    program, (n, size), chains = steps.basis, start.shape, directions.shape[1]
+    tangents = np.zeros((program.registers.shape[0], chains))
+    for row in range(n):
+        count = steps.substeps[row] if between else 1
+        for node in range(count):
+            fraction = (node + 0.5) / count if between else 0.0
+            for i in range(size):
+                moved = end[row, i] - start[row, i] if between and steps.straight[i] != HELD else 0.0
+                program.registers[i] = start[row, i] + fraction * moved
+                for c in range(chains):
+                    tangents[i, c] = directions[row, c, i] / count
+            _set_inputs(program, steps.inputs, size, row, fraction)
+            run_tape(program, tangents)
+            for c in range(chains):
+                for j in range(out.shape[1]):
+                    out[c, j] += tangents[program.outputs[j], c]
+
+
+def arrays(*shapes: tuple[int, ...]) -> list[Floats]:
+    """Arrays in one block of memory, not initialised.
+
+    The first touch of a small page takes about as long as a filter needs for what stands in it.
+    """
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    total = int(ends[-1])
+    block = np.empty(max(total, LARGE) if total > SMALL else total)
+    parts = np.split(block[:total], ends[:-1])
+    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
