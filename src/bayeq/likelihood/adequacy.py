@@ -47,7 +47,7 @@ STEP, LEAST_BEND = 0.1, 1e-3
 
 
 class Discrepancy(NamedTuple):
-    """What an equation does not hold.
+    """The discrepancy of an equation: the force that its terms do not explain.
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ def gain_of(task: Task, state: State, c: int) -> float:
 
 
 def _least_power(task: Task, state: State, i: int) -> float:
-    """Variance that the samples of channel i, an input, would have if they were no louder in any octave than in one."""
+    """Variance of white noise with the power that channel i, an input, has in its quietest octave."""
     own = task.layout.kinds[i]
     pieces = [
         np.where(np.isnan(one.samples[:, i]), path[:, own], one.samples[:, i])
@@ -257,7 +257,7 @@ def chance_of(gain: float, length: float) -> float:
 
 
 def _length(task: Task, state: State, c: int) -> float:
-    """What `chance_of` takes, of the discrepancy of equation c."""
+    """The `length` of `chance_of` for the discrepancy of equation c."""
     levels, d = state.levels, task.layout.discrepancy[c]
     memory = levels.memory.copy()
     memory[c] = MEMORY[0]

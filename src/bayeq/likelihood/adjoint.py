@@ -187,8 +187,7 @@ def _by_information(work: Floats, now: int, start: int, lines: Floats, source: i
 
 @kernel(borrowing=True)
 def _curve_between(A: Floats, P: Floats, k: int, work: Floats, now: int, start: int, lines: Floats) -> None:
-    """(1 + A) P N w into ``lines[2]``, w in ``lines[1]``: -2 times what the determinant makes of a gradient in the
-    middle of a step."""
+    """Puts (1 + A) P N w, w in ``lines[1]``, into ``lines[2]``: -2 times the direction `Adjoint.between`."""
     size = work.shape[1]
     _by_information(work, now, start, lines, 1, 2)
     for i in range(size):
@@ -201,7 +200,7 @@ def _curve_between(A: Floats, P: Floats, k: int, work: Floats, now: int, start: 
 
 @kernel(borrowing=True)
 def _curve_at(P: Floats, k: int, work: Floats, now: int, start: int, lines: Floats) -> None:
-    """(P - P N P) h into ``lines[1]``, h in ``lines[2]``: - what it makes of the gradient h of a measured target."""
+    """Puts (P - P N P) h, h in ``lines[2]``, into ``lines[1]``: minus the direction `Adjoint.at_samples`, times R."""
     for i in range(work.shape[1]):
         lines[1, i] = 0.0
     _add_product(1.0, P, k, lines, 2, 1)

@@ -45,7 +45,7 @@ LONGEST, OF_DISCREPANCIES = 1.0, 0.5
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """What the likelihood says of some rows.
+    """The likelihood of some rows, and sums over them, as terms of the sums over all rows.
 
     Attributes
     ----------
@@ -202,7 +202,7 @@ class Curvature:
 
 
 def curvature(task: Task, state: State) -> Curvature:
-    """By differences between likelihoods with one level or corner moved, in threads."""
+    """The curvature by differences: one level or corner is moved at a time, in threads."""
     from concurrent.futures import ThreadPoolExecutor
 
     from joblib import cpu_count  # which takes a while to import
@@ -239,7 +239,7 @@ def curvature(task: Task, state: State) -> Curvature:
 
 
 class _Slopes(NamedTuple):
-    """Of the log likelihood, by all candidates and by the levels; logarithms of standard deviations of the included."""
+    """Slopes of the log likelihood by all candidates and levels; log standard deviations of the coefficients."""
 
     by_candidates: Floats
     by_levels: Floats
@@ -247,7 +247,7 @@ class _Slopes(NamedTuple):
 
 
 def _slopes(task: Task, state: State) -> _Slopes:
-    """Record by record, which takes little memory."""
+    """The slopes, record by record, which takes little memory."""
     theta, included = coefficients(task.layout, state), task.number(state.chosen)
     by_candidates, by_levels = np.zeros(len(theta)), np.zeros(len(state.levels.free))
     H = np.diag(task.precision[included])
@@ -284,7 +284,7 @@ class Relearned(NamedTuple):
 
 
 def relearned(task: Task, state: State, block: Block, curve: Curvature) -> Relearned:
-    """What all rows say: corners from their spectra, and levels by a Newton step that coefficients take part in.
+    """Corners from the spectra of all rows; levels by a Newton step on their likelihood, coefficients solved along.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ def relearned(task: Task, state: State, block: Block, curve: Curvature) -> Relea
 
 
 def _uphill(A: Floats, slope: Floats, longest: Floats) -> Floats:
-    """A Newton step to a maximum; steps that would be too long are cut, and the others solved again for these."""
+    """A Newton step to a maximum; entries above `longest` are cut, and the others solved again given these."""
     step = _newton(A, slope)
     cut = np.clip(step, -longest, longest)
     short, rest = np.flatnonzero(cut != step), np.flatnonzero(cut == step)
@@ -337,6 +337,6 @@ def _uphill(A: Floats, slope: Floats, longest: Floats) -> Floats:
 
 
 def _newton(A: Floats, slope: Floats) -> Floats:
-    """Where the likelihood hardly curves the step is that of a unit of information."""
+    """A Newton step; in directions of less than a unit of information, as if there were a unit."""
     values, vectors = np.linalg.eigh(A)
     return np.asarray(vectors @ ((vectors.T @ slope) / np.maximum(np.abs(values), 1.0)))

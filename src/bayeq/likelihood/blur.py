@@ -197,7 +197,7 @@ def _held(
     half: Floats,
     share: Floats,
 ) -> NDArray[np.intp]:
-    """Intervals in which a sign leads its argument to zero from both sides, and at the end of which it may be there."""
+    """Intervals in which both sides of a sign drive its argument to zero, and at whose end it may be zero."""
     target = path[:, layout.discrepancy].copy()
     for c, t, value in zip(chosen.chain, chosen.term, theta.tolist(), strict=True):
         target[:, c] += value * (middle_of_jump(layout.terms[t], jump, evaluate) if t < len(layout.terms) else 1.0)
@@ -212,7 +212,7 @@ def _held(
 
 
 def _at_both_ends(values: Floats) -> Floats:
-    """Of intervals, at each sample the larger one beside it."""
+    """At each sample the larger of the values of the two intervals beside it."""
     return np.maximum(np.append(values, 0.0), np.append(0.0, values))
 
 

@@ -123,12 +123,12 @@ class _Running(NamedTuple):
 
 
 def padded(width: int) -> int:
-    """The width of rows that hold so many numbers."""
+    """The width of rows that hold this many numbers, padded."""
     return -(-width // LANES) * LANES
 
 
 def rows_together(channels: int, r: int) -> int:
-    """Samples that are filtered before their innovations are summed."""
+    """Number of samples that are filtered before their innovations are summed."""
     return max(1, TOGETHER // (channels * (1 + r)))
 
 
@@ -189,7 +189,7 @@ def combine(factors: Floats, k: int, c: int, work: Floats, which: int, lines: Fl
 
 @kernel(borrowing=True)
 def _add_sources(sources: Floats, k: int, work: Floats, now: int) -> None:
-    """What coefficients add to a step: to the derivatives of the means."""
+    """Adds what coefficients do in a step to the derivatives of the means."""
     for i in range(sources.shape[1]):
         for j in range(sources.shape[2]):
             work[now, i, 1 + j] += sources[k, i, j]
@@ -199,7 +199,7 @@ def _add_sources(sources: Floats, k: int, work: Floats, now: int) -> None:
 def _add_force(
     transition: Floats, k: int, d: int, variance: float, motion: int, work: Floats, now: int, start: int
 ) -> None:
-    """Noise of a force over a step, which acts as discrepancy d does, to the covariance."""
+    """Adds the noise of a force over a step, which acts as discrepancy d does, to the covariance."""
     for i in range(motion):
         for j in range(motion):
             work[now, i, start + j] += variance * transition[k, i, d] * transition[k, j, d]
@@ -207,7 +207,7 @@ def _add_force(
 
 @kernel(borrowing=True)
 def _condition(work: Floats, now: int, lines: Floats, variance: float, start: int) -> None:
-    """On a sample, by what is left of it."""
+    """Conditions the rows on a sample, whose innovation, with its derivatives and covariances, is in ``lines[0]``."""
     size, width = work.shape[1:]
     share = 1.0 / variance
     for i in range(size):

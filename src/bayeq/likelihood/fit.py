@@ -64,7 +64,7 @@ class State:
     blurs: tuple[Blur, ...] = ()
 
     def halfway(self, other: State) -> State:
-        """Between two states of the same model."""
+        """The state halfway to another one of the same model; levels are those of this one."""
         paths = tuple(0.5 * (one + two) for one, two in zip(self.paths, other.paths, strict=True))
         return replace(self, theta=0.5 * (self.theta + other.theta), paths=paths)
 
@@ -103,7 +103,7 @@ class Quadratic:
         return Quadratic(*parts)
 
     def raised(self, power: float) -> Quadratic:
-        """That of the likelihood to a power."""
+        """The quadratic of the likelihood to a power."""
         return self if power == 1.0 else Quadratic(power * self.level, power * self.slope, power * self.information)
 
 
@@ -146,7 +146,7 @@ def candidates(layout: Layout, series: Sequence[Series], state: State, step: int
 
 
 def quadratic(filtered: Sequence[Filtered]) -> Quadratic:
-    """The sum over records."""
+    """The log likelihood of all records, from their filters."""
     product = np.sum([found.product for found in filtered], axis=0)
     logs = sum(found.log_variance for found in filtered)
     return Quadratic(-0.5 * (logs + float(product[0, 0])), product[1:, 0], product[1:, 1:])
@@ -266,9 +266,9 @@ def maximised(
     tolerance: float = 1e-6,
     steepest: float = 0.01,
 ) -> tuple[Levels, Statistics]:
-    """Levels that maximise the marginal likelihood of a linearised model, and that; those `held`, or known, stay.
+    """Levels that maximise the marginal likelihood of a linearised model; those `held`, or known, stay.
 
-    The search moves each number in units of what its own samples tell of it, were nothing else unknown.
+    The search moves each number in units of the standard deviation that it would have if nothing else were unknown.
     """
     levels = state.levels
     low, high = levels.bounds
@@ -321,7 +321,7 @@ def corrections(layout: Layout, linears: Sequence[Linear], found: Sequence[Adjoi
 def improved(
     layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, found: Statistics
 ) -> tuple[State, Floats]:
-    """One Gauss-Newton step of coefficients and paths from the likelihood there; the derivatives of the determinant."""
+    """One Gauss-Newton step of coefficients and paths; also `corrections`, the derivatives of the determinant."""
     first = adjoints(linears, state.levels, found, found.delta, curved=True)
     curved = corrections(layout, linears, first)
     delta = found.delta + found.covariance @ curved[state.chosen.chain, state.chosen.term]
@@ -338,7 +338,7 @@ def information(layout: Layout, linears: Sequence[Linear], state: State, curved:
 
 
 def coefficients(layout: Layout, state: State) -> Floats:
-    """Of all candidates of all equations, (C (P + 1),): 0 for those that are not chosen."""
+    """Coefficients of all candidates of all equations, (C (P + 1),): 0 for those that are not chosen."""
     theta = np.zeros(len(layout.everything.chain))
     theta[state.chosen.chain * (len(layout.terms) + 1) + state.chosen.term] = state.theta
     return theta

@@ -167,9 +167,9 @@ class Layout:
         return self.driven + self.widths - 1
 
     def feedback(self, k: int, intervals: Floats) -> Floats:
-        """What the highest derivative of input k becomes at the end of steps, on average: factors of its states.
+        """Factors of the states of input k that give the mean of its highest derivative after a sample.
 
-        Of a random sequence straight lines lead from any sample back to its mean.
+        A random sequence goes straight back to its mean until the next sample.
         """
         if self.smoothness[k] == 0:
             return np.column_stack([-1.0 / intervals, np.zeros(len(intervals))])
@@ -177,7 +177,7 @@ class Layout:
 
     @cached_property
     def given(self) -> tuple[str, ...]:
-        """What terms use that is no state: t where it is used."""
+        """Variables of terms that are no states: t where it is used."""
         return (TIME,) if self.roles.timed else ()
 
     @cached_property
@@ -192,7 +192,7 @@ class Layout:
         return tuple(f"w[{j}]" for j in range(len(self.jumps)))
 
     def jumps_in(self, chosen: Candidates) -> NDArray[np.bool_]:
-        """Which of the jumps stand in some candidates, (J,)."""
+        """Which of the jumps occur in the given candidates, (J,)."""
         own = {jump for j in chosen.term if j < len(self.terms) for jump in jumps_of(self.terms[j].tree)}
         return np.array([jump in own for jump in self.jumps], dtype=np.bool_)
 

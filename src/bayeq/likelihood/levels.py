@@ -105,7 +105,7 @@ class Levels:
 
     @cached_property
     def noise(self) -> Noise:
-        """As the filter takes it."""
+        """The variances as the filter takes them."""
         layout = self.layout
         memory, steps = np.ones(layout.size), np.zeros(layout.size)
         start = VAGUE**2 * self.scales.variance
@@ -153,7 +153,7 @@ class Levels:
 
     @property
     def unbounded(self) -> Levels:
-        """The same with memories as long as a record has them."""
+        """The levels without the bound of `longest` on memories."""
         return replace(self, scales=replace(self.scales, interval=0.0))
 
     @property
@@ -168,14 +168,14 @@ class Levels:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Those of `free` that are known and stay, (F,)."""
+        """Which of `free` are known and stay, (F,)."""
         out = np.zeros(len(self.free), dtype=np.bool_)
         out[: len(self.channels)] = ~self.learned
         return out
 
     @property
     def optional(self) -> NDArray[np.bool_]:
-        """Those of `free` that may be nothing, about which the likelihood is flat: discrepancies, courses, drifts."""
+        """Which of `free` may vanish, where the likelihood is flat in them: discrepancies, courses, drifts; (F,)."""
         return np.concatenate([np.full(len(getattr(self, name)), name not in ("channels", "slope")) for name in PARTS])
 
     @property

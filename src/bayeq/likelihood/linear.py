@@ -84,7 +84,7 @@ class Linear(NamedTuple):
     holds: tuple[tuple[NDArray[np.intp], Floats], ...]
 
     def in_order(self, channels: NDArray[np.intp]) -> Linear:
-        """The same with the samples of the channels in another order."""
+        """The model with its channels in another order, in which their samples are filtered."""
         columns = {name: getattr(self, name)[:, channels] for name in ("residual", "spread", "unresolved")}
         contiguous = {name: np.ascontiguousarray(values) for name, values in columns.items()}
         return self._replace(kinds=self.kinds[channels], **contiguous)
@@ -198,7 +198,7 @@ def _with_drifts(layout: Layout, gradient: Floats) -> tuple[Ints, Floats]:
 
 
 def _bends(path: Floats) -> Floats:
-    """How far inputs are from straight lines halfway between samples, about, (n - 1, L): the larger of both ends."""
+    """About how far inputs bend from straight lines between samples, (n - 1, L): the larger estimate of both ends."""
     bend = np.zeros(path.shape)
     bend[1:-1] = np.abs(np.diff(path, 2, axis=0)) / 8.0
     return np.maximum(bend[1:], bend[:-1])
@@ -235,7 +235,7 @@ def sources_of(linear: Linear, chosen: Candidates, first: int, stop: int) -> Flo
 
 
 def _others(related: NDArray[np.bool_]) -> Ints:
-    """In each row the number of entries beside the diagonal, then where they stand."""
+    """In each row the number of entries off the diagonal, then their columns."""
     out = np.zeros(related.shape, dtype=np.int64)
     for i, row in enumerate(related):
         others = np.setdiff1d(np.flatnonzero(row), [i])
@@ -244,10 +244,7 @@ def _others(related: NDArray[np.bool_]) -> Ints:
 
 
 def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats) -> None:
-    """The highest derivative of each input at the end of steps: what it becomes at the next sample, on average.
-
-    `end` and `transition` receive it.
-    """
+    """Puts the mean of the highest derivative of each input after the next sample into `end` and `transition`."""
     for k, (first, slope, centre) in enumerate(zip(layout.driven, layout.slope, layout.centres, strict=True)):
         states = slice(first, slope + 1)
         factors = layout.feedback(k, intervals)

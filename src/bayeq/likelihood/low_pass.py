@@ -42,7 +42,7 @@ POWER, HIGHEST = 0.9, 0.1
 
 
 def feedback(order: int, corner: float, intervals: Floats) -> Floats:
-    """What the highest derivative becomes at the end of steps, but for the random part: factors of the states there.
+    """Factors of the states at the end of a step that give the mean of the highest derivative after it.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def mean_spectrum(pieces: Sequence[Floats]) -> Spectrum:
 
 
 def of_segments(power: Floats, count: int, length: int) -> Spectrum:
-    """The spectrum that sums of periodograms of some segments make."""
+    """The spectrum from the sum of the periodograms of `count` segments."""
     bins = len(power)
     omega = 2.0 * math.pi * np.arange(1, bins + 1) / length
     return Spectrum(omega, power / max(count, 1), np.full(bins, float(count)))

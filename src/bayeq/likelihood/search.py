@@ -117,7 +117,7 @@ MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is to be explained, and what is known before.
+    """Records to be explained, candidates, and their prior.
 
     Attributes
     ----------
@@ -181,11 +181,11 @@ class Task:
         return float(sum(np.isfinite(one.samples).sum() for one in self.series))
 
     def number(self, chosen: Candidates) -> NDArray[np.int64]:
-        """Where coefficients stand among all."""
+        """Indices of coefficients among those of all equations."""
         return chosen.chain * (len(self.layout.terms) + 1) + chosen.term
 
     def model(self, chosen: Candidates) -> Bools:
-        """Coefficients as a model."""
+        """The model, (C (P + 1),) bool, in which these coefficients are not zero."""
         out = np.zeros(len(self.precision), dtype=np.bool_)
         out[self.number(chosen)] = True
         return out
@@ -201,7 +201,7 @@ class Task:
         return Prior(slab_variance=1.0, prior_inclusion=1.0 / (1.0 + np.exp(-self.log_odds)))
 
     def gram(self, q: Quadratic) -> Gram:
-        """The likelihood of all candidates in those units: a regression of as good as known noise."""
+        """The likelihood of all candidates in those units, as a regression whose noise is practically known."""
         scale = 1.0 / np.sqrt(self.precision)
         DtD = q.information * scale[:, None] * scale
         Dty = q.slope * scale
@@ -210,7 +210,7 @@ class Task:
         return Gram(names, rows, np.zeros(len(Dty)), 0.0, DtD, Dty, float(Dty @ solved(DtD, Dty)) + rows, rows)
 
     def problem(self, q: Quadratic) -> Problem:
-        """What models are compared on."""
+        """The regression that models are compared on."""
         return Problem.of(self.gram(q), self.known)
 
 
@@ -246,7 +246,7 @@ class Fitted:
 
     @cached_property
     def quadratic(self) -> Quadratic:
-        """The likelihood of all candidates about the fit; of most fits nobody asks for it."""
+        """The likelihood of all candidates about the fit, computed when it is first asked for."""
         return self.expand().raised(self.power)
 
 
@@ -343,7 +343,7 @@ def from_all_levels(task: Task, state: State, beside: Fitted | None = None) -> F
 
 
 def roused(state: State) -> State:
-    """The state with discrepancies that a search moves, where there are hardly any."""
+    """The state with vanishing discrepancies raised to a size that a search moves."""
     levels = state.levels
     hardly = levels.kappa < NOTICED
     discrepancy = np.where(hardly, NOTICED**2 * levels.target, levels.discrepancy)
@@ -476,7 +476,7 @@ def at_once(task: Task, state: State) -> float:
 
 
 def noisier(task: Task, state: State, k: int) -> State:
-    """The state with much noise in input k, lest a discrepancy explains what is noise."""
+    """The state with much noise in input k, so that a discrepancy does not explain that noise."""
     levels, i = state.levels, task.layout.first_input + k
     if not levels.learned[i]:
         return state
@@ -549,7 +549,7 @@ def resumed(task: Task, state: State) -> Fitted:
 
 
 def among_neighbours(task: Task, best: Fitted) -> Fitted:
-    """The model that single moves lead to, each compared by its own fit; of many samples the Gram tells them apart."""
+    """The model that single moves lead to, each compared by its own fit; with many samples the Gram suffices."""
     if task.rows > MOST_TO_MOVE:
         return best
     tried = {best.model.tobytes(): best.evidence}

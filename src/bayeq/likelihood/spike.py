@@ -93,7 +93,7 @@ class Nearly:
 
     @classmethod
     def unknown(cls, chains: int) -> Nearly:
-        """Where the likelihood about the fit does not tell."""
+        """Of a fit whose likelihood does not tell."""
         return cls((0.0,) * chains, (np.nan,) * chains)
 
 
@@ -153,7 +153,7 @@ def softened_rows(gram: Gram, size: float) -> Gram:
 
 
 def sizes_of(tolerance: float | None, rank: int) -> Floats:
-    """Sizes that a function of some directions may have, the first with half of the prior probability."""
+    """Sizes that a function in a space of dimension `rank` may have; the first has half of the prior probability."""
     first = tolerance or 0.0
     if tolerance == 0.0:
         return np.zeros(1)
@@ -202,7 +202,7 @@ class Soft:
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> Soft:
-        """Of a fit."""
+        """From a fit."""
         layout, state = task.layout, fitted.state
         allowed = task.log_odds.reshape(layout.chains, -1) > -np.inf
         P, precision = len(layout.terms), task.precision_of(state)
@@ -312,7 +312,7 @@ def soft_of(task: Task, fitted: Fitted) -> Soft | None:
 
 
 def averaged(task: Task, fitted: Fitted, soft: Soft | None) -> tuple[Posterior, Nearly]:
-    """Models averaged over, and over the size of the function in each equation, the others' at their most probable."""
+    """The posterior averaged over models and over the size of each function, the others at their most probable."""
     chains = task.layout.chains
     nearly = Nearly((0.0,) * chains, (1.0,) * chains) if task.tolerance == 0.0 else Nearly.unknown(chains)
     if soft is not None:
@@ -330,7 +330,7 @@ def _of_gram(task: Task, q: Quadratic, revise: Callable[[ModelSet], ModelSet]) -
 
 
 def _most_probable(search: Soft) -> tuple[Sizes, Floats, dict[Sizes, float]]:
-    """Sizes, one equation after the other; P(first size) of each, and ln prior of all sizes beside these."""
+    """The most probable sizes, equation by equation; P(first size) of each; ln prior of sizes to average over."""
     chains = len(search.spreads)
     together = len(search.task.precision) > MOST_APART
     groups = [list(range(chains))] if together else [[c] for c in range(chains)]

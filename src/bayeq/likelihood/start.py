@@ -112,7 +112,7 @@ def start_from(
 
 
 def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str, float]) -> NDArray[np.bool_]:
-    """Puts known standard deviations of channels into their variances `noise`, (M,); which channels these are."""
+    """Puts the known noise of channels into the variances `noise`, (M,); returns which channels these are."""
     held = np.array([name in known for name, _ in layout.channels])
     for i in np.flatnonzero(held):
         noise[i] = max(known[layout.channels[i][0]] ** 2, LEAST_NOISE * scales.channels[i])
@@ -302,7 +302,7 @@ def _scales(
 
 
 def _drift(motion: Motion) -> float:
-    """What is left after a sample of what varies slower than the band that the records are believed in."""
+    """Memory from sample to sample of a drift, slower than the band that the records are believed in; 0 without one."""
     low = motion.band[0] if motion.band else 0.0
     intervals = [np.diff(rows.time) for rows in motion.train if rows.time is not None]
     return math.exp(-2.0 * math.pi * SLOWEST * low * _interval(intervals)) if low else 0.0
@@ -323,7 +323,7 @@ def _precision(motion: Motion, layout: Layout) -> Floats:
 
 
 def _offsets(motion: Motion, terms: Sequence[Expression]) -> float:
-    """What the constant makes up for: squared means of channels that are far from zero, in their variances."""
+    """Squared means, in units of their variances, of channels far from zero: the constant makes up for these."""
     total = 0.0
     for name in sorted(set().union(*(term.names for term in terms))):
         values = np.concatenate([rows.columns[name] for rows in motion.train])
@@ -347,17 +347,17 @@ def _input(name: str, pieces: Sequence[MotionRows], known: float | None, orders:
 
 
 def _spectrum(name: str, pieces: Sequence[MotionRows], mean: float) -> Spectrum:
-    """Of an input."""
+    """The spectrum of an input."""
     return mean_spectrum([rows.columns[name] - mean for rows in pieces])
 
 
 def _interval(intervals: Sequence[Floats]) -> float:
-    """Between samples, mostly [s]."""
+    """The median interval between samples [s]."""
     return float(np.median(np.concatenate(intervals)))
 
 
 def with_spectra(task: Task, state: State, spectra: Sequence[Spectrum]) -> tuple[Task, State]:
-    """A task and a fit with the corners of the noisy inputs, and the variances of their steps, as spectra have them."""
+    """A task and a fit with the corners of the noisy inputs, and the variances of their steps, from spectra."""
     old, levels, corners, slope = task.layout, state.levels, [], []
     interval = _interval([one.intervals for one in task.series])
     for k, spectrum in enumerate(spectra):

@@ -68,7 +68,7 @@ class Steps(NamedTuple):
     straight: Ints
 
     def fresh(self) -> Steps:
-        """The same with registers of its own."""
+        """The steps with registers of their own."""
         program, basis = (one._replace(registers=one.registers.copy()) for one in (self.program, self.basis))
         return self._replace(program=program, basis=basis)
 
@@ -82,7 +82,7 @@ class Tangents(NamedTuple):
 
 @kernel(borrowing=True)
 def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction: float) -> None:
-    """What is given, and widths, a fraction of the interval after a sample, into the registers behind the states."""
+    """Puts what is given, and the widths of jumps, a fraction of the interval after a sample into the registers."""
     rest = 1.0 - fraction
     for k in range(inputs.shape[1]):
         p = inputs[row, k]
@@ -91,7 +91,7 @@ def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction:
 
 @kernel(borrowing=True)
 def _drift(steps: Steps, path: Floats, row: int, interval: float, fraction: float, last: bool, powers: Floats) -> None:
-    """States that are no derivatives of chains, a fraction of an interval after a sample, into the program's registers.
+    """Puts states that are no derivatives of chains, a fraction of an interval after a sample, into the registers.
 
     Each is constant or has the next one as its rate: Taylor's series. An input that is not `SMOOTH` goes straight to
     where that ends, or is held until there; `last` asks for that end. `powers` (S, S) receive derivatives by the states

@@ -334,7 +334,7 @@ def _fitted(task: Task, known: Known, state: State) -> _Run:
 
 
 def _bounded(information: Floats, slope: Floats, phi: Floats, signs: Ints) -> Floats:
-    """The step to the maximum of a quadratic among those in which no parameter loses its sign."""
+    """The step to the maximum of a quadratic under the known signs of the parameters."""
     step = solved(information, slope)
     if not (signs * (phi + step) < 0.0).any():
         return step
@@ -353,7 +353,7 @@ def _bounded(information: Floats, slope: Floats, phi: Floats, signs: Ints) -> Fl
 
 
 def _sensitivity(found: Statistics, basis: Floats) -> tuple[Floats, Floats]:
-    """Derivatives of the standardised innovations by the free parameters, (n, M, f); these, (n, M)."""
+    """Derivatives of the standardised innovations by the free parameters, (n, M, f), and the innovations, (n, M)."""
     columns, residuals = [], []
     for one in found.filtered:
         unit = np.where(one.variance > 0.0, 1.0 / np.sqrt(np.where(one.variance > 0.0, one.variance, 1.0)), 0.0)
