@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import bayeq as bq
-from bayeq.likelihood.low_pass import SEGMENT, mean_spectrum, of_segments, periodograms
 from bayeq.likelihood.block import _slopes, curvature, relearned
+from bayeq.likelihood.low_pass import SEGMENT, mean_spectrum, of_segments, periodograms
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 DICTIONARY = "x, v, x**2, x**3, u"
