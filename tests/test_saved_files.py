@@ -20,7 +20,7 @@ from bayeq.errors import BayeqError, FileFormatError
 from bayeq.forecast.results import Scores
 from bayeq.inference.engines import ENGINES
 from bayeq.plan.models import CandidateModel
-from bayeq.refine.results import Refinement
+from bayeq.refine.refine import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Fit, Residuals
 from bayeq.selection.select import LeftOut
