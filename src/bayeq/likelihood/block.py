@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +84,7 @@ class Block:
 
     def __add__(self, other: Block) -> Block:
         pairs = {one.name: (getattr(self, one.name), getattr(other, one.name)) for one in fields(self)}
-        batches = {name: np.concatenate(pairs.pop(name)) for name in ("products", "pulls")}
+        batches: dict[str, Any] = {name: np.concatenate(pairs.pop(name)) for name in ("products", "pulls")}
         return Block(**batches, **{name: one + another for name, (one, another) in pairs.items()})
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,7 +188,7 @@ class Levels:
         """The levels of other numbers."""
         ends = np.cumsum([len(getattr(self, name)) for name in PARTS[:-1]])
         parts = dict(zip(PARTS, np.split(free, ends), strict=True))
-        found = {name: 1.0 / (1.0 + np.exp(-x)) if name == "memory" else np.exp(x) for name, x in parts.items()}
+        found: dict[str, Any] = {name: 1.0 / (1.0 + np.exp(-x)) if name == "memory" else np.exp(x) for name, x in parts.items()}
         if self.held is not None:
             found["channels"] = np.where(self.held, self.channels, found["channels"])
         return replace(self, hessian=None, **found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +86,7 @@ class Linear(NamedTuple):
     def in_order(self, channels: NDArray[np.intp]) -> Linear:
         """The model with its channels in another order, in which their samples are filtered."""
         columns = {name: getattr(self, name)[:, channels] for name in ("residual", "spread", "unresolved")}
-        contiguous = {name: np.ascontiguousarray(values) for name, values in columns.items()}
+        contiguous: dict[str, Any] = {name: np.ascontiguousarray(values) for name, values in columns.items()}
         return self._replace(kinds=self.kinds[channels], **contiguous)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -245,7 +246,7 @@ class RecordFit:
         for rows, path, found in zip(motion.records, state.paths, smoothed, strict=True):
             drift = dict(zip(names, (path + found.deviation)[:, own.layout.drifts].T, strict=True))
             kinds = {"columns": rows.columns, "observed": rows.observed, "samples": rows.samples}
-            freed = {
+            freed: dict[str, Any] = {
                 kind: {name: x - drift[name] if name in drift else x for name, x in columns.items()}
                 for kind, columns in kinds.items()
             }
