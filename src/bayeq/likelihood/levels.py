@@ -188,7 +188,9 @@ class Levels:
         """The levels of other numbers."""
         ends = np.cumsum([len(getattr(self, name)) for name in PARTS[:-1]])
         parts = dict(zip(PARTS, np.split(free, ends), strict=True))
-        found: dict[str, Any] = {name: 1.0 / (1.0 + np.exp(-x)) if name == "memory" else np.exp(x) for name, x in parts.items()}
+        found: dict[str, Any] = {
+            name: 1.0 / (1.0 + np.exp(-x)) if name == "memory" else np.exp(x) for name, x in parts.items()
+        }
         if self.held is not None:
             found["channels"] = np.where(self.held, self.channels, found["channels"])
         return replace(self, hessian=None, **found)
