@@ -15,10 +15,9 @@ from studies.refinement import CASES, draw_record, measure_case, measure_record
 
 import bayeq as bq
 from bayeq.errors import BayeqWarning, ConvergenceWarning, DataWarning, InputError, RecordError
+from bayeq.forecast.free_run import typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
-from bayeq.forecast.windows import typical_period, window_runs
-from bayeq.ode.rk4 import Drive, interpolant
-from bayeq.ode.tangents import shoot
+from bayeq.ode.rk4 import Drive, interpolant, shoot
 from bayeq.refine import refine as refining
 from bayeq.refine.output_error import Known, _excess, output_error
 from bayeq.states import estimate_motion

@@ -17,7 +17,7 @@ from bayeq.equation.equation import RunnerUp
 from bayeq.equation.schema import BOUNDS, TYPES, first_fault, json_schema
 from bayeq.equation.verdict import Verdict
 from bayeq.errors import BayeqError, FileFormatError
-from bayeq.forecast.results import Scores
+from bayeq.forecast.score import Scores
 from bayeq.inference.engines import ENGINES
 from bayeq.plan.models import CandidateModel
 from bayeq.refine.refine import Refinement

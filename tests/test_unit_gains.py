@@ -12,8 +12,8 @@ import pytest
 
 import bayeq as bq
 from bayeq.errors import BayeqWarning, InputError
+from bayeq.forecast.free_run import typical_period
 from bayeq.forecast.rows import Rows
-from bayeq.forecast.windows import typical_period
 from bayeq.ode.rk4 import interpolant
 from bayeq.states import Roles, estimate_motion, parse_chain, rates, unit_gains
 from bayeq.states.unit_gains import _estimated

@@ -14,8 +14,8 @@ import bayeq as bq
 from bayeq.discovery import question
 from bayeq.equation.verdict import judge
 from bayeq.errors import DataWarning, InputError
+from bayeq.forecast.free_run import correlation_time, typical_period
 from bayeq.forecast.rows import rows_of
-from bayeq.forecast.windows import correlation_time, typical_period
 from bayeq.inference import gibbs
 from bayeq.regression.residuals import Fit
 from bayeq.states import estimate_motion

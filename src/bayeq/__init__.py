@@ -22,7 +22,7 @@ _NAMES = {
     "equation.schema": "json_schema",
     "equation.size_path": "ParsimonyPath",
     "estimators.regressors": "RVM STLSQ SpikeSlabBMA SpikeSlabGibbs SpikeSlabVB",
-    "forecast.results": "Scores",
+    "forecast.score": "Scores",
     "refine.refine": "Refinement",
     "forecast.run": "Forecast",
     "gram": "Gram",
@@ -51,7 +51,7 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.equation.size_path import ParsimonyPath as ParsimonyPath
     from bayeq.estimators.regressors import RVM as RVM, STLSQ as STLSQ, SpikeSlabBMA as SpikeSlabBMA
     from bayeq.estimators.regressors import SpikeSlabGibbs as SpikeSlabGibbs, SpikeSlabVB as SpikeSlabVB
-    from bayeq.forecast.results import Scores as Scores
+    from bayeq.forecast.score import Scores as Scores
     from bayeq.refine.refine import Refinement as Refinement
     from bayeq.forecast.run import Forecast as Forecast
     from bayeq.gram import Gram as Gram

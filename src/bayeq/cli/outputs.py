@@ -229,7 +229,7 @@ def _write_path(path: Path, found: Equations) -> None:
 
 def _write_forecast(path: Path, answer: Equations, records: Sequence[Record], holdout: float) -> None:
     """Free runs over the rows held out, or over whole records where none are."""
-    from bayeq.forecast.write import write_forecasts
+    from bayeq.forecast.run import write_forecasts
 
     share = holdout if answer.data.n_held_out else 0.0
     starts = [record.n - int(share * record.n) for record in records]

@@ -124,7 +124,7 @@ def predict(
             warnings.warn(note, DataWarning, stacklevel=1)
         click.echo(json.dumps(prediction.to_dict(), allow_nan=False) if as_json else str(prediction))
         if forecast is not None:
-            from bayeq.forecast.write import write_forecasts
+            from bayeq.forecast.run import write_forecasts
 
             progress(f"writing {forecast.name}", 0, 1)
             write_forecasts(forecast, prediction.runs)

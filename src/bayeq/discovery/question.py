@@ -18,7 +18,7 @@ from bayeq.equation.units import channel_units
 from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, WarningLog
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
-from bayeq.forecast.results import Scores
+from bayeq.forecast.score import Scores
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.record_fit import MOST_CANDIDATES, RecordFit, refit_record
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows

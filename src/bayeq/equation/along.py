@@ -9,9 +9,8 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.prepare import rows_of_record
-from bayeq.forecast.results import Scores
 from bayeq.forecast.run import Forecast, forecast
-from bayeq.forecast.score import score_records
+from bayeq.forecast.score import Scores, score_records
 from bayeq.records import Record
 
 if TYPE_CHECKING:

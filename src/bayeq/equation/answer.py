@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict
-from bayeq.forecast.results import Scores
+from bayeq.forecast.score import Scores
 from bayeq.plan.conditions import Measured
 from bayeq.records import Record, counts_rows
 from bayeq.refine.refine import Refinement

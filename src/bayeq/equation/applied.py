@@ -17,8 +17,8 @@ from bayeq.equation.equations import Equations
 from bayeq.equation.prepare import prepared
 from bayeq.equation.verdict import AS_THE_MEAN, state_noise, window_errors
 from bayeq.errors import DataWarning, InputError
-from bayeq.forecast.results import percentages
 from bayeq.forecast.run import Forecast
+from bayeq.forecast.score import percentages
 from bayeq.numerics.normal import Z95
 from bayeq.records import Record, counts_rows
 from bayeq.records.units import conversion

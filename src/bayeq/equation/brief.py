@@ -13,7 +13,7 @@ from bayeq.equation.oscillator import oscillator_parameters
 from bayeq.equation.physical import PhysicalParameters, Quantity, force_of
 from bayeq.equation.text import CERTAIN, DOUBTFUL, NOTEWORTHY_PIP, escape, source_of
 from bayeq.errors import InputError
-from bayeq.forecast.results import percentages
+from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES
 
 __all__ = ["brief"]

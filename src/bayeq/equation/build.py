@@ -10,8 +10,7 @@ from bayeq.equation.equation import Equation, RunnerUp
 from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
 from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidualsWarning, DataWarning, WarningLog
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.results import Scores
-from bayeq.forecast.score import held_out_scores
+from bayeq.forecast.score import Scores, held_out_scores
 from bayeq.inference.collapsed.path import model_log_posterior, partial_shares
 from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES

@@ -22,7 +22,7 @@ from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import DataWarning, FileFormatError, InputError, as_path
 from bayeq.export.latex import Uncertainty
 from bayeq.expressions.functions import TIME
-from bayeq.forecast.results import Scores
+from bayeq.forecast.score import Scores
 from bayeq.records import Record, with_row_numbers
 from bayeq.records.files import replacing
 from bayeq.refine.refine import Refinement

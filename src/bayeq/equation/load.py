@@ -28,7 +28,7 @@ from bayeq.equation.to_json import FORMAT
 from bayeq.errors import BayeqError, FileFormatError, as_path
 from bayeq.expressions import parse
 from bayeq.expressions.functions import TIME
-from bayeq.forecast.results import Scores
+from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.records.validate import check_name
 from bayeq.regression.design import DroppedTerm

@@ -18,7 +18,7 @@ from bayeq.equation.equation import Equation, round_to
 from bayeq.equation.short_names import short_names, with_names
 from bayeq.equation.size_path import percent
 from bayeq.equation.verdict import LEAST_SHOWN
-from bayeq.forecast.results import Scores, percentages
+from bayeq.forecast.score import Scores, percentages
 from bayeq.inference.engines import ENGINES
 from bayeq.regression.residuals import Residuals
 from bayeq.states import rates

@@ -12,7 +12,7 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.forecast.results import Scores
+from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.normal import Z95
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
-from bayeq.forecast.windows import correlation_time, typical_period, window_runs
 from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.likelihood.spike import IMPROBABLE, LEAST
 from bayeq.regression.regression import Regression

@@ -1,18 +1,33 @@
-"""Free runs of dynamics: one with a step that suits it, and the band of many."""
+"""Free runs of dynamics: where one starts, one with a step that suits it, the band of many, and windows of records."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.forecast.dynamics import Dynamics, finest_step
+from bayeq.forecast.rows import Rows
 from bayeq.inference.posterior import Posterior
-from bayeq.ode.rk4 import Drive, free_runs, interpolant
+from bayeq.ode.rk4 import Drive, free_runs, interpolant, shoot
+from bayeq.states import rates
 
-__all__ = ["ANYWHERE", "GENEROUS", "drawn_sines", "mean_run", "pushed", "run_bands", "state_range"]
+__all__ = [
+    "ANYWHERE",
+    "GENEROUS",
+    "apart",
+    "correlation_time",
+    "drawn_sines",
+    "fitted_start",
+    "mean_run",
+    "pushed",
+    "run_bands",
+    "state_range",
+    "typical_period",
+    "window_runs",
+]
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +45,24 @@ BLOCK = 4_000_000
 
 # A step of integration is judged on this many rows at most.
 JUDGED_ROWS = 2000
+
+# Rows at least, of a window and of the first period, which a start is fitted to.
+LEAST_ROWS = 8
+
+# Errors that samples, and the state read off, are taken to have, as shares of the spread of their state.
+SAMPLE = 0.05
+READ = 0.1
+
+# Gauss-Newton steps, and the change of the state, as a share of its spread, that ends them.
+MOST_STEPS = 20
+ENOUGH = 1e-6
+
+# Windows over all records.
+WINDOWS = 12
+
+# Autocorrelations have fallen below this one; motion that comes back above it within some periods repeats itself.
+FALLEN = math.exp(-1.0)
+RETURNS = 3.0
 
 
 def state_range(states: Floats) -> tuple[Floats, Floats]:
@@ -79,6 +112,83 @@ def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive
         if finer >= 0.999 * drive.step:
             return out[0], reached if reached < n else None, drive
         drive = drive._replace(step=finer)
+
+
+def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
+    """Shortest of the chains' periods [s]: 2 pi times the spread of the coordinate over that of its derivative."""
+    periods = []
+    for law in dynamics.laws:
+        low, above = (np.concatenate([rows.columns[name] for rows in pieces]) for name in law.chain.names[:2])
+        spread = abs(rates(law.chain, law.unit_gains)[0]) * float(above.std())
+        periods.append(2.0 * math.pi * float(low.std()) / spread if spread > 0 else math.inf)
+    return min(periods)
+
+
+def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats, high: Floats) -> Floats:
+    """The initial state with which a free run follows the first period of some rows best.
+
+    A state read off the record at the first row carries that row's noise, and a smoothed one is least sure at the ends
+    of a record; the run then keeps the error for good. So the state is estimated from what was measured over the first
+    period (as output-error methods do with initial conditions; Ljung, System Identification, 1999, section 16.3), held
+    to the one that was read off where the samples say little.
+
+    Parameters
+    ----------
+    dynamics, parameters : Dynamics, (p,) array
+        The equations.
+    rows : Rows
+        What the run is to follow, from its first row on.
+    low, high : (d,) arrays
+        Range in which runs go on.
+
+    Returns
+    -------
+    (d,) array
+        The state of the first row, where nothing better is found.
+    """
+    whole = rows.stack(dynamics.states)
+    first, spread = whole[0], whole.std(axis=0)
+    scale = np.where(spread > 0, spread, 1.0)
+    known = np.array([i for i, name in enumerate(dynamics.states) if name in rows.samples], dtype=np.uint32)
+    if rows.n < LEAST_ROWS or not len(known):
+        return first
+    drive = rows.drive(low, high)
+    n = int(min(max(typical_period(dynamics, [rows]) / drive.step, LEAST_ROWS), rows.n))
+    chosen = np.column_stack([rows.samples[dynamics.states[i]][:n] for i in known])
+    drive = drive.part(0, n)
+    drive = drive._replace(step=finest_step(dynamics, parameters, whole[:n], drive))
+    program = dynamics.program()
+
+    def errors(start: Floats) -> tuple[Floats, Floats] | None:
+        """Weighted errors of samples and state, and their derivatives by the state."""
+        values = np.empty(chosen.shape)
+        jacobian = np.empty((*chosen.shape, len(start) + len(parameters)))
+        done = shoot(program, drive, parameters, start, known, values, jacobian)
+        if done < n or not np.isfinite(jacobian).all():
+            return None
+        weight = 1.0 / (SAMPLE * scale[known])
+        there = np.isfinite(chosen)
+        left = np.where(there, (chosen - values) * weight, 0.0)
+        slopes = np.where(there[:, :, None], jacobian[:, :, : len(start)] * weight[:, None], 0.0)
+        prior = np.diag(1.0 / (READ * scale))
+        return (
+            np.concatenate([left.ravel(), prior @ (first - start)]),
+            np.concatenate([slopes.reshape(-1, len(start)), prior]),
+        )
+
+    best, found = first, errors(first)
+    for _ in range(MOST_STEPS):
+        if found is None:
+            return first
+        left, slopes = found
+        change = np.linalg.lstsq(slopes, left)[0]
+        trial = errors(best + change)
+        if trial is None or not float(trial[0] @ trial[0]) < float(left @ left):
+            break
+        best, found = best + change, trial
+        if (np.abs(change) <= ENOUGH * scale).all():
+            break
+    return best
 
 
 def run_bands(
@@ -147,3 +257,72 @@ def pushed(drive: Drive, time: Floats, forces: Sequence[Floats]) -> Drive:
     parts = [np.cos(time[:, None] * turn - phase) @ size for size, turn, phase in (sines.T for sines in forces)]
     between = interpolant(time, np.column_stack(parts), "cubic")
     return drive._replace(inputs=np.concatenate([drive.inputs, between], axis=1))
+
+
+def correlation_time(dynamics: Dynamics, pieces: Sequence[Rows], period: float) -> float:
+    """First lag [s] at which the autocorrelation of chaotic motion falls to 1/e; infinite for other motion.
+
+    Chaotic is what nothing drives and what does not come back: within three typical periods the autocorrelation, the
+    mean over the states of the longest record, does not rise above 1/e again, as that of an oscillation does; motion
+    that dies out at once is taken for it. The time is that of a window's least rows or more.
+    """
+    rows = max(pieces, key=lambda one: one.n)
+    if dynamics.roles.drivers or not math.isfinite(period):
+        return math.inf
+    step = float(np.median(np.diff(rows.time)))
+    states = rows.stack(dynamics.states)
+    states = (states - states.mean(axis=0)) / np.where(np.ptp(states, axis=0) > 0, states.std(axis=0), 1.0)
+    power = np.mean(np.abs(np.fft.rfft(states, 2 * rows.n, axis=0)) ** 2, axis=1)
+    lags = min(round(RETURNS * period / step) + 1, rows.n // 2)
+    low = np.fft.irfft(power)[:lags] / (rows.n - np.arange(lags)) < FALLEN
+    fallen = int(np.argmax(low))
+    return max(fallen, LEAST_ROWS - 1) * step if low[fallen:].all() and low.any() else math.inf
+
+
+def window_runs(
+    dynamics: Dynamics, pieces: Sequence[Rows], duration: float, theta: Floats | None = None, unit: Floats | None = None
+) -> list[tuple[Floats, Floats]]:
+    """Free runs over windows of some seconds, and the states that they are to follow, in some unit.
+
+    Each starts at the states of its first row. Windows are at most half a record, and overlap where it is short; there
+    is none where no record is long enough.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        The equations.
+    pieces : sequence of Rows
+        Records, even or uneven steps of time.
+    duration : float
+        [s].
+    theta : (p,) array, optional
+        Of the equations; by default their posterior means.
+    unit : (d,) array, optional
+        Of each state; by default its spread over these rows.
+    """
+    theta = dynamics.mean if theta is None else theta
+    states = [rows.stack(dynamics.states) for rows in pieces]
+    whole = np.concatenate(states)
+    spread = whole.std(axis=0) if unit is None else unit
+    scale = np.where(spread > 0, spread, 1.0)
+    limits = state_range(np.concatenate([whole, [-scale], [scale]]))
+    out = []
+    for rows, known in zip(pieces, states, strict=True):
+        drive = rows.drive(*limits)
+        intervals = duration / drive.step
+        length = min(round(intervals) + 1 if math.isfinite(intervals) else rows.n, rows.n // 2)
+        if length < LEAST_ROWS:
+            continue
+        count = max(1, round(WINDOWS * rows.n / len(whole)))
+        for first in np.linspace(0, rows.n - length, count).astype(int):
+            end = first + length
+            run, _, _ = mean_run(dynamics, theta, known[first], drive.part(first, end))
+            out.append((run / scale, known[first:end] / scale))
+    return out
+
+
+def apart(pairs: Iterable[tuple[Floats, Floats]]) -> float:
+    """Root mean square difference of pairs, the median of them; infinite for one that blew up, NaN for none."""
+    squares = [float(np.mean((one - other) ** 2)) for one, other in pairs]
+    roots = [math.sqrt(square) if math.isfinite(square) else math.inf for square in squares]
+    return float(np.median(roots)) if roots else math.nan

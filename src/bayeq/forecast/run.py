@@ -1,10 +1,11 @@
-"""Free runs: where the equations of motion go from an initial state, with bands from the posterior."""
+"""Free runs: where the equations of motion go from an initial state, with bands from the posterior; as files too."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,8 +13,17 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.figures.runs import draw_forecasts
+from bayeq.figures.style import write_output
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.free_run import ANYWHERE, GENEROUS, drawn_sines, mean_run, run_bands, state_range
+from bayeq.forecast.free_run import (
+    ANYWHERE,
+    GENEROUS,
+    drawn_sines,
+    fitted_start,
+    mean_run,
+    run_bands,
+    state_range,
+)
 from bayeq.forecast.rows import (
     Rows,
     between,
@@ -24,7 +34,6 @@ from bayeq.forecast.rows import (
     whole_number,
     window_of,
 )
-from bayeq.forecast.start import fitted_start
 from bayeq.ode.rk4 import Drive, Interpolation
 from bayeq.records import Record
 from bayeq.states import Sensors, Smooth, estimate_motion
@@ -34,9 +43,12 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Forecast", "forecast"]
+__all__ = ["Forecast", "forecast", "write_forecasts"]
 
 Floats = NDArray[np.float64]
+
+# More records do not fit on a page.
+MOST_DRAWN = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,3 +244,30 @@ def _measured_states(dynamics: Dynamics, record: Record, row: int, needed: Seque
                 f" initial={{{', '.join(f'{n!r}: ...' for n in needed)}}}"
             )
     return measured
+
+
+def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
+    """Write a table (.csv) of the free runs of some records, or a figure (of the first six).
+
+    Parameters
+    ----------
+    file : Path
+        The suffix, which `bayeq.figures.style.require_suffix` has checked, says what to write.
+    runs : sequence of (str, Forecast)
+        With the names of the records.
+    """
+    several = len(runs) > 1
+
+    def table() -> pd.DataFrame:
+        import pandas as pd
+
+        tables = [run.table() for _, run in runs]
+        if several:
+            for (name, _), one in zip(runs, tables, strict=True):
+                one.insert(0, "record", name)
+        return pd.concat(tables, ignore_index=True)
+
+    def figure() -> Figure:
+        return draw_forecasts([(name if several else "", run) for name, run in runs[:MOST_DRAWN]])
+
+    write_output(file, table, figure)

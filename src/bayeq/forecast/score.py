@@ -1,16 +1,16 @@
-"""Errors of the single step and of the free run on rows of records."""
+"""`Scores`: errors of the single step and of the free run on rows of records."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.free_run import mean_run, state_range
-from bayeq.forecast.results import Scores
+from bayeq.forecast.free_run import fitted_start, mean_run, state_range
 from bayeq.forecast.rows import (
     Rows,
     check_interpolation,
@@ -21,17 +21,66 @@ from bayeq.forecast.rows import (
     rows_of,
     window_of,
 )
-from bayeq.forecast.start import fitted_start
 from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
 from bayeq.states import Motion, Sensors, Smooth, estimate_motion
 
-__all__ = ["held_out_scores", "score_records", "score_rows"]
+__all__ = ["Scores", "held_out_scores", "percentages", "score_records", "score_rows"]
 
 Floats = NDArray[np.float64]
 
 # A free run over fewer rows says nothing.
 LEAST_ROWS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """How well equations do on some rows.
+
+    Attributes
+    ----------
+    rows : int
+        How many.
+    one_step : mapping of str to float
+        For each equation the root mean squared error of the target, given the states and inputs of each row, over the
+        standard deviation of the target: the error of the equation.
+    free_run : mapping of str to float
+        For each measured state the same of free runs, one per record, from the state of its first row; infinite where
+        a run blew up.
+    blew_up_at : float or None
+        Time [s] at which a free run left any reasonable range.
+    """
+
+    rows: int
+    one_step: Mapping[str, float]
+    free_run: Mapping[str, float]
+    blew_up_at: float | None = None
+
+    def __str__(self) -> str:
+        """Both scores in a line each."""
+        lines = [
+            f"normalised RMS errors over {self.rows} rows",
+            f"one step: {percentages(self.one_step)}",
+            f"free run: {percentages(self.free_run)}",
+        ]
+        if self.blew_up_at is not None:
+            lines.append(f"the free run blew up at {self.blew_up_at:.6g} s")
+        return "\n".join(lines)
+
+
+def percentages(errors: Mapping[str, float]) -> str:
+    """Errors as text.
+
+    Examples
+    --------
+    >>> percentages({"x": 0.0123, "v": 0.57})
+    'x 1.2 %, v 57 %'
+    """
+    return ", ".join(f"{name} {_percent(100.0 * error)} %" for name, error in errors.items()) or "no state is measured"
+
+
+def _percent(error: float) -> str:
+    return f"{error:.0f}" if error >= 10 else f"{error:.2g}"
 
 
 def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], motion: Sequence[Rows] = ()) -> Scores:

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.results import Scores, percentages
+from bayeq.forecast.free_run import apart, typical_period, window_runs
 from bayeq.forecast.rows import Rows, predicted_target, rows_of
-from bayeq.forecast.score import score_rows
-from bayeq.forecast.windows import apart, typical_period, window_runs
+from bayeq.forecast.score import Scores, percentages, score_rows
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
@@ -228,7 +227,7 @@ def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tupl
     Parameters
     ----------
     before, after : iterables of (run, states)
-        From `bayeq.forecast.windows.window_runs`.
+        From `bayeq.forecast.free_run.window_runs`.
 
     Examples
     --------

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.forecast.dynamics import Dynamics
+from bayeq.forecast.free_run import apart, typical_period, window_runs
 from bayeq.forecast.rows import Rows, divided, rows_of
-from bayeq.forecast.windows import apart, typical_period, window_runs
 from bayeq.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.regression.fit import RegressionFit

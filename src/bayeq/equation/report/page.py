@@ -25,7 +25,7 @@ from bayeq.errors import BayeqWarning, InputError
 from bayeq.expressions.mathml import mathml, number_mathml, symbol_mathml
 from bayeq.figures.picture import unit_text
 from bayeq.figures.style import require_matplotlib
-from bayeq.forecast.results import percentages
+from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES
 from bayeq.records import Record
 from bayeq.records.files import replacing
