@@ -21,7 +21,9 @@ from studies.savitzky_golay import smooth_derivative
 from threadpoolctl import threadpool_limits
 
 import bayeq as bq
-from bayeq.states.kinematic.smoother import ChainSeries, fit_kinematic, kinematic_log_likelihood, smooth_kinematic
+from bayeq.states.kinematic.fit import fit_kinematic
+from bayeq.states.kinematic.model import ChainSeries
+from bayeq.states.kinematic.smoother import filtered, smooth_kinematic
 from perf.timing import medians
 
 RESULTS = Path(__file__).parent / "results" / "smoothing.csv"
@@ -49,7 +51,7 @@ def measure(case: str, n: int) -> dict[str, object]:
     contestants = {
         "fit": lambda: fit_kinematic([samples]),
         "smooth": lambda: smooth_kinematic(samples, model),
-        "likelihood": lambda: kinematic_log_likelihood([samples], model),
+        "likelihood": lambda: filtered(samples, model),
     }
     if case == "x" and n <= LONGEST_FILTER:
         contestants["savitzky_golay"] = lambda: smooth_derivative(samples.times, displacement, 2)

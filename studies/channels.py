@@ -72,7 +72,7 @@ def _differentiated(record: Record, chain: str, method: str) -> Record:
     if parsed.lowest > 0:
         return _integrated(record)
     states = derive_states(record, (parsed,), ("u",))
-    columns = {name: states.columns[name] for name in (*parsed.names, "u")}
+    columns = {name: states[name] for name in (*parsed.names, "u")}
     if method == FILTER:
         assert record.time is not None
         below, channel = [(k, name) for k, name in enumerate(parsed.measured) if name is not None][-1]

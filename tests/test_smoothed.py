@@ -110,8 +110,8 @@ def test_a_record_without_a_grid_is_left_as_it_is():
     rec = bq.simulate("duffing", n=500, seed=2)
     times = np.cumsum(np.random.default_rng(0).uniform(0.5e-3, 1.5e-3, 500))
     irregular = bq.Record.from_arrays(dict(rec.channels), time=times)
-    assert on_grid(irregular, ["x", "v", "a"], ["u"]) is irregular
-    assert on_grid(rec, ["x", "v", "a"], ["u"]) is rec
+    assert on_grid(irregular, ["x", "v", "a", "u"]) is irregular
+    assert on_grid(rec, ["x", "v", "a", "u"]) is rec
 
 
 @pytest.mark.parametrize(("fs", "decimals"), [(30.0, 3), (29.97, 3), (120.0, 3), (1000.0 / 3.0, 4), (0.3, 0)])
@@ -120,7 +120,7 @@ def test_rounded_times_become_even_again(fs, decimals):
     exact = 12.3 + np.arange(n) / fs
     wave = np.sin(exact * fs / 20)
     rec = bq.Record.from_arrays(time=np.round(exact, decimals), x=wave)
-    even = on_grid(rec, ["x"], [])
+    even = on_grid(rec, ["x"])
     if decimals == 0:
         # whole seconds: not taken for rounded ones
         assert even is rec
@@ -129,7 +129,7 @@ def test_rounded_times_become_even_again(fs, decimals):
     # the mean of n rounding errors, uniform within one unit
     np.testing.assert_allclose(even.time, exact, atol=6 * 10.0**-decimals / np.sqrt(12 * n))
     kept = np.delete(np.arange(n), [5, 6, 100, 333])
-    gappy = on_grid(rec.take(kept), ["x"], [])
+    gappy = on_grid(rec.take(kept), ["x"])
     assert gappy.n == n
     np.testing.assert_allclose(gappy.time, exact, atol=8 * 10.0**-decimals / np.sqrt(12 * n))
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(gappy["x"])), [5, 6, 100, 333])
@@ -139,7 +139,7 @@ def test_times_uneven_by_more_than_their_rounding_stay():
     rng = np.random.default_rng(3)
     jittered = np.round(np.arange(500) / 30.0 + 4e-3 * rng.uniform(-1, 1, 500), 6)
     rec = bq.Record.from_arrays(time=jittered, x=np.sin(jittered))
-    assert on_grid(rec, ["x"], []) is rec
+    assert on_grid(rec, ["x"]) is rec
     # the likelihood takes each step as long as it is
     x = np.sin(9 * jittered) + 0.02 * rng.normal(size=500)
     eq = bq.discover(bq.Record.from_arrays(time=jittered, x=x), chains="x::", dictionary=["x", "dx", "x**3"])
@@ -159,7 +159,7 @@ def test_times_that_are_nearly_even_are_taken_as_even(written):
             else np.array([float(f"{t:.6g}") for t in exact])
         )
     rec = bq.Record.from_arrays(time=time, x=np.sin(exact))
-    even = on_grid(rec, ["x"], [])
+    even = on_grid(rec, ["x"])
     assert even.is_uniform()
     np.testing.assert_allclose(even.time, exact, atol=2e-3)
 

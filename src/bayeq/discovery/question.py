@@ -43,9 +43,8 @@ from bayeq.states import (
 )
 from bayeq.states.bad_samples import Learned
 from bayeq.states.believed import without_hum
-from bayeq.states.missing import bridged_record, require_enough
 from bayeq.states.motion import held_out_share
-from bayeq.states.prepare import cleaned, divided_at_gaps
+from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, require_enough
 from bayeq.streaming.whole import Whole
 
 __all__ = ["NotStreamed", "Question"]

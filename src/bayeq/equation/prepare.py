@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from bayeq.errors import DataWarning
 from bayeq.records import Record
 from bayeq.states import Roles, Sensors, Smooth, estimate_motion
-from bayeq.states.missing import has_all
-from bayeq.states.prepare import cleaned, divided_at_gaps
+from bayeq.states.prepare import cleaned, divided_at_gaps, has_all
 
 __all__ = ["prepared", "rows_of_record"]
 

@@ -25,7 +25,6 @@ from bayeq.forecast.free_run import (
     state_range,
 )
 from bayeq.forecast.rows import (
-    Rows,
     between,
     check_interpolation,
     normalised_error,
@@ -37,7 +36,7 @@ from bayeq.forecast.rows import (
 from bayeq.ode.rk4 import Drive, Interpolation
 from bayeq.records import Record
 from bayeq.states import Sensors, Smooth, estimate_motion
-from bayeq.states.missing import inputs_filled
+from bayeq.states.prepare import inputs_filled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -205,8 +204,11 @@ def _beginning(
         if not math.isfinite(value):
             raise InputError(f"initial: {name} must be finite, not {value!r}")
     needed = [name for name in dynamics.states if name not in given]
-    rows = _rows(dynamics, record, *how) if needed else None
-    if rows is not None:
+    rows = None
+    # where all channels are measured that the states come from
+    if needed and all(name in record.channels for name in dynamics.roles.measured):
+        smooth, sensors = how
+        rows = rows_of(estimate_motion([record], dynamics.roles, smooth, sensors=sensors), "a free run")[0]
         times = require_time(record, "a free run")
         row = rows.nearest(times[window.start])
         columns = rows.columns
@@ -225,13 +227,6 @@ def _beginning(
         part = rows.part(slice(row, rows.nearest(times[window.stop - 1]) + 1))
         start = fitted_start(dynamics, dynamics.mean, part, low, high)
     return start, low, high
-
-
-def _rows(dynamics: Dynamics, record: Record, smooth: Smooth, sensors: Sensors | None) -> Rows | None:
-    """The record with its states, where all channels that they come from are measured."""
-    if not all(name in record.channels for name in dynamics.roles.measured):
-        return None
-    return rows_of(estimate_motion([record], dynamics.roles, smooth, sensors=sensors), "a free run")[0]
 
 
 def _measured_states(dynamics: Dynamics, record: Record, row: int, needed: Sequence[str]) -> Mapping[str, Floats]:

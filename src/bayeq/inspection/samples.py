@@ -55,7 +55,7 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
             looked += b - a
             (bad,) = find_bad_samples([record.slice(a, b)], _roles(guess, names, suspects))
             for name, one in bad.items():
-                for kind, rows in one.kinds.items():
+                for kind, rows in one.items():
                     if kind != "clipped":  # which were looked for everywhere
                         place = found.setdefault(name, {}).setdefault(kind, [])
                         found[name][kind] = sorted({*place, *(np.flatnonzero(rows) + first + a + 1).tolist()})

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
+from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.gram.gram import grams_from_blocks
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.regression.design import Design
-from bayeq.regression.filtered_terms import filtered_terms
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
 from bayeq.regression.thinning import thinned_gram, without_noise
 from bayeq.states import Chain, ChainSmoothing, Motion, MotionRows
@@ -171,7 +171,7 @@ class Regression:
         if len(kept):
             terms = [self.design.terms[j] for j in kept]
             D = self.design.kept[i][:, kept] if self.design.kept else evaluate_terms(terms, rows.columns)
-            out = out - filtered_terms(D, terms, self.motion.roles.chains, smoothing) @ posterior.coef[kept]
+            out = out - _filtered(D, terms, self.motion.roles.states, smoothing) @ posterior.coef[kept]
         return out[_judged(rows, smoothing)]
 
 
@@ -200,10 +200,27 @@ def _judged(rows: MotionRows, smoothing: ChainSmoothing | None) -> slice:
     return slice(0, rows.n) if smoothing is None else smoothing.inner(rows.n)
 
 
+def _filtered(
+    D: Floats, terms: Sequence[Expression], states: Sequence[str], smoothing: ChainSmoothing | None
+) -> Floats:
+    """Columns (n, P) of the terms on the rows of a record, filtered as an estimated target was; else as they are.
+
+    Both sides of an equation then went through the same filter. Terms that are states did: the smoother's gain is in
+    them. An input is as measured; a product such as x**3 is that of smoothed states, which follow the motion where it
+    is strong, so that its harmonics stand there at full height.
+    """
+    if smoothing is None:
+        return D
+    chosen = [j for j, term in enumerate(terms) if term.text not in states]
+    out = D.copy()
+    out[:, chosen] = smoothing.follow(D[:, chosen])
+    return out
+
+
 def _filtered_gram(design: Design, k: int, pieces: Sequence[MotionRows], kept: bool = False) -> Gram:
     """Statistics of a target that was estimated, its terms filtered like it, without rows that were bridged."""
-    smoothing, target = design.motion.estimated_by(k), design.motion.roles.chains[k].target
-    chains = design.motion.roles.chains
+    smoothing, roles = design.motion.estimated_by(k), design.motion.roles
+    target = roles.chains[k].target
 
     def blocks() -> Iterator[tuple[Floats, Floats]]:
         for i, rows in enumerate(pieces):
@@ -211,7 +228,7 @@ def _filtered_gram(design: Design, k: int, pieces: Sequence[MotionRows], kept: b
             chosen = np.zeros(rows.n, dtype=np.bool_)
             chosen[_judged(rows, smoothing)] = True
             chosen &= rows.known
-            yield filtered_terms(D, design.terms, chains, smoothing)[chosen], rows.observed[target][chosen, None]
+            yield _filtered(D, design.terms, roles.states, smoothing)[chosen], rows.observed[target][chosen, None]
 
     return grams_from_blocks(blocks(), design.names)[0]
 

@@ -1,11 +1,10 @@
 """States: from measured channels to coordinates and their derivatives."""
 
-from bayeq.states.chain import Chain, parse_chain, parse_chains
-from bayeq.states.derive import Smooth, States, derive_states, require_in_range, require_steps, require_varying
+from bayeq.states.derive import Smooth, derive_states, require_in_range, require_steps, require_varying
 from bayeq.states.derived_channels import measured_apart
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing
 from bayeq.states.motion import FEW_ROWS, Motion, MotionRows, estimate_motion
-from bayeq.states.roles import Roles
+from bayeq.states.roles import Chain, Roles, parse_chain, parse_chains
 from bayeq.states.sensors import Sensors, Tails, check_sensors, known_sensors
 from bayeq.states.unit_gains import rates, unit_gains
 
@@ -18,7 +17,6 @@ __all__ = [
     "Roles",
     "Sensors",
     "Smooth",
-    "States",
     "Tails",
     "check_sensors",
     "derive_states",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +18,13 @@ from numpy.typing import NDArray
 from bayeq.errors import InputError
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
-from bayeq.states.chain import Chain
-from bayeq.states.kinematic.smoother import (
-    ChainSeries,
-    KinematicModel,
-    fit_kinematic,
-    leave_one_out,
-    one_sided,
-    smooth_kinematic,
-)
-from bayeq.states.roles import Roles
+from bayeq.states.kinematic.fit import fit_kinematic
+from bayeq.states.kinematic.model import ChainSeries, KinematicModel
+from bayeq.states.kinematic.smoother import leave_one_out, one_sided, smooth_kinematic
+from bayeq.states.roles import Chain, Roles
 from bayeq.states.unit_gains import unit_gains
 
-__all__ = ["BAD", "BadSamples", "Learned", "find_bad_samples", "without_bad_samples"]
+__all__ = ["ADVICE", "BAD", "Learned", "find_bad_samples", "listed", "without_bad_samples"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -104,24 +99,6 @@ LEAST_ROWS = 40
 
 
 @dataclass(frozen=True, eq=False)
-class BadSamples:
-    """Bad samples of one channel in one record.
-
-    Attributes
-    ----------
-    kinds : mapping of str to (n,) bool array
-        Which samples are bad, by kind.
-    """
-
-    kinds: dict[str, Bools] = field(default_factory=dict)
-
-    @property
-    def any(self) -> Bools:
-        """Samples that are bad in some way."""
-        return np.any(list(self.kinds.values()), axis=0)
-
-
-@dataclass(frozen=True, eq=False)
 class Learned:
     """What channels were judged by, so that further records of the same system are judged by the same.
 
@@ -143,7 +120,7 @@ class Learned:
 
 def find_bad_samples(
     records: Sequence[Record], roles: Roles, learned: Learned | None = None
-) -> list[dict[str, BadSamples]]:
+) -> list[dict[str, dict[str, Bools]]]:
     """Bad samples of every channel that is used.
 
     Parameters
@@ -157,21 +134,24 @@ def find_bad_samples(
 
     Returns
     -------
-    list of dict
-        For each record the channels that have some.
+    list of dict of dict
+        For each record, channel that has some, and kind: which samples are bad, (n,) bool.
     """
-    out: list[dict[str, BadSamples]] = [{} for _ in records]
+    out: list[dict[str, dict[str, Bools]]] = [{} for _ in records]
     timed = [i for i, record in enumerate(records) if record.time is not None and record.n >= LEAST_ROWS]
     if not timed:
         return out
     chosen = [records[i] for i in timed]
     learned = learned or Learned()
-    inputs = [_Group.of_input(chosen, name).searched(learned) for name in roles.inputs]
+    inputs = [_Group(chosen, (name,)).searched(learned) for name in roles.inputs]
     chains = [_Group.of_chain(chosen, chain, learned).searched(learned) for chain in roles.chains]
     _keep_answered(inputs, chains)
     for group in (*inputs, *chains):
-        for i, name, found in group.found():
-            out[timed[i]][name] = found
+        for i, kinds in zip(timed, group.bad, strict=True):
+            for k, name in enumerate(group.names):
+                found = {kind: mask[:, k] for kind, mask in kinds.items() if mask[:, k].any()}
+                if name is not None and found:
+                    out[i][name] = found
     return out
 
 
@@ -189,16 +169,16 @@ def without_bad_samples(
     learned : Learned, optional
         As for `find_bad_samples`.
     """
-    found = find_bad_samples(records, roles, learned)
     out, messages = [], []
-    for record, channels in zip(records, found, strict=True):
-        changed = {name: np.where(bad.any, np.nan, record[name]) for name, bad in channels.items()}
+    for record, channels in zip(records, find_bad_samples(records, roles, learned), strict=True):
+        changed = {
+            name: np.where(np.any(list(kinds.values()), axis=0), np.nan, record[name])
+            for name, kinds in channels.items()
+        }
         units = {name: record.units[name] for name in changed if name in record.units}
         out.append(record.with_channels(changed, units) if changed else record)
         where = f"{record.name or 'record'}: " if len(records) > 1 else ""
-        for name, bad in channels.items():
-            for kind, rows in bad.kinds.items():
-                messages.append(where + _message(name, kind, rows))
+        messages += [where + _message(name, kind, rows) for name, bad in channels.items() for kind, rows in bad.items()]
     return out, messages
 
 
@@ -218,7 +198,7 @@ def _message(name: str, kind: str, rows: Bools) -> str:
 def listed(rows: Bools, most: int = 3) -> str:
     """Rows, counted from 1, in words."""
     numbers = np.flatnonzero(rows) + 1
-    stretches = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    stretches = _places(numbers, 1)
     texts = [f"{s[0]}" if len(s) == 1 else f"{s[0]} to {s[-1]}" for s in stretches[:most]]
     more = ", ..." if len(stretches) > most else ""
     return f"row{'s' * (len(numbers) > 1)} {', '.join(texts)}{more}"
@@ -227,17 +207,24 @@ def listed(rows: Bools, most: int = 3) -> str:
 class _Group:
     """Channels that are judged by one smoother: a chain's, or one input."""
 
-    def __init__(self, names: Sequence[str | None], series: Sequence[ChainSeries]) -> None:
-        self.names, self.series = tuple(names), list(series)
-        self.spikes = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
-        self.stuck = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
-        self.clipped = [np.zeros(_shape(s), dtype=np.bool_) for s in series]
+    def __init__(
+        self, records: Sequence[Record], names: Sequence[str | None], gains: Floats | Sequence[float] = (1.0,)
+    ) -> None:
+        self.names = tuple(names)
+        self.series = [
+            ChainSeries(
+                np.asarray(record.time),
+                tuple(None if n is None else record[n] / gain for n, gain in zip(names, gains, strict=True)),
+            )
+            for record in records
+        ]
+        self.bad = [{kind: _nowhere(s) for kind in BAD} for s in self.series]
         # rows that the smoother misses, of each record
-        self.missed: list[Bools] = [np.zeros(s.n, dtype=np.bool_) for s in series]
+        self.missed: list[Bools] = [np.zeros(s.n, dtype=np.bool_) for s in self.series]
 
-    @classmethod
-    def of_input(cls, records: Sequence[Record], name: str) -> _Group:
-        return cls((name,), [ChainSeries(_time(record), (record[name],)) for record in records])
+    @property
+    def spikes(self) -> list[Bools]:
+        return [kinds["spikes"] for kinds in self.bad]
 
     @classmethod
     def of_chain(cls, records: Sequence[Record], chain: Chain, learned: Learned) -> _Group:
@@ -251,23 +238,16 @@ class _Group:
         elif names in learned.gains:
             gains = learned.gains[names]
         else:
-            alone = {name: cls.of_input(records, name).searched(learned) for name in names if name is not None}
+            alone = {name: cls(records, (name,)).searched(learned).spikes for name in names if name is not None}
             calm = [
                 record.with_channels(
-                    {name: np.where(group.spikes[i][:, 0], np.nan, record[name]) for name, group in alone.items()},
+                    {name: np.where(spikes[i][:, 0], np.nan, record[name]) for name, spikes in alone.items()},
                     record.units,
                 )
                 for i, record in enumerate(records)
             ]
             gains = learned.gains[names] = unit_gains(calm, chain)[chain.lowest :]
-        series = [
-            ChainSeries(
-                _time(record),
-                tuple(None if n is None else record[n] / gain for n, gain in zip(names, gains, strict=True)),
-            )
-            for record in records
-        ]
-        return cls(names, series)
+        return cls(records, names, gains)
 
     def searched(self, learned: Learned) -> _Group:
         """The group itself, with what was found in it; nothing where there is no noise level to judge by."""
@@ -276,10 +256,10 @@ class _Group:
         if model is None:
             return self
         learned.models[self.names] = model
-        for i, (s, runs) in enumerate(zip(self.series, doubtful, strict=True)):
-            calm = _without(s, np.logical_or(self.spikes[i], runs))
-            self.clipped[i] = _clipped(_without(s, self.spikes[i]))
-            self.stuck[i] = _stuck(s, runs & ~self.clipped[i], calm, model)
+        for i, (s, runs, bad) in enumerate(zip(self.series, doubtful, self.bad, strict=True)):
+            calm = _without(s, bad["spikes"] | runs)
+            bad["clipped"] = _clipped(_without(s, bad["spikes"]))
+            bad["stuck"] = _stuck(s, runs & ~bad["clipped"], calm, model)
             errors = leave_one_out(calm, model)
             self.missed[i] = np.any(_standard(errors) > SPIKE * _factor(errors), axis=1)
         return self
@@ -311,15 +291,6 @@ class _Group:
         steps, spread = np.median(np.abs(np.diff(values))), np.median(np.abs(values - np.median(values)))
         return bool(steps >= ONLY_NOISE * math.sqrt(2.0) * spread)
 
-    def found(self) -> Iterator[tuple[int, str, BadSamples]]:
-        """Record, channel and its bad samples."""
-        for i in range(len(self.series)):
-            for k, name in enumerate(self.names):
-                masks = dict(zip(BAD, (self.spikes[i][:, k], self.stuck[i][:, k], self.clipped[i][:, k]), strict=True))
-                kinds = {kind: mask for kind, mask in masks.items() if mask.any()}
-                if name is not None and kinds:
-                    yield i, name, BadSamples(kinds)
-
 
 def _fitted(series: Sequence[ChainSeries]) -> KinematicModel | None:
     """The model of some samples; None of too few, or of a constant channel."""
@@ -341,12 +312,16 @@ def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
                 answer = np.asarray(chain.series[i].channels[-1])
                 answered |= _wider(chain.spikes[i][:, -1] | chain.missed[i] | _blows(answer))
                 chain.spikes[i][_wider(blows), -1] = False
-            rows = np.flatnonzero(spikes[:, 0])
-            places = [p for p in np.split(rows, np.flatnonzero(np.diff(rows) > ANSWER) + 1) if len(p)]
+            places = _places(np.flatnonzero(spikes[:, 0]), ANSWER)
             unseen = not seen and len(places) >= LEAST_BLOWS and group.is_noise(i)
             for place in places:
                 if unseen or answered[place].any():
                     spikes[place] = False
+
+
+def _places(rows: NDArray[np.intp], apart: int) -> list[NDArray[np.intp]]:
+    """Rows, divided where they are further apart than so many."""
+    return [part for part in np.split(rows, np.flatnonzero(np.diff(rows) > apart) + 1) if len(part)]
 
 
 def _wider(rows: Bools) -> Bools:
@@ -364,13 +339,9 @@ def _blows(values: Floats) -> Bools:
         return np.fmin(before, after) > BLOW * usual
 
 
-def _time(record: Record) -> Floats:
-    assert record.time is not None
-    return np.asarray(record.time)
-
-
-def _shape(series: ChainSeries) -> tuple[int, int]:
-    return series.n, len(series.channels)
+def _nowhere(series: ChainSeries) -> Bools:
+    """No sample, (n, K+1)."""
+    return np.zeros((series.n, len(series.channels)), dtype=np.bool_)
 
 
 def _samples(series: ChainSeries) -> Floats:
@@ -417,16 +388,19 @@ def _least(series: Sequence[ChainSeries]) -> Floats:
     return out
 
 
-@dataclass(frozen=True)
-class _Verdict:
+# A sample: row and channel.
+Place = tuple[int, int]
+
+
+class _Verdict(NamedTuple):
     """A place where samples err: how much the worst one does, of which channel, and which samples are spikes."""
 
     error: float
     channel: int
-    spikes: list[tuple[int, int]]
+    spikes: list[Place]
 
 
-def _standing_out(judged: Sequence[Sequence[_Verdict]]) -> list[tuple[int, tuple[int, int]]]:
+def _standing_out(judged: Sequence[Sequence[_Verdict]]) -> list[tuple[int, Place]]:
     """Record, row and channel of the spikes, without those that err no more than what is mostly motion."""
     out = []
     for k in {verdict.channel for one in judged for verdict in one}:
@@ -453,18 +427,15 @@ def _judged(series: ChainSeries, model: KinematicModel, least: Floats) -> list[_
     if not len(rows):
         return []
     worst = np.where(high, before, 0.0)
-    causes = [
-        _Cause([_largest(worst, int(part[0]), int(part[-1]))])
-        for part in np.split(rows, np.flatnonzero(np.diff(rows) > TOGETHER) + 1)
-    ]
+    # of each place the samples that may be all that is wrong there
+    causes = [[_largest(worst, int(part[0]), int(part[-1]))] for part in _places(rows, TOGETHER)]
     noise = np.array([np.nan if sd is None else sd for sd in model.noise_sd])
     samples, out = _samples(series), []
     present = np.isfinite(samples)
     for _ in range(MOST_TOGETHER):
         trial = np.zeros_like(high)
-        for cause in causes:
-            for at in cause.samples:
-                trial[at] = True
+        for at in (at for cause in causes for at in cause):
+            trial[at] = True
         masked = _without(series, trial)
         smoothed = smooth_kinematic(masked, model)
         predicted = (smoothed.mean, *one_sided(masked, model))
@@ -475,31 +446,31 @@ def _judged(series: ChainSeries, model: KinematicModel, least: Floats) -> list[_
         after /= factor
         going_on = []
         for cause in causes:
-            first, spikes = cause.samples[0], []
-            left = cause.left_over(before, after)
-            if left is not None and high[left] and len(cause.samples) < MOST_TOGETHER:
-                going_on.append(_Cause([*cause.samples, left]))
+            left = _left_over(cause, before, after)
+            if left is not None and high[left] and len(cause) < MOST_TOGETHER:
+                going_on.append([*cause, left])
                 continue
-            if left is None:
-                spikes = [
-                    at
-                    for at in cause.samples
-                    if cause.stands_out(at, after) and not _goes_on(at, samples, predicted, present & ~trial)
-                ]
-            out.append(_Verdict(float(before[first]), first[1], spikes))
+            spikes = [
+                at
+                for at in cause
+                if left is None
+                and _stands_out(at, cause, after)
+                and not _goes_on(at, samples, predicted, present & ~trial)
+            ]
+            out.append(_Verdict(float(before[cause[0]]), cause[0][1], spikes))
         causes = going_on
         if not causes:
             break
     return out
 
 
-def _largest(values: Floats, first: int, last: int) -> tuple[int, int]:
+def _largest(values: Floats, first: int, last: int) -> Place:
     """Row and channel of the largest value in some rows."""
     row, k = np.unravel_index(int(np.argmax(values[first : last + 1])), values[first : last + 1].shape)
     return int(row) + first, int(k)
 
 
-def _goes_on(at: tuple[int, int], samples: Floats, predicted: Sequence[Floats], usable: Bools) -> bool:
+def _goes_on(at: Place, samples: Floats, predicted: Sequence[Floats], usable: Bools) -> bool:
     """Whether a sample agrees with those before or those after it: their prediction, or the nearest of its channel.
 
     `predicted` are the states from both sides, from those before, and from those after.
@@ -511,35 +482,30 @@ def _goes_on(at: tuple[int, int], samples: Floats, predicted: Sequence[Floats], 
     return bool(np.abs(samples[at] - np.array(sides)).min() < AGREES * abs(samples[at] - predicted[0][at]))
 
 
-@dataclass(frozen=True)
-class _Cause:
-    """Samples, (row, channel), that may be all that is wrong in their neighbourhood."""
+def _left_over(cause: Sequence[Place], before: Floats, after: Floats) -> Place | None:
+    """The sample nearby that errs most once those of the cause are left out; None if all is well."""
+    rows = [row for row, _ in cause]
+    first, last = max(min(rows) - NEAR, 0), max(rows) + NEAR
+    limit = np.maximum(SPIKE, WORSE * before[first : last + 1])
+    for k in {k for _, k in cause}:
+        limit[:, k] = max(SPIKE, min(after[at] for at in cause if at[1] == k) / STANDS_OUT)
+    excess = after[first : last + 1] / limit
+    for row, k in cause:
+        excess[row - first, k] = 0.0
+    row, k = _largest(excess, 0, len(excess) - 1)
+    return (row + first, k) if excess[row, k] > 1.0 else None
 
-    samples: list[tuple[int, int]]
 
-    def left_over(self, before: Floats, after: Floats) -> tuple[int, int] | None:
-        """The sample nearby that errs most, though those of the cause are left out; None if all is well."""
-        rows = [row for row, _ in self.samples]
-        first, last = max(min(rows) - NEAR, 0), max(rows) + NEAR
-        limit = np.maximum(SPIKE, WORSE * before[first : last + 1])
-        for k in {k for _, k in self.samples}:
-            limit[:, k] = max(SPIKE, min(after[at] for at in self.samples if at[1] == k) / STANDS_OUT)
-        excess = after[first : last + 1] / limit
-        for row, k in self.samples:
-            excess[row - first, k] = 0.0
-        row, k = _largest(excess, 0, len(excess) - 1)
-        return (row + first, k) if excess[row, k] > 1.0 else None
-
-    def stands_out(self, at: tuple[int, int], after: Floats) -> bool:
-        """Whether a sample errs by much more than those around it."""
-        row, k = at
-        first = max(row - LOCAL, 0)
-        around = after[first : row + LOCAL + 1, k].copy()
-        for other, channel in self.samples:
-            if channel == k and first <= other < first + len(around):
-                around[other - first] = np.nan
-        usual = float(np.nanquantile(around, UPPER)) / UPPER_NORMAL
-        return bool(after[at] > SPIKE * max(1.0, usual))
+def _stands_out(at: Place, cause: Sequence[Place], after: Floats) -> bool:
+    """Whether a sample of a cause errs by much more than those around it."""
+    row, k = at
+    first = max(row - LOCAL, 0)
+    around = after[first : row + LOCAL + 1, k].copy()
+    for other, channel in cause:
+        if channel == k and first <= other < first + len(around):
+            around[other - first] = np.nan
+    usual = float(np.nanquantile(around, UPPER)) / UPPER_NORMAL
+    return bool(after[at] > SPIKE * max(1.0, usual))
 
 
 # --- stretches -------------------------------------------------------------------------------------------------------
@@ -547,7 +513,7 @@ class _Cause:
 
 def _long_runs(series: ChainSeries) -> Bools:
     """Stretches of equal samples that are longer than the channel's usual ones."""
-    out = np.zeros(_shape(series), dtype=np.bool_)
+    out = _nowhere(series)
     for k, values in enumerate(series.channels):
         if values is None:
             continue
@@ -593,7 +559,7 @@ def _parts(values: Floats, edges: NDArray[np.intp]) -> Iterator[tuple[int, int]]
 
 def _clipped(series: ChainSeries) -> Bools:
     """Samples at an extreme that a channel is clipped at."""
-    out = np.zeros(_shape(series), dtype=np.bool_)
+    out = _nowhere(series)
     for k, values in enumerate(series.channels):
         if values is not None and np.isfinite(values).any():
             for found in clipped_levels(values[np.isfinite(values)]):

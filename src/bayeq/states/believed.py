@@ -65,7 +65,7 @@ def without_hum(
     """
     found, heard = [], set[float]()
     for record in records:
-        where, even = record.name or "record", on_grid(record, names, ())
+        where, even = record.name or "record", on_grid(record, names)
         step = None if even.time is None else even_step(np.asarray(even.time))
         if step is None:
             raise RecordError(

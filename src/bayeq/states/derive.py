@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal, cast, get_args
 
 import numpy as np
@@ -16,11 +15,10 @@ from numpy.typing import NDArray
 
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
 from bayeq.records import Record
-from bayeq.states.chain import Chain
+from bayeq.states.roles import Chain
 
 __all__ = [
     "Smooth",
-    "States",
     "current",
     "derive_states",
     "known",
@@ -47,28 +45,8 @@ LONGEST_STEP = 1e20
 FARTHEST = 1e4
 
 
-@dataclass(frozen=True, slots=True)
-class States:
-    """Channels as the dictionary sees them.
-
-    Attributes
-    ----------
-    columns : mapping of str to (n,) array
-        States, targets and inputs by name.
-    estimated : tuple of str
-        The names among them that were estimated from another channel.
-    """
-
-    columns: Mapping[str, Floats]
-    estimated: tuple[str, ...]
-
-    @property
-    def n(self) -> int:
-        return len(next(iter(self.columns.values())))
-
-
-def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str] = ()) -> States:
-    """States, targets and inputs of a record.
+def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str] = ()) -> dict[str, Floats]:
+    """States, targets and inputs of a record by name, each (n,).
 
     Parameters
     ----------
@@ -93,7 +71,6 @@ def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str]
             raise ChainError(f"channel {name!r} is both an input and part of a chain")
     require_usable(record, wanted)
     columns = {name: record[name] for name in wanted}
-    estimated: list[str] = []
     for chain in chains:
         for order, name in enumerate(chain.names):
             if chain.measured[order] is not None:
@@ -106,8 +83,7 @@ def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str]
             below = max(k for k in range(order) if chain.measured[k] is not None)
             source = chain.names[below]
             _fill(columns, record, source, name, order - below)
-            estimated.append(name)
-    return States(columns=columns, estimated=tuple(estimated))
+    return columns
 
 
 def current(smooth: str) -> Smooth:

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from bayeq.errors import RecordError
 from bayeq.records import Record
-from bayeq.states.chain import Chain
 from bayeq.states.derive import known, usable
 from bayeq.states.kinematic.chain_smoother import smooth_chain
 from bayeq.states.motion import cut_at
+from bayeq.states.roles import Chain
 from bayeq.states.uniform_grid import on_grid
 
 __all__ = ["measured_apart"]
@@ -90,7 +90,7 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int
     if not all(name in record.channels and usable(known(record[name])) for record in records for name in names):
         # reported where channels are checked
         return []
-    even = [on_grid(record, names, ()) for record in records]
+    even = [on_grid(record, names) for record in records]
     if not all(record.is_uniform() for record in even):
         return []
     cuts = [cut_at(record.n, share) for record in even]
@@ -107,17 +107,14 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int
         return []
     # the noise of the lowest channel as it is known alone
     try:
-        _, alone = smooth_chain(even, Chain(_only(chain, chain.lowest)), cuts)
+        lowest = tuple(name if name == source else None for name in chain.measured)
+        _, alone = smooth_chain(even, Chain(lowest), cuts)
     except RecordError:  # noise and motion cannot be told apart: neither can measured channels and computed ones
         return []
     if alone.noise_ratio < ROUNDING_NOISE:
         return []
     noise = float(alone.model.noise_sd[chain.lowest] or 0.0)
     return [k for k, left, gain in suspected if left < COMPUTED * gain * noise]
-
-
-def _only(chain: Chain, order: int) -> tuple[str | None, ...]:
-    return tuple(name if k == order else None for k, name in enumerate(chain.measured))
 
 
 def _rough_noise(pieces: Sequence[Floats]) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from bayeq.errors import ChainError, RecordError
 from bayeq.expressions.functions import TIME
 from bayeq.records import Record, counts_rows
-from bayeq.states.chain import Chain
 from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
-from bayeq.states.missing import bridged_record, complete_rows
-from bayeq.states.roles import Roles
+from bayeq.states.prepare import bridged_record, complete_rows, has_all
+from bayeq.states.roles import Chain, Roles
 from bayeq.states.sensors import Sensors
 from bayeq.states.uniform_grid import filled_in, on_grid
 from bayeq.states.unit_gains import unit_gains
@@ -67,18 +66,12 @@ class MotionRows:
 
     def part(self, rows: slice) -> MotionRows:
         """Some of the rows."""
-
-        def cut(columns: Mapping[str, Floats]) -> dict[str, Floats]:
-            return {name: values[rows] for name, values in columns.items()}
-
-        return MotionRows(
-            self.name,
-            None if self.time is None else self.time[rows],
-            cut(self.columns),
-            cut(self.observed),
-            cut(self.samples),
-            self.known[rows],
+        time = None if self.time is None else self.time[rows]
+        columns, observed, samples = (
+            {name: values[rows] for name, values in some.items()}
+            for some in (self.columns, self.observed, self.samples)
         )
+        return MotionRows(self.name, time, columns, observed, samples, self.known[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,12 +140,7 @@ class Motion:
     @property
     def estimated(self) -> tuple[str, ...]:
         """Derivatives that were not measured but estimated."""
-        return tuple(
-            name
-            for chain in self.roles.chains
-            for name, channel in zip(chain.names, chain.measured, strict=True)
-            if channel is None
-        )
+        return tuple(name for chain in self.roles.chains for name in chain.names if name not in chain.measured)
 
     def estimated_by(self, k: int) -> ChainSmoothing | None:
         """How the target of chain k was estimated; None where it was measured, or not smoothed."""
@@ -210,12 +198,12 @@ def estimate_motion(
         smooth = "none"
         records = records if whole else [complete_rows(record, roles) for record in records]
     smoothed = _smoothed(records, roles, smooth, share, sensors)
-    no_smoothing: tuple[ChainSmoothing, ...] = ()
+    smoothing: tuple[ChainSmoothing, ...] = ()
     if smoothed is None:
         records = records if whole else [complete_rows(record, roles) for record in records]
         pieces = tuple(_as_measured(record, roles) for record in records)
-        cuts, smoothing = tuple(cut_at(rows.n, share) for rows in pieces), no_smoothing
-        even = [on_grid(record, roles.measured, ()) for record in records]
+        cuts = tuple(cut_at(rows.n, share) for rows in pieces)
+        even = [on_grid(record, roles.measured) for record in records]
         gains = tuple(unit_gains(even, chain, [cut_at(record.n, share) for record in even]) for chain in roles.chains)
     else:
         pieces, cuts, smoothing = smoothed
@@ -226,15 +214,15 @@ def estimate_motion(
 def further_rows(record: Record, motion: Motion) -> MotionRows:
     """Rows of another record of the same system, prepared as its others were and smoothed as they are in a motion."""
     roles = motion.roles
-    filled = on_grid(record, (*roles.measured, *roles.inputs), ())
+    filled = on_grid(record, roles.channels)
     chains = zip(roles.chains, motion.smoothing, strict=True)
     return _rows(filled, roles, [smooth_further(filled, chain, smoothing) for chain, smoothing in chains])
 
 
 def _as_measured(record: Record, roles: Roles) -> MotionRows:
     """States and targets as measured, missing derivatives by differences."""
-    columns = derive_states(record, roles.chains, roles.inputs).columns
-    samples = {name: np.asarray(record[name]) for name in (*roles.measured, *roles.inputs)}
+    columns = derive_states(record, roles.chains, roles.inputs)
+    samples = {name: np.asarray(record[name]) for name in roles.channels}
     observed = {target: columns[target] for target in roles.targets}
     columns = {**columns, **_time(record, roles)}
     return MotionRows(record.name, record.time, columns, observed, samples, np.ones(record.n, dtype=np.bool_))
@@ -256,7 +244,7 @@ def _smoothed(
         _require_integrable(present, chain, smooth)
     if not wanted:
         return None
-    filled = [on_grid(record, (*roles.measured, *roles.inputs), ()) for record in records]
+    filled = [on_grid(record, roles.channels) for record in records]
     cuts = tuple(cut_at(record.n, share) for record in filled)
     try:
         found = [smooth_chain(filled, chain, cuts, sensors.noise) for chain in roles.chains]
@@ -270,10 +258,11 @@ def _smoothed(
 
 def _rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
     """Rows of a record on its grid with the smoothed derivatives (n, K + 1) of each chain."""
-    samples = {name: np.asarray(record[name]) for name in (*roles.measured, *roles.inputs)}
+    samples = {name: np.asarray(record[name]) for name in roles.channels}
     assert record.time is not None
     columns = {name: filled_in(np.asarray(record.time), samples[name]) for name in roles.inputs}
-    columns.update(_named(roles.chains, means))
+    for chain, values in zip(roles.chains, means, strict=True):
+        columns.update((name, np.ascontiguousarray(own)) for name, own in zip(chain.names, values.T, strict=True))
     columns.update(_time(record, roles))
     observed = {
         target: np.where(np.isnan(samples[target]), columns[target], samples[target])
@@ -281,10 +270,7 @@ def _rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
         else columns[target]
         for target in roles.targets
     }
-    known = np.ones(record.n, dtype=np.bool_)
-    for values in samples.values():
-        known &= np.isfinite(values)
-    return MotionRows(record.name, record.time, columns, observed, samples, known)
+    return MotionRows(record.name, record.time, columns, observed, samples, has_all(record, roles))
 
 
 def _time(record: Record, roles: Roles) -> dict[str, Floats]:
@@ -297,12 +283,6 @@ def _time(record: Record, roles: Roles) -> dict[str, Floats]:
             " --time) or give the sampling rate (fs=, --fs)"
         )
     return {TIME: np.asarray(record.time, dtype=np.float64)}
-
-
-def _named(chains: Sequence[Chain], means: Sequence[Floats]) -> Iterator[tuple[str, Floats]]:
-    for chain, values in zip(chains, means, strict=True):
-        for k, name in enumerate(chain.names):
-            yield name, np.ascontiguousarray(values[:, k])
 
 
 def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth) -> None:

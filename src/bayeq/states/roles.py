@@ -1,16 +1,170 @@
-"""Which channel plays which part: the kinematic chains and the inputs of a system."""
+"""Which channel plays which part: kinematic chains, each a coordinate and its time derivatives, and inputs."""
 
 from __future__ import annotations
 
+import keyword
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from bayeq.errors import ChainError, InputError, require_text, require_texts
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import TIME
-from bayeq.states.chain import Chain, parse_chains
 
-__all__ = ["Roles"]
+__all__ = ["MAX_ORDER", "Chain", "Roles", "parse_chain", "parse_chains"]
+
+MAX_ORDER = 4
+
+# Name of a coordinate that is not measured; where that name is taken, with the first measured channel: x_a1, x_a2.
+COORDINATE = "x"
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """A coordinate and its derivatives up to `order`.
+
+    Parameters
+    ----------
+    measured : tuple of (str or None)
+        The channel that measures each derivative, from order 0 up; None where none does, at least one.
+    called : tuple of (str or None), optional
+        Names of derivatives that are not measured, where they have one of their own.
+
+    Examples
+    --------
+    >>> chain = parse_chain("x:v:")
+    >>> chain.order, chain.names, chain.target, chain.states
+    (2, ('x', 'v', 'ddx'), 'ddx', ('x', 'v'))
+    >>> parse_chain("x").names
+    ('x', 'dx')
+    >>> parse_chain("::a").names
+    ('x', 'dx', 'a')
+    >>> parse_chain("x:~v:~a").names, parse_chain("~q::a").names
+    (('x', 'v', 'a'), ('q', 'dq', 'a'))
+    """
+
+    measured: tuple[str | None, ...]
+    called: tuple[str | None, ...] = ()
+
+    @property
+    def order(self) -> int:
+        """The highest derivative, the one that the equation gives."""
+        return len(self.measured) - 1
+
+    @property
+    def lowest(self) -> int:
+        """The lowest derivative that is measured."""
+        return next(k for k, name in enumerate(self.measured) if name is not None)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the derivatives: the channel's, or ``dx``, ``ddx`` ... where not measured and not called otherwise.
+
+        A coordinate that is neither measured nor called otherwise is ``x``.
+        """
+        base = self.own_name(0) or COORDINATE
+        return tuple(self.own_name(k) or "d" * k + base for k in range(len(self.measured)))
+
+    def own_name(self, k: int) -> str | None:
+        """Name of a derivative that is not made from the coordinate's."""
+        return self.measured[k] or (self.called[k] if self.called else None)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """All but the highest derivative."""
+        return self.names[:-1]
+
+    @property
+    def target(self) -> str:
+        """The highest derivative."""
+        return self.names[-1]
+
+    def __str__(self) -> str:
+        if self.order == 1 and self.measured[1] is None:
+            return str(self.measured[0])
+        return ":".join(m or (f"~{self.own_name(k)}" if self.own_name(k) else "") for k, m in enumerate(self.measured))
+
+
+def parse_chain(text: str) -> Chain:
+    """Read a chain such as ``x:v:a``, ``x::`` (only displacement measured), ``::a`` (only acceleration), ``x`` or
+    ``x:xdot`` (first order).
+
+    ``x:~v:~a`` is ``x::`` with names for what is not measured, instead of dx and ddx; ``~q::a`` is ``::a`` with the
+    coordinate q instead of x.
+
+    Raises
+    ------
+    ChainError
+        Not of this form.
+    """
+    form = (
+        "write it as x:v:a (second order), x:: (only x measured; x:~v:~a to name what is estimated), ::a (only a), x"
+        " (first order) or x:xdot"
+    )
+    if not isinstance(text, str):
+        raise ChainError(f"a chain is a text, got {type(text).__name__}; {form}")
+    parts = [part.strip() for part in text.split(":")]
+    if len(parts) == 1:
+        parts.append("")
+    if len(parts) - 1 > MAX_ORDER:
+        raise ChainError(f"chain {text[:60]!r} has order {len(parts) - 1}; at most {MAX_ORDER} is allowed; {form}")
+    if not any(parts):
+        raise ChainError(f"chain {text[:60]!r} names no channel; {form}")
+    for part in parts:
+        name = part.removeprefix("~")
+        if part and (not name.isidentifier() or keyword.iskeyword(name)):
+            raise ChainError(f"chain {text[:60]!r}: {part[:40]!r} is not a channel name; {form}")
+    named = [part.removeprefix("~") for part in parts if part]
+    if len(set(named)) < len(named):
+        raise ChainError(f"chain {text[:60]!r} names a channel twice; {form}")
+    measured = tuple(part if part and not part.startswith("~") else None for part in parts)
+    if not any(measured):
+        raise ChainError(f"chain {text[:60]!r} has no measured channel; {form}")
+    called = tuple(part[1:] if part.startswith("~") else None for part in parts)
+    chain = Chain(measured, called if any(called) else ())
+    if len(set(chain.names)) < len(chain.names):
+        raise ChainError(
+            f"chain {text[:60]!r}: derivatives that are not measured are called after the coordinate,"
+            f" {', '.join(chain.names)}: rename the channel of that name"
+        )
+    return chain
+
+
+def parse_chains(texts: Sequence[str], inputs: Sequence[str] = ()) -> tuple[Chain, ...]:
+    """Read several chains and check that no name occurs in two of them.
+
+    A coordinate that is not measured is called x. Where two chains, or a chain and an input, would share that name,
+    such coordinates are called after the lowest measured channel of their chain.
+
+    Examples
+    --------
+    >>> [chain.names for chain in parse_chains(["::a1", "::a2"])]
+    [('x_a1', 'dx_a1', 'a1'), ('x_a2', 'dx_a2', 'a2')]
+
+    Raises
+    ------
+    ChainError
+        No chains, one that cannot be read, or a name that occurs twice.
+    """
+    if not texts:
+        raise ChainError("no chain given: name the coordinate and its measured derivatives, as in x:v:a")
+    chains = [parse_chain(text) for text in texts]
+    if sum(COORDINATE in chain.names for chain in chains) + (COORDINATE in inputs) > 1:
+        chains = [_named_by_channel(chain) for chain in chains]
+    seen: dict[str, Chain] = {}
+    for chain in chains:
+        for name in chain.names:
+            if name in seen:
+                raise ChainError(f"{name!r} occurs in chain {str(seen[name])!r} and in chain {str(chain)!r}")
+            seen[name] = chain
+    return tuple(chains)
+
+
+def _named_by_channel(chain: Chain) -> Chain:
+    """The chain with a name of its own for a coordinate that has none."""
+    if chain.own_name(0) is not None:
+        return chain
+    others = chain.called[1:] or (None,) * chain.order
+    return Chain(chain.measured, (f"{COORDINATE}_{chain.measured[chain.lowest]}", *others))
 
 
 @dataclass(frozen=True, slots=True)

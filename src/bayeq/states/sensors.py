@@ -11,8 +11,7 @@ import numpy as np
 
 from bayeq.errors import InputError, UnknownNameError, require_mapping
 from bayeq.records import Record
-from bayeq.states.chain import Chain
-from bayeq.states.roles import Roles
+from bayeq.states.roles import Chain, Roles
 
 __all__ = ["LEAST_SHARE", "Sensors", "Tails", "check_sensors", "known_sensors", "scaled_with"]
 
@@ -55,7 +54,7 @@ def check_sensors(noise: Mapping[str, float | str], gain_sd: Mapping[str, float 
     InputError
         A value that is no number, negative or infinite.
     """
-    known = [*roles.measured, *roles.inputs]
+    known = roles.channels
     for what, given in (("noise", noise), ("gain_sd", gain_sd)):
         require_mapping(given, what)
         for name, value in given.items():
@@ -80,7 +79,7 @@ def known_sensors(
     InputError
         Noise that exceeds what was measured.
     """
-    used = {*roles.measured, *roles.inputs}
+    used = roles.channels
     levels = {}
     for name, value in noise.items():
         if name not in used:

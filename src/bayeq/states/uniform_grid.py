@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from bayeq.errors import InputError
 from bayeq.records import Record
 from bayeq.records.sampling import JITTER, is_step
-from bayeq.states.kinematic.smoother import ChainSeries, fit_kinematic, smooth_kinematic
+from bayeq.states.kinematic.fit import fit_kinematic
+from bayeq.states.kinematic.model import ChainSeries
+from bayeq.states.kinematic.smoother import smooth_kinematic
 
 __all__ = ["filled_in", "on_grid"]
 
@@ -32,12 +34,11 @@ SAME_DECIMALS = 1e-6
 SINGLE = (0.5, 1.5)
 
 
-def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]) -> Record:
+def on_grid(record: Record, names: Sequence[str]) -> Record:
     """The record with a row for every sample of its grid: the same record, if none is missing or there is no grid.
 
-    Channels of chains are NaN in rows that are filled in, for the smoother to bridge; each input is filled in by a
-    smoother of its own. Times that are off their grid by little (0.033, 0.067, 0.100 at 30 Hz, written with three
-    decimals) become even.
+    The channels named are NaN in rows that are filled in, for a smoother to bridge. Times that are off their grid by
+    little (0.033, 0.067, 0.100 at 30 Hz, written with three decimals) become even.
     """
     if record.time is None or record.n < 3:
         return record
@@ -56,10 +57,9 @@ def on_grid(record: Record, chain_channels: Sequence[str], inputs: Sequence[str]
     if n == record.n:
         return Record(record.channels, grid, record.units, record.name, record.truth)
     channels = {}
-    for name in (*chain_channels, *inputs):
-        values = np.full(n, np.nan)
-        values[index] = record[name]
-        channels[name] = filled_in(grid, values) if name in inputs else values
+    for name in names:
+        channels[name] = np.full(n, np.nan)
+        channels[name][index] = record[name]
     units = {name: unit for name, unit in record.units.items() if name in channels or name == "t"}
     return Record(channels=channels, time=grid, units=units, name=record.name)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bayeq.records import Record
 from bayeq.records.sampling import even_step
 from bayeq.records.units import derivative_ratio
-from bayeq.states.chain import Chain
+from bayeq.states.roles import Chain
 
 __all__ = ["bridged", "rates", "unit_gains"]
 

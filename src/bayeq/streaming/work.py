@@ -224,7 +224,7 @@ class _Rows(Work[Of]):
         begin, end = unit.start - start, unit.stop - start
         first, last = (np.nan, np.nan) if record.time is None else map(float, record.time[[begin, end - 1]])
         cut = max(unit.start, min(unit.stop, extent.cut(self.share))) - start
-        columns = derive_states(record, self.roles.chains, self.roles.inputs).columns
+        columns = derive_states(record, self.roles.chains, self.roles.inputs)
         train = {name: values[begin:cut] for name, values in columns.items()}
         held_out = {name: values[cut:end] for name, values in columns.items()}
         return train, held_out, first, last

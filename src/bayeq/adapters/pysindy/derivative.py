@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 from pysindy.differentiation.base import BaseDifferentiation
 
 from bayeq.errors import InputError, RecordError
-from bayeq.states.kinematic.smoother import ChainSeries, fit_kinematic, smooth_kinematic
+from bayeq.states.kinematic.fit import fit_kinematic
+from bayeq.states.kinematic.model import ChainSeries
+from bayeq.states.kinematic.smoother import smooth_kinematic
 
 __all__ = ["KinematicDerivative"]
 

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record
 from bayeq.records.sampling import even_step
-from bayeq.states.chain import Chain
-from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, fit_kinematic, smooth_kinematic
+from bayeq.states.kinematic.fit import fit_kinematic
+from bayeq.states.kinematic.model import ChainSeries, KinematicModel
+from bayeq.states.kinematic.smoother import smooth_kinematic
+from bayeq.states.roles import Chain
 from bayeq.states.sensors import LEAST_SHARE
 from bayeq.states.unit_gains import bridged, unit_gains
 
@@ -73,30 +75,20 @@ class ChainSmoothing:
     target_variance: float = 0.0
     freedom: float = 1.0
 
-    def information(self, frequency: Floats) -> Floats:
-        """J(f), the inverse variance of the noise in the coordinate at frequencies [Hz]: sum of omega^(2k)/R_k."""
-        fs = 1.0 if self.fs is None else self.fs
-        omega = np.maximum(2.0 * np.pi * np.asarray(frequency), 1e-6 * fs)
-        out = np.zeros_like(omega)
-        for k, sd in self.measured_noise():
-            out += omega ** (2 * k) / sd**2
-        return out
-
-    def measured_noise(self) -> list[tuple[int, float]]:
-        """Each measured derivative with the standard deviation of its noise."""
-        assumed = self.coordinate_sd is not None
-        return [(k, sd) for k, sd in enumerate(self.model.noise_sd) if sd is not None and not (assumed and k == 0)]
-
     def gain(self, frequency: Floats) -> Floats:
         """Gain of the smoother at frequencies [Hz], the same for all derivatives: signal over signal and noise.
 
         The Wiener gain J/(J + 1/S + 1/b^2) of uniform sampling, where S = Q/(dt omega^(2m)) is the density of the
-        coordinate under the model, J the information of the channels on it and b what bounds it.
+        coordinate under the model, J = sum of omega^(2k)/R_k the information of the channels on it and b what bounds
+        it.
         """
         fs = 1.0 if self.fs is None else self.fs
         omega = np.maximum(2.0 * np.pi * np.asarray(frequency), 1e-6 * fs)
         density = self.model.spectral_density * fs / omega ** (2 * self.model.order)
-        information = self.information(frequency)
+        information = np.zeros_like(omega)
+        for k, sd in enumerate(self.model.noise_sd):
+            if sd is not None and (k > 0 or self.coordinate_sd is None):
+                information += omega ** (2 * k) / sd**2
         bound = 0.0 if self.coordinate_sd is None else 1.0 / self.coordinate_sd**2
         return np.asarray(density * information / (1.0 + density * (information + bound)))
 

@@ -14,7 +14,7 @@ from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.numerics.minimise import minimise
 from bayeq.states.kinematic.kalman import LONG_GAP
 from bayeq.states.kinematic.model import MOST_EXTRA, ChainSeries, KinematicModel, Sizes, check_order, sizes_of
-from bayeq.states.kinematic.rows import Rows, prepare
+from bayeq.states.kinematic.smoother import Rows, prepare
 
 __all__ = ["fit_kinematic", "lowest_level"]
 
@@ -52,7 +52,6 @@ def fit_kinematic(
     *,
     order: int | None = None,
     noise_sd: Sequence[float | None] | None = None,
-    spectral_density: float | None = None,
     doubts: bool = True,
 ) -> KinematicModel:
     """Noise levels and spectral density of maximum likelihood, shared by some records of one chain.
@@ -73,8 +72,6 @@ def fit_kinematic(
         m, from K+1 to K+4 for a chain of K derivatives; chosen by default.
     noise_sd : sequence of (float or None), optional
         Known standard deviations of the noise of each derivative, None where to be estimated.
-    spectral_density : float, optional
-        Known Q, which needs `order`.
     doubts : bool
         Whether to warn of noise levels that may be off.
 
@@ -103,7 +100,7 @@ def fit_kinematic(
     True
     """
     series = list(series)
-    known = _known(series, order, noise_sd, spectral_density)
+    known = _known(series, order, noise_sd)
     for k in {k for s in series for k in s.measured if np.isnan(known[k])}:
         _require_noisy(series, k)
     sizes = sizes_of(series, least=noise_sd)
@@ -112,7 +109,7 @@ def fit_kinematic(
     floors = _floors(used, sizes)
 
     def fitted(m: int) -> KinematicModel:
-        return _Likelihood(used, sizes, m, known, spectral_density).maximise(floors, doubts)
+        return _Likelihood(used, sizes, m, known).maximise(floors, doubts)
 
     if order is not None:
         return fitted(order)
@@ -120,12 +117,7 @@ def fit_kinematic(
     return _best_order(fitted, highest + FIRST_EXTRA, range(highest + 1, highest + 1 + MOST_EXTRA))
 
 
-def _known(
-    series: Sequence[ChainSeries],
-    order: int | None,
-    noise_sd: Sequence[float | None] | None,
-    spectral_density: float | None,
-) -> Floats:
+def _known(series: Sequence[ChainSeries], order: int | None, noise_sd: Sequence[float | None] | None) -> Floats:
     """The noise levels that are given, NaN where they are not; raises for arguments that do not fit."""
     if not series:
         raise InputError("no records to estimate noise levels from")
@@ -134,11 +126,6 @@ def _known(
         raise InputError("the records are of chains of different orders")
     if order is not None:
         check_order(order, derivatives)
-    if spectral_density is not None:
-        if order is None:
-            raise InputError("a given spectral density needs the order that it belongs to")
-        if not 0 < spectral_density < math.inf:
-            raise InputError(f"the spectral density must be positive and finite, not {spectral_density!r}")
     given = [None] * derivatives if noise_sd is None else list(noise_sd)
     if len(given) != derivatives:
         raise InputError(f"noise_sd needs {derivatives} values, None where unknown, not {len(given)}")
@@ -237,14 +224,12 @@ def _left_out(model: KinematicModel) -> float:
 class _Likelihood:
     """Log-likelihood of some records in the logarithms of what is to be estimated.
 
-    The parameters are ln(R_k / variance of channel k) of each channel with unknown noise, then ln(Q / unit) if Q is
-    unknown: Q = square of the highest channel's size times (bandwidth per step)^power.
+    The parameters are ln(R_k / variance of channel k) of each channel with unknown noise, then ln(Q / unit): Q = square
+    of the highest channel's size times (bandwidth per step)^power.
     """
 
-    def __init__(
-        self, rows: Sequence[Rows], sizes: Sizes, order: int, known: Floats, spectral_density: float | None
-    ) -> None:
-        self.rows, self.sizes, self.order, self.known, self.density = rows, sizes, order, known, spectral_density
+    def __init__(self, rows: Sequence[Rows], sizes: Sizes, order: int, known: Floats) -> None:
+        self.rows, self.sizes, self.order, self.known = rows, sizes, order, known
         self.free = np.array([k for k in sizes.measured if np.isnan(known[k])], dtype=np.intp)
         self.initial = sizes.initial_sd(order)
         top = int(sizes.measured[-1])
@@ -256,13 +241,13 @@ class _Likelihood:
         """Q and the noise levels."""
         noise_sd = self.known.copy()
         noise_sd[self.free] = np.sqrt(self.sizes.variance[self.free] * np.exp(parameters[: len(self.free)]))
-        return (self.unit * math.exp(parameters[-1]) if self.density is None else self.density), noise_sd
+        return self.unit * math.exp(parameters[-1]), noise_sd
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
         noise = (math.log(LEAST_VARIANCE), math.log(MOST_VARIANCE))
         roughness = (self.power * math.log(BANDWIDTHS[0]), self.power * math.log(BANDWIDTHS[1]))
-        return [noise] * len(self.free) + [roughness] * (self.density is None)
+        return [noise] * len(self.free) + [roughness]
 
     def value(self, parameters: Floats) -> float:
         """The log-likelihood."""
@@ -279,14 +264,11 @@ class _Likelihood:
             value += filtered.log_likelihood
             gradient += own_gradient
             left_out += own_left_out
-        kept = [*self.free, len(noise_sd)] if self.density is None else [*self.free]
-        return value, gradient[kept], left_out
+        return value, gradient[[*self.free, len(noise_sd)]], left_out
 
     def start(self, floors: Floats) -> Floats:
         """Noise at the floors, and the best bandwidth of a coarse grid, from wide to narrow."""
         noise = np.log(floors[self.free] / self.sizes.variance[self.free])
-        if self.density is not None:
-            return noise
         bandwidth = WIDEST
         best = np.append(noise, self.power * math.log(bandwidth))
         highest = self.value(best)
@@ -301,19 +283,16 @@ class _Likelihood:
 
     def maximise(self, floors: Floats, doubts: bool) -> KinematicModel:
         """The model at the maximum next to the floors."""
-        parameters, stopped = self.start(floors), False
-        if len(parameters):
 
-            def loss(at: Floats) -> tuple[float, Floats]:
-                value, gradient, _ = self.scored(at)
-                return -value / self.count, -gradient / self.count
+        def loss(at: Floats) -> tuple[float, Floats]:
+            value, gradient, _ = self.scored(at)
+            return -value / self.count, -gradient / self.count
 
-            found = minimise(loss, parameters, *np.transpose(self.bounds), gradient_tolerance=STATIONARY)
-            parameters, stopped = found.x, not found.converged
-        value, gradient, left_out = self.scored(parameters)
-        if stopped and doubts:
-            self._warn_of(parameters, gradient / self.count)
-        density, noise_sd = self.unpack(parameters)
+        found = minimise(loss, self.start(floors), *np.transpose(self.bounds), gradient_tolerance=STATIONARY)
+        value, gradient, left_out = self.scored(found.x)
+        if doubts and not found.converged:
+            self._warn_of(found.x, gradient / self.count)
+        density, noise_sd = self.unpack(found.x)
         return KinematicModel(
             order=self.order,
             spectral_density=density,

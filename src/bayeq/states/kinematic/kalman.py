@@ -4,9 +4,9 @@ State s = (q, q', ..., q^(m-1)) with d^m q/dt^m white; time is counted in regula
 transition is F_ij = 1/(j-i)!. Channels with independent noises are taken one at a time, so that every gain is a
 vector and a missing sample is a gain of zero.
 
-Covariances do not depend on the samples. `run_filter` therefore first fills a table of gains, one entry per row until
-they have settled on a run of regular rows, and one entry for all rows beyond; its pass over the means, `score` and
-`rts.smooth` read it. Covariances are kept as square roots P = S S' throughout (orthogonal triangularisation
+Covariances do not depend on the samples. `filter_gains` therefore first fills a table of gains, one entry per row until
+they have settled on a run of regular rows, and one entry for all rows beyond; `filter_means`, `score` and `rts.smooth`
+read it. Covariances are kept as square roots P = S S' throughout (orthogonal triangularisation
 for the steps, Potter's update for the samples): nothing is subtracted, so that a diffuse start and channels
 without noise keep their digits.
 
@@ -31,9 +31,10 @@ __all__ = [
     "advance",
     "close",
     "copy_block",
+    "filter_gains",
+    "filter_means",
     "outer",
     "pre_array",
-    "run_filter",
     "score",
     "taylor",
     "triangularise",
@@ -53,7 +54,7 @@ SETTLED_SCORE = 1e-8
 
 
 class Tables(NamedTuple):
-    """What the filter leaves of n rows of c channels and m states; filled by `run_filter`.
+    """What the filter leaves of n rows of c channels and m states; filled by `filter_gains` and `filter_means`.
 
     Attributes
     ----------
@@ -229,15 +230,6 @@ def _width(S: Floats, k: int) -> float:
 
 
 @kernel
-def _begin(S: Floats, start: Floats) -> None:
-    """S <- diag(start)."""
-    for i in range(len(start)):
-        for j in range(len(start)):
-            S[i, j] = 0.0
-        S[i, i] = start[i]
-
-
-@kernel
 def _all_present(present: Bools, t: int) -> bool:
     samples = 0
     for j in range(present.shape[1]):
@@ -246,17 +238,41 @@ def _all_present(present: Bools, t: int) -> bool:
 
 
 @kernel
-def _filter_gains(
+def filter_gains(
     steps: Floats, present: Bools, orders: Ints, variances: Floats, noise: Floats, start: Floats, tables: Tables
 ) -> tuple[int, int, float]:
-    """Gains of the filter: entries, the steady one and the log determinant, as `run_filter`."""
+    """Gains of the filter of a record; the state is zero before the first row.
+
+    Parameters
+    ----------
+    steps : (n,) array
+        Step before each row in regular steps, exactly 1 where regular; the first is not used.
+    present : (n, c) array
+        Where there is a sample of channel j.
+    orders : (c,) array
+        Which derivative channel j measures.
+    variances : (c,) array
+        Noise of the channels.
+    noise : (m, m) array
+        Lower root of Qd over a regular step.
+    start : (m, m) array
+        Standard deviations of the state before the first row, on the diagonal.
+    tables : Tables
+        Filled, but for innovations and means.
+
+    Returns
+    -------
+    entries, steady, log_determinant : int, int, float
+        How many entries were filled; that of the settled rows, -1 if none have settled; sum of the logarithms of the
+        innovations' variances.
+    """
     n, c = present.shape
     m = len(start)
     index, anew, gains, inverse, roots = tables.entry, tables.anew, tables.gains, tables.inverse, tables.roots
     S, S_steady, last, M = np.empty((m, m)), np.empty((m, m)), np.empty((m, m)), np.empty((m, 2 * m))
     f = np.empty(m)
-    _begin(S, start)
-    widest = max(start[orders[0]], WIDE * np.sqrt(variances[0]))
+    copy_block(S, start)
+    widest = max(start[orders[0], orders[0]], WIDE * np.sqrt(variances[0]))
     entries, steady, log_determinant, steady_log = 0, -1, 0.0, 0.0
     settled, run, blank = False, 0, 0.0
     for t in range(n):
@@ -271,7 +287,7 @@ def _filter_gains(
             blank += steps[t]
             if blank > LONG_GAP and _width(S, orders[0]) > widest:
                 anew[t], regular, blank = True, False, 0.0
-                _begin(S, start)
+                copy_block(S, start)
         run = run + 1 if regular else 0
         settled = run > 1 and close(S, last, m, SETTLED)
         if settled and steady >= 0:
@@ -302,8 +318,11 @@ def _filter_gains(
 
 
 @kernel
-def _filter_means(samples: Floats, steps: Floats, orders: Ints, tables: Tables) -> float:
-    """Innovations and means, from gains; returns the sum of squared standardised innovations."""
+def filter_means(samples: Floats, steps: Floats, orders: Ints, tables: Tables) -> float:
+    """Innovations and means, from gains; returns the sum of squared standardised innovations.
+
+    `samples`, (n, c), are any finite numbers where none is present.
+    """
     n, c = samples.shape
     index, anew, gains, inverse, means = tables.entry, tables.anew, tables.gains, tables.inverse, tables.means
     m = gains.shape[2]
@@ -330,49 +349,6 @@ def _filter_means(samples: Floats, steps: Floats, orders: Ints, tables: Tables) 
             for i in range(m):
                 means[t, i] = x[i]
     return squares
-
-
-@kernel
-def run_filter(
-    samples: Floats,
-    present: Bools,
-    steps: Floats,
-    orders: Ints,
-    variances: Floats,
-    noise: Floats,
-    start: Floats,
-    tables: Tables,
-) -> tuple[int, int, float]:
-    """Filter a record; the state is zero before the first row.
-
-    Parameters
-    ----------
-    samples, present : (n, c) arrays
-        Samples of channel j, and where there is one; elsewhere any finite number.
-    steps : (n,) array
-        Step before each row in regular steps, exactly 1 where regular; the first is not used.
-    orders : (c,) array
-        Which derivative channel j measures.
-    variances : (c,) array
-        Noise of the channels.
-    noise : (m, m) array
-        Lower root of Qd over a regular step.
-    start : (m,) array
-        Standard deviations of the state before the first row.
-    tables : Tables
-        Filled.
-
-    Returns
-    -------
-    entries : int
-        How many entries were filled.
-    steady : int
-        The entry of the settled rows, -1 if none have settled.
-    deviance : float
-        Sum of the logarithms of the innovations' variances and of the squared standardised innovations.
-    """
-    entries, steady, log_determinant = _filter_gains(steps, present, orders, variances, noise, start, tables)
-    return entries, steady, log_determinant + _filter_means(samples, steps, orders, tables)
 
 
 @kernel
@@ -440,13 +416,8 @@ def score(
     Returns the leave-one-out log predictive density: given all other samples, a sample errs by u/D with variance 1/D.
     `errors` is filled with these errors and their standard deviations, (n or 0, c, 2), where there is room.
     """
-    index, anew, gains, inverse, innovations = (
-        tables.entry,
-        tables.anew,
-        tables.gains,
-        tables.inverse,
-        tables.innovations,
-    )
+    index, anew, gains = tables.entry, tables.anew, tables.gains
+    inverse, innovations = tables.inverse, tables.innovations
     n, c = innovations.shape
     m = len(noise)
     left_out, logs = 0.0, np.zeros(c)

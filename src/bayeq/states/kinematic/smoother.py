@@ -1,35 +1,157 @@
 """Kinematic smoother: a coordinate and its derivatives from noisy samples of any of them.
 
-The coordinate is an integrated Wiener process, whose derivatives are exact (`KinematicModel`); `fit_kinematic`
-finds its noise levels, `smooth_kinematic` its states.
+The coordinate is an integrated Wiener process, whose derivatives are exact (`KinematicModel`); `fit_kinematic` finds
+its noise levels, `smooth_kinematic` its states. Records are taken to units of their own (time in median steps, the
+coordinate in its size over a step), so that the numbers in the kernels are near 1 whatever the units of the data.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError
-from bayeq.states.kinematic.fit import fit_kinematic
+from bayeq.records.sampling import is_step
+from bayeq.states.kinematic.kalman import Tables, filter_gains, filter_means, score
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel, sizes_of
-from bayeq.states.kinematic.rows import Filtered, Rows, prepare
 from bayeq.states.kinematic.rts import smooth
 
-__all__ = [
-    "ChainSeries",
-    "KinematicModel",
-    "SmoothedStates",
-    "fit_kinematic",
-    "kinematic_log_likelihood",
-    "leave_one_out",
-    "one_sided",
-    "smooth_kinematic",
-]
+__all__ = ["Rows", "SmoothedStates", "filtered", "leave_one_out", "one_sided", "prepare", "smooth_kinematic"]
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Filtered:
+    """What the forward passes over a record leave."""
+
+    noise: Floats  # lower root of Qd over a regular step
+    steady: int
+    tables: Tables
+    log_likelihood: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """A record in units of its own, and the filter on it. States below `lowest` are left out."""
+
+    samples: Floats  # (n, c), 0 where missing
+    present: NDArray[np.bool_]  # (n, c)
+    steps: Floats  # (n,) in `step`, 1 where regular
+    measured: NDArray[np.int64]  # (c,)
+    lowest: int
+    step: float
+    scale: float
+    centre: float
+
+    @property
+    def irregular(self) -> int:
+        """Rows after an odd step or with a missing sample, on which gains cannot settle."""
+        return int(np.count_nonzero((self.steps[1:] != 1.0) | ~self.present[1:].all(axis=1)))
+
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return int(np.count_nonzero(self.present))
+
+    def take(self, rows: slice) -> Rows:
+        """A stretch of the record."""
+        return replace(self, samples=self.samples[rows], present=self.present[rows], steps=self.steps[rows])
+
+    def units(self, derivatives: ArrayLike) -> Floats:
+        """Units of some derivatives."""
+        return self.scale / self.step ** np.asarray(derivatives, dtype=np.float64)
+
+    @property
+    def log_jacobian(self) -> float:
+        """What takes a log density of the samples in own units to the data's."""
+        return -float(self.present.sum(axis=0) @ np.log(self.units(self.measured)))
+
+    def filter(self, order: int, density: float, noise_sd: Floats, initial_sd: Floats, keep: bool = False) -> Filtered:
+        """Filter the record.
+
+        Parameters
+        ----------
+        order, density : int, float
+            m and Q.
+        noise_sd, initial_sd : (K+1,) and (m,) arrays
+            Standard deviations of the channels' noise and of the first state.
+        keep : bool
+            Whether to keep the filtered states, which the smoother needs.
+        """
+        (n, c), m = self.samples.shape, order - self.lowest
+        orders = self.measured - self.lowest
+        variances = (noise_sd[self.measured] / self.units(self.measured)) ** 2
+        start = initial_sd[self.lowest :] / self.units(np.arange(self.lowest, order))
+        noise = math.sqrt(density) * self.step ** (order - 0.5) / self.scale * _unit_root(m)
+        tables = Tables(
+            entry=np.empty(n, np.int64),
+            anew=np.empty(n, np.bool_),
+            gains=np.empty((n, c, m)),
+            inverse=np.empty((n, c)),
+            roots=np.empty((n * keep, m, m)),
+            innovations=np.empty((n, c)),
+            means=np.empty((n * keep, m)),
+        )
+        entries, steady, logs = filter_gains(self.steps, self.present, orders, variances, noise, np.diag(start), tables)
+        deviance = logs + filter_means(self.samples, self.steps, orders, tables)
+        value = -0.5 * (deviance + self.count * math.log(2.0 * math.pi)) + self.log_jacobian
+        filled = {name: getattr(tables, name)[:entries] for name in ("gains", "inverse", "roots")}
+        return Filtered(noise, steady, tables._replace(**filled), value)
+
+    def score(self, filtered: Filtered, noise_sd: Floats) -> tuple[Floats, float]:
+        """Derivatives of the log-likelihood by ln R_k, K+1 of them, and ln Q; the leave-one-out log density."""
+        own, gradient = np.empty(len(self.measured) + 1), np.zeros(len(noise_sd) + 1)
+        orders = self.measured - self.lowest
+        left_out = score(self.steps, orders, filtered.tables, filtered.steady, filtered.noise, own, np.empty((0, 0, 2)))
+        gradient[self.measured] = own[:-1] * (noise_sd[self.measured] / self.units(self.measured)) ** 2
+        gradient[-1] = own[-1]
+        return gradient, left_out + self.log_jacobian
+
+
+def prepare(series: ChainSeries, initial_sd: Floats, all_states: bool = False) -> Rows:
+    """A record for the filter.
+
+    Parameters
+    ----------
+    series : ChainSeries
+        The record.
+    initial_sd : (m,) array
+        Sizes of the derivatives, which the units are taken from.
+    all_states : bool
+        Whether the states below the lowest measured derivative are wanted too: they say nothing about the samples,
+        and never settle.
+    """
+    seen = [k for k, channel in enumerate(series.channels) if channel is not None and np.isfinite(channel).any()]
+    measured = np.array(seen or series.measured, dtype=np.int64)
+    step = series.step
+    steps = np.append(0.0, np.where(is_step(series.times, step, 0.0), 1.0, np.diff(series.times) / step))
+    samples = np.stack([channel for k in measured if (channel := series.channels[k]) is not None], axis=1)
+    present = np.isfinite(samples)
+    centre, scale = 0.0, float(initial_sd[measured[0]]) * step ** int(measured[0])
+    if measured[0] == 0 and present[:, 0].any():
+        centre = float(samples[present[:, 0], 0].mean())
+        samples[:, 0] -= centre
+    samples[~present] = 0.0
+    rows = Rows(samples, present, steps, measured, 0 if all_states else int(measured[0]), step, scale, centre)
+    samples /= rows.units(measured)
+    return rows
+
+
+@lru_cache(maxsize=16)
+def _unit_root(m: int) -> Floats:
+    """Lower root of Qd over a step of 1 with Q = 1: Qd_ij = 1/((2m-1-i-j) (m-1-i)! (m-1-j)!)."""
+    back = np.arange(m - 1, -1, -1)
+    factorials = np.array([math.factorial(k) for k in back], dtype=np.float64)
+    root = np.asarray(
+        np.linalg.cholesky(1.0 / ((back[:, None] + back + 1) * np.outer(factorials, factorials))), np.float64
+    )
+    root.setflags(write=False)
+    return root
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,9 +162,6 @@ class SmoothedStates:
     ----------
     mean : (n, m) array
         q, q', ..., q^(m-1) in their own units.
-    innovations : (n, K+1) array
-        One-step prediction errors over their standard deviations, each channel predicted from the rows before and
-        from the lower derivatives in its own row: independent N(0, 1) if the model holds. NaN without a sample.
     covariances : (u, m, m) array
         The covariances that occur: those of uniform sampling away from ends and gaps are one.
     entry : (n,) array of int
@@ -50,13 +169,8 @@ class SmoothedStates:
     """
 
     mean: Floats
-    innovations: Floats
     covariances: Floats
     entry: NDArray[np.int64]
-
-    def covariance_at(self, rows: ArrayLike | slice) -> Floats:
-        """Covariances of the states in some rows, (..., m, m)."""
-        return self.covariances[self.entry[rows if isinstance(rows, slice) else np.asarray(rows)]]
 
     @property
     def sd(self) -> Floats:
@@ -90,34 +204,20 @@ def smooth_kinematic(series: ChainSeries, model: KinematicModel) -> SmoothedStat
     >>> smoothed = smooth_kinematic(ChainSeries(t, (np.sin(t), None)), KinematicModel(3, 1.0, (1e-4, None)))
     >>> bool(np.allclose(smoothed.mean[:, 1], np.cos(t), atol=0.01))
     True
-    >>> smoothed.covariance_at([0, 100]).shape
-    (2, 3, 3)
+    >>> smoothed.sd.shape
+    (200, 3)
     """
-    rows, filtered = _filtered(series, model, all_states=True)
-    tables, mean = filtered.tables, filtered.tables.means
+    rows, given = filtered(series, model, states=True)
+    mean = given.tables.means
     n, m = mean.shape
     covariances, entry = np.empty((n, m, m)), np.empty(n, np.int64)
-    entries = smooth(rows.steps, tables, filtered.steady, filtered.noise, covariances, entry)
+    entries = smooth(rows.steps, given.tables, given.steady, given.noise, covariances, entry)
     units = rows.units(np.arange(m))
     mean *= units
     mean[:, 0] += rows.centre
     kept = covariances[:entries].copy() if entries < n else covariances
     kept *= np.outer(units, units)
-    innovations = np.full((n, len(series.channels)), np.nan)
-    standard = tables.innovations * np.sqrt(tables.inverse)[tables.entry]
-    innovations[:, rows.measured] = np.where(rows.present, standard, np.nan)
-    return SmoothedStates(mean, innovations, kept, entry)
-
-
-def kinematic_log_likelihood(series: Sequence[ChainSeries], model: KinematicModel) -> float:
-    """Log density of the samples of some records, in the data's units; long gaps as in `smooth_kinematic`.
-
-    Raises
-    ------
-    InputError
-        As `smooth_kinematic`.
-    """
-    return sum(_filtered(s, model, keep=False)[1].log_likelihood for s in series)
+    return SmoothedStates(mean, kept, entry)
 
 
 def leave_one_out(series: ChainSeries, model: KinematicModel) -> Floats:
@@ -140,9 +240,11 @@ def leave_one_out(series: ChainSeries, model: KinematicModel) -> Floats:
     InputError
         As `smooth_kinematic`.
     """
-    rows, filtered = _filtered(series, model)
+    rows, given = filtered(series, model)
+    errors, gradient = np.full((*rows.samples.shape, 2), np.nan), np.empty(len(rows.measured) + 1)
+    score(rows.steps, rows.measured - rows.lowest, given.tables, given.steady, given.noise, gradient, errors)
     out = np.full((series.n, len(series.channels), 2), np.nan)
-    out[:, rows.measured] = rows.left_out(filtered)
+    out[:, rows.measured] = errors * rows.units(rows.measured)[:, None]
     return out
 
 
@@ -168,15 +270,20 @@ def one_sided(series: ChainSeries, model: KinematicModel) -> tuple[Floats, Float
 
 
 def _filtered_means(series: ChainSeries, model: KinematicModel) -> Floats:
-    rows, filtered = _filtered(series, model, all_states=True)
-    mean = filtered.tables.means * rows.units(np.arange(model.order))
+    rows, given = filtered(series, model, states=True)
+    mean = given.tables.means * rows.units(np.arange(model.order))
     mean[:, 0] += rows.centre
     return mean
 
 
-def _filtered(
-    series: ChainSeries, model: KinematicModel, *, all_states: bool = False, keep: bool = True
-) -> tuple[Rows, Filtered]:
+def filtered(series: ChainSeries, model: KinematicModel, states: bool = False) -> tuple[Rows, Filtered]:
+    """A record as the kernels see it, and what the filter leaves of it: also of the states, where they are wanted.
+
+    Raises
+    ------
+    InputError
+        As `smooth_kinematic`.
+    """
     if len(series.channels) != len(model.noise_sd):
         raise InputError(
             f"the model is of a chain of {len(model.noise_sd) - 1} derivatives, the record of one of"
@@ -190,5 +297,5 @@ def _filtered(
         initial = sizes_of([series], least=model.noise_sd).initial_sd(model.order)
     else:
         initial = np.array(model.initial_sd, dtype=np.float64)
-    rows = prepare(series, initial, all_states)
-    return rows, rows.filter(model.order, model.spectral_density, noise_sd, initial, keep)
+    rows = prepare(series, initial, states)
+    return rows, rows.filter(model.order, model.spectral_density, noise_sd, initial, states)
