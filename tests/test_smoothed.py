@@ -52,7 +52,8 @@ def test_noise_in_states_is_cut_and_derivatives_agree():
     # the smoothed velocity is the derivative of the smoothed displacement
     slope = np.gradient(states[:, 0], rec.time)
     assert np.std((slope - states[:, 1])[5:-5]) < 0.01 * np.std(states[:, 1])
-    assert smoothing.noise_ratio == pytest.approx(0.05, rel=0.05)
+    for k, name in enumerate(("x", "v")):
+        assert smoothing.model.noise_sd[k] == pytest.approx(0.05 * rec.truth.clean[name].std(), rel=0.05)
     assert 60.0 < smoothing.band[1] < 300.0  # the force's band is 0-100 Hz
     gain = smoothing.gain(np.array([1.0, 20.0, 400.0]))
     assert gain[0] > 0.999
@@ -69,7 +70,8 @@ def test_units_that_do_not_belong_together_are_put_right_within_the_smoother(fac
     np.testing.assert_allclose(
         (ours / np.array(factors))[:, :2], plain[:, :2], atol=0.01 * np.abs(plain[:, :2]).max(axis=0).max()
     )
-    assert smoothing.noise_ratio < 0.03
+    for k, name in enumerate(("x", "v")):
+        assert smoothing.model.noise_sd[k] * abs(smoothing.unit_gains[k]) < 0.03 * scaled[name].std()
 
 
 def test_rows_held_out_do_not_touch_the_others():

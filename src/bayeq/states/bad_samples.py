@@ -269,8 +269,10 @@ class _Group:
         least, model = _least(self.series), known
         for _ in range(PASSES):
             used = [_without(s, spikes | d) for s, spikes, d in zip(self.series, self.spikes, doubtful, strict=True)]
-            model = known or _fitted(used)
-            if model is None:
+            try:
+                # noise levels that are not quite the likeliest do as well
+                model = known or fit_kinematic(used, doubts=False)
+            except InputError:  # too few samples, or a constant channel
                 return None
             found = _standing_out([_judged(s, model, least) for s in used])
             for i, (row, k) in found:
@@ -290,15 +292,6 @@ class _Group:
         # of white noise steps have twice the variance
         steps, spread = np.median(np.abs(np.diff(values))), np.median(np.abs(values - np.median(values)))
         return bool(steps >= ONLY_NOISE * math.sqrt(2.0) * spread)
-
-
-def _fitted(series: Sequence[ChainSeries]) -> KinematicModel | None:
-    """The model of some samples; None of too few, or of a constant channel."""
-    try:
-        # noise levels that are not quite the likeliest do as well
-        return fit_kinematic(series, doubts=False)
-    except InputError:
-        return None
 
 
 def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:

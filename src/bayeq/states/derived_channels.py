@@ -95,7 +95,8 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int
         return []
     cuts = [cut_at(record.n, share) for record in even]
     source = names[0]
-    noise = _rough_noise([record[source][:cut] for record, cut in zip(even, cuts, strict=True)])
+    samples = [record[source][:cut] for record, cut in zip(even, cuts, strict=True)]
+    noise = _rough_noise(samples)
     suspected = []
     for k, name in enumerate(chain.measured):
         if name is None or name == source:
@@ -111,9 +112,9 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int
         _, alone = smooth_chain(even, Chain(lowest), cuts)
     except RecordError:  # noise and motion cannot be told apart: neither can measured channels and computed ones
         return []
-    if alone.noise_ratio < ROUNDING_NOISE:
-        return []
     noise = float(alone.model.noise_sd[chain.lowest] or 0.0)
+    if noise / float(np.nanstd(np.concatenate(samples))) < ROUNDING_NOISE:
+        return []
     return [k for k, left, gain in suspected if left < COMPUTED * gain * noise]
 
 

@@ -53,9 +53,6 @@ class ChainSmoothing:
         Noise levels and roughness, shared by all records.
     fs : float or None
         Sampling rate [Hz], if all records are sampled uniformly at one rate.
-    noise_ratio : float
-        Noise of the noisiest measured state (all derivatives but the highest, unless that alone is measured), over the
-        standard deviation of its channel.
     unit_gains : (K+1,) array
         From `bayeq.states.unit_gains`.
     coordinate_sd : float or None
@@ -69,7 +66,6 @@ class ChainSmoothing:
 
     model: KinematicModel
     fs: float | None
-    noise_ratio: float
     unit_gains: Floats
     coordinate_sd: float | None = None
     target_variance: float = 0.0
@@ -209,15 +205,10 @@ def smooth_chain(
         if s.n - cut == 1:
             smoothed.append(smoothed[0][-1:])
         means.append(np.concatenate(smoothed) * gains)
-    states = [k for k in series[0].measured if k < chain.order] or list(series[0].measured)
-    ratio = 0.0
-    for k in states:
-        samples = np.concatenate([np.asarray(s.channels[k]) for s in series])
-        ratio = max(ratio, float(model.noise_sd[k] or 0.0) * abs(gains[k]) / float(np.nanstd(samples)))
     sd = np.concatenate(target)
     variance, noise_sd = float(np.median(sd[:, 0]) * gains[-1]) ** 2, model.noise_sd[chain.lowest]
     freedom = min(float(np.mean(sd[:, 1] ** 2)) / noise_sd**2, 1.0) if noise_sd else 1.0
-    return means, ChainSmoothing(model, _rate(series), ratio, gains, bound, variance, freedom)
+    return means, ChainSmoothing(model, _rate(series), gains, bound, variance, freedom)
 
 
 def smooth_further(record: Record, chain: Chain, smoothing: ChainSmoothing) -> Floats:

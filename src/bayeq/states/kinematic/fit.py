@@ -210,15 +210,11 @@ def _best_order(fitted: Callable[[int], KinematicModel], first: int, orders: ran
     start = best = fitted(first)
     for direction in (1, -1):
         order = first + direction
-        while order in orders and _left_out(other := fitted(order)) > _left_out(best):
+        while order in orders and (other := fitted(order)).left_out > best.left_out:
             best, order = other, order + direction
         if best is not start:
             break
     return best
-
-
-def _left_out(model: KinematicModel) -> float:
-    return -math.inf if model.left_out is None else model.left_out
 
 
 class _Likelihood:

@@ -115,7 +115,7 @@ class KinematicModel:
     log_likelihood : float, optional
         Of the samples that the model was fitted to.
     left_out : float, optional
-        Sum over these samples of the log density that all other samples predict.
+        Sum over these samples of the log density that all other samples predict; -inf if it was not fitted.
 
     Raises
     ------
@@ -128,7 +128,7 @@ class KinematicModel:
     noise_sd: tuple[float | None, ...]
     initial_sd: tuple[float, ...] | None = None
     log_likelihood: float | None = None
-    left_out: float | None = None
+    left_out: float = -math.inf
 
     def __post_init__(self) -> None:
         check_order(self.order, len(self.noise_sd))
