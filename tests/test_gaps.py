@@ -7,7 +7,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.records import split_at_gaps
-from bayeq.states.uniform_grid import filled_in, on_grid
+from bayeq.states.prepare import filled_in, on_grid
 from bayeq.systems.system import BandLimitedForce, System
 
 # the input fills the band up to 5 Hz; the strongest lines of x are far slower

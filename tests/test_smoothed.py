@@ -11,7 +11,7 @@ from bayeq.errors import DataWarning
 from bayeq.records import split_at_gaps
 from bayeq.states import Roles, estimate_motion, parse_chains
 from bayeq.states.kinematic.chain_smoother import smooth_chain
-from bayeq.states.uniform_grid import on_grid
+from bayeq.states.prepare import on_grid
 
 CHAIN = parse_chains(["x:v:a"])
 ROLES = Roles(tuple(CHAIN), ("u",))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bayeq.errors import RecordError
 from bayeq.records import Record
 from bayeq.records.sampling import even_step
-from bayeq.states.uniform_grid import on_grid
+from bayeq.states.prepare import on_grid
 
 __all__ = ["without_hum"]
 

@@ -21,8 +21,8 @@ from bayeq.records import Record
 from bayeq.states.derive import known, usable
 from bayeq.states.kinematic.chain_smoother import smooth_chain
 from bayeq.states.motion import cut_at
+from bayeq.states.prepare import on_grid
 from bayeq.states.roles import Chain
-from bayeq.states.uniform_grid import on_grid
 
 __all__ = ["measured_apart"]
 

@@ -14,10 +14,9 @@ from bayeq.expressions.functions import TIME
 from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
-from bayeq.states.prepare import bridged_record, complete_rows, has_all
+from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid
 from bayeq.states.roles import Chain, Roles
 from bayeq.states.sensors import Sensors
-from bayeq.states.uniform_grid import filled_in, on_grid
 from bayeq.states.unit_gains import unit_gains
 
 __all__ = ["FEW_ROWS", "Motion", "MotionRows", "cut_at", "estimate_motion", "further_rows", "held_out_share"]
@@ -148,7 +147,7 @@ class Motion:
 
 
 def held_out_share(holdout: float, rows: int) -> float:
-    """The share of the rows to hold out: none of few."""
+    """Hold-out share: 0 for short records."""
     return holdout if rows >= LEAST_ROWS_TO_HOLD_OUT else 0.0
 
 
