@@ -313,7 +313,7 @@ def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
 
 
 def _places(rows: NDArray[np.intp], apart: int) -> list[NDArray[np.intp]]:
-    """Rows, divided where they are further apart than so many."""
+    """Rows, divided where neighbours are further apart than this."""
     return [part for part in np.split(rows, np.flatnonzero(np.diff(rows) > apart) + 1) if len(part)]
 
 

@@ -258,7 +258,7 @@ def filter_gains(
     start : (m, m) array
         Standard deviations of the state before the first row, on the diagonal.
     tables : Tables
-        Filled, but for innovations and means.
+        Zeros in gains and inverse; filled, but for innovations and means.
 
     Returns
     -------
@@ -298,9 +298,6 @@ def filter_gains(
         copy_block(last, S)
         logs = 0.0
         for j in range(c):
-            for i in range(m):
-                gains[entries, j, i] = 0.0
-            inverse[entries, j] = 0.0
             if present[t, j]:
                 variance = _measure(S, orders[j], variances[j], gains[entries, j])
                 inverse[entries, j] = 1.0 / variance
@@ -406,7 +403,7 @@ def _same_information(A: Floats, B: Floats) -> bool:
 def score(
     steps: Floats, orders: Ints, tables: Tables, steady: int, noise: Floats, gradient: Floats, errors: Floats
 ) -> float:
-    """Gradient of the log-likelihood with respect to each channel's variance and ln Q, (c + 1,).
+    """Gradient of the log-likelihood with respect to each channel's variance and ln Q, added to zeros (c + 1,).
 
     With r and N carried backwards from 0 through
     u = v/S - g'r, D = 1/S + g'Ng, r <- r + e_k u, N <- (I - g e_k')'N(I - g e_k') + e_k e_k'/S
@@ -422,14 +419,10 @@ def score(
     m = len(noise)
     left_out, logs = 0.0, np.zeros(c)
     r, N, last, w = np.zeros(m), np.zeros((m, m)), np.zeros((m, m)), np.empty(m)
-    f, regular_f, scales, regular_scales = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
+    f, regular_f, scales, regular_scales, nothing = np.empty(m), np.empty(m), np.empty(m), np.ones(m), np.zeros((m, m))
     expected, Qd, moments = np.zeros(c + 1), np.empty((m, m)), np.zeros((m, m))
     outer(noise, Qd)
     taylor(1.0, regular_f)
-    for i in range(m):
-        regular_scales[i] = 1.0
-    for j in range(c + 1):
-        gradient[j] = 0.0
     settled, run = False, 0
     for t in range(n - 1, -1, -1):
         entry = index[t]
@@ -455,8 +448,7 @@ def score(
         if anew[t]:
             for i in range(m):
                 r[i] = 0.0
-                for j in range(m):
-                    N[i, j] = 0.0
+            copy_block(N, nothing)
             continue
         h = steps[t]
         s, g = regular_scales, regular_f

@@ -91,8 +91,8 @@ class Rows:
         tables = Tables(
             entry=np.empty(n, np.int64),
             anew=np.empty(n, np.bool_),
-            gains=np.empty((n, c, m)),
-            inverse=np.empty((n, c)),
+            gains=np.zeros((n, c, m)),
+            inverse=np.zeros((n, c)),
             roots=np.empty((n * keep, m, m)),
             innovations=np.empty((n, c)),
             means=np.empty((n * keep, m)),
@@ -105,7 +105,7 @@ class Rows:
 
     def score(self, filtered: Filtered, noise_sd: Floats) -> tuple[Floats, float]:
         """Derivatives of the log-likelihood by ln R_k, K+1 of them, and ln Q; the leave-one-out log density."""
-        own, gradient = np.empty(len(self.measured) + 1), np.zeros(len(noise_sd) + 1)
+        own, gradient = np.zeros(len(self.measured) + 1), np.zeros(len(noise_sd) + 1)
         orders = self.measured - self.lowest
         left_out = score(self.steps, orders, filtered.tables, filtered.steady, filtered.noise, own, np.empty((0, 0, 2)))
         gradient[self.measured] = own[:-1] * (noise_sd[self.measured] / self.units(self.measured)) ** 2
@@ -241,7 +241,7 @@ def leave_one_out(series: ChainSeries, model: KinematicModel) -> Floats:
         As `smooth_kinematic`.
     """
     rows, given = filtered(series, model)
-    errors, gradient = np.full((*rows.samples.shape, 2), np.nan), np.empty(len(rows.measured) + 1)
+    errors, gradient = np.full((*rows.samples.shape, 2), np.nan), np.zeros(len(rows.measured) + 1)
     score(rows.steps, rows.measured - rows.lowest, given.tables, given.steady, given.noise, gradient, errors)
     out = np.full((series.n, len(series.channels), 2), np.nan)
     out[:, rows.measured] = errors * rows.units(rows.measured)[:, None]
