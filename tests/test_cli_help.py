@@ -171,7 +171,7 @@ def test_what_took_long_is_printed_before_it_is_saved(record, tmp_path):
 
 
 def test_the_verdict_comes_first_and_rate_and_length_are_printed(record, capsys):
-    assert main(["discover", str(record), *OSCILLATOR]) == 0
+    assert main(["discover", str(record), *OSCILLATOR, "--verbose"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("verdict: ")
     assert lines[2].startswith("a = ")
@@ -210,7 +210,7 @@ def test_long_names_do_not_break_the_table(tmp_path, capsys):
     bq.write(bq.Record(dict(zip(names, (rec[name] for name in "xvau"), strict=True)), rec.time), path)
     roles = [part for pair in zip(("--disp", "--vel", "--acc", "--force"), names, strict=True) for part in pair]
     x, v, _, u = names
-    assert main(["discover", str(path), *roles, "--dictionary", f"{x}, {v}, {x}**3, {x}**2*{v}, {u}"]) == 0
+    assert main(["discover", str(path), *roles, "--verbose", "--dictionary", f"{x}, {v}, {x}**3, {x}**2*{v}, {u}"]) == 0
     out = capsys.readouterr().out
     table = [line for line in out.splitlines() if line.startswith("|")]
     assert len({len(line) for line in table}) == 1

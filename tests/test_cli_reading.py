@@ -122,7 +122,7 @@ def test_row_numbers_are_time_where_it_is_not_known(duffing, tmp_path, capsys):
     assert (answer["data"]["fs"], answer["data"]["seconds"], answer["data"]["rows_as_time"]) == (None, None, True)
     # all channels are measured: the equation is the same
     assert coef["x"] == pytest.approx(-K, rel=0.02)
-    code, out, _ = run(capsys, "discover", path, *CHANNELS)
+    code, out, _ = run(capsys, "discover", path, *CHANNELS, "--verbose")
     assert code == 0
     assert "1500 rows, time not known, of run.csv" in out
     assert "free run over the held-out rows: normalised" in out

@@ -213,7 +213,7 @@ def test_what_does_not_oscillate_has_no_frequency():
 @pytest.mark.parametrize(
     ("coef", "options", "message"),
     [
-        ({"v": -1.0, "u": 0.5}, {}, "no restoring term"),
+        ({"x*v": -1.0, "u": 0.5}, {}, "neither a restoring term"),
         (DUFFING, {"mass": -1.0}, "mass must be positive"),
         (DUFFING, {"mass": math.inf}, "mass must be positive"),
         (DUFFING, {"draws": 10}, "at least 100"),
@@ -251,13 +251,16 @@ def test_equations_without_or_with_several_of_second_order():
     x = rng.normal(size=(200, 2))
     flow = bq.Record.from_arrays(x=x[:, 0], dx=-x[:, 0] + 0.01 * x[:, 1], fs=10.0)
     first = bq.discover(flow, chains=["x:dx"], dictionary=["x", "x**2"], smooth="none")
-    with pytest.raises(InputError, match=r"only dx \(order 1\)"):
-        first.physical()
+    assert first.physical()["tau[x]"].mean == pytest.approx(1.0, rel=0.01)
+    with pytest.raises(InputError, match="second-order"):
+        first.physical(target="dx")
     a, b = (-(k**2) * x[:, 0] - 0.1 * x[:, 1] + 0.01 * rng.normal(size=200) for k in (3.0, 4.0))
     two = bq.Record.from_arrays(x=x[:, 0], v=x[:, 1], a=a, y=x[:, 0], w=x[:, 1], b=b, fs=10.0)
     both = bq.discover(two, chains=["x:v:a", "y:w:b"], dictionary=["x", "v"], smooth="none")
+    found = both.physical()
+    assert found.modes[0].frequency.mean == pytest.approx(3.0 / math.tau, rel=0.01)  # y is a copy of x: one mode
     with pytest.raises(InputError, match="name one of the equations as target: a, b"):
-        both.physical()
+        both.physical(mass=1.0)
     assert both.physical(target="a")["omega_n"].mean == pytest.approx(3.0, rel=0.01)
 
 
@@ -276,3 +279,66 @@ def test_an_angle_from_the_upright_position_is_no_stand_off():
     found = eq.physical()
     assert found["k/m"].low < 9.81 < found["k/m"].high
     assert found["x0"].mean == pytest.approx(math.pi, abs=0.01)
+
+
+def two_masses():
+    """Two masses on springs, the first driven; matrices M, C, K and the record."""
+    M, C = np.diag([1.5, 0.8]), np.array([[2.1, -0.9], [-0.9, 0.9]])
+    K = np.array([[4800.0, -1800.0], [-1800.0, 1800.0]])
+    rng, n, fine, fs = np.random.default_rng(0), 1200, 10, 200.0
+    force = np.convolve(rng.standard_normal(n * fine), np.hanning(60), "same") * 20.0
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
+    b = np.array([0.0, 0.0, 1.0 / 1.5, 0.0])
+    # the exact step of a force that is straight between samples: exp of the augmented matrix
+    h = 1.0 / (fs * fine)
+    whole = np.zeros((6, 6))
+    whole[:4, :4], whole[:4, 4], whole[4, 5] = A, b, 1.0
+    step = sum(np.linalg.matrix_power(whole * h, k) / math.factorial(k) for k in range(12))
+    state, states = np.zeros(4), np.zeros((n * fine, 4))
+    for k in range(1, n * fine):
+        state = step[:4, :4] @ state + step[:4, 4] * force[k - 1] + step[:4, 5] * (force[k] - force[k - 1]) / h
+        states[k] = state
+    channels = {"x1": states[:, 0], "x2": states[:, 1], "u": force}
+    noisy = {name: x[::fine] + 0.01 * x.std() * rng.standard_normal(n) for name, x in channels.items()}
+    return M, C, K, bq.Record.from_arrays(noisy, fs=fs, units={"x1": "m", "x2": "m", "u": "N"})
+
+
+def test_modes_of_two_masses_against_an_eigenvalue_solver():
+    M, C, K, record = two_masses()
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
+    values, vectors = np.linalg.eig(A)
+    order = [k for k in np.argsort(np.abs(values)) if values[k].imag > 0.0]
+    eq = bq.discover(record, chains=["x1::", "x2::"], inputs=["u"], dictionary="polynomial:1")
+    found = eq.physical()
+    for mode, k in zip(found.modes, order, strict=True):
+        frequency, ratio = abs(values[k]) / math.tau, -values[k].real / abs(values[k])
+        assert abs(mode.frequency.mean - frequency) < 4.0 * mode.frequency.sd
+        assert abs(mode.damping_ratio.mean - ratio) < 4.0 * mode.damping_ratio.sd
+        shape = (vectors[:2, k] / vectors[np.argmax(np.abs(vectors[:2, k])), k]).real
+        np.testing.assert_allclose(list(mode.shape.values()), shape, atol=0.02)
+    # 5.07 and 10.6 Hz; of each mass with the other held still they would be 9.0 and 7.5
+    assert [round(mode.frequency.mean, 1) for mode in found.modes] == [5.1, 10.6]
+    for symbol, value in {"m_1": 1.5, "m_2": 0.8, "k_11": 4800.0, "k_12": -1800.0, "k_22": 1800.0}.items():
+        assert abs(found[symbol].mean - value) < 4.0 * found[symbol].sd
+    assert (found["m_1"].unit, found["k_12"].unit, found["c_11"].unit) == ("kg", "N/m", "N*s/m")
+    told = eq.to_dict()
+    assert [one["frequency"] for one in told["modes"]] == pytest.approx([5.07, 10.6], rel=0.01)
+    assert {one["name"] for one in told["parameters"]} >= {"f_1", "zeta_2", "m_1", "k_12", "c_22"}
+
+
+def test_a_stage_without_stiffness_and_a_time_constant():
+    found = parameters({"v": -3.2, "sign(v)": -1.2, "u": 0.4})
+    assert found["m"].mean == pytest.approx(2.5, rel=1e-3)
+    assert found["c"].mean == pytest.approx(8.0, rel=1e-3)
+    assert found["Fc"].mean == pytest.approx(3.0, rel=1e-3)
+    assert not found.modes
+    rng, n = np.random.default_rng(0), 600
+    power, temperature = np.repeat(rng.uniform(0.0, 5.0, 12), 50), np.full(n, 20.0)
+    for k in range(n - 1):  # the exact step of a held power
+        temperature[k + 1] = (
+            20.0 + (temperature[k] - 20.0) * math.exp(-1 / 40) + 12.0 * power[k] * (1 - math.exp(-1 / 40))
+        )
+    record = bq.Record.from_arrays({"T": temperature + 0.05 * rng.normal(size=n), "P": power}, fs=1.0)
+    heated = bq.discover(record, chains="T", inputs=["P"], dictionary="polynomial:2").physical()
+    assert abs(heated["tau[T]"].mean - 40.0) < 4.0 * heated["tau[T]"].sd
+    assert abs(heated["gain[T, P]"].mean - 12.0) < 4.0 * heated["gain[T, P]"].sd

@@ -10,7 +10,6 @@ from dataclasses import fields
 from importlib.resources import files
 
 import pytest
-from bayeq.plan.measured import Measured
 
 import bayeq as bq
 from bayeq.equation.equation import RunnerUp
@@ -19,6 +18,7 @@ from bayeq.equation.verdict import Verdict
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.forecast.score import Scores
 from bayeq.inference.engines import ENGINES
+from bayeq.plan.conditions import Measured
 from bayeq.plan.models import CandidateModel
 from bayeq.refine.refine import Refinement
 from bayeq.regression.design import DroppedTerm

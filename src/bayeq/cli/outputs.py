@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["OUTPUTS", "Outputs", "require_place", "show_equations"]
 
+# What parameters of several coordinates together are called.
+MODES = "modes"
+
 # What a file is for, by option.
 PURPOSES = {
     "save": "to save the equations to",
@@ -78,14 +81,6 @@ class Outputs:
             from bayeq.equation.sensitivity import require_spike_slab
 
             require_spike_slab(options["method"])
-        if self.physical and options["chains"] and options["displacement"] is None:
-            from bayeq.states import parse_chains
-
-            if all(chain.order != 2 for chain in parse_chains(list(options["chains"]))):
-                raise InputError(
-                    "--physical: parameters are those of a second-order equation, such as that of --chain x:v:a or"
-                    f" x::, but there is only {', '.join(options['chains'])}"
-                )
 
     def check_records(self, records: Sequence[Record]) -> None:
         """Refuse records without time where it is needed."""
@@ -206,7 +201,8 @@ def show_equations(
 
     click.echo(render(answer, with_warnings=False, conditional=conditional))
     for target, parameters in _physical(answer).items() if physical else ():
-        click.echo(f"\nphysical parameters, from the equation of {target}\n\n{parameters}")
+        where = "all equations together" if target == MODES else f"the equation of {target}"
+        click.echo(f"\nphysical parameters, from {where}\n\n{parameters}")
     if explain:
         from bayeq.equation.explain import explanation
 
@@ -271,9 +267,11 @@ def _files_of_terms(options: Mapping[str, Any]) -> list[Path]:
 
 
 def _physical(answer: Equations) -> dict[str, PhysicalParameters]:
-    """Of every equation of second order."""
+    """Of the only equation of second order, of all of several together, or of states of first order."""
     second = [equation.target for equation in answer if equation.chain.order == 2]
-    return {target: answer.physical(target=target) for target in second}
+    if len(second) == 1:
+        return {second[0]: answer.physical(target=second[0])}
+    return {MODES if second else ", ".join(equation.target for equation in answer): answer.physical()}
 
 
 def _plain(parameters: PhysicalParameters) -> list[dict[str, Any]]:

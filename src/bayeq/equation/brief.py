@@ -9,10 +9,10 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation, round_to
-from bayeq.equation.oscillator import oscillator_parameters
+from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.physical import PhysicalParameters, Quantity, force_of
-from bayeq.equation.text import CERTAIN, DOUBTFUL, NOTEWORTHY_PIP, escape, source_of
-from bayeq.errors import InputError
+from bayeq.equation.short_names import short_names, with_names
+from bayeq.equation.text import CERTAIN, DOUBTFUL, LONGEST_NAME, NOTEWORTHY_PIP, printable, source_of
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES
 
@@ -38,10 +38,14 @@ def brief(eq: Answer) -> str:
     lines = _wrapped(f"verdict: {eq.verdict.kind}: {_sentence(eq)}")
     if eq.verdict.kind == "none":
         return "\n".join([*lines, "", *_wrapped(_what_to_try(eq))])
-    physical = _physical(eq)
+    physical = own_parameters(eq)
     for one in eq.equations:
         found = physical if len(eq.equations) == 1 else None
-        lines += ["", *(() if found is None else _law(one, found, eq.inputs)), *_wrapped(escape(one.text), "    ")]
+        lines += [
+            "",
+            *(() if found is None else _law(one, found, eq.inputs)),
+            *map(_bold, _wrapped(printable(one.text), "    ")),
+        ]
         if found is None or _doubtful(one):
             lines += _table(one, ENGINES[eq.method].score)
     if physical is not None and len(eq.equations) > 1:
@@ -50,7 +54,16 @@ def brief(eq: Answer) -> str:
     for one in eq.equations:
         lines += _wrapped(_checks(one, eq))
         lines += [line for text in (*_failed(one), *_unseen(one)) for line in _wrapped(text)]
+    if eq.refined is not None:
+        lines += _wrapped(printable(str(eq.refined)))
+    if eq.constraints:
+        lines += _wrapped(printable(f"constraints: {'; '.join(eq.constraints)}"))
     return "\n".join([*lines, *_wrapped(source_of(eq, short=True))])
+
+
+def _bold(line: str) -> str:
+    """For a terminal; `click.echo` takes it out elsewhere."""
+    return f"\x1b[1m{line}\x1b[0m"
 
 
 def _wrapped(text: str, indent: str = "  ") -> list[str]:
@@ -68,31 +81,23 @@ def _sentence(eq: Answer) -> str:
             unit = eq.equations[0].units.get(name, "")
             ranges.append(f"{name} {low:.2g} .. {high:.2g}{' ' if unit else ''}{unit}")
     within = f" for {', '.join(ranges)}" if ranges else ""
-    return escape(f"no test speaks against {'it' if len(eq.equations) == 1 else 'them'}{within}")
+    return printable(f"no test speaks against {'it' if len(eq.equations) == 1 else 'them'}{within}")
 
 
 def _what_to_try(eq: Answer) -> str:
     names = [name for name in eq.data.files if name]
-    file = escape(names[0]) if names else "FILE"
+    file = printable(names[0]) if names else "FILE"
     return (
         "Likely a channel has another role, unit or sign than was said, or the candidates lack what moves it."
         f" Try: bayeq info {file}"
     )
 
 
-def _physical(eq: Answer) -> PhysicalParameters | None:
-    """Physical parameters; None where the equations have none."""
-    try:
-        return oscillator_parameters(eq, None, target=None, force=None, draws=2000, seed=0)
-    except InputError:
-        return None
-
-
 def _law(equation: Equation, found: PhysicalParameters, inputs: Sequence[str]) -> Iterator[str]:
     """The law in physical parameters, and these."""
     law = _in_symbols(equation, found, inputs)
     if law is not None:
-        yield escape(law)
+        yield printable(law)
     yield from _quantities([q for q in found if q.symbol not in DERIVED])
 
 
@@ -134,14 +139,15 @@ def _doubtful(equation: Equation) -> bool:
 
 def _table(equation: Equation, score: str) -> list[str]:
     p, with_pip = equation.shown_posterior, _doubtful(equation)
+    short = short_names([term.text for term in equation.terms], LONGEST_NAME)
     rows = [("term", "coefficient", "95 % interval", "unit", score)]
     for j, term in enumerate(equation.terms):
         unit, pip = equation.coef_units[j] or "", f"{equation.posterior.pip[j]:.3f}"
         if p.support[j]:
             low, high = (round_to(end, p.sd[j]) for end in equation.printed_ci95[j])
-            rows.append((term.text, round_to(p.coef[j], p.sd[j]), f"{low} .. {high}", unit, pip))
+            rows.append((with_names(term.text, short), round_to(p.coef[j], p.sd[j]), f"{low} .. {high}", unit, pip))
         elif with_pip and equation.posterior.pip[j] >= NOTEWORTHY_PIP:
-            rows.append((term.text, "not in it", "", "", pip))
+            rows.append((with_names(term.text, short), "not in it", "", "", pip))
     if equation.intercept_matters:
         value, sd = equation.intercept_estimate
         low, high = (round_to(end, sd) for end in equation.printed_intercept_ci95)
@@ -149,7 +155,7 @@ def _table(equation: Equation, score: str) -> list[str]:
     columns = [0, 1, 2, *([3] if any(row[3] for row in rows[1:]) else []), *([4] if with_pip else [])]
     widths = {k: max(len(row[k]) for row in rows) for k in columns}
     return [
-        escape("    " + "  ".join(f"{row[k]:{'<' if k in (0, 3) else '>'}{widths[k]}}" for k in columns).rstrip())
+        printable("    " + "  ".join(f"{row[k]:{'<' if k in (0, 3) else '>'}{widths[k]}}" for k in columns).rstrip())
         for row in rows
     ]
 
@@ -168,7 +174,7 @@ def _checks(equation: Equation, eq: Answer) -> str:
         parts.append(f"a free run over them blew up at {eq.scores.blew_up_at:.6g} s")
     if not list(_failed(equation)) and equation.verdict.kind == "found":
         parts.append("what is left looks like noise")
-    return escape(f"checked on {fit.n} {where}: {', '.join(parts)}")
+    return printable(f"checked on {fit.n} {where}: {', '.join(parts)}")
 
 
 def _failed(equation: Equation) -> Iterator[str]:
@@ -177,9 +183,9 @@ def _failed(equation: Equation) -> Iterator[str]:
     if found.normality < DOUBTFUL and found.kurtosis > 0.0:
         yield "what is left has heavy tails: try --tails student"
     if found.driver is not None and found.driver.p_value < DOUBTFUL:
-        yield escape(f"what is left follows {found.driver}: a term with it may be missing, or it is delayed")
+        yield printable(f"what is left follows {found.driver}: a term with it may be missing, or it is delayed")
     for left in equation.left_out:
-        yield escape(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")
+        yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")
 
 
 def _unseen(equation: Equation) -> Iterator[str]:
@@ -189,4 +195,4 @@ def _unseen(equation: Equation) -> Iterator[str]:
     bound = dict(zip([term.text for term in equation.terms], equation.bound.tolist(), strict=True))
     listed = [f"{name} below {bound[name]:.2g}" for name in equation.undetermined[:FEW]]
     rest = len(equation.undetermined) - len(listed)
-    yield escape(f"too small to be seen here: {', '.join(listed)}{f', {rest} more (--verbose)' if rest else ''}")
+    yield printable(f"too small to be seen here: {', '.join(listed)}{f', {rest} more (--verbose)' if rest else ''}")

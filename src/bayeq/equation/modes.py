@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
-from bayeq.equation.physical import PhysicalParameters, Quantity, quantity
+from bayeq.equation.physical import Mode, PhysicalParameters, Quantity, quantity
 from bayeq.equation.physical_units import OscillatorUnits
 from bayeq.errors import InputError
 from bayeq.expressions import Expression
@@ -25,8 +25,9 @@ __all__ = ["system_parameters"]
 
 Floats = NDArray[np.float64]
 
-# Draws whose eigenvalues are taken, and the least share of them that must have as many modes as the mean.
-MOST_DRAWS, LEAST_SHARE = 2000, 0.5
+# Draws whose eigenvalues are taken, of one coordinate, and the least share of them that must have as many modes as the
+# mean.
+MOST_DRAWS, LEAST_SHARE = 4000, 0.5
 
 
 def system_parameters(
@@ -43,14 +44,15 @@ def system_parameters(
     units : mapping of str to str
         Of channels, as far as known.
     draws, seed : int
-        Of the coefficients' posterior; of at most 2000 draws the modes are taken.
+        Of the coefficients' posterior; of at most 4000 over the number of coordinates the modes are taken.
 
     Raises
     ------
     InputError
         Equations without a mode that oscillates.
     """
-    count, n = min(draws, MOST_DRAWS), len(laws)
+    n = len(laws)
+    count = min(draws, max(MOST_DRAWS // n, 100))
     forces = [next((u for u in inputs if u in _names(law)), None) for law in laws]
     scales = [OscillatorUnits(units, law.chain, law.unit_gains, u) for law, u in zip(laws, forces, strict=True)]
     states = [law.chain.states[0] for law in laws] + [law.chain.states[1] for law in laws]
@@ -70,9 +72,9 @@ def system_parameters(
                 driven.setdefault(term.text, {})[i] = drawn[:, 1 + j] * scale.scale_force()
             elif term.text not in unexplained:
                 unexplained.append(term.text)
-    found = _modes(linear, [law.chain.names[0] for law in laws])
+    found, modes = _modes(linear, [law.chain.names[0] for law in laws])
     found += _matrices(linear, driven, laws, scales)
-    return PhysicalParameters(tuple(found), tuple(unexplained))
+    return PhysicalParameters(tuple(found), tuple(unexplained), tuple(modes))
 
 
 def _names(law: Law) -> set[str]:
@@ -92,7 +94,7 @@ def _slope(term: Expression, states: Sequence[str]) -> Floats | None:
     return np.asarray(slope) if same and np.isfinite(values).all() else None
 
 
-def _modes(linear: Floats, names: Sequence[str]) -> list[Quantity]:
+def _modes(linear: Floats, names: Sequence[str]) -> tuple[list[Quantity], list[Mode]]:
     """Frequency, damping ratio and shape of each mode that oscillates, the slowest first."""
     count, n = linear.shape[:2]
     whole = np.zeros((count + 1, 2 * n, 2 * n))
@@ -102,25 +104,25 @@ def _modes(linear: Floats, names: Sequence[str]) -> list[Quantity]:
     order = np.argsort(np.where(values.imag > 0.0, np.abs(values), np.inf), axis=1)
     values = np.take_along_axis(values, order, axis=1)
     vectors = np.take_along_axis(vectors[:, :n], order[:, None, :], axis=2)
-    modes = (values.imag > 0.0).sum(axis=1)
-    same = modes == modes[0]
-    if not modes[0] or same[1:].mean() < LEAST_SHARE:
+    counts = (values.imag > 0.0).sum(axis=1)
+    same = counts == counts[0]
+    if not counts[0] or same[1:].mean() < LEAST_SHARE:
         raise InputError("the linear part of the equations has no modes that oscillate: no natural frequencies")
-    values, vectors, out = values[same], vectors[same], list[Quantity]()
-    for k in range(int(modes[0])):
+    values, vectors, out, modes = values[same], vectors[same], list[Quantity](), list[Mode]()
+    for k in range(int(counts[0])):
         omega, number = np.abs(values[1:, k]), k + 1
         largest = int(np.argmax(np.abs(vectors[0, :, k])))
         shape = (vectors[1:, :, k] / vectors[1:, largest, k, None]).real
-        out += [
-            quantity(f"f_{number}", f"natural frequency of mode {number}", omega / (2.0 * math.pi), "Hz"),
-            quantity(f"zeta_{number}", f"damping ratio of mode {number}", -values[1:, k].real / omega, ""),
-        ]
+        frequency = quantity(f"f_{number}", f"natural frequency of mode {number}", omega / (2.0 * math.pi), "Hz")
+        ratio = quantity(f"zeta_{number}", f"damping ratio of mode {number}", -values[1:, k].real / omega, "")
+        modes.append(Mode(frequency, ratio, dict(zip(names, shape.mean(axis=0).tolist(), strict=True))))
+        out += [frequency, ratio]
         out += [
             quantity(f"phi_{number}[{names[i]}]", f"mode {number}, {names[i]} over {names[largest]}", shape[:, i], "")
             for i in range(n)
             if i != largest
         ]
-    return out
+    return out, modes
 
 
 def _matrices(

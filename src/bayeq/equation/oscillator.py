@@ -8,7 +8,20 @@ from bayeq.equation.modes import system_parameters
 from bayeq.equation.physical import PhysicalParameters, first_order_parameters, physical_parameters
 from bayeq.errors import InputError, UnknownNameError
 
-__all__ = ["oscillator_parameters"]
+__all__ = ["oscillator_parameters", "own_parameters"]
+
+# Draws of parameters that nobody has asked for.
+DRAWS = 2000
+
+
+def own_parameters(eq: Answer) -> PhysicalParameters | None:
+    """Physical parameters; None where the equations have none, or where none was found."""
+    if eq.verdict.kind == "none":
+        return None
+    try:
+        return oscillator_parameters(eq, None, target=None, force=None, draws=DRAWS, seed=0)
+    except InputError:
+        return None
 
 
 def oscillator_parameters(

@@ -26,7 +26,15 @@ from bayeq.states import Chain
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["PhysicalParameters", "Quantity", "first_order_parameters", "force_of", "physical_parameters", "quantity"]
+__all__ = [
+    "Mode",
+    "PhysicalParameters",
+    "Quantity",
+    "first_order_parameters",
+    "force_of",
+    "physical_parameters",
+    "quantity",
+]
 
 Floats = NDArray[np.float64]
 
@@ -60,6 +68,23 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True)
+class Mode:
+    """A mode of small motion.
+
+    Attributes
+    ----------
+    frequency, damping_ratio : Quantity
+        The natural frequency [Hz], and the damping ratio.
+    shape : mapping of str to float
+        Displacements over that of the coordinate that moves most, by their names.
+    """
+
+    frequency: Quantity
+    damping_ratio: Quantity
+    shape: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class PhysicalParameters:
     """Parameters of an oscillator; iterate over them, or take one by its symbol.
 
@@ -70,10 +95,13 @@ class PhysicalParameters:
         stiffnesses; per unit of mass (``k/m``) where the mass is not known.
     unexplained : tuple of str
         Included terms that have no place among them.
+    modes : tuple of Mode
+        The slowest first.
     """
 
     quantities: tuple[Quantity, ...]
     unexplained: tuple[str, ...] = ()
+    modes: tuple[Mode, ...] = ()
 
     def __iter__(self) -> Iterator[Quantity]:
         return iter(self.quantities)
@@ -206,7 +234,10 @@ def physical_parameters(
     if position is not None:
         quantities.append(quantity("x0", "position of rest", position * system.per_length, system.displacement()))
     explained = {f.term for f in forces} | ({driven} if driven is not None else set())
-    return PhysicalParameters(tuple(quantities), tuple(name for name in coefficients if name not in explained))
+    known = {q.symbol: q for q in quantities}
+    modes = [Mode(known["f_n"], known["zeta"], {law.chain.states[0]: 1.0})] if "zeta" in known else []
+    left = tuple(name for name in coefficients if name not in explained)
+    return PhysicalParameters(tuple(quantities), left, tuple(modes))
 
 
 def first_order_parameters(

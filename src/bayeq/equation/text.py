@@ -23,7 +23,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.regression.residuals import Residuals
 from bayeq.states import rates
 
-__all__ = ["escape", "render", "source_of"]
+__all__ = ["printable", "render", "source_of"]
 
 # Candidates that are not included are listed from this PIP on.
 NOTEWORTHY_PIP = 0.01
@@ -51,9 +51,14 @@ MOST_UNDETERMINED = 6
 DOUBTFUL = 1e-3
 
 
+def printable(text: str) -> str:
+    """Text from a file without what a terminal would obey."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 def escape(text: str) -> str:
-    """Text from a file as it may be printed: without markup, and without what a terminal would obey."""
-    return markup.escape("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text))
+    """The same, without markup."""
+    return markup.escape(printable(text))
 
 
 def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) -> str:
@@ -70,7 +75,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     console.print(f"verdict: {escape(str(eq.verdict))}\n")
     for equation in eq.equations:
         _render_equation(console, equation, eq.method, eq.scores, terminal, conditional)
-    console.print(f"{source_of(eq)}; method: {ENGINES[eq.method].title}")
+    console.print(f"{markup.escape(source_of(eq))}; method: {ENGINES[eq.method].title}")
     if eq.data.band is not None:
         low, high = eq.data.band
         console.print(f"band: the record is believed between {low:g} and {high:g} Hz")
@@ -101,7 +106,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
 def source_of(eq: Answer, short: bool = False) -> str:
     """Rows, rate and file, and which rows were used; only that some were not, where it is to be short."""
     names = [name for name in eq.data.files if name]
-    source = f" of {escape(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
+    source = f" of {printable(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
     used = f"{eq.data.n_train} used"
     if eq.data.stretches:
         judged = "fits" if eq.data.refitted else "residuals"

@@ -12,6 +12,8 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
+from bayeq.equation.oscillator import own_parameters
+from bayeq.equation.physical import Quantity
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.normal import Z95
@@ -35,7 +37,7 @@ def _attributes(of: object, *names: str) -> dict[str, Any]:
 
 def to_dict(eq: Answer) -> dict[str, Any]:
     """The answer as plain data, every candidate term of every equation in it."""
-    files = eq.data.files
+    files, found = eq.data.files, own_parameters(eq)
     return {
         "version": version("bayeq"),
         "method": eq.method,
@@ -51,6 +53,17 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],
+        "parameters": [_parameter(one) for one in found or ()],
+        "modes": [
+            {
+                "frequency": one.frequency.mean,
+                "frequency_sd": one.frequency.sd,
+                "damping_ratio": one.damping_ratio.mean,
+                "damping_ratio_sd": one.damping_ratio.sd,
+                "shape": dict(one.shape),
+            }
+            for one in (() if found is None else found.modes)
+        ],
         "diagnostics": {
             "warnings": list(eq.warnings),
             "dropped_terms": [asdict(d) for d in eq.dropped],
@@ -60,6 +73,10 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "equations": {equation.target: _diagnostics(equation) for equation in eq.equations},
         },
     }
+
+
+def _parameter(one: Quantity) -> dict[str, Any]:
+    return {"name": one.symbol, "value": one.mean, "sd": one.sd, "ci95": [one.low, one.high], "unit": one.unit}
 
 
 def _scores(scores: Scores) -> dict[str, Any]:

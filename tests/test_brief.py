@@ -1,0 +1,96 @@
+"""The few lines that `bayeq discover` prints."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import bayeq as bq
+from bayeq.cli.app import main
+
+FULL = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
+
+
+@pytest.fixture(scope="module")
+def answer(tmp_path_factory):
+    path = tmp_path_factory.mktemp("brief") / "duffing.csv"
+    bq.write(bq.simulate("duffing", seed=1), path)
+    eq = bq.discover(bq.read(path), displacement="x", velocity="v", acceleration="a", force="u")
+    eq.save(path.with_name("eq.json"))
+    return path, eq
+
+
+def printed(capsys, *arguments):
+    assert main([*map(str, arguments)]) == 0
+    return capsys.readouterr().out
+
+
+def test_an_oscillator_in_sixteen_lines(answer, capsys):
+    path, eq = answer
+    out = printed(capsys, "show", path.with_name("eq.json"))
+    lines = out.splitlines()
+    assert len(lines) <= 16
+    assert max(map(len, lines)) <= 100
+    assert lines[0].startswith("verdict: found: no test speaks against it for x -")
+    assert "m*a + c*v + k*x + k3*x**3 = u" in lines
+    assert eq[0].text in lines
+    for one in eq.physical(draws=2000):
+        if one.symbol != "omega_n":
+            (line,) = (line for line in lines if line.split()[:1] == [one.symbol])
+            assert float(line.split()[1]) == pytest.approx(one.mean, rel=1e-3)
+    assert re.search(
+        r"^checked on 800 rows that were not used: a within [\d.]+ %, free run within x", out, re.MULTILINE
+    )
+    assert "what is left looks like noise" in " ".join(out.split())
+    assert "sign(x) below" in out  # too small to be seen
+    assert lines[-1].startswith("4000 rows at 1000 Hz, 4 s, of duffing.csv, all used")
+    # all terms are certain and there is no rival: no table
+    assert "probability" not in out.lower().split("too small")[0]
+    assert "PIP" not in out
+
+
+def test_all_of_it_on_request(answer, capsys):
+    path, _ = answer
+    full = printed(capsys, "show", path.with_name("eq.json"), "--verbose")
+    assert "| term " in full
+    assert "runners-up" in full
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.DataWarning")
+def test_no_equation_is_printed_where_none_was_found(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    path = tmp_path / "walk.csv"
+    bq.write(
+        bq.Record.from_arrays(x=rng.normal(size=400).cumsum(), a=rng.normal(size=400), u=rng.normal(size=400), fs=50.0),
+        path,
+    )
+    out = printed(
+        capsys,
+        "discover",
+        path,
+        "--disp",
+        "x",
+        "--acc",
+        "a",
+        "--force",
+        "u",
+        "--smooth",
+        "none",
+        "--dictionary",
+        "x, u",
+    )
+    assert out.startswith("verdict: none: ")
+    assert "a = " not in out
+    assert "Try: bayeq info walk.csv" in out
+
+
+def test_terms_in_doubt_have_probabilities(tmp_path, capsys):
+    rng, n = np.random.default_rng(2), 60
+    x, v = rng.normal(size=(2, n))
+    path = tmp_path / "few.csv"
+    bq.write(bq.Record.from_arrays(x=x, v=v, a=-x - 0.1 * v + 0.25 * rng.normal(size=n), fs=10.0), path)
+    out = printed(capsys, "discover", path, "--chain", "x:v:a", "--smooth", "none", "--dictionary", "x, v, x**3")
+    (header,) = (line.split("  ") for line in out.splitlines() if line.strip().startswith("term "))
+    assert header[-1] == "PIP"
