@@ -86,11 +86,14 @@ def test_no_equation_is_printed_where_none_was_found(tmp_path, capsys):
     assert "Try: bayeq info walk.csv" in out
 
 
+@pytest.mark.filterwarnings("ignore::bayeq.errors.AmbiguityWarning")
 def test_terms_in_doubt_have_probabilities(tmp_path, capsys):
-    rng, n = np.random.default_rng(2), 60
-    x, v = rng.normal(size=(2, n))
     path = tmp_path / "few.csv"
-    bq.write(bq.Record.from_arrays(x=x, v=v, a=-x - 0.1 * v + 0.25 * rng.normal(size=n), fs=10.0), path)
-    out = printed(capsys, "discover", path, "--chain", "x:v:a", "--smooth", "none", "--dictionary", "x, v, x**3")
-    (header,) = (line.split("  ") for line in out.splitlines() if line.strip().startswith("term "))
+    bq.write(bq.simulate("duffing", n=400, seed=0, noise=0.2), path)
+    out = printed(capsys, "discover", path, *FULL, "--dictionary", "x, v, x**3, v**3, u")
+    assert out.startswith("verdict: not determined: ")
+    rows = [line.split() for line in out.splitlines()]
+    (header,) = (row for row in rows if row[:1] == ["term"])
     assert header[-1] == "PIP"
+    (damping,) = (row for row in rows if row[:1] == ["v"] and len(row) > 5)
+    assert 0.5 < float(damping[-1]) < 0.99
