@@ -155,7 +155,7 @@ def test_long_lists_of_records_are_sent_and_short_ones_are_not(record, client, e
     monkeypatch.setattr(client, "submit", lambda *args, **options: sent.append(args[0]) or submit(*args, **options))
     here = quietly(parts, client=client)
     assert not sent
-    monkeypatch.setattr("bayeq.discovery.sources.MOST_ROWS", 10_000)
+    monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 10_000)
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": "100 kiB"}), warnings.catch_warnings():
         warnings.filterwarnings("error", message="Sending large graph")
         compare(bq.discover(parts, **FEW, smooth="none", client=client), here)

@@ -9,7 +9,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionary
-from bayeq.regression.screening import explaining, screened
+from bayeq.regression.design import explaining, screened
 from bayeq.states import Roles, estimate_motion
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}

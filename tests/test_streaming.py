@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.discovery.sources import extents_of
+from bayeq.discovery.entry import extents_of
 from bayeq.errors import FileFormatError, InputError, RecordError
 from bayeq.expressions import parse
 from bayeq.gram.gram import from_moments, grams_from_data
@@ -541,7 +541,7 @@ def test_data_in_memory_is_not_streamed(record):
 
 
 def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
-    monkeypatch.setattr("bayeq.discovery.sources.MOST_ROWS", 10_000)
+    monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 10_000)
     monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
     record = record.take(slice(0, 14_000))
     found = quietly(record, dictionary="x, v, x**2, x**3, u")
@@ -550,7 +550,7 @@ def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
 
 
 def test_long_records_in_memory_with_what_takes_whole_records_are_some_stretches(record, monkeypatch):
-    monkeypatch.setattr("bayeq.discovery.sources.MOST_ROWS", 10_000)
+    monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 10_000)
     monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
     found = quietly(record.take(slice(0, 14_000)), dictionary="x, v, x**3, u, cos(3*t)")
     assert (found.data.stretches, found.data.n) == (0, 3000)

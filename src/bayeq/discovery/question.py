@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import Specification, written
-from bayeq.discovery.doubts import warn_of_other_terms, warn_of_sensors, warn_of_terms, warn_of_zero
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations
 from bayeq.equation.several import EquationTuple
 from bayeq.equation.units import channel_units
-from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, WarningLog
+from bayeq.errors import AmbiguityWarning, DataWarning, InputError, RecordError, TermWarning, WarningLog
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
@@ -24,11 +23,9 @@ from bayeq.likelihood.record_fit import MOST_CANDIDATES, RecordFit, refit_record
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows
 from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import Constraints, parse_constraints
-from bayeq.regression.design import Design, build_design
+from bayeq.regression.design import Design, build_design, screened
 from bayeq.regression.joint import fit_equations, record_of
-from bayeq.regression.screening import screened
-from bayeq.selection.select import Rules, Selection, select
-from bayeq.selection.tolerance import TOLERANCE
+from bayeq.selection.select import TOLERANCE, Rules, Selection, select
 from bayeq.states import (
     Motion,
     Roles,
@@ -129,8 +126,8 @@ class Question:
             constrained = parse_constraints(self.known, terms, motion.roles.targets)
             terms, allowed = _screened(terms, motion, allowed, constrained, most, log)
         design = self._design(motion, terms, allowed, whole)
-        warn_of_terms(design, log)
-        warn_of_zero(design, pieces, log)
+        _warn_of_terms(design, log)
+        _warn_of_zero(design, pieces, log)
         constrained = _constrained(self.known, design, self.method)
 
         step("likelihood", 0, 1)
@@ -148,7 +145,7 @@ class Question:
         if found is not None:
             scored, first = equations, WarningLog()
             equations, _, selections = self._found(*found, constrained, units, first, scored)
-            warn_of_other_terms(equations, scored, first)
+            _warn_of_other_terms(equations, scored, first)
         log.collected += first.collected
         step("inference", len(equations), len(equations))
         data = DataSummary.of(pieces, motion, found is not None)
@@ -182,7 +179,7 @@ class Question:
             pieces, messages = without_hum(pieces, [*roles.measured, *roles.inputs], *self.band)
             log.extend(messages, DataWarning)
         motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
-        warn_of_sensors(motion, {*self.noise, *self.gain_sd}, log)
+        _warn_of_sensors(motion, {*self.noise, *self.gain_sd}, log)
         _inspect(motion, pieces, self.holdout, log)
         return motion, pieces
 
@@ -319,6 +316,73 @@ def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str
     if roles.timed:
         units[TIME] = "s"
     return units
+
+
+def _warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation], log: WarningLog) -> None:
+    """Say where an equation of all rows has other terms than the one that fits and verdict on the last rows are of."""
+    for equation, former in zip(equations, scored, strict=True):
+        if set(equation.shown) != set(former.shown):
+            log.warn(
+                f"{equation.target}: the terms are those that all rows ask for; without the rows held out, that"
+                f" scores are of, they were {', '.join(former.shown) or 'none'}: a longer record would decide",
+                AmbiguityWarning,
+            )
+
+
+def _warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
+    """Say which of what was given of channels makes no difference."""
+    roles, sensors = motion.roles, motion.sensors
+    computed = [name for name in given if name not in {*roles.measured, *roles.inputs}]
+    if computed:
+        log.warn(
+            f"what was given of {', '.join(sorted(computed))} is not used: computed, not measured; give that of the"
+            " channel that it was computed from",
+            DataWarning,
+        )
+    unused = [name for name in roles.measured if sensors.noisy(name)]
+    if unused and not motion.smoothing:
+        log.warn(
+            f"the noise given of {', '.join(unused)} is not used: states and targets are taken as measured here; of"
+            " inputs it would be; leave it out, or use smooth='auto' with time and 10 rows or more",
+            DataWarning,
+        )
+
+
+def _warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) -> None:
+    """Say which displacements are nowhere zero: where terms that depend on where zero is hardly differ."""
+    for chain in design.motion.roles.chains:
+        name = chain.measured[0]
+        if chain.order < 2 or name is None:
+            continue
+        samples = np.concatenate([record[name] for record in records])
+        low, high = float(np.nanmin(samples)), float(np.nanmax(samples))
+        powers = [term for term in design.terms if term.text.startswith(f"{name}**")]
+        if powers and not low <= 0.0 <= high:
+            log.warn(
+                f"{name} is nowhere zero, it lies between {low:.4g} and {high:.4g}: terms such as {powers[0]} can"
+                " hardly be told from others there, and coefficients are not those about the position of rest;"
+                f" measure it from there (bayeq.remove_offset(record, {name!r}), --remove-offset {name}); physical()"
+                " gives the stiffness about the position of rest",
+                DataWarning,
+            )
+
+
+def _warn_of_terms(design: Design, log: WarningLog) -> None:
+    n, terms = design.train[0].n, len(design.terms)
+    if n <= terms:
+        log.warn(
+            f"{n} training rows for {terms} candidate terms: fewer rows than terms; the prior decides much, and few"
+            " terms can be found; measure more rows, or give fewer terms",
+            DataWarning,
+        )
+    if design.dropped:
+        listed = "; ".join(f"{d.name} ({d.reason})" for d in design.dropped[:8])
+        more = f" and {len(design.dropped) - 8} more" if len(design.dropped) > 8 else ""
+        log.warn(
+            f"terms left out: {listed}{more}; one that is needed asks for other motion, or for units in which it is"
+            " finite",
+            TermWarning,
+        )
 
 
 def _require_unambiguous(terms: Sequence[Expression], records: Sequence[Record], roles: Roles) -> None:

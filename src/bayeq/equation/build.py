@@ -19,8 +19,7 @@ from bayeq.plan.models import likeliest_models
 from bayeq.regression.channel_errors import changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
-from bayeq.selection.alternatives import alternatives_to
-from bayeq.selection.bounds import bounds, undetermined
+from bayeq.selection.alternatives import alternatives_to, bounds, undetermined
 from bayeq.selection.excitation import Repeating, repeating
 from bayeq.selection.select import Selection
 

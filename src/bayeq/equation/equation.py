@@ -128,7 +128,7 @@ class Equation:
         What the size of a coefficient is below, with a probability of 95 %, were its term added to the included ones.
         NaN for those.
     undetermined : tuple of str
-        Terms that within their bounds could matter (`bayeq.selection.bounds`), the simplest first.
+        Terms that within their bounds could matter (`bayeq.selection.alternatives`), the simplest first.
     """
 
     chain: Chain

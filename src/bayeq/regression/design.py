@@ -2,6 +2,13 @@
 
 Terms that cannot be used are left out here, each with its reason: not finite on the data, constant, or a copy of an
 earlier column.
+
+Of a dictionary too large to compare all models of, the simplest candidates are kept, and those that explain most.
+Iterative sure independence screening (Fan and Lv 2008): the columns that correlate most with the target are taken, then
+those that correlate most with what these leave, both less what was taken before, and so on. A term that matters beside
+others and not alone comes in a later round. Where terms are nearly the same on the record, as the monomials of
+``(x2-x1)**3`` are, correlations do not tell which of them is true: half of the places go to the simplest terms whatever
+they explain.
 """
 
 from __future__ import annotations
@@ -13,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
+from bayeq.dictionary.polynomial import degree
 from bayeq.errors import InputError
 from bayeq.expressions import Expression
 from bayeq.gram import Gram
@@ -21,9 +29,10 @@ from bayeq.inference.posterior import Posterior
 from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion, MotionRows
 
-__all__ = ["Design", "DroppedTerm", "build_design", "usable_terms"]
+__all__ = ["Design", "DroppedTerm", "build_design", "screened", "usable_terms"]
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 
 # Rows evaluated at a time where the columns are not kept.
@@ -43,6 +52,15 @@ USUAL = 1e10
 # rounding of the centred sums of squares.
 CONSTANT_SPREAD = 1e-13
 COPY_CORRELATION = 1.0 - 1e-13
+
+# Rows that candidates are judged by, at most, spread over the records.
+ROWS = 4000
+
+# A column of which what was taken leaves no more than this share of the square is a combination of it.
+NEARLY_NOTHING = 1e-8
+
+# Rounds in which each equation takes its share.
+ROUNDS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +101,7 @@ class Design:
     held_out: tuple[Gram, ...]
     dropped: tuple[DroppedTerm, ...]
     kept: tuple[Floats, ...]
-    allowed: NDArray[np.bool_] = field(default_factory=lambda: np.ones((1, 1), dtype=np.bool_))
+    allowed: Bools = field(default_factory=lambda: np.ones((1, 1), dtype=np.bool_))
     scan: Callable[[int, Posterior, Residuals], Residuals] | None = None
 
     def __post_init__(self) -> None:
@@ -104,7 +122,7 @@ def build_design(
     terms: Sequence[Expression],
     motion: Motion,
     progress: Progress | None = None,
-    allowed: NDArray[np.bool_] | None = None,
+    allowed: Bools | None = None,
 ) -> Design:
     """Evaluate terms on motion and add up their Gram matrices.
 
@@ -215,7 +233,7 @@ class _Builder:
         return D
 
 
-def _unwritable(grams: Sequence[Gram]) -> NDArray[np.bool_]:
+def _unwritable(grams: Sequence[Gram]) -> Bools:
     """Columns (P,) whose coefficient in one of the equations would be too large or too small to square."""
     target = np.array([[gram.target_deviation] for gram in grams])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -237,7 +255,7 @@ def _require_units(terms: Sequence[Expression], motion: Motion) -> None:
                 )
 
 
-def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int, allowed: NDArray[np.bool_]) -> dict[int, str]:
+def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int, allowed: Bools) -> dict[int, str]:
     """Why each unusable column is left out; a copy is, if every equation that it is for may have the other."""
     sd = gram.standard_deviation
     out: dict[int, str] = {}
@@ -253,3 +271,93 @@ def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int, allowed: NDArray[np.
         if int(a) not in out and (allowed[:, a] >= allowed[:, b]).all():
             out.setdefault(int(b), f"a copy of {gram.names[a]} on the data")
     return out
+
+
+def screened(terms: Sequence[Expression], motion: Motion, allowed: Bools, forced: Bools, most: int) -> NDArray[np.intp]:
+    """Candidates to keep.
+
+    Parameters
+    ----------
+    terms : sequence of Expression
+        The P candidates.
+    motion : Motion
+        States, targets and inputs.
+    allowed : (C, P) bool array
+        Candidates of each equation.
+    forced : (P,) bool array
+        Candidates that are kept whatever they explain.
+    most : int
+        How many to keep; each equation has an equal share.
+
+    Returns
+    -------
+    (K,) int array
+        Their numbers, in order.
+    """
+    D, Y = _rows(terms, motion)
+    kept = forced.copy()
+    simplest = sorted(range(len(terms)), key=lambda j: (degree(terms[j]), terms[j].size))
+    kept[simplest[: min(most // 2, len(D) // 4)]] = True
+    basis = _independent(D[:, kept])
+    share = max((most - int(kept.sum())) // len(allowed), 1)
+    found = [explaining(D, y, own & ~kept, basis, share) for own, y in zip(allowed, Y.T, strict=True)]
+    kept[np.concatenate(found)] = True
+    return np.flatnonzero(kept)
+
+
+def explaining(D: Floats, y: Floats, free: Bools, basis: Floats, share: int) -> NDArray[np.intp]:
+    """The columns that explain most of what a basis leaves of y, taken in rounds.
+
+    Parameters
+    ----------
+    D : (n, P) array
+        Columns of length 1, or 0.
+    y : (n,) array
+        The target.
+    free : (P,) bool array
+        Columns to choose from.
+    basis : (n, q) array
+        Orthonormal columns.
+    share : int
+        How many.
+    """
+    taken = np.zeros(0, dtype=np.intp)
+    free, added, left = free.copy(), basis, y
+    rest = np.ones(D.shape[1])  # squared length of what the basis leaves of each column
+    while True:
+        left = left - added @ (added.T @ left)
+        rest -= ((added.T @ D) ** 2).sum(axis=0)
+        free &= rest > NEARLY_NOTHING
+        count = min(-(-share // ROUNDS), share - len(taken), int(free.sum()))
+        if count <= 0:
+            return taken
+        gain = np.where(free, (left @ D) ** 2 / np.maximum(rest, NEARLY_NOTHING), -1.0)
+        best = np.argsort(-gain, kind="stable")[:count]
+        free[best] = False
+        taken = np.append(taken, best)
+        new = D[:, best] - basis @ (basis.T @ D[:, best])
+        added = _independent(new - basis @ (basis.T @ new))
+        basis = np.column_stack([basis, added])
+
+
+def _independent(columns: Floats) -> Floats:
+    """An orthonormal basis of some columns."""
+    if not columns.shape[1]:
+        return columns
+    left, size, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(left[:, size > 1e-10])
+
+
+def _rows(terms: Sequence[Expression], motion: Motion) -> tuple[Floats, Floats]:
+    """Centred columns of length 1 on some of the training rows, 0 for those not finite, and the centred targets."""
+    step = max(1, -(-sum(rows.n for rows in motion.train) // ROWS))
+    parts = [rows.part(slice(None, None, step)) for rows in motion.train]
+    Y = np.concatenate(
+        [np.column_stack([rows.observed[t] for t in motion.roles.targets])[rows.known] for rows in parts]
+    )
+    D = np.concatenate([evaluate_terms(terms, rows.columns)[rows.known] for rows in parts])
+    with np.errstate(all="ignore"):
+        D -= D.mean(axis=0)
+        D /= np.sqrt(np.einsum("ij,ij->j", D, D))
+    D[:, ~np.isfinite(D).all(axis=0)] = 0.0
+    return D, Y - Y.mean(axis=0)
