@@ -189,7 +189,7 @@ def test_given_noise_reaches_the_states_of_predictions():
     told, untold = discover(record, noise=noise), discover(record)
     assert told.data.sensors.noise == noise
     moved = [
-        np.std(bq.equation.prepare.rows_of_record(record, roles, "auto", sensors)["x"] - record["x"])
+        np.std(bq.equation.along.rows_of_record(record, roles, "auto", sensors)["x"] - record["x"])
         for roles, sensors in [(told.roles, told.data.sensors), (untold.roles, untold.data.sensors)]
     ]
     assert moved[0] > 1.2 * moved[1]

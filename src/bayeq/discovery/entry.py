@@ -221,7 +221,6 @@ def question_of(
 ) -> Question:
     """The arguments of `discover`, checked before any record is read."""
     _check_kinds(method, smooth, prior, seed, progress, constraints)
-    _check_method(method)
     rules = Rules(max_terms, tolerance)
     rules.check(method)
     _check_shares(holdout, coarsen)
@@ -274,9 +273,6 @@ def _check_kinds(method: Any, smooth: Any, prior: Any, seed: Any, progress: Any,
         require_kind(one, Integral, "seed", "a whole number")
         if one < 0:
             raise InputError(f"a seed is a whole number, 0 or more, got {one}")
-
-
-def _check_method(method: str) -> None:
     if method not in ENGINES:
         raise UnknownNameError("method", method, ENGINES)
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from bayeq.dictionary import Specification, written
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
-from bayeq.equation.equations import DataSummary, Equations
-from bayeq.equation.several import EquationTuple
+from bayeq.equation.equations import DataSummary, Equations, EquationTuple
 from bayeq.equation.units import channel_units
 from bayeq.errors import AmbiguityWarning, DataWarning, InputError, RecordError, TermWarning, WarningLog
 from bayeq.expressions import Expression

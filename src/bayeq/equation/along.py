@@ -1,25 +1,76 @@
-"""What equations give along records that have been prepared (`bayeq.equation.prepare`)."""
+"""Equations along records: these prepared as `discover` does, predictions, free runs, scores, and output error."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+import warnings
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayeq.equation.answer import Answer
-from bayeq.equation.prepare import rows_of_record
+from bayeq.equation.answer import Answer, EquationTuple
+from bayeq.errors import ConvergenceWarning, DataWarning, InputError
+from bayeq.forecast.score import Scores
+from bayeq.forecast.rows import check_interpolation
 from bayeq.forecast.run import Forecast, forecast
-from bayeq.forecast.score import Scores, score_records
+from bayeq.forecast.score import score_records
 from bayeq.records import Record
+from bayeq.states import Roles, Sensors, Smooth, estimate_motion
+from bayeq.states.prepare import cleaned, divided_at_gaps, has_all
 
 if TYPE_CHECKING:
     from bayeq.ode.rk4 import Interpolation
 
-__all__ = ["free_run", "predictions", "scores"]
+__all__ = ["free_run", "predictions", "prepared", "refinement", "scores"]
+
+Floats = NDArray[np.float64]
+Found = TypeVar("Found", bound=Answer)
 
 # Share of the rows that is scored where none were held out.
 LAST = 0.2
+
+
+def prepared(
+    records: Sequence[Record],
+    roles: Roles,
+    smooth: Smooth,
+    said: Collection[str],
+    divide: bool = False,
+    level: int = 3,
+) -> list[Record]:
+    """Records as they were measured, without bad samples, and with `divide` divided at long gaps.
+
+    Warnings that were said before are not given again; they name the line at this `level`, as in `warnings.warn`, by
+    default that of the caller's caller.
+
+    Warns
+    -----
+    DataWarning
+        Samples that are missing or left out, and gaps.
+    """
+    found, messages = cleaned(records, roles, smooth)
+    if divide:
+        found, more = divided_at_gaps(found, roles, smooth)
+        messages += more
+    for message in dict.fromkeys(messages):
+        named = f"{records[0].name or 'record'}: {message}"  # as it is said of several records
+        if message not in said and (len(records) > 1 or named not in said):
+            warnings.warn(message, DataWarning, stacklevel=level)
+    return found
+
+
+def rows_of_record(record: Record, roles: Roles, smooth: Smooth, sensors: Sensors) -> dict[str, Floats]:
+    """States and inputs at every row of a record (n,), with straight lines where `estimate_motion` has no row."""
+    rows = estimate_motion([record], roles, smooth, sensors=sensors).records[0]
+    if rows.n == record.n:
+        return dict(rows.columns)
+    if record.time is None or rows.time is None:
+        places, there = np.arange(record.n), np.flatnonzero(has_all(record, roles))
+    else:
+        places, there = np.asarray(record.time), np.asarray(rows.time)
+    return {name: np.interp(places, there, values) for name, values in rows.columns.items()}
 
 
 def predictions(eq: Answer, record: Record, return_std: bool) -> Any:
@@ -83,3 +134,41 @@ def scores(
 
 def _between(eq: Answer, interpolation: Interpolation | None) -> Interpolation:
     return interpolation or (eq.refined.interpolation if eq.refined else "cubic")
+
+
+def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolation: Interpolation | None) -> Found:
+    """See `Equations.refine`."""
+    from bayeq.refine.output_error import Unrefined
+    from bayeq.refine.refine import refine
+
+    check_interpolation(interpolation)
+    if not 0 <= holdout < 1:
+        raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
+    for equation in eq.equations:
+        if not equation.shown:
+            raise InputError(f"{equation.target}: there are no terms to refine")
+    found = refine(
+        eq.dynamics(),
+        eq.dynamics([equation.intercept_matters for equation in eq.equations]),
+        prepared(records, eq.roles, eq.smooth, eq.warnings, divide=True, level=4),
+        smooth=eq.smooth,
+        holdout=holdout,
+        interpolation=interpolation,
+        constraints=eq.known(),
+        sensors=eq.data.sensors,
+    )
+    if isinstance(found, Unrefined):
+        message = f"not refined: {found.reason}; the equations are returned as they were: {found.advice}"
+        warnings.warn(message, ConvergenceWarning, stacklevel=3)
+        return eq
+    found.log.emit(stacklevel=4)
+    return replace(
+        eq,
+        equations=EquationTuple(
+            old.with_posterior(new.posterior, train=new.train, held_out=new.held_out, residuals=new.residuals)
+            for old, new in zip(eq.equations, found.equations, strict=True)
+        ),
+        warnings=(*eq.warnings, *found.log.messages),
+        scores=found.scores,
+        refined=found.summary,
+    )

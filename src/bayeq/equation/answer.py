@@ -1,25 +1,39 @@
-"""What the text and the files of equations are made of."""
+"""What was found: the data it is from, and the equations as tables, formulas and functions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol, Self
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from bayeq.equation.equation import Equation
-from bayeq.equation.verdict import Verdict
+from bayeq.equation.verdict import Verdict, worst
+from bayeq.errors import InputError
+from bayeq.export.latex import Uncertainty
+from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.plan.conditions import Measured
 from bayeq.records import Record, counts_rows
 from bayeq.refine.refine import Refinement
+from bayeq.regression.constraints import Constraints, parse_constraints
 from bayeq.regression.design import DroppedTerm
-from bayeq.states import Chain, Motion, Roles, Sensors, Smooth
+from bayeq.states import Chain, Motion, Roles, Sensors, Smooth, rates
 
 if TYPE_CHECKING:
-    from bayeq.forecast.dynamics import Dynamics
-    from bayeq.regression.constraints import Constraints
+    import pandas as pd
 
-__all__ = ["Answer", "DataSummary"]
+    from bayeq.forecast.dynamics import Dynamics
+
+__all__ = ["Answer", "DataSummary", "EquationTuple"]
+
+Floats = NDArray[np.float64]
+
+# The constant as a term, as libraries of polynomials call it.
+CONSTANT = "1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,36 +125,229 @@ class DataSummary:
         )
 
 
-class Answer(Protocol):
-    """What other parts need of `bayeq.Equations`."""
+class EquationTuple(tuple[Equation, ...]):
+    """Equations in the order of the chains: a tuple of `Equation`, and a list of strings where it is called.
+
+    ``eq.equations[0]`` is an `Equation`; ``eq.equations()`` are the lines that are printed, as those who come from
+    PySINDy expect them.
+    """
+
+    __slots__ = ()
+
+    def __call__(self) -> list[str]:
+        """The equations as text, coefficients to a tenth of their standard deviation."""
+        return [equation.text for equation in self]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The equations that were found and what they are as data, text of formulas and functions; see `Equations`."""
+
+    equations: EquationTuple
+    inputs: tuple[str, ...]
+    method: str
+    dictionary: str
+    smooth: Smooth
+    data: DataSummary
+    dropped: tuple[DroppedTerm, ...] = ()
+    warnings: tuple[str, ...] = ()
+    constraints: tuple[str, ...] = ()
+    scores: Scores | None = None
+    refined: Refinement | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "equations", EquationTuple(self.equations))
+
+    def __len__(self) -> int:
+        return len(self.equations)
+
+    def __iter__(self) -> Iterator[Equation]:
+        return iter(self.equations)
+
+    def __getitem__(self, key: int | str) -> Equation:
+        """By position, or by the name of the target."""
+        if isinstance(key, str):
+            for equation in self.equations:
+                if equation.target == key:
+                    return equation
+            raise KeyError(key)
+        return self.equations[key]
 
     @property
-    def equations(self) -> tuple[Equation, ...]: ...
+    def chains(self) -> tuple[Chain, ...]:
+        """The kinematic chains."""
+        return tuple(equation.chain for equation in self.equations)
+
     @property
-    def inputs(self) -> tuple[str, ...]: ...
+    def states(self) -> tuple[str, ...]:
+        """Names of the first-order state vector, the order of `rhs`."""
+        return tuple(name for chain in self.chains for name in chain.states)
+
+    @cached_property
+    def roles(self) -> Roles:
+        """Chains and inputs, and whether terms use the time."""
+        return Roles(self.chains, self.inputs).for_terms(term for equation in self.equations for term in equation.terms)
+
     @property
-    def method(self) -> str: ...
-    @property
-    def dictionary(self) -> str: ...
-    @property
-    def smooth(self) -> Smooth: ...
-    @property
-    def data(self) -> DataSummary: ...
-    @property
-    def dropped(self) -> tuple[DroppedTerm, ...]: ...
-    @property
-    def warnings(self) -> tuple[str, ...]: ...
-    @property
-    def constraints(self) -> tuple[str, ...]: ...
-    @property
-    def scores(self) -> Scores | None: ...
-    @property
-    def refined(self) -> Refinement | None: ...
-    @property
-    def chains(self) -> tuple[Chain, ...]: ...
-    @property
-    def roles(self) -> Roles: ...
-    @property
-    def verdict(self) -> Verdict: ...
-    def known(self) -> tuple[Constraints, ...]: ...
-    def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics: ...
+    def verdict(self) -> Verdict:
+        """Whether the equations were found: the worst verdict of them."""
+        return worst([(equation.target, equation.verdict) for equation in self.equations])
+
+    def known(self) -> tuple[Constraints, ...]:
+        """What `constraints` say of the coefficients of each equation."""
+        dropped = {term.name: term.reason for term in self.dropped}
+        targets = [equation.target for equation in self.equations]
+        return tuple(
+            parse_constraints(self.constraints, equation.terms, targets, dropped)[k]
+            for k, equation in enumerate(self.equations)
+        )
+
+    def table(self) -> pd.DataFrame:
+        """All candidates of all equations: target, term, coef, sd, ci_low, ci_high, pip, included."""
+        import pandas as pd
+
+        tables = []
+        for equation in self.equations:
+            one = equation.table()
+            one.insert(0, "target", equation.target)
+            tables.append(one)
+        return pd.concat(tables, ignore_index=True)
+
+    def coefficients(self) -> dict[str, dict[str, float]]:
+        """Coefficients of the equations shown: ``{"a": {"x": -1000.3, "v": -2.0, "u": 1.0}}``.
+
+        The constant is the term ``"1"``, where it is written out. ``pandas.DataFrame(eq.coefficients())`` is the matrix
+        that PySINDy's method of this name gives, with names; all candidates are in `table`.
+        """
+        out: dict[str, dict[str, float]] = {}
+        for equation in self.equations:
+            out[equation.target] = {name: float(value) for name, value in equation.shown_coef.items()}
+            if equation.intercept_matters:
+                out[equation.target][CONSTANT] = float(equation.shown_posterior.intercept)
+        return out
+
+    def to_sympy(self) -> Any:
+        """`sympy.Eq`, or a list of them where there are several equations."""
+        out = [equation.to_sympy() for equation in self.equations]
+        return out[0] if len(out) == 1 else out
+
+    def to_latex(self, uncertainty: Uncertainty = "none", *, aligned: bool = False) -> str:
+        r"""LaTeX, one equation per line.
+
+        Parameters
+        ----------
+        uncertainty : "none", "brackets" or "plus-minus"
+            See `Equation.to_latex`.
+        aligned : bool
+            Whether the lines stand in an ``aligned`` environment, equal signs below each other.
+        """
+        lines = [equation.to_latex(uncertainty) for equation in self.equations]
+        if not aligned:
+            return " \\\\\n".join(lines)
+        body = " \\\\\n".join(line.replace(" = ", " &= ", 1) for line in lines)
+        return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
+
+    def to_callable(self, module: Literal["numpy", "jax"] = "numpy") -> Callable[..., Any]:
+        """The right-hand side as a function ``f(t, y, u=None)`` for many points at once.
+
+        Parameters
+        ----------
+        module : "numpy" or "jax"
+            Of the arrays. JAX computes in single precision unless ``jax_enable_x64`` is set.
+
+        Returns
+        -------
+        callable
+            Takes states (d,) or (d, n) in the order of `states`, inputs (m,) or (m, n), and times; returns derivatives
+            by time of the shape of the states. SciPy's ``solve_ivp`` takes it with ``vectorized=True``.
+
+        Raises
+        ------
+        UnknownNameError
+            Another module.
+        MissingExtraError
+            JAX is not installed.
+        """
+        from bayeq.export.callables import to_callable
+
+        return to_callable([equation.law for equation in self.equations], self.inputs, self.roles.timed, module)
+
+    def to_code(self, language: str) -> str:
+        """The right-hand side as source text: a function `rhs` of time, states and inputs, without dependencies.
+
+        Parameters
+        ----------
+        language : "c", "julia", "matlab" or "python"
+            Printed by SymPy, coefficients with 17 digits. Channels whose names the language does not allow get others.
+
+        Raises
+        ------
+        UnknownNameError
+            Another language.
+        InputError
+            Terms that the language cannot express.
+        """
+        from bayeq.export.languages import to_code
+
+        return to_code([equation.law for equation in self.equations], self.inputs, self.roles.timed, language)
+
+    def to_python(self) -> str:
+        """``to_code("python")``: a function of plain Python that needs the module `math` alone."""
+        return self.to_code("python")
+
+    def rhs(self, t: float, state: ArrayLike, u: ArrayLike | None = None) -> Floats:
+        """Time derivative of the state vector, as SciPy's `solve_ivp` takes it.
+
+        Parameters
+        ----------
+        t : float
+            Time [s], for terms that use it.
+        state : (d,) array
+            In the order of `states`: each coordinate and its derivatives below the highest.
+        u : (m,) array or float, optional
+            Inputs at this time, needed where there are inputs.
+
+        Returns
+        -------
+        (d,) array
+            In the unit of each state per second, also where the channels of a chain have units that do not belong
+            together (see `Equation.unit_gains`).
+        """
+        values = _numbers(state, "the state")
+        if values.shape != (len(self.states),):
+            raise InputError(f"the state has {len(self.states)} entries {self.states}, got shape {values.shape}")
+        given = np.atleast_1d(_numbers([] if u is None else u, "u"))
+        if given.shape != (len(self.inputs),):
+            raise InputError(f"need {len(self.inputs)} input values {self.inputs}, got {given.size}")
+        columns = dict(zip(self.states, values, strict=True)) | dict(zip(self.inputs, given, strict=True))
+        if self.roles.timed:
+            columns[TIME] = np.float64(t)
+        out: list[float] = []
+        for equation in self.equations:
+            above = [*(columns[name] for name in equation.chain.states[1:]), float(equation.evaluate(columns))]
+            out.extend(np.multiply(rates(equation.chain, equation.unit_gains), above).tolist())
+        return np.array(out)
+
+    def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics:
+        """The equations shown as one system of first order; by default all have an intercept.
+
+        Parameters
+        ----------
+        intercepts : sequence of bool, optional
+            Of each equation, whether its intercept is in.
+
+        Returns
+        -------
+        Dynamics
+            What `simulate` integrates.
+        """
+        from bayeq.forecast.dynamics import Dynamics
+
+        return Dynamics.of([equation.law for equation in self.equations], self.inputs, intercepts, self.roles.timed)
+
+
+def _numbers(value: Any, what: str) -> Floats:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{what} must be numbers, not {type(value).__name__}") from None

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from bayeq.equation import along
 from bayeq.equation.equations import Equations
-from bayeq.equation.prepare import prepared
 from bayeq.equation.verdict import AS_THE_MEAN, state_noise, window_errors
 from bayeq.errors import DataWarning, InputError
 from bayeq.forecast.run import Forecast
@@ -233,7 +232,7 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
         one, converted = as_equations_have_them(equations, record)
         fitting.append(one)
         notes += converted
-    pieces = prepared(fitting, equations.roles, equations.smooth, equations.warnings, divide=True)
+    pieces = along.prepared(fitting, equations.roles, equations.smooth, equations.warnings, divide=True)
     pieces = [piece for piece in pieces if piece.n >= LEAST_ROWS]
     if not pieces:
         raise InputError(f"{records[0].name or 'record'}: too few rows to predict; give two or more")

@@ -46,19 +46,9 @@ TELL_APART = "keep one of them in the dictionary, or measure at other amplitudes
 def build_equations(
     selections: Sequence[Selection], units: Mapping[str, str], log: WarningLog, scored: Sequence[Equation] = ()
 ) -> tuple[tuple[Equation, ...], Scores | None]:
-    """The equations of a system, and how they do on the rows held out.
+    """The equations of a system, one per selection, and how they do on the rows held out; `log` takes the warnings.
 
-    Parameters
-    ----------
-    selections : sequence of Selection
-        One per equation.
-    units : mapping of str to str
-        Of channels and their derivatives, as far as they are known.
-    log : WarningLog
-        Takes the warnings.
-    scored : sequence of Equation
-        The equations found with rows held out, where these are found without: verdicts and fits on those rows are
-        theirs.
+    Where they were found before with rows held out (`scored`), fits and verdicts on those rows are the earlier ones.
     """
     design = selections[0].fit.regression.design
     motion = design.motion
@@ -87,15 +77,7 @@ def build_equations(
 
 
 def build_equation(selection: Selection, window: tuple[float, str] | None) -> Equation:
-    """The equation of a selection, its fits and diagnostics.
-
-    Parameters
-    ----------
-    selection : Selection
-        Terms included and shown.
-    window : (float, str) or None
-        From `bayeq.equation.verdict.window_errors`.
-    """
+    """The equation of a selection, its fits and diagnostics; `window` is one of the errors of `window_errors`."""
     fit = selection.fit
     regression, motion = fit.regression, fit.regression.motion
     shown = selection.reported
@@ -154,13 +136,8 @@ def with_doubts(
 ) -> tuple[Equation, ...]:
     """Equations with verdicts that consider other equations, and what is left of the record.
 
-    Parameters
-    ----------
-    equations, selections : sequences
-        One per equation.
-    tolerance : float
-        Other equations whose predictions are no further from the full model's than this share of the target's standard
-        deviation, or what the law lacks, are the same for practical purposes.
+    Other equations whose predictions are no further from the full model's than the tolerance, a share of the target's
+    standard deviation, or what the law lacks, are the same for practical purposes.
     """
     design = selections[0].fit.regression.design
     again = repeating(design.motion, design.terms)
@@ -274,18 +251,6 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             " the included terms are those with a model-averaged PIP above 0.5; a longer record would decide",
             AmbiguityWarning,
         )
-    _warn_of_undecided(equation, selection, log)
-    if found.average is None:
-        _warn_of_ambiguity(target, equation.runners_up, log)
-    else:
-        _warn_of_groups(equation, {left.name for left in equation.left_out}, log)
-    _warn_of_residuals(equation, selection, log)
-    _warn_of_hidden_noise(equation, regression=selection.shown_fit.regression, log=log)
-
-
-def _warn_of_undecided(equation: Equation, selection: Selection, log: WarningLog) -> None:
-    """Other equations that could as well be shown."""
-    target = equation.target
     likelier = [r for r in equation.runners_up if r.log_odds > 0.0]
     if likelier and not equation.left_out:
         listed = "; ".join(f"{r} (odds {r.odds})" for r in likelier)
@@ -294,6 +259,12 @@ def _warn_of_undecided(equation: Equation, selection: Selection, log: WarningLog
             " a longer record would decide",
             AmbiguityWarning,
         )
+    if found.average is None:
+        _warn_of_ambiguity(target, equation.runners_up, log)
+    else:
+        _warn_of_groups(equation, {left.name for left in equation.left_out}, log)
+    _warn_of_residuals(equation, selection, log)
+    _warn_of_hidden_noise(equation, regression=selection.shown_fit.regression, log=log)
 
 
 def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog) -> None:
@@ -324,8 +295,7 @@ def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: Warni
         changes = changes_by_noise(regression, equation.shown_posterior, name, NOISE_OF_INPUTS)
         small, large = (f"{share:.0%}".replace("%", " %") for share in NOISE_OF_INPUTS)
         listed = " and ".join(
-            f"that of {term} {_signed_percent(few)}, or {_signed_percent(much)}"
-            for term, (few, much) in changes.items()
+            f"that of {term} by {100 * few:+.2g} %, or by {100 * much:+.2g} %" for term, (few, much) in changes.items()
         )
         log.warn(
             f"{equation.target}: the noise of {name} cannot be read from this record. Noise of {small}, or {large}, of"
@@ -333,10 +303,6 @@ def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: Warni
             f"{{{name!r}: '{NOISE_OF_INPUTS[0]:.0%}'}}, --noise {name}={NOISE_OF_INPUTS[0]:.0%}",
             DataWarning,
         )
-
-
-def _signed_percent(change: float) -> str:
-    return f"by {100 * change:+.2g} %"
 
 
 def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], log: WarningLog) -> None:

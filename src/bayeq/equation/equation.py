@@ -361,21 +361,20 @@ class Equation:
             }
         )
 
+    def _sum(self) -> list[tuple[float, float, Expression | None]]:
+        """Coefficients, their standard deviations and the terms shown; last the intercept, where it is written out."""
+        p, sd = self.shown_posterior, self.shown_posterior.sd
+        constant = [(float(p.intercept), p.intercept_sd, None)] if self.intercept_matters else []
+        return [*((float(p.coef[j]), float(sd[j]), self.terms[j]) for j in np.flatnonzero(p.support)), *constant]
+
     @cached_property
     def text(self) -> str:
         """The equation as a line of text, coefficients to a tenth of their standard deviation."""
-        p = self.shown_posterior
-        parts = [
-            (round_to(value, sd), term.text)
-            for term, value, sd, kept in zip(self.terms, p.coef, p.sd, p.support, strict=True)
-            if kept
-        ]
-        if self.intercept_matters:
-            parts.append((round_to(p.intercept, p.intercept_sd), ""))
         pieces: list[str] = []
-        for number, term in parts:
+        for value, sd, term in self._sum():
+            number = round_to(value, sd)
             sign, size = ("-", number[1:]) if number.startswith("-") else ("+", number)
-            body = f"{size}*{_factor(term)}" if term else size
+            body = size if term is None else f"{size}*{_factor(term.text)}"
             pieces.append(f"{sign} {body}" if pieces else (f"-{body}" if sign == "-" else body))
         return f"{self.target} = {' '.join(pieces) or '0'}"
 
@@ -386,7 +385,7 @@ class Equation:
         """
         import sympy
 
-        return sympy.Eq(sympy.Symbol(self.target), self._right_hand_side(digits=None), evaluate=False)
+        return sympy.Eq(sympy.Symbol(self.target), self._right_hand_side(rounded=False), evaluate=False)
 
     def to_latex(self, uncertainty: Uncertainty = "none") -> str:
         r"""The equation in LaTeX, derivatives of the coordinate as dots: ``\ddot{x} = - 2.0 \dot{x} ...``.
@@ -410,38 +409,23 @@ class Equation:
         dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
         names = {sympy.Symbol(name): dots[k] for k, name in enumerate(self.chain.names)}
         if uncertainty == "none":
-            right = sympy.latex(self._right_hand_side(digits=2), symbol_names=names)
+            right = sympy.latex(self._right_hand_side(rounded=True), symbol_names=names)
         else:
-            right = sum_in_latex(self._parts_in_latex(names), uncertainty)
+            parts = []
+            for value, sd, term in self._sum():
+                factor = sympy.Integer(1) if term is None else to_sympy(term)
+                text = "" if term is None else sympy.latex(factor, symbol_names=names)
+                parts.append((value, sd, rf"\left({text}\right)" if factor.is_Add else text))
+            right = sum_in_latex(parts, uncertainty)
         return f"{dots[self.chain.order]} = {right}"
 
-    def _parts_in_latex(self, names: Mapping[Any, str]) -> list[tuple[float, float, str]]:
-        """Coefficients, their standard deviations and terms, then the intercept where it is written out."""
+    def _right_hand_side(self, rounded: bool) -> Any:
         import sympy
-
-        p, parts = self.shown_posterior, []
-        for j in np.flatnonzero(p.support):
-            term = to_sympy(self.terms[j])
-            text = sympy.latex(term, symbol_names=names)
-            parts.append((float(p.coef[j]), float(p.sd[j]), rf"\left({text}\right)" if term.is_Add else text))
-        if self.intercept_matters:
-            parts.append((float(p.intercept), p.intercept_sd, ""))
-        return parts
-
-    def _right_hand_side(self, digits: int | None) -> Any:
-        import sympy
-
-        p = self.shown_posterior
-
-        def number(value: float, sd: float) -> Any:
-            return sympy.Float(value if digits is None else float(round_to(value, sd)), 15 if digits is None else None)
 
         total = sympy.Integer(0)
-        for term, value, sd, kept in zip(self.terms, p.coef, p.sd, p.support, strict=True):
-            if kept:
-                total += number(float(value), float(sd)) * to_sympy(term)
-        if self.intercept_matters:
-            total += number(p.intercept, p.intercept_sd)
+        for value, sd, term in self._sum():
+            number = sympy.Float(float(round_to(value, sd)) if rounded else value)
+            total += number if term is None else number * to_sympy(term)
         return total
 
     def evaluate(self, columns: Mapping[str, ArrayLike]) -> Floats:

@@ -4,52 +4,36 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from math import sqrt
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Self
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from bayeq.equation.answer import DataSummary
+from bayeq.equation.answer import Answer, DataSummary, EquationTuple
 from bayeq.equation.equation import Equation
-from bayeq.equation.prepare import prepared
-from bayeq.equation.several import EquationTuple, coefficients
-from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import DataWarning, FileFormatError, InputError, as_path
-from bayeq.export.latex import Uncertainty
-from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.records import Record, with_row_numbers
 from bayeq.records.files import replacing
-from bayeq.refine.refine import Refinement
-from bayeq.regression.constraints import Constraints, parse_constraints
-from bayeq.regression.design import DroppedTerm
-from bayeq.states import Chain, Roles, Smooth, estimate_motion, rates
+from bayeq.states import estimate_motion
 from bayeq.states.motion import MotionRows
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
 
     from bayeq.equation.physical import PhysicalParameters
-    from bayeq.forecast.dynamics import Dynamics
     from bayeq.forecast.run import Forecast
     from bayeq.ode.rk4 import Interpolation
     from bayeq.plan.conditions import Amplitude
     from bayeq.plan.plan import Progress
     from bayeq.plan.result import Plan
 
-__all__ = ["DataSummary", "Equations"]
-
-Floats = NDArray[np.float64]
+__all__ = ["DataSummary", "EquationTuple", "Equations"]
 
 
 @dataclass(frozen=True)
-class Equations:
+class Equations(Answer):
     """Equations of motion with a posterior on every term.
 
     Indexing and iteration give single equations (`Equation`), in the order of the chains.
@@ -80,84 +64,6 @@ class Equations:
         How the coefficients were refined, if they were.
     """
 
-    equations: EquationTuple
-    inputs: tuple[str, ...]
-    method: str
-    dictionary: str
-    smooth: Smooth
-    data: DataSummary
-    dropped: tuple[DroppedTerm, ...] = ()
-    warnings: tuple[str, ...] = ()
-    constraints: tuple[str, ...] = ()
-    scores: Scores | None = None
-    refined: Refinement | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "equations", EquationTuple(self.equations))
-
-    def __len__(self) -> int:
-        return len(self.equations)
-
-    def __iter__(self) -> Iterator[Equation]:
-        return iter(self.equations)
-
-    def __getitem__(self, key: int | str) -> Equation:
-        """By position, or by the name of the target."""
-        if isinstance(key, str):
-            for equation in self.equations:
-                if equation.target == key:
-                    return equation
-            raise KeyError(key)
-        return self.equations[key]
-
-    @property
-    def chains(self) -> tuple[Chain, ...]:
-        """The kinematic chains."""
-        return tuple(equation.chain for equation in self.equations)
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the first-order state vector, the order of `rhs`."""
-        return tuple(name for chain in self.chains for name in chain.states)
-
-    @cached_property
-    def roles(self) -> Roles:
-        """Chains and inputs, and whether terms use the time."""
-        return Roles(self.chains, self.inputs).for_terms(term for equation in self.equations for term in equation.terms)
-
-    @property
-    def verdict(self) -> Verdict:
-        """Whether the equations were found: the worst verdict of them."""
-        return worst([(equation.target, equation.verdict) for equation in self.equations])
-
-    def known(self) -> tuple[Constraints, ...]:
-        """What `constraints` say of the coefficients of each equation."""
-        dropped = {term.name: term.reason for term in self.dropped}
-        targets = [equation.target for equation in self.equations]
-        return tuple(
-            parse_constraints(self.constraints, equation.terms, targets, dropped)[k]
-            for k, equation in enumerate(self.equations)
-        )
-
-    def table(self) -> pd.DataFrame:
-        """All candidates of all equations: target, term, coef, sd, ci_low, ci_high, pip, included."""
-        import pandas as pd
-
-        tables = []
-        for equation in self.equations:
-            one = equation.table()
-            one.insert(0, "target", equation.target)
-            tables.append(one)
-        return pd.concat(tables, ignore_index=True)
-
-    def coefficients(self) -> dict[str, dict[str, float]]:
-        """Coefficients of the equations shown: ``{"a": {"x": -1000.3, "v": -2.0, "u": 1.0}}``.
-
-        The constant is the term ``"1"``, where it is written out. ``pandas.DataFrame(eq.coefficients())`` is the matrix
-        that PySINDy's method of this name gives, with names; all candidates are in `table`.
-        """
-        return coefficients(self.equations)
-
     def plot(self, record: Record | None = None, ax: Any = None) -> list[Axes]:
         """A quick look: probabilities and coefficients, or, with a record, the free run against what was measured.
 
@@ -183,125 +89,6 @@ class Equations:
         from bayeq.equation.overview import plot_run, plot_terms
 
         return plot_terms(self, ax) if record is None else plot_run(self.simulate(record), ax)
-
-    def to_sympy(self) -> Any:
-        """`sympy.Eq`, or a list of them where there are several equations."""
-        out = [equation.to_sympy() for equation in self.equations]
-        return out[0] if len(out) == 1 else out
-
-    def to_latex(self, uncertainty: Uncertainty = "none", *, aligned: bool = False) -> str:
-        r"""LaTeX, one equation per line.
-
-        Parameters
-        ----------
-        uncertainty : "none", "brackets" or "plus-minus"
-            See `Equation.to_latex`.
-        aligned : bool
-            Whether the lines stand in an ``aligned`` environment, equal signs below each other.
-        """
-        lines = [equation.to_latex(uncertainty) for equation in self.equations]
-        if not aligned:
-            return " \\\\\n".join(lines)
-        body = " \\\\\n".join(line.replace(" = ", " &= ", 1) for line in lines)
-        return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
-
-    def to_callable(self, module: Literal["numpy", "jax"] = "numpy") -> Callable[..., Any]:
-        """The right-hand side as a function ``f(t, y, u=None)`` for many points at once.
-
-        Parameters
-        ----------
-        module : "numpy" or "jax"
-            Of the arrays. JAX computes in single precision unless ``jax_enable_x64`` is set.
-
-        Returns
-        -------
-        callable
-            Takes states (d,) or (d, n) in the order of `states`, inputs (m,) or (m, n), and times; returns derivatives
-            by time of the shape of the states. SciPy's ``solve_ivp`` takes it with ``vectorized=True``.
-
-        Raises
-        ------
-        UnknownNameError
-            Another module.
-        MissingExtraError
-            JAX is not installed.
-        """
-        from bayeq.export.callables import to_callable
-
-        return to_callable([equation.law for equation in self.equations], self.inputs, self.roles.timed, module)
-
-    def to_code(self, language: str) -> str:
-        """The right-hand side as source text: a function `rhs` of time, states and inputs, without dependencies.
-
-        Parameters
-        ----------
-        language : "c", "julia", "matlab" or "python"
-            Printed by SymPy, coefficients with 17 digits. Channels whose names the language does not allow get others.
-
-        Raises
-        ------
-        UnknownNameError
-            Another language.
-        InputError
-            Terms that the language cannot express.
-        """
-        from bayeq.export.languages import to_code
-
-        return to_code([equation.law for equation in self.equations], self.inputs, self.roles.timed, language)
-
-    def to_python(self) -> str:
-        """``to_code("python")``: a function of plain Python that needs the module `math` alone."""
-        return self.to_code("python")
-
-    def rhs(self, t: float, state: ArrayLike, u: ArrayLike | None = None) -> Floats:
-        """Time derivative of the state vector, as SciPy's `solve_ivp` takes it.
-
-        Parameters
-        ----------
-        t : float
-            Time [s], for terms that use it.
-        state : (d,) array
-            In the order of `states`: each coordinate and its derivatives below the highest.
-        u : (m,) array or float, optional
-            Inputs at this time, needed where there are inputs.
-
-        Returns
-        -------
-        (d,) array
-            In the unit of each state per second, also where the channels of a chain have units that do not belong
-            together (see `Equation.unit_gains`).
-        """
-        values = _numbers(state, "the state")
-        if values.shape != (len(self.states),):
-            raise InputError(f"the state has {len(self.states)} entries {self.states}, got shape {values.shape}")
-        given = np.atleast_1d(_numbers([] if u is None else u, "u"))
-        if given.shape != (len(self.inputs),):
-            raise InputError(f"need {len(self.inputs)} input values {self.inputs}, got {given.size}")
-        columns = dict(zip(self.states, values, strict=True)) | dict(zip(self.inputs, given, strict=True))
-        if self.roles.timed:
-            columns[TIME] = np.float64(t)
-        out: list[float] = []
-        for equation in self.equations:
-            above = [*(columns[name] for name in equation.chain.states[1:]), float(equation.evaluate(columns))]
-            out.extend(np.multiply(rates(equation.chain, equation.unit_gains), above).tolist())
-        return np.array(out)
-
-    def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics:
-        """The equations shown as one system of first order; by default all have an intercept.
-
-        Parameters
-        ----------
-        intercepts : sequence of bool, optional
-            Of each equation, whether its intercept is in.
-
-        Returns
-        -------
-        Dynamics
-            What `simulate` integrates.
-        """
-        from bayeq.forecast.dynamics import Dynamics
-
-        return Dynamics.of([equation.law for equation in self.equations], self.inputs, intercepts, self.roles.timed)
 
     def predict(self, record: Record, return_std: bool = False) -> Any:
         """Target(s) of a record, eqs. (29)-(30): the right-hand side at its measured states and inputs.
@@ -332,7 +119,7 @@ class Equations:
         """
         from bayeq.equation.along import predictions
 
-        (record,) = prepared(self._timed([record], "predict"), self.roles, self.smooth, self.warnings)
+        (record,) = self._prepared(self._timed([record], "predict"))
         return predictions(self, record, return_std)
 
     def motion(self, record: Record) -> MotionRows:
@@ -359,7 +146,7 @@ class Equations:
         DataWarning
             As `predict`.
         """
-        (record,) = prepared(self._timed([record], "motion"), self.roles, self.smooth, self.warnings)
+        (record,) = self._prepared(self._timed([record], "motion"))
         return estimate_motion([record], self.roles, self.smooth, sensors=self.data.sensors).records[0]
 
     def simulate(
@@ -413,7 +200,7 @@ class Equations:
 
         (record,) = self._timed([record], "simulate")
         if all(name in record.channels for name in self.roles.channels):
-            (record,) = prepared([record], self.roles, self.smooth, self.warnings)
+            (record,) = self._prepared([record])
         return free_run(
             self, record, initial=initial, draws=draws, seed=seed, start=start, rows=rows, interpolation=interpolation
         )
@@ -456,8 +243,7 @@ class Equations:
         from bayeq.equation.along import scores
 
         # rows that are named are counted in whole records
-        pieces = self._timed(_as_list(records, "score"), "score")
-        pieces = prepared(pieces, self.roles, self.smooth, self.warnings, divide=start is None)
+        pieces = self._prepared(self._timed(_as_list(records, "score"), "score"), divide=start is None)
         return scores(self, pieces, start=start, rows=rows, interpolation=interpolation)
 
     def refine(
@@ -513,11 +299,9 @@ class Equations:
         DataWarning
             As `predict`; runs contradict a known sign, or leave more of a channel than the noise given of it.
         """
-        from bayeq.equation.refinement import refinement
+        from bayeq.equation.along import refinement
 
-        pieces = self._timed(_as_list(records, "refine"), "refine")
-        better = refinement(self, pieces, holdout, interpolation)
-        return replace(self, **better) if better else self
+        return refinement(self, self._timed(_as_list(records, "refine"), "refine"), holdout, interpolation)
 
     def _timed(self, records: Sequence[Record], purpose: str) -> list[Record]:
         """Records with row numbers as time, if that of the equations is such and theirs is not known either."""
@@ -525,6 +309,12 @@ class Equations:
             if not isinstance(record, Record):
                 raise InputError(f"{purpose} needs a Record (bayeq.read reads a file), not {type(record).__name__}")
         return with_row_numbers(records) if self.data.rows_as_time else list(records)
+
+    def _prepared(self, records: Sequence[Record], divide: bool = False) -> list[Record]:
+        """Records without bad samples; what `discover` has said of them is not said again."""
+        from bayeq.equation.along import prepared
+
+        return prepared(records, self.roles, self.smooth, self.warnings, divide, level=4)
 
     def plan(
         self,
@@ -741,13 +531,6 @@ class Equations:
 
     def __repr__(self) -> str:
         return f"<Equations: {'; '.join(equation.text for equation in self.equations)}>"
-
-
-def _numbers(value: Any, what: str) -> Floats:
-    try:
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{what} must be numbers, not {type(value).__name__}") from None
 
 
 def _white_noise(equation: Equation) -> float:

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from bayeq.equation.check_saved import check_content, check_restored
 from bayeq.equation.equation import Equation
-from bayeq.equation.equations import DataSummary, Equations
+from bayeq.equation.equations import DataSummary, Equations, EquationTuple
 from bayeq.equation.intervals import OverModels
 from bayeq.equation.schema import first_fault
-from bayeq.equation.several import EquationTuple
 from bayeq.equation.to_json import FORMAT
 from bayeq.errors import BayeqError, FileFormatError, as_path
 from bayeq.expressions import parse

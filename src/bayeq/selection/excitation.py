@@ -68,17 +68,7 @@ class Repeating(NamedTuple):
 def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
     """Whether all records of some motion run along closed curves that do not tell the candidates apart.
 
-    Parameters
-    ----------
-    motion : Motion
-        With time.
-    terms : sequence of Expression
-        The candidates.
-
-    Returns
-    -------
-    Repeating or None
-        None where motion does not repeat itself, or tells the candidates apart.
+    None where the motion does not repeat itself, tells the candidates apart, or has no time.
     """
     drivers = motion.roles.inputs
     if not motion.timed or any(TIME in term.names for term in terms):

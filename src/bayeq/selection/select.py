@@ -204,15 +204,7 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
 
 
 class FreeRuns:
-    """Errors of free runs of a system over windows of the training rows.
-
-    Parameters
-    ----------
-    motion : Motion
-        With time.
-    fits : sequence of RegressionFit
-        One per equation.
-    """
+    """Errors of free runs of a system, of one fit per equation, over windows of the training rows, which have time."""
 
     def __init__(self, motion: Motion, fits: Sequence[RegressionFit]) -> None:
         self.motion, self.fits = motion, fits
@@ -248,12 +240,7 @@ def _decided(chosen: Sequence[Selection], tolerance: float, runs: FreeRuns | Non
 def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float:
     """Root mean square difference of predictions over the rows of a Gram, as a share of the target's deviation.
 
-    Parameters
-    ----------
-    rows : Gram
-        Of all P terms, in original units.
-    one, other : Posterior
-        The same.
+    The Gram and the posteriors are of all P terms, in original units.
     """
     change = one.coef - other.coef
     used = np.flatnonzero(change)
@@ -266,7 +253,7 @@ def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float
 def likeliest_instead(
     fit: RegressionFit, k: int, found: Sequence[Posterior], runs: FreeRuns | None, tolerance: float
 ) -> Posterior | None:
-    """The likeliest model of equation k, where the included terms are not what the model average says.
+    """The likeliest model of equation k, of which `fit` is, where the included terms are not what the average says.
 
     Collinear terms share their probability, so that none of several forms of damping may reach 0.5, however sure it is
     that there is damping. The average has it. So where the predictions or free runs of the included terms are further
