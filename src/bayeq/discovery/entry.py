@@ -13,7 +13,7 @@ import numpy as np
 
 from bayeq.adapters.pysindy.library import is_library, terms_of
 from bayeq.dictionary import Specification, Variables, build_dictionaries
-from bayeq.discovery.question import NotStreamed, Question
+from bayeq.discovery.question import NotStreamed, Progress, Question
 from bayeq.equation.equations import Equations
 from bayeq.errors import (
     InputError,
@@ -39,8 +39,6 @@ from bayeq.streaming.units import Executor, Extent, Threads, of_channels, stretc
 from bayeq.streaming.whole import Whole
 
 __all__ = ["discover", "question_of"]
-
-Progress = Callable[[str, int, int], None]
 
 # Longer records in memory are taken in units, as large files are.
 MOST_ROWS = 200_000
@@ -189,7 +187,8 @@ def discover(
     >>> eq[0].included
     ('x', 'v', 'x**3', 'u')
     """
-    asked = {name: value for name, value in locals().items() if name not in SOURCES}
+    given = dict(locals())
+    asked = {name: value for name, value in given.items() if name not in SOURCES}
     answer, log = _answer(question_of(**asked), records, t, stream, client, checkpoint)
     log.emit(stacklevel=3)
     return answer

@@ -259,10 +259,12 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             " a longer record would decide",
             AmbiguityWarning,
         )
-    if found.average is None:
-        _warn_of_ambiguity(target, equation.runners_up, log)
-    else:
+    swaps = [r for r in equation.runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
+    if found.average is not None:
         _warn_of_groups(equation, {left.name for left in equation.left_out}, log)
+    elif swaps:
+        listed = "; ".join(f"{r} (odds {r.odds})" for r in swaps)
+        log.warn(f"{target}: columns that the data hardly tell apart: {listed}; {TELL_APART}", AmbiguityWarning)
     _warn_of_residuals(equation, selection, log)
     _warn_of_hidden_noise(equation, regression=selection.shown_fit.regression, log=log)
 
@@ -303,13 +305,6 @@ def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: Warni
             f"{{{name!r}: '{NOISE_OF_INPUTS[0]:.0%}'}}, --noise {name}={NOISE_OF_INPUTS[0]:.0%}",
             DataWarning,
         )
-
-
-def _warn_of_ambiguity(target: str, runners_up: Sequence[RunnerUp], log: WarningLog) -> None:
-    swaps = [r for r in runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
-    if swaps:
-        listed = "; ".join(f"{r} (odds {r.odds})" for r in swaps)
-        log.warn(f"{target}: columns that the data hardly tell apart: {listed}; {TELL_APART}", AmbiguityWarning)
 
 
 def _warn_of_groups(equation: Equation, left_out: Set[str], log: WarningLog) -> None:
