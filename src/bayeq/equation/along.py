@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from bayeq.equation.answer import Answer, EquationTuple
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError
-from bayeq.forecast.score import Scores
 from bayeq.forecast.rows import check_interpolation
 from bayeq.forecast.run import Forecast, forecast
-from bayeq.forecast.score import score_records
+from bayeq.forecast.score import Scores, score_records
 from bayeq.records import Record
 from bayeq.states import Roles, Sensors, Smooth, estimate_motion
 from bayeq.states.prepare import cleaned, divided_at_gaps, has_all

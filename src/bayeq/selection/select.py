@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError, require_number
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.rows import Rows, divided, rows_of
 from bayeq.forecast.free_run import apart, typical_period, window_runs
+from bayeq.forecast.rows import Rows, divided, rows_of
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.path import best_of_each_size, partial_shares, path_sizes
 from bayeq.inference.engines import ENGINES
