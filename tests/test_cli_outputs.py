@@ -16,7 +16,7 @@ import bayeq as bq
 from bayeq import discovery
 from bayeq.cli.app import main
 from bayeq.cli.progress import COMPILING, PROGRESS
-from tests.uncovered import uncovered
+from tests.uncovered import WITHOUT_PYC, uncovered
 
 OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x, v, x**3, u"]
 
@@ -202,7 +202,7 @@ def test_a_full_disk_costs_one_file_and_leaves_the_one_before(record, tmp_path):
     command = shlex.join([sys.executable, "-m", "bayeq", *map(str, arguments)])
     # no file may grow beyond 512 bytes; compiled kernels are not written either
     limited = ["sh", "-c", f"ulimit -f 1; {command}"]
-    done = subprocess.run(limited, capture_output=True, text=True, check=False, env=uncovered())
+    done = subprocess.run(limited, capture_output=True, text=True, check=False, env={**uncovered(), **WITHOUT_PYC})
     assert done.returncode == 2
     assert json.loads(done.stdout)["equations"][0]["target"] == "a"
     assert without_progress(done.stderr) == (

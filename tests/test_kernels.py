@@ -11,7 +11,7 @@ import pytest
 
 from bayeq.inference.collapsed.tableau import score
 from bayeq.kernels import announce_compiling, kernel
-from tests.uncovered import uncovered
+from tests.uncovered import WITHOUT_PYC, uncovered
 
 CALLEE = "from bayeq.kernels import kernel\n\n@kernel\ndef inner(x):\n    return x + {shift}\n"
 MIDDLE = "from bayeq.kernels import kernel\nfrom callee import inner\n\n@kernel\ndef middle(x):\n    return inner(x)\n"
@@ -245,7 +245,9 @@ def test_a_full_disk_costs_the_cache_alone(tmp_path, damage):
         (index,) = tmp_path.rglob("*.nbi")
         index.write_bytes(DAMAGES[damage](b""))
     full = ["sh", "-c", 'ulimit -f 0; exec "$0" "$@"', *command]
-    out = subprocess.run(full, cwd=tmp_path, capture_output=True, text=True, check=True, env=uncovered())
+    out = subprocess.run(
+        full, cwd=tmp_path, capture_output=True, text=True, check=True, env={**uncovered(), **WITHOUT_PYC}
+    )
     assert (out.stdout, out.stderr) == ("2.0\n", "")
 
 

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["uncovered"]
+__all__ = ["WITHOUT_PYC", "uncovered"]
+
+#: Where the disk is full: compiled modules that are cut off would be found by whoever runs next.
+WITHOUT_PYC = {"PYTHONDONTWRITEBYTECODE": "1"}
 
 
 def uncovered() -> dict[str, str]:

@@ -66,6 +66,7 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.systems import SYSTEMS as SYSTEMS, System as System, simulate as simulate
     # isort: on
 
+    from bayeq import errors as errors
     from bayeq import figures as figures
 
     __version__: str
@@ -79,8 +80,8 @@ else:  # hidden from type checkers, which would take every misspelt name for a p
             from importlib.metadata import version
 
             value = version("bayeq")
-        elif name == "figures":  # the module of pictures, which are called as bayeq.figures.free_run(eq, record)
-            return import_module("bayeq.figures")
+        elif name in ("errors", "figures"):  # modules: bayeq.errors.InputError, bayeq.figures.free_run(eq, record)
+            return import_module(f"bayeq.{name}")
         else:
             raise AttributeError(f"module 'bayeq' has no attribute {name!r}")
         globals()[name] = value
@@ -88,4 +89,4 @@ else:  # hidden from type checkers, which would take every misspelt name for a p
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "__version__", "figures"})
+    return sorted({*globals(), *__all__, "__version__", "errors", "figures"})

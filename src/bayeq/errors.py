@@ -131,7 +131,7 @@ class UnknownNameError(InputError):
         known = [_printable(str(k)) for k in known]
         folded = {k.casefold(): k for k in known}
         near = [folded[m] for m in difflib.get_close_matches(asked.casefold(), list(folded), n=3, cutoff=0.5)]
-        message = f"no {kind} named {name!r}"
+        message = f"no {kind} named {asked[:60]!r}"
         if near:
             message += f"; did you mean {' or '.join(repr(m) for m in near)}?"
             if len(known) > len(near):

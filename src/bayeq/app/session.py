@@ -17,7 +17,7 @@ from bayeq.app.child import Child, Outcome
 from bayeq.app.choices import EQUATION, REPORT, Choices, as_typed, discover_command
 from bayeq.errors import InputError
 
-__all__ = ["LOOKING", "READING", "Opened", "Result", "Session", "Workspace", "in_words", "safe_name"]
+__all__ = ["LOOKING", "READING", "Opened", "Result", "Session", "Workspace", "safe_name"]
 
 # The file of the example.
 EXAMPLE = "example.csv"
@@ -25,20 +25,11 @@ EXAMPLE = "example.csv"
 # Longest name of a file [characters], with its ending.
 LONGEST_NAME = 80
 
+# Lines about progress begin so.
 _PROGRESS = "bayeq: progress: "
 
 #: What can be going on.
 READING, LOOKING = "reading the file", "looking for the equation"
-
-# Stages, as the page calls them.
-_STAGES = {
-    "reading": "reading the file",
-    "states": "smoothing the motion",
-    "dictionary": "evaluating the candidate terms",
-    "likelihood": "learning path and noise of the record",
-    "inference": "weighing the terms",
-    f"writing {REPORT}": "drawing the report",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,25 +219,13 @@ class Session:
     def _say(self, line: str) -> None:
         """A line of progress; warnings are in the report."""
         if not line.startswith(("bayeq: warning: ", "bayeq: error: ")):
-            self.progress.append(in_words(line))
+            self.progress.append(line.removeprefix(_PROGRESS))
             self.changed("progress")
 
     def _forget(self, path: Path) -> None:
         """Remove a file that was dropped; others are where they belong."""
         if self.workspace.path in path.parents:
             self.workspace.remove(path.parent)
-
-
-def in_words(line: str) -> str:
-    """A line of progress, as the page says it.
-
-    Examples
-    --------
-    >>> in_words("bayeq: progress: likelihood, 2 of 3, 10 s")
-    'learning path and noise of the record, 2 of 3, 10 s'
-    """
-    stage, comma, rest = line.removeprefix(_PROGRESS).partition(",")
-    return _STAGES.get(stage, stage) + comma + rest
 
 
 def safe_name(name: str) -> str:

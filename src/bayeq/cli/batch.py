@@ -77,8 +77,9 @@ def batch(
     the others: it is named at the end, and the exit code is 1. It is 2 if the arguments are wrong, or no file could be
     used.
     """
-    reading = Reading.of({**options, "join": False})
-    options, paths = opt.named_channels({name: value for name, value in options.items() if name not in _READING})
+    options["join"] = False
+    reading = Reading.of(options)  # which takes its options out
+    options, paths = opt.named_channels(options)
     options = cleaned(options)
     if STANDARD_INPUT in files:
         raise InputError("-: a batch is of files, which it knows again; write standard input to one")
@@ -104,8 +105,6 @@ def batch(
         _write(found, table, figure)
     _name_refused(found.refused, len(found))
 
-
-_READING = [name for name in Reading.__dataclass_fields__ if name != "join"]
 
 # All that says how `discover` reads and what it looks for, but not what it writes; files are not joined.
 batch.params[1:1] = [

@@ -209,12 +209,9 @@ def source_of(
 
 
 def cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options as `bayeq.discover` takes them: channels by their names, without those that were not given."""
+    """The options as `bayeq.discover` takes them, without those that were not given."""
     out = {name: value for name, value in options.items() if value is not None}
-    for role in opt.ROLES:
-        if role in out:
-            out[role] = opt.channel_name(out[role])
-    out["inputs"] = [name for name in map(opt.channel_name, out["inputs"]) if name]
+    out["inputs"] = list(filter(None, out["inputs"]))
     out["chains"] = list(out["chains"]) or None
     dictionaries = out.pop("dictionaries") or ("oscillator",)
     if len(dictionaries) > 1 and not all(":" in text for text in dictionaries):

@@ -180,18 +180,12 @@ def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str
 
 
 def channel_name(name: str) -> str:
-    """A channel by its name or by its header in the file, such as ``Displ. (m)``.
-
-    Examples
-    --------
-    >>> channel_name("x"), channel_name("Displ. (m)"), channel_name("x:v")
-    ('x', 'Displ', 'x:v')
-    """
-    if not name or name.isidentifier() or ":" in name:
+    """A channel by its name or by its header in the file, such as ``Displ. (m)``."""
+    if name.isidentifier():
         return name
-    from bayeq.records import clean_name
+    from bayeq.records.names import channel_name as of_header
 
-    return clean_name(name)[0]
+    return of_header(name)
 
 
 def path_of(text: str | None) -> str | None:
@@ -226,9 +220,10 @@ class Names:
         name, equals, path = bare.partition("=")
         if not equals:
             if not _INDEX.search(bare):
+                called = channel_name(bare)
                 if bare and not mark:
-                    self._keep(bare if bare.isidentifier() else clean_name(bare)[0], bare)
-                return text
+                    self._keep(called, bare)
+                return mark + called
             name, path = clean_name(bare.replace("[", "_").replace("]", ""))[0], bare
         name, path = name.strip(), path.strip()
         if clean_name(name)[0] != name or not path:

@@ -16,6 +16,15 @@ COMPILING = "compiling what runs for the first time after installation: up to a 
 #: Lines about progress begin so.
 PROGRESS = "bayeq: progress: "
 
+#: Stages as lines about progress call them; others by their names.
+STAGES = {
+    "reading": "reading the file",
+    "states": "smoothing the motion",
+    "dictionary": "evaluating the candidate terms",
+    "likelihood": "learning path and noise of the record",
+    "inference": "weighing the terms",
+}
+
 # Work that takes longer shows its progress [s].
 PATIENCE = 1.0
 
@@ -64,7 +73,7 @@ class Progress:
                     say(f"bayeq: {stage} ...")
             self.done, self.total = done, total
             if self.bar is not None:
-                self.bar.update(self.task, description=stage + self._count(), completed=done, total=total)
+                self.bar.update(self.task, description=self._described(), completed=done, total=total)
 
     def close(self) -> None:
         """Take the bar away, and be silent until the next call."""
@@ -101,12 +110,15 @@ class Progress:
                 self.said = now  # it has been named when it began
             else:
                 left = self._left(now) if self.total > 1 else ""
-                say(f"{PROGRESS}{self.stage}{self._count()}{left}, {now - self.began:.0f} s")
+                spent = f", {now - self.began:.0f} s" if now - self.began >= 1.0 else ""
+                say(f"{PROGRESS}{self._described()}{left}{spent}")
                 self.said = now
             self.named = self.stage
 
-    def _count(self) -> str:
-        return f", {self.done:,} of {self.total:,}" if self.total > 1 else ""
+    def _described(self) -> str:
+        """The stage in words, and how much of it is done."""
+        count = f", {self.done:,} of {self.total:,}" if self.total > 1 else ""
+        return STAGES.get(self.stage, self.stage) + count
 
     def _left(self, now: float) -> str:
         """The rate, of rows, and the time that is left."""
@@ -124,7 +136,7 @@ class Progress:
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
         self.bar = Bar(*columns, console=Console(stderr=True), transient=True)
         self.bar.start()
-        self.task = self.bar.add_task(self.stage + self._count(), completed=self.done, total=self.total)
+        self.task = self.bar.add_task(self._described(), completed=self.done, total=self.total)
 
 
 def _is_terminal() -> bool:

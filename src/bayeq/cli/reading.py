@@ -5,6 +5,7 @@ In this order: the file is read (lines passed over, units, time), joined with ot
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import sys
@@ -36,8 +37,11 @@ _OPTIONS = (
     opt.measured(
         "--units",
         multiple=True,
-        help="Units of channels, x=mm,a=g, instead of those in the file; also that of the time column (t=ms).",
+        help="Units of channels, x=mm,a=g, instead of those in the file; also that of the time column (t=ms). A number"
+        " in front is a gain: a=10g where 1 stands for 10 g.",
     ),
+    opt.measured("--scale", "scales", multiple=True, help="Gain of a channel, c1=10, by which it is multiplied."),
+    opt.measured("--sheet", help="Sheet of an Excel file; by default that with most rows of numbers. FILE[SHEET] too."),
     opt.measured("--names", help="Column names, separated by commas, for a file without header."),
     opt.measured("--skip", type=int, default=0, help="Lines at the top of a text file that are passed over."),
     opt.measured("--group", help="Column that numbers the trials within a file."),
@@ -85,6 +89,7 @@ class Reading:
     rows: slice | None = None
     offsets: Mapping[str, float | None] = field(default_factory=dict)
     stream: bool | None = None
+    sheet: str | None = None
 
     @classmethod
     def of(cls, options: dict[str, Any]) -> Self:
@@ -99,11 +104,12 @@ class Reading:
             names=None if names is None else [name.strip() for name in names.split(",")],
             group=opt.path_of(options.pop("group")),
             join=options.pop("join"),
-            units=_units(options.pop("units")),
+            units=_units(options.pop("units"), options.pop("scales")),
             skip=skip,
             rows=_rows(options.pop("rows")),
             offsets=_offsets(options.pop("offsets")),
             stream=options.pop("stream"),
+            sheet=options.pop("sheet"),
         )
 
     def streamed(self, files: Sequence[Path]) -> bool:
@@ -130,7 +136,7 @@ class Reading:
 
         given: dict[str, object] = {
             "--group": self.group, "--join": self.join, "--names": self.names, "--skip": self.skip,
-            "--remove-offset": self.offsets, "standard input": STANDARD_INPUT in files,
+            "--remove-offset": self.offsets, "--sheet": self.sheet, "standard input": STANDARD_INPUT in files,
         }  # fmt: skip
         whole = [option for option, value in given.items() if value]
         if whole:
@@ -196,7 +202,7 @@ class Reading:
 
         options: dict[str, Any] = {
             "time": self.time, "fs": self.fs, "names": self.names, "group": self.group, "units": self.units,
-            "skip": self.skip,
+            "skip": self.skip, "sheet": self.sheet,
         }  # fmt: skip
         found: Record | list[Record]
         if self.join:
@@ -228,14 +234,21 @@ class Reading:
                 raise UnknownNameError("channel", name, known, "--units")
 
 
-def _units(texts: Sequence[str]) -> dict[str, str]:
-    """Units by channel, from ``x=mm,a=g``."""
-    from bayeq.records.units import require_unit
+def _units(texts: Sequence[str], scales: Sequence[str]) -> dict[str, str]:
+    """Units by channel, from ``x=mm,a=g``, and gains in front of them, from ``a=10``."""
+    from bayeq.records.units import gain_and_unit, require_unit
 
     parts = (part for text in texts for part in text.split(","))
     out = opt.by_name("--units", parts, "write a channel and its unit, such as x=mm")
-    for name, unit in out.items():
-        require_unit(unit, f"--units {name}={unit}")
+    for name, text in out.items():
+        _, unit = gain_and_unit(text)
+        require_unit(unit or "", f"--units {name}={text}")
+    for name, text in opt.by_name("--scale", scales, "write a channel and its gain, such as c1=10").items():
+        gain, unit = gain_and_unit(out.get(name, ""))
+        gain *= opt.number(f"--scale {name}", text)
+        if not (gain and math.isfinite(gain)):
+            raise InputError(f"--scale {name}={text}: a gain is a number other than 0, such as 10 or -1")
+        out[name] = f"{gain!r} {unit or ''}".strip()
     return out
 
 

@@ -218,7 +218,8 @@ def _check_outputs(file: Path, figure: Path | None, output: Path | None) -> None
 
 
 def _numbers(where: str, texts: Sequence[str]) -> dict[str, float]:
-    return {name: opt.number(f"{where} {name}", value) for name, value in opt.by_name(where, texts, _HOW).items()}
+    given = opt.by_name(where, texts, _HOW)
+    return {opt.channel_name(name): opt.number(f"{where} {name}", value) for name, value in given.items()}
 
 
 def _amplitude(texts: Sequence[str]) -> Any:
@@ -231,4 +232,4 @@ def _amplitude(texts: Sequence[str]) -> Any:
         return None
     if len(texts) == 1 and "=" not in texts[0]:
         return value(texts[0])
-    return {name: value(text) for name, text in opt.by_name("--amplitude", texts, _HOW).items()}
+    return {opt.channel_name(name): value(text) for name, text in opt.by_name("--amplitude", texts, _HOW).items()}

@@ -14,7 +14,7 @@ __all__ = ["Member", "Specification", "members", "of_equations", "split_at_comma
 Specification: TypeAlias = str | Sequence[str] | Mapping[str, str | Sequence[str]]
 
 # What stands in front of a sign that belongs to a number or an operand.
-_OPERATOR = re.compile(r"(?:^|[-+*/^(,<>=]|(?:^|[^\w.])[0-9.]+[eE])$")
+_OPERATOR = re.compile(r"(?:^|[-+*/^(,<>=:]|(?:^|[^\w.])[0-9.]+[eE])$")
 
 
 class Member(NamedTuple):

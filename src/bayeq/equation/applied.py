@@ -148,7 +148,7 @@ class Prediction:
         for what, errors in (("single step", self.one_step), ("free run", self.free_run)):
             for name, error in errors.items():
                 inside = "" if error.inside is None else f"{100 * error.inside:.3g} %"
-                rms = f"{error.rms:.3g}" if math.isfinite(error.rms) else "blew up"
+                rms = "blew up" if math.isinf(error.rms) else "" if math.isnan(error.rms) else f"{error.rms:.3g}"
                 share = percentages({"": error.nrmse}).strip() if math.isfinite(error.nrmse) else ""
                 rows.append((f"{name}, {what}", share, rms, error.unit or "", inside))
         widths = [max(len(row[k]) for row in rows) for k in range(5)]

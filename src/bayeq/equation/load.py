@@ -29,11 +29,15 @@ from bayeq.expressions import parse
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
+from bayeq.records.io import near_files
 from bayeq.records.validate import check_name
 from bayeq.regression.design import DroppedTerm
 from bayeq.states import Chain, Roles, check_sensors
 
 __all__ = ["load", "restored"]
+
+#: No file of equations is longer; the greatest dictionary makes 40 MB.
+MOST_BYTES = 256 * 2**20
 
 Floats = NDArray[np.float64]
 Saved = Mapping[str, Any]
@@ -59,9 +63,17 @@ def load(path: str | Path) -> Equations:
     """
     path = as_path(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            text = file.read(MOST_BYTES + 1)  # a device may have no end
+        if len(text) > MOST_BYTES:
+            raise FileFormatError(f"{path}: longer than {MOST_BYTES // 2**20} MiB: not a file of equations")
+        content = json.loads(text.decode())
+    except FileNotFoundError:
+        raise FileFormatError(f"no such file: {path}{near_files(path)}") from None
     except OSError as error:
         raise FileFormatError(f"{path}: {error.strerror or error}") from error
+    except FileFormatError:
+        raise
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not a JSON file") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from bayeq.errors import DataWarning, RecordError
 from bayeq.records.columns import Columns, listed
 from bayeq.records.names import time_unit
 from bayeq.records.truth import FloatArray
+from bayeq.records.units import gain_and_unit
 from bayeq.records.validate import SECONDS, check_time, time_from, trial_starts
 
 __all__ = ["RATE_NAMES", "STEP_NAMES", "Trial", "assemble", "find_time"]
@@ -61,8 +63,12 @@ def assemble(
     if time is not None and fs is not None:
         raise RecordError(f"{where}: time and fs are both given; give one of them")
     known_units: dict[int, str | None] = dict(enumerate(data.headers.units))
+    gains: dict[int, float] = {}
     for key, unit in (units or {}).items():
-        known_units[data.headers.find(key)] = unit
+        column = data.headers.find(key)
+        gain, known_units[column] = gain_and_unit(unit, known_units[column])
+        if gain != 1.0:
+            gains[column] = gain
     time_column = find_time(data, known_units, time, fs)
     group_column = None if group is None else data.headers.find(group)
     wanted = None if columns is None else {data.headers.find(c) for c in listed(columns)}
@@ -70,10 +76,19 @@ def assemble(
     n = len(data.values[0]) if data.values else 0
     starts = [0]
     if group_column is not None:
-        place = f"{where}, column {data.headers.texts[group_column] or data.names[group_column]!r}"
-        starts = trial_starts(data.values[group_column], n, place)
+        starts = trial_starts(data.values[group_column], n, _place(data, group_column))
     stops = [*starts[1:], n]
-    seconds, kept_units = _time(data, time_column, known_units, np.asarray(starts, dtype=np.intp))
+    if gains:
+        data = replace(data, values=[x * gains[i] if i in gains else x for i, x in enumerate(data.values)])
+    seconds, kept_units = _time(data, time_column, known_units)
+    if seconds is not None:
+        again = check_time(seconds, _place(data, time_column), np.asarray(starts, dtype=np.intp), repeated=True)
+        if again.size:
+            _warn_of_repeated(again, _place(data, time_column))
+            kept = np.delete(np.arange(n), again)
+            seconds, data = seconds[kept], replace(data, values=[values[kept] for values in data.values])
+            starts = np.searchsorted(kept, starts).tolist()
+            stops = [*starts[1:], len(kept)]
 
     step, step_column = (None, None) if seconds is not None else _stated_step(data, fs)
     channels: dict[str, FloatArray] = {}
@@ -140,9 +155,9 @@ def _stated_step(data: Columns, fs: float | None) -> tuple[float | None, int | N
 
 
 def _time(
-    data: Columns, column: int | None, units: Mapping[int, str | None], starts: NDArray[np.intp]
+    data: Columns, column: int | None, units: Mapping[int, str | None]
 ) -> tuple[FloatArray | None, dict[str, str]]:
-    """Time in seconds, checked, and the unit it has if that cannot be turned into seconds."""
+    """Time in seconds, and the unit it has if that cannot be turned into seconds."""
     if column is None:
         return None, {}
     seconds, unit = data.values[column], units[column] or time_unit(data.names[column])
@@ -152,10 +167,19 @@ def _time(
         # Dividing by 1000 rounds once; multiplying by 0.001, itself rounded, would round twice.
         seconds = seconds * factor if factor >= 1 else seconds / round(1 / factor)
         unit = "s"
-    where = f"{data.headers.where}, column {data.headers.texts[column] or data.names[column]!r}"
-    check_time(seconds, where, starts)
     others = [name for i, name in enumerate(data.names) if i != column]
     return seconds, {"t": unit} if unit and "t" not in others else {}
+
+
+def _place(data: Columns, column: int | None) -> str:
+    return f"{data.headers.where}, column {data.headers.texts[column or 0] or data.names[column or 0]!r}"
+
+
+def _warn_of_repeated(rows: NDArray[np.intp], where: str) -> None:
+    listed = ", ".join(str(row + 1) for row in rows[:5]) + (", ..." if len(rows) > 5 else "")
+    counted = f"{len(rows)} rows repeat times" if len(rows) > 1 else "1 row repeats the time"
+    message = f"{where}: {counted} of the row before ({listed}): the first of each is kept; check the acquisition"
+    warnings.warn(message, DataWarning, stacklevel=4)
 
 
 def _since_first(time: FloatArray, unit: str | None) -> tuple[FloatArray, str | None]:

@@ -10,11 +10,20 @@ from typing import Any, overload
 
 import numpy as np
 
-from bayeq.errors import FileFormatError, InputError, as_path, require_kind
+from bayeq.errors import (
+    FileFormatError,
+    InputError,
+    as_path,
+    require_kind,
+    require_mapping,
+    require_text,
+    require_texts,
+)
 from bayeq.records.assemble import assemble
 from bayeq.records.columns import STAR, Columns, Headers, Names, Request
 from bayeq.records.files import replacing, unchanged
-from bayeq.records.formats import format_of, gz, text, writers
+from bayeq.records.formats import excel, format_of, gz, text, writers
+from bayeq.records.formats.excel import without_sheet
 from bayeq.records.formats.nested import read_pieces
 from bayeq.records.record import Record
 
@@ -25,19 +34,19 @@ __all__ = ["as_record", "as_records", "near_files", "read", "write"]
 def read(
     path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
     units: Mapping[str, str] | None = None, group: None = None, columns: Names = None, channels: None = None,
-    skip: int = 0,
+    skip: int = 0, sheet: str | None = None,
 ) -> Record: ...  # fmt: skip
 @overload
 def read(
     path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
     units: Mapping[str, str] | None = None, group: str, columns: Names = None,
-    channels: Mapping[str, str] | None = None, skip: int = 0,
+    channels: Mapping[str, str] | None = None, skip: int = 0, sheet: str | None = None,
 ) -> list[Record]: ...  # fmt: skip
 @overload
 def read(
     path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
     units: Mapping[str, str] | None = None, group: str | None = None, columns: Names = None,
-    channels: Mapping[str, str] | None = None, skip: int = 0,
+    channels: Mapping[str, str] | None = None, skip: int = 0, sheet: str | None = None,
 ) -> Record | list[Record]: ...  # fmt: skip
 def read(
     path: str | os.PathLike[str],
@@ -50,6 +59,7 @@ def read(
     columns: Names = None,
     channels: Mapping[str, str] | None = None,
     skip: int = 0,
+    sheet: str | None = None,
 ) -> Record | list[Record]:
     """Read measured channels from a file.
 
@@ -73,7 +83,8 @@ def read(
         Names of the columns, in order, instead of the file's header; a string is split at commas and
         white space.
     units : mapping of str to str, optional
-        Unit of each column, instead of those in the header.
+        Unit of each column, instead of those in the header; a number in front is a gain by which samples are
+        multiplied: ``{"c1": "10 g"}`` of a channel that was written in units of 10 g, ``"10"`` of one whose unit stays.
     group : str, optional
         A column that is constant within a trial: one record for each run of equal values.
     columns : list of str, or str, optional
@@ -83,6 +94,9 @@ def read(
         each cell.
     skip : int, optional
         Lines at the top of a text file that are passed over, for a preamble that is not recognised.
+    sheet : str, optional
+        The sheet of an Excel file, by default the one with most rows of numbers; ``"book.xlsx[Run 1]"`` as the path
+        names it too.
 
     Returns
     -------
@@ -103,7 +117,8 @@ def read(
     Warns
     -----
     DataWarning
-        Columns of the same name: the second is read as ``x_2``.
+        Columns of the same name: the second is read as ``x_2``. Rows that repeat a time: the first of each is kept.
+        Several sheets with numbers.
 
     Examples
     --------
@@ -114,10 +129,21 @@ def read(
     Record('run.csv': 2 rows at 2 Hz; x [m])
     """
     path = as_path(path)
+    for value, what in ((columns, "columns"), (names, "names")):
+        if value is not None:
+            require_texts(value, what)
+    for value, what in ((time, "time"), (group, "group"), (sheet, "sheet")):
+        require_text(value, what, optional=True)
+    for mapping, what in ((units, "units"), (channels, "channels")):
+        if mapping is not None:
+            require_mapping(mapping, what)
+    require_kind(skip, int, "skip", "a whole number")
+    path, named = without_sheet(path)
+    sheet = sheet if named is None else named
     request = Request(columns, dict(channels or {}), time, group, fs)
     try:
         with unchanged(path):
-            pieces = _pieces(path, request, names, skip)
+            pieces = _pieces(path, request, names, skip, sheet)
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or type(error).__name__
         raise FileFormatError(f"{path}: cannot be read ({reason})") from None
@@ -125,14 +151,14 @@ def read(
     starred = any(STAR in name for name in (*(request.names or ()), time or ""))
     for k, (part, data) in enumerate(pieces):
         named = part.renamed(data)
-        label = f"{path.name} [{k}]" if starred else path.name
+        label = f"{path.name} [{k}]" if starred else path.name if sheet is None else f"{path.name}[{sheet}]"
         kept = part.kept(named)
         trials = assemble(named, time=part.time, fs=fs, units=units, group=part.group, columns=kept, name=label)
         records.extend(Record(*trial) for trial in trials)
     return records if starred or group is not None else records[0]
 
 
-def _pieces(path: Path, request: Request, names: Names, skip: int) -> list[tuple[Request, Columns]]:
+def _pieces(path: Path, request: Request, names: Names, skip: int, sheet: str | None) -> list[tuple[Request, Columns]]:
     """The columns that are asked for; of each array where a path has ``[*]``."""
     if path.is_dir():
         raise FileFormatError(f"{path}: is a directory; name a file in it")
@@ -141,6 +167,8 @@ def _pieces(path: Path, request: Request, names: Names, skip: int) -> list[tuple
     row = format_of(path)
     if skip and row.flat not in (text, gz):
         raise InputError(f"{path}: is {row.title}: only lines of delimited text can be passed over; leave out skip")
+    if sheet is not None and row.flat is not excel:
+        raise InputError(f"{path}: is {row.title}: only Excel files have sheets; leave out the sheet {sheet!r}")
     if row.nested is not None:
         return read_pieces(row.nested.channels(path), str(path), request, names)
     starred = [name for name in (*(request.names or ()), request.time or "") if STAR in name]
@@ -148,7 +176,7 @@ def _pieces(path: Path, request: Request, names: Names, skip: int) -> list[tuple
         raise InputError(f"{path}: {starred[0]!r}: the file is one table, without arrays to count; leave out {STAR}")
     if row.flat is None:
         raise InputError(f"{path}: {row.title} cannot be read")
-    options: dict[str, Any] = {"skip": skip} if skip else {}
+    options: dict[str, Any] = ({"skip": skip} if skip else {}) | ({"sheet": sheet} if sheet is not None else {})
     return [(request, row.flat.read_columns(path, names=names, chosen=request.rows, **options))]
 
 
@@ -190,8 +218,10 @@ def near_files(path: Path) -> str:
         folded = {entry.name.casefold(): entry.name for entry in path.parent.iterdir()}
     except OSError:
         return ""
-    near = difflib.get_close_matches(path.name.casefold(), list(folded), n=3, cutoff=0.6)
-    return f"; did you mean {' or '.join(repr(folded[m]) for m in near)}?" if near else ""
+    asked = path.name.casefold()
+    near = [name for name in folded if Path(name).stem == Path(asked).stem]  # x.csv for x, or for x.mat
+    near += [name for name in difflib.get_close_matches(asked, list(folded), n=3, cutoff=0.6) if name not in near]
+    return f"; did you mean {' or '.join(repr(folded[m]) for m in near[:3])}?" if near else ""
 
 
 # --- other sources ---------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import re
 import unicodedata
 from collections.abc import Iterable
 
-__all__ = ["RESERVED", "clean_name", "clean_names", "is_time_name", "time_unit"]
+__all__ = ["RESERVED", "channel_name", "clean_name", "clean_names", "is_time_name", "time_unit"]
 
 #: Names that a channel cannot have: functions and constants of terms.
 RESERVED: frozenset[str] = frozenset(
@@ -60,6 +60,17 @@ def clean_name(header: str, position: int = 1) -> tuple[str, str | None]:
         if unit == "t" and match["round"]:  # "x(t)" says that x depends on time, not that its unit is t
             unit = None
     return _identifier(text, position), unit
+
+
+def channel_name(text: str) -> str:
+    """A channel by its name or by its header in the file, such as ``Displ. (m)``.
+
+    Examples
+    --------
+    >>> channel_name("x"), channel_name("Displ. (m)"), channel_name("")
+    ('x', 'Displ', '')
+    """
+    return text if not text or text.isidentifier() else clean_name(text)[0]
 
 
 def _identifier(text: str, position: int) -> str:

@@ -11,7 +11,8 @@ from fractions import Fraction
 from bayeq.errors import InputError
 
 __all__ = [
-    "Unit", "conversion", "derivative_ratio", "in_si", "multiply_units", "parse_unit", "require_unit", "written_unit",
+    "Unit", "conversion", "derivative_ratio", "gain_and_unit", "in_si", "multiply_units", "parse_unit",
+    "require_unit", "written_unit",
 ]  # fmt: skip
 
 # Exponents of symbols, in the order in which they occur.
@@ -19,6 +20,8 @@ Unit = dict[str, Fraction]
 
 SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 FACTOR = re.compile(r"\s*([*/·⋅ ]?)\s*(1(?![0-9])|[^\W\d_]+|[%°]+[^\W\d_]*)(?:(?:\^|\*\*)?(-?\d+))?")
+# A number, and a unit that begins with a letter, if any: "10 g", not "1/s".
+_GAIN = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*((?:[^\W\d_]|[%°]).*)?", re.DOTALL)
 DIMENSIONLESS = ("", "1", "-")
 
 #: Size of a symbol in metres, seconds and radians, and its dimension as powers of length and time.
@@ -68,6 +71,28 @@ def require_unit(text: str, where: str) -> None:
         raise InputError(f"{where}: {symbol[:40]!r} is no unit that is known{offered}")
 
 
+def gain_and_unit(text: str, own: str | None = None) -> tuple[float, str | None]:
+    """A gain and the unit behind it; a number alone is the gain of a channel that keeps its `own` unit.
+
+    Raises
+    ------
+    InputError
+        A gain of 0, or beyond floating point.
+
+    Examples
+    --------
+    >>> gain_and_unit("10 g"), gain_and_unit("-2.5", "mm"), gain_and_unit("m/s^2"), gain_and_unit("1")
+    ((10.0, 'g'), (-2.5, 'mm'), (1.0, 'm/s^2'), (1.0, '1'))
+    """
+    match = _GAIN.fullmatch(text) if isinstance(text, str) and text.strip() != "1" else None
+    if match is None:
+        return 1.0, text
+    gain = float(match[1])
+    if not (gain and math.isfinite(gain)):
+        raise InputError(f"unit {text[:60]!r}: a gain is a number other than 0, in front of the unit: 10g")
+    return gain, (match[2] or own)
+
+
 def conversion(stated: str, wanted: str) -> float | None:
     """By what numbers in one unit are multiplied to be in another; None where that is not known.
 
@@ -89,6 +114,8 @@ def parse_unit(text: str) -> Unit:
     {'m': 1, 's': -2}
     """
     text = text.strip()
+    if text[:1] == "(" and text.find(")") == len(text) - 1:  # as in "x [(1)]"
+        text = text[1:-1].strip()
     if text in DIMENSIONLESS:
         return {}
     out: Unit = {}

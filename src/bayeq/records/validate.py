@@ -49,10 +49,17 @@ def as_time(values: Any, where: str = "") -> FloatArray:
     return as_column(array, "time", where)
 
 
-def check_time(time: FloatArray, where: str = "", starts: NDArray[np.intp] | None = None) -> None:
+#: The inverse of the largest share of rows that may repeat a time.
+MOST_REPEATED = 10
+
+
+def check_time(
+    time: FloatArray, where: str = "", starts: NDArray[np.intp] | None = None, repeated: bool = False
+) -> NDArray[np.intp]:
     """Raise a RecordError, with the row counted from 1, unless time [s] is finite and strictly increasing.
 
-    At `starts`, the first rows of trials, it may start over; `where` is put in front of the message.
+    At `starts`, the first rows of trials, it may start over; `where` is put in front of the message. With `repeated` up
+    to a tenth of the rows may have the time of the one before: returns which, counted from 0.
     """
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
@@ -64,9 +71,19 @@ def check_time(time: FloatArray, where: str = "", starts: NDArray[np.intp] | Non
     falls = time[1:] <= time[:-1]
     if starts is not None:
         falls[starts[starts > 0] - 1] = False
+    again = np.flatnonzero(falls & (time[1:] == time[:-1])) + 1
+    if repeated and again.size <= max(1, len(time) // MOST_REPEATED):
+        falls[again - 1] = False
     rows = np.flatnonzero(falls)
     if not rows.size:
-        return
+        return again
+    if again.size > max(1, len(time) // MOST_REPEATED):
+        every = again.size == len(time) - 1
+        what = f"all {len(time)} times are {float(time[0])!r}" if every else f"{again.size} rows repeat the time before"
+        raise RecordError(
+            f"{_prefix(where)}{what}: the clock is too coarse; give the sampling rate instead (--fs, fs=), or name"
+            " another column as time (--time, time=)"
+        )
     row = int(rows[0])
     before, after = float(time[row]), float(time[row + 1])
     message = f"{_prefix(where)}time must increase strictly, but goes from {before!r} to {after!r} in row {row + 2}"

@@ -23,6 +23,7 @@ from bayeq.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.regression.equalities import Equalities, Linear
+from bayeq.states.derive import LARGEST
 
 __all__ = ["Constraints", "Equalities", "parse_constraints"]
 
@@ -259,8 +260,8 @@ class _Reader:
         except ExpressionError as error:
             raise ExpressionError(f"{where}: {error}") from error
         out = self._linear(tree, where)
-        if not all(map(math.isfinite, (out.constant, *out.slopes.values()))):
-            raise InputError(f"{where}: a number is not finite")
+        if not all(abs(number) <= LARGEST for number in (out.constant, *out.slopes.values())):  # not so of NaN
+            raise InputError(f"{where}: a number is not finite, or beyond {LARGEST:g}; give channels in larger units")
         return out
 
     def _parsed(self, text: str) -> Expression:

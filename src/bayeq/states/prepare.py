@@ -11,7 +11,7 @@ from bayeq.errors import InputError, RecordError
 from bayeq.records import Record, split_at_gaps
 from bayeq.records.sampling import JITTER, is_step
 from bayeq.states.bad_samples import Learned, listed, without_bad_samples
-from bayeq.states.derive import Smooth, require_usable
+from bayeq.states.derive import LARGEST, Smooth, require_usable
 from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries
 from bayeq.states.kinematic.smoother import smooth_kinematic
@@ -83,15 +83,37 @@ def cleaned(
     Raises
     ------
     UnknownNameError, RecordError
-        Channels that are missing, infinite, or too large to square.
+        Channels that are missing, or of which most samples are infinite or too large to square.
     """
     if smooth == "none":
         return list(records), []
     missing = missing_messages(records, roles)
+    records, impossible = _without_impossible(records, roles)
     for record in records:
         require_usable(bridged_record(record, roles), roles.channels)
     found, bad = without_bad_samples(records, roles, learned)
-    return found, [*missing, *bad]
+    return found, [*missing, *impossible, *bad]
+
+
+def _without_impossible(records: Sequence[Record], roles: Roles) -> tuple[list[Record], list[str]]:
+    """Records with NaN in place of infinite samples and those too large to square, unless most are; what to say."""
+    out, messages = [], []
+    for record in records:
+        where = f"{record.name or 'record'}: " if len(records) > 1 else ""
+        changed = {}
+        for name in roles.channels:
+            values = record[name]
+            bad = np.abs(values) > LARGEST  # not so of NaN
+            if 0 < (count := int(bad.sum())) < 0.5 * np.isfinite(values).sum():
+                changed[name] = np.where(bad, np.nan, values)
+                samples = "1 sample is" if count == 1 else f"{count} samples are"
+                messages.append(
+                    f"{where}{name}: {samples} infinite or beyond {LARGEST:g} ({listed(bad)}): taken as missing; check"
+                    " the acquisition"
+                )
+        units = {name: record.units[name] for name in changed if name in record.units}
+        out.append(record.with_channels(changed, units) if changed else record)
+    return out, messages
 
 
 def divided_at_gaps(records: Sequence[Record], roles: Roles, smooth: Smooth) -> tuple[list[Record], list[str]]:

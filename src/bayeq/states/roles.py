@@ -9,10 +9,14 @@ from dataclasses import dataclass, replace
 from bayeq.errors import ChainError, InputError, require_text, require_texts
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import TIME
+from bayeq.records.names import channel_name
 
 __all__ = ["MAX_ORDER", "Chain", "Roles", "parse_chain", "parse_chains"]
 
 MAX_ORDER = 4
+
+# Names of channels are no longer [characters].
+LONGEST = 200
 
 # Name of a coordinate that is not measured; where that name is taken, with the first measured channel: x_a1, x_a2.
 COORDINATE = "x"
@@ -102,7 +106,7 @@ def parse_chain(text: str) -> Chain:
     )
     if not isinstance(text, str):
         raise ChainError(f"a chain is a text, got {type(text).__name__}; {form}")
-    parts = [part.strip() for part in text.split(":")]
+    parts = [_named(part) for part in text.split(":")]
     if len(parts) == 1:
         parts.append("")
     if len(parts) - 1 > MAX_ORDER:
@@ -110,8 +114,7 @@ def parse_chain(text: str) -> Chain:
     if not any(parts):
         raise ChainError(f"chain {text[:60]!r} names no channel; {form}")
     for part in parts:
-        name = part.removeprefix("~")
-        if part and (not name.isidentifier() or keyword.iskeyword(name)):
+        if keyword.iskeyword(part.removeprefix("~")) or len(part) > LONGEST:
             raise ChainError(f"chain {text[:60]!r}: {part[:40]!r} is not a channel name; {form}")
     named = [part.removeprefix("~") for part in parts if part]
     if len(set(named)) < len(named):
@@ -127,6 +130,12 @@ def parse_chain(text: str) -> Chain:
             f" {', '.join(chain.names)}: rename the channel of that name"
         )
     return chain
+
+
+def _named(part: str) -> str:
+    """A channel by its name or its header, and the mark of one that is not measured."""
+    mark = "~" if part.strip().startswith("~") else ""
+    return mark + channel_name(part.strip().removeprefix("~"))
 
 
 def parse_chains(texts: Sequence[str], inputs: Sequence[str] = ()) -> tuple[Chain, ...]:
@@ -217,7 +226,7 @@ class Roles:
         if chains is not None:
             require_texts(chains, "chains")
         inputs = [inputs] if isinstance(inputs, str) else inputs
-        named = ((force,) if force is not None else ()) + tuple(inputs)
+        named = tuple(map(channel_name, ([] if force is None else [force]) + list(inputs)))
         if len(set(named)) < len(named):
             raise InputError(f"an input is named twice: {', '.join(named)}")
         if chains is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator
@@ -11,43 +12,62 @@ from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
-from bayeq.errors import FileFormatError
+from bayeq.errors import FileFormatError, UnknownNameError
 from bayeq.records.columns import Columns, Names, Select
 from bayeq.records.formats import text
 from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, needing, reading
 
-__all__ = ["OLE", "read_columns"]
+__all__ = ["OLE", "read_columns", "without_sheet"]
 
 #: The mark of the container of .xls files.
 OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 MOST_ROWS = 1_048_576
+# A file and one of its sheets, whose names have no brackets.
+_WITH_SHEET = re.compile(r"(.+\.xls[xm]?)\[([^\[\]]+)\]", re.IGNORECASE)
 Sheet = tuple[str, Iterable[Iterable[Any]]]
 
 
-def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None) -> Columns:
-    """Read the first sheet that holds numbers, with the rules for text: preamble, header, units, missing cells.
+def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None, sheet: str | None = None) -> Columns:
+    """Read a sheet, by default the one with most rows of numbers, as text is read: preamble, header, units, gaps.
 
     Of a formula the value that Excel saved is read.
     """
     where = str(path)
-    found: Columns | None = None
-    others = []
-    with tempfile.TemporaryDirectory() as folder:
-        plain = Path(folder) / "sheet"
-        with reading(where, "Excel file"):
-            for title, rows in _sheets(path):
-                if not _write_text(rows, plain):
-                    continue
-                if found is None:
-                    found = text.read_columns(plain, names=names, chosen=chosen, where=f"{where}, sheet {title!r}")
-                else:
-                    others.append(title)
-    if found is None:
-        raise FileFormatError(f"{where}: no sheet holds numbers")
-    if others:
-        doubt = f"{where}: only the first sheet with numbers is read, not {', '.join(others[:8])}; save those as files"
-        return replace(found, doubts=(*found.doubts, doubt))
-    return found
+    titles: dict[str, int] = {}  # and how many rows of numbers each has
+    with tempfile.TemporaryDirectory() as folder, reading(where, "Excel file"):
+        plain, other, best = Path(folder) / "sheet", Path(folder) / "other", ""
+        for title, rows in _sheets(path):
+            titles[title] = _write_text(rows, other) if sheet in (None, title) else 0
+            if titles[title] > titles.get(best, 0):
+                best = title
+                other.replace(plain)
+        if sheet is not None and sheet not in titles:
+            raise UnknownNameError("sheet", sheet, titles, where)
+        if not best:
+            raise FileFormatError(
+                f"{where}: {'no sheet' if sheet is None else f'sheet {sheet!r} does not'} hold numbers"
+            )
+        found = text.read_columns(plain, names=names, chosen=chosen, where=f"{where}, sheet {best!r}")
+    others = [repr(title) for title, count in titles.items() if count and title != best]
+    if not others:
+        return found
+    doubt = (
+        f"{where}: sheet {best!r} is read, which has the most rows of numbers ({titles[best]}), not"
+        f" {', '.join(others[:8])}; name a sheet to read another: --sheet NAME (sheet=)"
+    )
+    return replace(found, doubts=(*found.doubts, doubt))
+
+
+def without_sheet(path: Path) -> tuple[Path, str | None]:
+    """A path and the sheet that is named behind it.
+
+    Examples
+    --------
+    >>> without_sheet(Path("book.xlsx[Run 1]"))
+    (PosixPath('book.xlsx'), 'Run 1')
+    """
+    named = _WITH_SHEET.fullmatch(str(path))
+    return (path, None) if named is None or path.exists() else (Path(named[1]), named[2])
 
 
 def _sheets(path: Path) -> Iterator[Sheet]:
@@ -91,9 +111,9 @@ def _xls_row(xlrd: Any, book: Any, cells: Iterable[Any]) -> list[Any]:
     ]
 
 
-def _write_text(rows: Iterable[Iterable[Any]], path: Path) -> bool:
-    """Write a sheet as text separated by tabs; whether it holds a number."""
-    numbers, width = False, 0
+def _write_text(rows: Iterable[Iterable[Any]], path: Path) -> int:
+    """Write a sheet as text separated by tabs; how many rows hold a number."""
+    numbers = width = 0
     with path.open("w", encoding="utf-8") as file:
         for number, row in enumerate(rows):
             if number == MOST_ROWS:  # a row may claim any number, and those above it would be made up
@@ -106,7 +126,7 @@ def _write_text(rows: Iterable[Iterable[Any]], path: Path) -> bool:
             width = max(width, len(cells))
             if cells:  # an empty cell at the end of a row is a missing sample
                 cells += [None] * (width - len(cells))
-            numbers = numbers or any(isinstance(cell, (int, float)) for cell in cells)
+            numbers += any(isinstance(cell, (int, float)) for cell in cells)
             file.write("\t".join(map(_cell, cells)) + "\n")
     return numbers
 
