@@ -24,6 +24,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -56,6 +57,10 @@ __all__ = [
     "require_text",
     "require_texts",
 ]
+
+
+#: Numbers of system errors that say that a disk, or the share of it that a user has, is full.
+FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
 
 
 class BayeqError(Exception):

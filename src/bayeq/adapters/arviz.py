@@ -123,7 +123,11 @@ def to_arviz(
     az = _arviz("to_arviz")
     spread = np.sqrt(draws.noise_variance)
     centre = posterior.target_mean - draws.theta @ posterior.center
-    intercept = centre + spread / math.sqrt(posterior.n) * rng.standard_normal(spread.shape)
+    known = posterior.target_mean_variance  # of the likelihood of a record, which does not count rows
+    sd = spread / math.sqrt(posterior.n) if known is None else math.sqrt(known)
+    if posterior.left_out_intercept is not None:  # its own posterior, beside coefficients that are without it
+        centre, sd = np.broadcast_to(np.asarray(posterior.left_out_intercept)[:, None, None], (2, *spread.shape))
+    intercept = centre + sd * rng.standard_normal(spread.shape)
     groups: dict[str, dict[str, NDArray[Any]]] = {
         "posterior": {
             "coef": draws.theta,

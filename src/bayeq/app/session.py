@@ -19,6 +19,9 @@ from bayeq.errors import InputError
 
 __all__ = ["LOOKING", "READING", "Opened", "Result", "Session", "Workspace", "safe_name"]
 
+# Folders begin so, the number of the process follows.
+_PREFIX = "bayeq-app-"
+
 # The file of the example.
 EXAMPLE = "example.csv"
 
@@ -70,8 +73,9 @@ class Workspace:
     """
 
     def __init__(self) -> None:
+        _remove_abandoned()
         # resolved, as messages of commands that are run in it have no other name for it
-        self.path = Path(tempfile.mkdtemp(prefix="bayeq-app-")).resolve()  # mkdtemp makes it private
+        self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-")).resolve()  # mkdtemp makes it private
         self._count = 0
 
     def new_folder(self) -> Path:
@@ -93,6 +97,22 @@ class Workspace:
         if folder != self.path and self.path not in folder.parents:
             raise ValueError(f"{folder} is not in {self.path}")
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _remove_abandoned() -> None:
+    """Remove folders of this user whose process was killed, and could not."""
+    if os.name != "posix":  # where os.kill does not ask
+        return
+    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
+        pid = folder.name.removeprefix(_PREFIX).partition("-")[0]
+        try:
+            if not pid.isdecimal() or folder.lstat().st_uid != os.getuid():
+                continue
+            os.kill(int(pid), 0)
+        except (ProcessLookupError, OverflowError):
+            shutil.rmtree(folder, ignore_errors=True)
+        except OSError:  # somebody else's process, or the folder has just gone
+            continue
 
 
 class Session:

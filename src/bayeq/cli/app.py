@@ -24,7 +24,7 @@ from bayeq.cli.info import info
 from bayeq.cli.options import FILE, Command, option
 from bayeq.cli.saved import plan, predict, show
 from bayeq.cli.study import study
-from bayeq.errors import BayeqError, BayeqWarning, InputError, InterruptedRun, MissingExtraError
+from bayeq.errors import FULL, BayeqError, BayeqWarning, InputError, InterruptedRun, MissingExtraError
 
 __all__ = ["app", "main"]
 
@@ -183,7 +183,10 @@ def main(arguments: list[str] | None = None) -> int:
     except UnsupportedOperation:
         return _fail("standard output is closed: the result cannot be printed", 1)
     except OSError as error:
-        return _fail(f"{error.filename or 'system'}: {error.strerror or error}", 2 if error.filename else 1)
+        if error.filename:
+            return _fail(f"{error.filename}: {error.strerror or error}", 2)
+        full = error.errno in FULL
+        return _fail(f"{'the result cannot be written: ' if full else ''}{error.strerror or error}", 1)
     return 0
 
 

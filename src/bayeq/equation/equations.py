@@ -479,6 +479,45 @@ class Equations(Answer):
             reason = getattr(error, "strerror", None) or type(error).__name__
             raise FileFormatError(f"{place}: cannot be written: {reason}") from None
 
+    def to_arviz(self, target: str | None = None, *, draws: int = 1000, seed: int = 0) -> Any:
+        """Independent draws of the coefficients over the models, as ArviZ keeps them.
+
+        A model is drawn by its probability, coefficients and intercept are normal given the model, with the noise
+        variance of the model; an engine that does not average has the model of the included terms alone.
+
+        Parameters
+        ----------
+        target : str, optional
+            Which equation, where there are several.
+        draws : int
+            Number of draws, as one chain.
+        seed : int
+            Of the random numbers.
+
+        Returns
+        -------
+        InferenceData, or DataTree from ArviZ 1.0 on
+            Groups ``posterior`` (``coef`` and ``inclusion`` by ``term``, ``intercept``, ``noise_variance``) and
+            ``sample_stats`` (``lp``, the logarithm of the model's probability, and ``model``, its number).
+
+        Raises
+        ------
+        InputError
+            Equations read from a file, which does not hold their posterior; several, and no target.
+        UnknownNameError
+            No equation of this target.
+        MissingExtraError
+            ArviZ is not installed.
+        """
+        from bayeq.equation.draws import draws_of
+
+        targets = [equation.target for equation in self]
+        if target is None and len(targets) > 1:
+            raise InputError(f"to_arviz: there are several equations: say which by target= ({', '.join(targets)})")
+        if target is not None and target not in targets:
+            raise UnknownNameError("equation", str(target), targets)
+        return draws_of(self[0 if target is None else target], draws, seed)
+
     def report(
         self,
         path: str | Path,

@@ -24,7 +24,8 @@ class KinematicDerivative(BaseDifferentiation):  # type: ignore[misc]
     Each coordinate is an integrated Wiener process measured with white noise; the noise level, the roughness and the
     order are found from the samples by maximum likelihood and left-out samples (`bayeq.states.kinematic`). PySINDy then
     evaluates its library on the smoothed coordinates, `smoothed_x_`. Steps of time may be uneven, and NaN is a missing
-    sample.
+    sample: `SINDy.fit` refuses it, but takes ``smoothed_x_``, and the derivative as ``x_dot``. The derivative of a
+    coordinate that does not change is 0.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ class KinematicDerivative(BaseDifferentiation):  # type: ignore[misc]
         InputError
             Samples of more than two dimensions, times that do not increase, or a noise level that is not positive.
         RecordError
-            Samples from which noise cannot be told from motion: too few, or constant.
+            Samples from which noise cannot be told from motion, as there are too few.
         """
         samples = np.asarray(x, dtype=np.float64)
         if samples.ndim not in (1, 2):
@@ -72,6 +73,10 @@ class KinematicDerivative(BaseDifferentiation):  # type: ignore[misc]
         levels = self._levels(columns.shape[1])
         found = np.empty(columns.shape[1])
         for k, values in enumerate(columns.T):
+            known = values[np.isfinite(values)]
+            if len(known) and (known == known[0]).all():
+                smoothed[:, k], rates[:, k], found[k] = known[0], 0.0, 0.0
+                continue
             series = ChainSeries(times, (values, None))
             try:
                 model = fit_kinematic([series], noise_sd=None if levels is None else (float(levels[k]), None))

@@ -83,8 +83,9 @@ def _term(
     try:
         found = Evaluator(values)(parse(text, stand))
     except InputError as error:
+        why = _named(str(error), stand, names)
         raise InputError(
-            f"dictionary: feature {shown!r} of {kind} is no term ({error}); give the terms as text, or names that"
+            f"dictionary: feature {shown!r} of {kind} is no term ({why}); give the terms as text, or names that"
             " can be read by function_names"
         ) from error
     if not np.allclose(found, column, rtol=1e-9, atol=1e-12):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any, Self
 
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pysindy.optimizers import BaseOptimizer
 
 from bayeq.adapters.pysindy.series import LEAST_FLOOR, pieces_of, row_gram, series_grams, systematic_floor
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import DataWarning, InputError, UnknownNameError
 from bayeq.gram import Gram
 from bayeq.gram.gram import checked_weights
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
@@ -82,6 +83,11 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
     InputError
         When fitting: ``unbias=True``, parameters out of range, weights or shapes that do not match.
 
+    Warns
+    -----
+    DataWarning
+        Targets without any included term.
+
     Examples
     --------
     >>> import numpy as np
@@ -152,6 +158,14 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         self.Theta_ = D
         self._reduce(D, Y, weights, gaps)
         self.history_ = [self.coef_]
+        empty = ", ".join(str(k) for k in np.flatnonzero(~self.ind_.any(axis=1)))
+        if empty:
+            warnings.warn(
+                f"no term is included in the equation of target {empty}, counted from 0: that derivative is zero, or"
+                " noise, or of terms that the library lacks; smooth it (KinematicDerivative), or add terms",
+                DataWarning,
+                stacklevel=2,
+            )
         # intercepts are columns of the library
         self.intercept_ = 0.0
         return self

@@ -81,7 +81,7 @@ FORMATS: tuple[Format, ...] = (
         keeps="attributes `unit`, `units`; attributes or numbers `dt`, `Ts`, `fs` ...",
     ),
     Format(
-        "MATLAB v5", (".mat",), _begins(b"MATLAB 5.0 MAT-file"), nested=matlab,
+        "MATLAB v4 and v5", (".mat",), _begins(b"MATLAB 5.0 MAT-file"), nested=matlab,
         keeps="fields `unit`, `units`; numbers `dt`, `Ts`, `fs` ... beside the arrays",
     ),
     Format(

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from bayeq.errors import BayeqError, FileFormatError, MissingExtraError
+from bayeq.errors import FULL, BayeqError, FileFormatError, MissingExtraError
 
 __all__ = [
     "MOST_BYTES", "MOST_COLUMNS", "MOST_RATIO", "SMALL_BYTES", "check_array", "check_claim", "needing",
@@ -100,7 +100,9 @@ def reading(where: str, kind: str) -> Iterator[None]:
         raise
     except MemoryError:
         raise FileFormatError(f"{where}: not a readable {kind} (it claims more than there is memory)") from None
-    except Exception as error:  # noqa: BLE001  # parsers of others raise anything on damaged bytes
+    except Exception as error:  # parsers of others raise anything on damaged bytes
+        if isinstance(error, OSError) and error.errno in FULL:  # a copy of what the file holds
+            raise
         lines = [line for line in str(error).splitlines() if line.strip()]
         text = "".join(c for c in lines[0] if c.isprintable())[:120] if lines else ""
         reason = f"{type(error).__name__}: {text}" if text else type(error).__name__

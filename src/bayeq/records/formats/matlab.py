@@ -1,4 +1,4 @@
-"""MATLAB's .mat files of version 5 (also called v6 and v7), by SciPy; v7.3 is HDF5.
+"""MATLAB's .mat files of versions 4 and 5 (also called v6 and v7), by SciPy; v7.3 is HDF5.
 
 Every variable is a tree of elements, each with a type and a length; see "MAT-File Format" (The MathWorks). These are
 checked before SciPy relies on them: a wrong type ends the process there (SciPy 1.17; `tests/fuzz/corpus/matlab`).
@@ -29,6 +29,8 @@ LETTERS = frozenset({1, 2, 16})
 CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
 NUMERIC = range(6, 16)
 COMPLEX = 0x08
+# Bytes of the numbers of version 4.
+_WIDTHS = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}
 
 
 def channels(path: Path) -> list[Channel]:
@@ -38,13 +40,26 @@ def channels(path: Path) -> list[Channel]:
 
     where = str(path)
     with reading(where, _KIND):
-        major = matfile_version(path)[0]
-        if major != 1:
-            raise FileFormatError(f"{where}: MATLAB's version 4 is not read; save it again in MATLAB with -v7")
-        _check_variables(path)
+        _check_version_4(path) if matfile_version(path)[0] == 0 else _check_variables(path)
         content = loadmat(path)
         tree = {name: _tree(value) for name, value in content.items() if not name.startswith("__")}
     return channels_of(tree, where)
+
+
+def _check_version_4(path: Path) -> None:
+    """Walk over the matrices of version 4: a head of five integers, a name, and numbers that end in the file."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        while len(head := file.read(20)) == 20:
+            order = "<" if 0 <= struct.unpack("<i", head[:4])[0] <= 5000 else ">"
+            kind, rows, columns, imaginary, letters = struct.unpack(f"{order}5i", head)
+            width = _WIDTHS.get(kind // 10 % 10)
+            if not 0 <= kind <= 5000 or kind % 10 > 2 or width is None or min(rows, columns, letters) < 0:
+                raise ValueError(f"a matrix of type {kind} and shape {(rows, columns)}")
+            length = letters + rows * columns * width * (2 if imaginary and kind % 10 == 0 else 1)
+            if length > size - file.tell():
+                raise FileFormatError(f"{path}: the matrix at byte {file.tell()} is cut off; the file is damaged")
+            file.seek(length, 1)
 
 
 def _check_variables(path: Path) -> None:
