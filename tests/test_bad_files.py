@@ -146,8 +146,18 @@ def test_types_of_a_matlab_file_are_checked_before_they_are_used(tmp_path, packe
 def test_a_matlab_file_of_version_4_and_objects(tmp_path):
     from scipy.io import savemat
 
-    savemat(tmp_path / "old.mat", {"x": np.arange(9.0)}, format="4")
-    assert "version 4 is not read" in refused(tmp_path / "old.mat")
+    savemat(tmp_path / "old.mat", {"x": np.arange(9.0), "dt": 0.5, "words": "run 7"}, format="4")
+    record = read(tmp_path / "old.mat")
+    assert (record.names, record.fs) == (("x",), 2.0)
+    assert record["x"].tolist() == list(range(9))
+    whole = (tmp_path / "old.mat").read_bytes()
+    for damaged, said in (
+        (whole[:50], "is cut off; the file is damaged"),
+        (whole[:4] + struct.pack("<i", 2**30) + whole[8:], "is cut off; the file is damaged"),
+        (whole[:4] + struct.pack("<i", -1) + whole[8:], "a matrix of type"),
+    ):
+        (tmp_path / "bad.mat").write_bytes(damaged)
+        assert said in refused(tmp_path / "bad.mat")
     savemat(tmp_path / "words.mat", {"label": "run 7"})
     assert "holds no array of numbers" in refused(tmp_path / "words.mat")
 

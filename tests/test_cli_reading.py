@@ -188,7 +188,7 @@ def test_rows_are_those_of_python(n, first, last):
 
 NOTHING = {
     "time": None, "fs": None, "names": None, "group": None, "join": False, "units": (), "skip": 0, "rows": None,
-    "offsets": (), "stream": None,
+    "offsets": (), "stream": None, "scales": (), "sheet": None,
 }  # fmt: skip
 
 

@@ -26,7 +26,11 @@ def test_type_checkers_see_the_names_that_the_program_sees():
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
     # only `X as X` is public to a type checker
     assert all(alias.asname == alias.name for node in imports for alias in node.names)
-    assert {alias.name: node.module for node in imports for alias in node.names} == {**bq._HOME, "figures": "bayeq"}
+    assert {alias.name: node.module for node in imports for alias in node.names} == {
+        **bq._HOME,
+        "errors": "bayeq",
+        "figures": "bayeq",
+    }
 
 
 def test_the_version_stands_in_one_place():

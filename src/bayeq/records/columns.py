@@ -167,8 +167,13 @@ class Columns:
         return cls(kept, arrays, tuple(headers.clashes(rows)))
 
     @classmethod
-    def from_dataframe(cls, df: pd.DataFrame, time: str | None = None, chosen: Select | None = None) -> Columns:
-        """The columns of a data frame; an index named like time comes first."""
+    def from_dataframe(
+        cls, df: pd.DataFrame, time: str | None = None, chosen: Select | None = None, everything: bool = True
+    ) -> Columns:
+        """The columns of a data frame; an index named like time comes first.
+
+        Columns of words are left out where `everything` is read, not those that are asked for.
+        """
         index = [] if df.index.name is None else [str(df.index.name)]
         if index and not (is_time_name(clean_name(index[0])[0]) or time == index[0]):
             index = []
@@ -180,9 +185,36 @@ class Columns:
                 return series.to_numpy(dtype=float, na_value=np.nan)
             if getattr(series.dtype, "tz", None) is not None:
                 series = series.tz_convert(None) if i < len(index) else series.dt.tz_convert(None)
+            if getattr(series.dtype, "kind", "O") == "O":
+                return _of_objects(series)
             return series.to_numpy()
 
-        return cls.build(headers, values, chosen)
+        rows = list(chosen(headers)) if chosen else list(range(len(headers)))
+        words = [i for i in rows if np.asarray(values(i)).dtype.kind == "O"]
+        asked = {headers.find(time)} if time is not None else set()
+        if not everything or len(words) == len(rows) or not asked.isdisjoint(words):
+            words = []  # refused by name
+        found = cls.build(headers, values, lambda _: [i for i in rows if i not in words])
+        names = ", ".join(repr(headers.texts[i]) for i in words)
+        doubt = f"{headers.where}: {names} hold{'s' * (len(words) == 1)} words, not numbers: left out"
+        return replace(found, doubts=(*found.doubts, doubt)) if words else found
+
+
+def _of_objects(series: Any) -> Any:
+    """Objects as numbers where all are, or are missing; else as times where all are; else as they are."""
+    import pandas as pd
+
+    try:
+        found = pd.to_numeric(series)  # also of text, and with None
+        if found.dtype.kind == "O":  # decimals, huge integers
+            return found.to_numpy().astype(float)
+        return found.to_numpy(dtype=float, na_value=np.nan)
+    except (ValueError, TypeError, OverflowError):
+        pass
+    try:
+        return pd.to_datetime(series, format="ISO8601").to_numpy()
+    except (ValueError, TypeError, OverflowError):
+        return series.to_numpy()
 
 
 @dataclass(frozen=True, slots=True)

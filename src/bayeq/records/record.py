@@ -155,7 +155,7 @@ class Record:
         Parameters
         ----------
         df : pandas.DataFrame
-            One channel per column; missing values become NaN.
+            One channel per column; missing values become NaN. Columns of words are left out, with a warning.
         time : str, optional
             The column that holds time [s].
         fs : float, optional
@@ -171,7 +171,7 @@ class Record:
         >>> Record.from_dataframe(pd.DataFrame({"t": [0.0, 0.1], "x [m]": [1.0, 2.0]}))
         Record('data frame': 2 rows at 10 Hz; x [m])
         """
-        data = Columns.from_dataframe(df, time, Request(columns, time=time, fs=fs).rows)
+        data = Columns.from_dataframe(df, time, Request(columns, time=time, fs=fs).rows, columns is None)
         return cls(*assemble(data, time=time, fs=fs, units=units, columns=columns)[0])
 
     def to_columns(self) -> Columns:

@@ -72,7 +72,7 @@ def check_time(
     if starts is not None:
         falls[starts[starts > 0] - 1] = False
     again = np.flatnonzero(falls & (time[1:] == time[:-1])) + 1
-    if repeated and again.size <= max(1, len(time) // MOST_REPEATED):
+    if repeated and again.size <= len(time) // MOST_REPEATED:
         falls[again - 1] = False
     rows = np.flatnonzero(falls)
     if not rows.size:

@@ -161,37 +161,51 @@ def unit_cell(cell: str) -> str | None:
 #: Whole seconds (since year 1 or midnight) and the rest: their difference keeps every digit.
 Stamp = tuple[int, float]
 
-_DAY = r"(?:(?P<year>\d{4})[-/](?P<month>\d\d?)[-/](?P<day>\d\d?)|(?P<day2>\d\d?)\.(?P<month2>\d\d?)\.(?P<year2>\d{4}))"
-_CLOCK = r"(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,](?P<rest>\d+))?)?"
+_DAY = (
+    r"(?:(?P<year>\d{4})[-/](?P<month>\d\d?)[-/](?P<day>\d\d?)|(?P<day2>\d\d?)\.(?P<month2>\d\d?)\.(?P<year2>\d{4})"
+    r"|(?P<month3>\d\d?)/(?P<day3>\d\d?)/(?P<year3>\d{4}))"
+)
+_CLOCK = (
+    r"(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,](?P<rest>\d+))?)?"
+    r"(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
+)
 _ZONE = r"(?:Z|(?P<sign>[+-])(?P<zh>\d\d):?(?P<zm>\d\d)?)?"
 _STAMP = re.compile(rf"(?:{_DAY}(?:[T ]\s*{_CLOCK}\s*{_ZONE})?)|(?:{_CLOCK.replace('?P<', '?P<c_')})")
 _FIRST = datetime(1, 1, 1)
 
 
-def parse_stamp(text: str) -> Stamp | None:
+def parse_stamp(text: str, day_first: bool = False) -> Stamp | None:
     """A date, a date with a clock, or a clock; None of other text.
+
+    Of dates with slashes and the year at the end the month is first, unless it is no month or `day_first`.
 
     Examples
     --------
     >>> parse_stamp("2024-03-01 12:00:01.5"), parse_stamp("0:00:01,25"), parse_stamp("01.03.2024 12:00:00,25")[1]
     ((63844891201, 0.5), (1, 0.25), 0.25)
+    >>> parse_stamp("3/1/2024 1:00:00 PM") == parse_stamp("1/3/2024 13:00", day_first=True)
+    True
     """
     match = _STAMP.fullmatch(text.strip().strip("\"'"))
     if match is None:
         return None
     found = match.groupdict()
-    day = "2" if found["day2"] else ""
+    kind = next((kind for kind in ("", "2", "3") if found[f"year{kind}"]), None)
     clock = "" if found["hour"] else "c_"
     seconds = 0
     try:
-        if found[f"year{day}"]:
-            date = datetime(int(found[f"year{day}"]), int(found[f"month{day}"]), int(found[f"day{day}"]))
-            seconds = (date - _FIRST) // timedelta(seconds=1)
+        if kind is not None:
+            year, month, day = (int(found[f"{part}{kind}"]) for part in ("year", "month", "day"))
+            if kind == "3" and (day_first or month > 12):
+                month, day = day, month
+            seconds = (datetime(year, month, day) - _FIRST) // timedelta(seconds=1)
     except ValueError:  # the 31st of February
         return None
     hour, minute, second = (int(found[f"{clock}{part}"] or 0) for part in ("hour", "minute", "second"))
     if minute > 59 or second > 60:
         return None
+    if half := found[f"{clock}half"]:
+        hour = hour % 12 + 12 * (half in "Pp")
     seconds += 3600 * hour + 60 * minute + second
     if found["sign"]:
         zone = 3600 * int(found["zh"]) + 60 * int(found["zm"] or 0)

@@ -45,7 +45,7 @@ def read_columns(path: Path, *, names: Names = None, chosen: Select | None = Non
             raise UnknownNameError("sheet", sheet, titles, where)
         if not best:
             raise FileFormatError(
-                f"{where}: {'no sheet' if sheet is None else f'sheet {sheet!r} does not'} hold numbers"
+                f"{where}: {'no sheet holds' if sheet is None else f'sheet {sheet!r} does not hold'} numbers"
             )
         found = text.read_columns(plain, names=names, chosen=chosen, where=f"{where}, sheet {best!r}")
     others = [repr(title) for title, count in titles.items() if count and title != best]

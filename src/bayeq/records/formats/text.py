@@ -8,11 +8,13 @@ pass finds where units of rows begin, which pyarrow then parses.
 from __future__ import annotations
 
 import csv
+import math
 import re
 from array import array
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -113,6 +115,7 @@ class _Lines:
         self.trailing = True  # whether the last cell of every row is empty
         self.start = 0  # line of the first row
         self.first: dict[int, Stamp] = {}  # the first time stamp of each column that has them
+        self.day_first = {column: self._day_first(column) for column in layout.stamps if column not in skipped}
 
     def read(self) -> FloatArray:
         layout, mark = self.layout, self.layout.delimiter
@@ -146,6 +149,24 @@ class _Lines:
         # Rows of empty cells at the end are what spreadsheets leave behind; within the data they are gaps.
         return data[:last] if last else data
 
+    def _day_first(self, column: int) -> bool:
+        """Whether dates such as 03/04/2024 begin with the day: they then rise, over a shorter time than otherwise."""
+        days: dict[str, None] = {}
+        with self.path.open(encoding=self.layout.encoding) as file:
+            for line in islice(file, self.layout.skip, None):
+                cells = split(line, self.layout.delimiter)
+                words = cells[column].split() if column < len(cells) else []
+                if words and words[0].count("/") == 2:
+                    days[words[0]] = None
+                elif not days and words:  # other time stamps
+                    return False
+
+        def span(day_first: bool) -> float:
+            found = [stamp[0] if (stamp := parse_stamp(day, day_first)) else math.inf for day in days]
+            return found[-1] - found[0] if found and found == sorted(found) else math.inf
+
+        return span(True) < span(False)
+
     def _name(self, column: int) -> str:
         return self.headers.texts[column] or self.headers.names[column]
 
@@ -153,7 +174,7 @@ class _Lines:
         """A time stamp as seconds since the first of its column."""
         if cell.strip().strip("\"'").lower() in MISSING or column in self.skipped:
             return ""
-        stamp = parse_stamp(cell)
+        stamp = parse_stamp(cell, self.day_first[column])
         if stamp is None:
             raise FileFormatError(
                 f"{self.where}, line {number}, column {self._name(column)!r}: {cell.strip()[:40]!r} is not a time"
