@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from sklearn.exceptions import NotFittedError
 
+import bayeq as bq
 from bayeq import SpikeSlabBMA, SpikeSlabGibbs
 from bayeq.adapters.arviz import convergence, to_arviz
 from bayeq.errors import InputError, MissingExtraError
@@ -268,3 +269,40 @@ def test_the_block_of_the_page_runs(capsys):
     assert set(names["data"]) == {"posterior", "sample_stats", "posterior_predictive", "observed_data"}
     kind = "InferenceData" if arviz.__version__.startswith("0.") else "DataTree"
     assert type(names["data"]).__name__ == kind
+
+
+# ---- of the answer
+
+
+@pytest.mark.parametrize("smooth", ["none", "auto"])
+def test_draws_of_an_equation(smooth):
+    pytest.importorskip("arviz")
+    record = bq.simulate("duffing", n=600, seed=1)
+    eq = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary="x, v, x**3, u, v*abs(v)", smooth=smooth)
+    data = eq.to_arviz(draws=4000, seed=1)
+    coef, inside = data["posterior"]["coef"].values[0], data["posterior"]["inclusion"].values[0] == 1
+    assert not coef[~inside].any()
+    np.testing.assert_allclose(inside.mean(axis=0), eq[0].posterior.pip, atol=0.03)
+    found = eq[0].posterior
+    chosen = (inside == found.support).all(axis=1)
+    np.testing.assert_array_less(np.abs(coef[chosen].mean(axis=0) - found.coef), 0.1 * found.sd + 1e-300)
+    np.testing.assert_allclose(coef[chosen].std(axis=0), found.sd, rtol=0.1)
+    model = eq[0].included_model
+    drawn = data["posterior"]["intercept"].values[0][chosen]
+    np.testing.assert_allclose((drawn.mean(), drawn.std()), (model.intercept, model.intercept_sd), rtol=0.1, atol=0.01)
+    same = eq.to_arviz("a", draws=4000, seed=1)
+    np.testing.assert_array_equal(same["posterior"]["coef"].values[0], coef)
+
+
+def test_draws_that_cannot_be(tmp_path):
+    record = bq.simulate("duffing", n=300, seed=1)
+    eq = bq.discover(record, chains=["x", "v"], inputs=["u"], dictionary="x, v, u", smooth="none")
+    with pytest.raises(InputError, match=r"say which by target= \(dx, dv\)"):
+        eq.to_arviz()
+    with pytest.raises(InputError, match="no equation named 'a'"):
+        eq.to_arviz("a")
+    with pytest.raises(InputError, match="draws must be a whole number"):
+        eq.to_arviz("dx", draws=0)
+    eq.save(tmp_path / "eq.json")
+    with pytest.raises(InputError, match="a file of equations does not hold"):
+        bq.load(tmp_path / "eq.json").to_arviz("dx")

@@ -37,7 +37,7 @@ def arguments(record):
         (">&-", 1, CLOSED),
         (">&- 2>&-", 1, ""),
         ("<&- >&- 2>&-", 1, ""),
-        (">/dev/full", 1, "bayeq: error: system: No space left on device\n"),
+        (">/dev/full", 1, "bayeq: error: the result cannot be written: No space left on device\n"),
     ],
 )
 def test_a_result_that_cannot_be_printed_is_an_error_in_one_line(streams, code, err):

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 import datetime
 import json
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
 from decimal import Decimal
 
 import numpy as np
@@ -13,6 +19,7 @@ import pytest
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import DataWarning, InputError, RecordError, UnknownNameError, WordsError
+from tests.uncovered import WITHOUT_PYC, uncovered
 
 AS_MEASURED = ("--smooth", "none", "--dictionary", "x, v, x**3, u")
 
@@ -272,3 +279,43 @@ def test_modules_are_listed():
 
 def test_a_name_of_any_length_is_a_short_line():
     assert len(str(UnknownNameError("channel", "x" * 5000, ["x"]))) < 200
+
+
+def test_folders_of_killed_applications_are_removed(tmp_path, monkeypatch):
+    from bayeq.app.session import Workspace
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    done = subprocess.Popen([sys.executable, "-c", ""])
+    done.wait()
+    (tmp_path / f"bayeq-app-{done.pid}-abc").mkdir()
+    for kept in (f"bayeq-app-{os.getpid()}-abc", "bayeq-app-abc", "bayeq-app-x-y", f"other-{done.pid}-abc"):
+        (tmp_path / kept).mkdir()
+    workspace = Workspace()
+    found = sorted(path.name for path in tmp_path.iterdir())
+    assert f"bayeq-app-{done.pid}-abc" not in found
+    assert len(found) == 5
+    workspace.remove()
+
+
+def test_a_full_disk_is_no_damaged_file(book):
+    # the copy of a sheet is text; no file may grow beyond 512 bytes
+    command = shlex.join([sys.executable, "-m", "bayeq", "discover", str(book), "--chain", "x:v:a"])
+    limited = ["sh", "-c", f"ulimit -f 1; {command}"]
+    done = subprocess.run(limited, capture_output=True, text=True, check=False, env={**uncovered(), **WITHOUT_PYC})
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (
+        2,
+        f"bayeq: error: {book}: cannot be read (File too large)",
+    )
+
+
+def test_an_error_that_is_not_known_is_no_run_that_blew_up(frame):
+    from bayeq.equation.applied import apply_to
+
+    record = bq.Record.from_dataframe(frame)
+    eq = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary="x, v, x**3, u", smooth="none")
+    found = apply_to(eq, [record], draws=2)
+    nothing = replace(found.free_run["x"], nrmse=np.nan, rms=np.nan)
+    text = str(replace(found, free_run={"x": nothing, "v": replace(nothing, nrmse=np.inf, rms=np.inf)}))
+    lines = {line.split(",")[0].strip("| "): line for line in text.splitlines() if "free run" in line}
+    assert "blew up" not in lines["x"]
+    assert "blew up" in lines["v"]

@@ -23,7 +23,7 @@ from sklearn.utils.validation import check_is_fitted
 import bayeq as bq
 from bayeq.adapters.pysindy.library import terms_of
 from bayeq.adapters.pysindy.series import pieces_of
-from bayeq.errors import InputError, MissingExtraError
+from bayeq.errors import DataWarning, InputError, MissingExtraError
 
 ps = pytest.importorskip("pysindy", reason="PySINDy is not installed: pip install 'bayeq[pysindy]'")
 
@@ -541,3 +541,39 @@ def test_every_block_of_the_page_runs(capsys):
     assert said.count("(x0)' = -") == 2
     assert terms(names["model"]) == LORENZ
     assert terms(names["field"]) == [{"x0_11"}]
+
+
+# ---- what is odd, and said
+
+
+def test_a_coordinate_that_does_not_change():
+    t = np.arange(400) / 50
+    smoother = KinematicDerivative()
+    rates = smoother(np.column_stack([np.sin(t), np.full(400, 3.0)]), t)
+    assert np.abs(rates[10:-10, 0] - np.cos(t)[10:-10]).max() < 0.01
+    assert (rates[:, 1] == 0.0).all()
+    assert (smoother.smoothed_x_[:, 1] == 3.0).all()
+    assert smoother.noise_sd_[1] == 0.0
+
+
+def test_missing_samples_are_filled_in():
+    t = np.arange(400) / 50
+    x = np.column_stack([np.sin(t), np.cos(t)])
+    x[100:103] = np.nan
+    smoother = KinematicDerivative()
+    rates = smoother(x, t)
+    model = ps.SINDy(SpikeSlabOptimizer()).fit(smoother.smoothed_x_, t, x_dot=rates)
+    assert terms(model) == [{"x1"}, {"x0"}]
+
+
+def test_an_equation_without_terms_is_warned_of():
+    rng = np.random.default_rng(0)
+    D, noise = rng.normal(size=(200, 3)), rng.normal(size=200)
+    with pytest.warns(DataWarning, match="no term is included in the equation of target 1, counted from 0"):
+        SpikeSlabOptimizer().fit(D, np.column_stack([D[:, 0], noise]))
+
+
+def test_a_feature_is_named_by_its_channels():
+    library = ps.CustomLibrary([lambda x: np.sqrt(x)])
+    with pytest.raises(InputError, match=r"feature 'f0\(pos\)'.*expression 'f0\(pos\)'"):
+        terms_of(library, ["pos"])
