@@ -168,7 +168,7 @@ SAMPLES: dict[str, Sample] = {
     "compressed text": Sample(bayeq, ".gz", kept),
     "HDF5 and MATLAB v7.3": Sample(hdf5, ".h5", {"run_x": "mm", "run_u": "N"}, names=("run_x", "run_u")),
     "MATLAB v7.3": Sample(matlab_v73, ".mat", {"rec_x": "mm", "rec_u": "mm"}, names=("rec_x", "rec_u")),
-    "MATLAB v5": Sample(matlab, ".mat", {"rec_x": "mm", "rec_u": "mm"}, names=("rec_x", "rec_u")),
+    "MATLAB v4 and v5": Sample(matlab, ".mat", {"rec_x": "mm", "rec_u": "mm"}, names=("rec_x", "rec_u")),
     "universal file, dataset 58": Sample(
         uff, ".uff", {"disp_5_z": "mm", "force_2_z": "N"}, names=("disp_5_z", "force_2_z"), digits=1e-10
     ),

@@ -65,10 +65,10 @@ def assemble(
     known_units: dict[int, str | None] = dict(enumerate(data.headers.units))
     gains: dict[int, float] = {}
     for key, unit in (units or {}).items():
-        column = data.headers.find(key)
-        gain, known_units[column] = gain_and_unit(unit, known_units[column])
+        place = data.headers.find(key)
+        gain, known_units[place] = gain_and_unit(unit, known_units[place])
         if gain != 1.0:
-            gains[column] = gain
+            gains[place] = gain
     time_column = find_time(data, known_units, time, fs)
     group_column = None if group is None else data.headers.find(group)
     wanted = None if columns is None else {data.headers.find(c) for c in listed(columns)}

@@ -138,8 +138,8 @@ def read(
         if mapping is not None:
             require_mapping(mapping, what)
     require_kind(skip, int, "skip", "a whole number")
-    path, named = without_sheet(path)
-    sheet = sheet if named is None else named
+    path, inside = without_sheet(path)
+    sheet = sheet if inside is None else inside
     request = Request(columns, dict(channels or {}), time, group, fs)
     try:
         with unchanged(path):
