@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import hashlib
 import json
 import os
 import shlex
@@ -74,7 +75,9 @@ def test_a_sheet_by_its_name(book, capsys):
     )
     assert code == 0, err
     assert "100 rows" in out
-    assert "sha256" in report.read_text(encoding="utf-8").lower().replace("-", "")
+    assert hashlib.sha256(book.read_bytes()).hexdigest() in report.read_text(encoding="utf-8")
+    given = ("discover", f"{book}[Run 1]", "--chain", "x:v:a", "--report", book.with_suffix(".html"), "--save", book)
+    assert "is a file that is read" in refused(capsys, *given)
     code, out, _ = ran(capsys, "discover", book, "--sheet", "Run 1", "--chain", "x:v:a", "--input", "u", *AS_MEASURED)
     assert "100 rows" in out
 

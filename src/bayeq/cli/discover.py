@@ -11,7 +11,7 @@ import click
 from bayeq.cli import options as opt
 from bayeq.cli.outputs import OUTPUTS, Outputs
 from bayeq.cli.progress import Progress
-from bayeq.cli.reading import STANDARD_INPUT, Reading, reading_options
+from bayeq.cli.reading import STANDARD_INPUT, Reading, plain_files, reading_options
 from bayeq.errors import InputError
 from bayeq.inference.engines import ENGINES
 
@@ -169,14 +169,14 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
     outputs = Outputs(**{name: options.pop(name) for name in OUTPUTS})
     reading = Reading.of(options)
     options, paths = opt.named_channels(options)
-    outputs.check(files, options, as_json)
+    outputs.check(plain_files(files), options, as_json)
     options = cleaned(options)
     from bayeq.records.files import state_of
 
     if dask is not None:
         reading = reading.clustered()
         files = tuple(file if file == STANDARD_INPUT else file.absolute() for file in files)
-    read = {file: state_of(file) for file in files}
+    read = {file: state_of(file) for file in plain_files(files)}
     with opt.cluster_client(dask) as client, Progress(verbose) as progress:
         records, source = source_of(reading, files, used_channels(options), paths, outputs.refine, progress)
         if not options["chains"]:  # which may be badly written

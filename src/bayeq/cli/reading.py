@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bayeq.records import Record
     from bayeq.streaming.units import Extent
 
-__all__ = ["STANDARD_INPUT", "Reading", "reading_options"]
+__all__ = ["STANDARD_INPUT", "Reading", "plain_files", "reading_options"]
 
 #: The argument that means standard input, and what messages call it.
 STANDARD_INPUT = Path("-")
@@ -276,6 +276,15 @@ def _offsets(texts: Sequence[str]) -> dict[str, float | None]:
             raise InputError(f"--remove-offset: {channel!r} is named twice")
         out[channel] = opt.number(f"--remove-offset {name}", value) if equals else None
     return out
+
+
+def plain_files(files: Sequence[Path]) -> list[Path]:
+    """Files without the sheets that are named behind them."""
+    if not any(file.name.endswith("]") for file in files):
+        return list(files)
+    from bayeq.records.formats.excel import without_sheet
+
+    return [without_sheet(file)[0] for file in files]
 
 
 def _require_different(files: Sequence[Path]) -> None:

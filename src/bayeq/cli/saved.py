@@ -13,7 +13,7 @@ import click
 from bayeq.cli import options as opt
 from bayeq.cli.outputs import require_place
 from bayeq.cli.progress import Progress
-from bayeq.cli.reading import Reading, reading_options
+from bayeq.cli.reading import Reading, plain_files, reading_options
 from bayeq.errors import DataWarning, InputError, UnknownNameError
 
 __all__ = ["plan", "predict", "show"]
@@ -106,7 +106,7 @@ def predict(
     if forecast is not None:
         from bayeq.figures.style import require_suffix
 
-        require_place(forecast, [equations, *files])
+        require_place(forecast, [equations, *plain_files(files)])
         require_suffix(forecast)
     from bayeq.equation.load import load
 

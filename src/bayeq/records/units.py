@@ -74,10 +74,7 @@ def require_unit(text: str, where: str) -> None:
 def gain_and_unit(text: str, own: str | None = None) -> tuple[float, str | None]:
     """A gain and the unit behind it; a number alone is the gain of a channel that keeps its `own` unit.
 
-    Raises
-    ------
-    InputError
-        A gain of 0, or beyond floating point.
+    An InputError says that a gain is 0, or beyond floating point.
 
     Examples
     --------
