@@ -148,7 +148,7 @@ def test_rows_and_several_records(folder, capsys):
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
-        (["nofile.json", "second.npz"], "nofile.json: No such file or directory"),
+        (["nofile.json", "second.npz"], "no such file: nofile.json; did you mean 'eq.json'?"),
         (["second.npz", "second.npz"], "second.npz: not a JSON file"),
         (["eq.json"], "Missing argument 'FILE...'"),
         (["eq.json", "nofile.csv"], "no such file: nofile.csv"),
