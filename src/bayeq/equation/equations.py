@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from bayeq.equation.answer import Answer, DataSummary, EquationTuple
 from bayeq.equation.equation import Equation
-from bayeq.errors import DataWarning, FileFormatError, InputError, as_path
+from bayeq.errors import DataWarning, FileFormatError, InputError, UnknownNameError, as_path
 from bayeq.forecast.score import Scores
 from bayeq.records import Record, with_row_numbers
 from bayeq.records.files import replacing
