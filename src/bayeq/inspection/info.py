@@ -13,9 +13,9 @@ import numpy as np
 from bayeq.errors import InputError, RecordError, WordsError
 from bayeq.inspection.channels import describe_channels
 from bayeq.inspection.contents import RecordInfo
-from bayeq.inspection.links import Link, drivers, find_links, first_order, short_record
+from bayeq.inspection.links import Link, correlations, drivers, find_links, first_order, short_record
 from bayeq.inspection.proposal import Proposal, Reading, propose
-from bayeq.inspection.roles import INPUT, Guess, clue_of, guess_roles
+from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clue_of, guess_roles
 from bayeq.inspection.samples import find_bad
 from bayeq.inspection.timing import Experiments, gaps_of, sort_rows
 from bayeq.records import Record, as_record, check_record, read
@@ -129,12 +129,14 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     short = short_record(records, channels)
     links = find_links(short, moving)
     derived = {key for link in links for key in (link.below, link.above)}
-    free = [key for key in moving if key not in derived and clues[key].order != INPUT and not clues[key].by_unit]
+    other = (INPUT, REFERENCE)
+    free = [key for key in moving if key not in derived and clues[key].order not in other and not clues[key].by_unit]
     first = first_order(short, free, [key for key in moving if clues[key].order == INPUT])
-    guess = guess_roles(moving, clues, links, first)
+    guess = guess_roles(moving, clues, links, first, correlations(short, moving))
     second = [chain for chain in guess.chains if len(chain) == 3]
     if len(second) == 1 and not guess.inputs:
-        guess = guess.driven_by(drivers(short, second[0], guess.undecided))
+        unknown = [key for key in guess.undecided if clues[key].order is None]
+        guess = guess.driven_by(drivers(short, second[0], unknown))
     bad, looked_at = find_bad(records, guess, moving)
     gaps = tuple(gaps_of(records))
     rates = [record for record in records if record.fs is not None]

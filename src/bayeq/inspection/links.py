@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from bayeq.records.consistency import Frames, Relation, derivative_name, relate,
 from bayeq.records.truth import FloatArray
 from bayeq.records.units import derivative_ratio
 
-__all__ = ["Link", "drivers", "find_links", "first_order", "short_record"]
+__all__ = ["Link", "correlations", "drivers", "find_links", "first_order", "short_record"]
 
 # Channels are compared on at most this many rows, the middle ones. A faster record is first averaged over blocks of
 # rows, as many as leave this many to a period of the fastest channel: a block mean is a filter, alike for all channels,
@@ -181,6 +181,16 @@ def _doubt(relation: Relation, expected: float | None, frames: Frames) -> float:
     """Small for a derivative of the right sign and gain, without delay."""
     wrong = min(_nearest(relation.gain, expected), 3.0) + (1.0 if relation.sign < 0 else 0.0)
     return wrong + abs(relation.delay) / frames.dt + 5.0 * (1.0 - relation.fit)
+
+
+def correlations(record: Record, names: Sequence[str]) -> dict[frozenset[str], float]:
+    """Of each two channels the largest correlation over all lags, without its sign."""
+    length = 2 * record.n
+    spectra = {name: np.fft.rfft(values, length) for name, values in _scaled(record, names[:MOST_CHANNELS]).items()}
+    return {
+        frozenset((p, q)): float(np.abs(np.fft.irfft(spectra[p] * spectra[q].conj(), length)).max()) / record.n
+        for p, q in combinations(spectra, 2)
+    }
 
 
 # --- least squares on integrals --------------------------------------------------------------------------------------

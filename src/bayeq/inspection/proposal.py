@@ -132,16 +132,15 @@ def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int) -> str | Non
 
 
 def _say_undecided(guess: Guess, notes: list[str]) -> None:
-    if guess.undecided and guess.chains:
-        listed = ", ".join(guess.undecided)
-        one = guess.undecided[0]
+    notes += guess.questions
+    notes += [f"{name} is not used: it {guess.reasons[name]}" for name in guess.undecided if name in guess.reasons]
+    open_ = [name for name in guess.undecided if name not in guess.reasons]
+    if open_ and guess.chains:
         notes.append(
-            f"not used: {listed}; if one of them is a force or another input, add --input {shlex.quote(one)}; if it is"
-            f" a coordinate of its own, --chain {shlex.quote(one + '::')}"
+            f"not used: {', '.join(open_)}; if one of them is a force or another input, add --input"
+            f" {shlex.quote(open_[0])}; if it is a coordinate of its own, --chain {shlex.quote(open_[0] + '::')}"
         )
-    if guess.chains and not guess.inputs and not guess.undecided:
-        return
-    if guess.chains and not guess.inputs:
+    elif guess.chains and not guess.inputs:
         notes.append("no channel is known to be a force: without one the motion is taken as free")
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import unicodedata
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -12,36 +14,73 @@ from bayeq.records.units import in_si, parse_unit
 
 __all__ = ["INPUT", "Clue", "Guess", "clue_of", "guess_roles"]
 
-# The derivative that a channel is of its coordinate, 0 to 2, or an input.
-INPUT = -1
+# What a channel is: the derivative of its coordinate, 0 to 2, or an input, a reference, a state of first order.
+INPUT, REFERENCE, STATE = -1, -2, -3
 TITLES = {0: "displacement", 1: "velocity", 2: "acceleration", INPUT: "force or input"}
 
 FORCES = {"N", "kN", "mN", "MN", "daN", "lbf", "kgf", "Nm", "kNm", "mNm"}
 ANGLES = {"rad", "mrad", "deg", "°", "rev", "rpm"}
+WARMTH = {"°C", "K", "degC", "°F", "degF"}
 
-# Parts of names in the usual languages, in small letters; single letters count where they are all of the name.
-WORDS: Mapping[int, str] = {
-    0: "x y z q s d o th theta phi psi disp displ displacement pos position angle deflection weg auslenkung winkel lage"
-    " deplacement desplazamiento spostamento lvdt laser hub level",
-    1: "v w om omega vel velo velocity speed rate gyro xd xdot yd ydot zd zdot dx dy dz thd thdot dth"
-    " geschwindigkeit vitesse velocidad velocita",
-    2: "a acc accel acceleration accelerometer beschleunigung xdd xddot ydd yddot zdd zddot ddx ddy ddz thdd thddot"
-    " ddth aceleracion accelerazione",
-    INPUT: "u f fx fy fz force load kraft in input exc excitation shaker torque moment tau voltage drive cmd command"
-    " anregung effort fuerza forza",
+# Words of names in English, German, French, Spanish and Italian, in small letters without accents. What is measured is
+# told by quantities; else by sensors and places; else by symbols, which count as the first word alone.
+QUANTITIES: Mapping[int, str] = {
+    0: "disp displ displacement pos position angle deflection stroke travel weg auslenkung winkel lage ausschlag hub"
+    " verschiebung deplacement elongation desplazamiento spostamento",
+    1: "vel velo velocity speed rate geschwindigkeit drehzahl vitesse velocidad velocita",
+    2: "a acc accel acceleration beschl beschleunigung aceleracion accelerazione",
+    INPUT: "force kraft torque moment couple effort fuerza forza voltage volt spannung tension current strom courant"
+    " power leistung puissance heizleistung pwm duty command cmd commanded commande befehl stell",
+    STATE: "level niveau pegel fullstand temp temperature temperatur concentration konzentration",
 }
-NAMES = {word: order for order, words in WORDS.items() for word in words.split()}
+SENSORS: Mapping[int, str] = {
+    0: "lvdt laser encoder poti potentiometer",
+    1: "gyro tacho",
+    2: "accelerometer",
+    INPUT: "load last charge in input exc excitation shaker anregung drive heater heizung pump pumpe pompe ambient room"
+    " umgebung ambiante",
+}
+SYMBOLS: Mapping[int, str] = {
+    0: "x y z q s d o th theta phi psi",
+    1: "v w om omega xd xdot yd ydot zd zdot dx dy dz thd thdot dth",
+    2: "xdd xddot ydd yddot zdd zddot ddx ddy ddz thdd thddot ddth",
+    INPUT: "u f fx fy fz tau",
+    REFERENCE: "r e",
+}
+TIERS = tuple(
+    {word: order for order, words in table.items() for word in words.split()} for table in (QUANTITIES, SENSORS, SYMBOLS)
+)
+# What the motion is to follow, or its error; with the unit of a force or of none, a command.
+WANTED = set(
+    "ref reference soll setpoint target desired demand consigne fuhrungs vorgabe error err fehler abweichung"
+    " regelabweichung ecart erreur".split()
+)
+COMMANDS = set("command cmd commanded commande befehl stell".split())
+AMBIENT = set("ambient room umgebung ambiante raum outside".split())
+# Of one motor's inputs the measured force is proposed, else the current, else what commands them.
+MEASURED = set("force kraft torque drehmoment moment couple effort fuerza forza load last charge".split())
+CURRENTS = set("current strom courant".split())
+# Words of this many letters are found at the beginning and the end of longer ones: Motorspannung, Kraftmessdose.
+COMPOUND = 5
+SENSOR_ENDS = re.compile(r"(?<=\w{3})(mess)?(aufnehmer|sensor|geber|dose|zelle|wert|signal|grosse)$")
+
+# Channels are the same signal, but for a lag, from this correlation on; inputs of one motor are loosely so.
+SAME, ONE_INPUT = 0.98, 0.5
+# A link is one only if what it leaves unexplained is less than that of its rival by this factor.
+CLEARLY = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Clue:
     """What a channel's unit and name say."""
 
-    order: int | None  # derivative that it is of its coordinate, or `INPUT`
+    order: int | None  # derivative that it is of its coordinate, or `INPUT`, `REFERENCE`, `STATE`
     why: str  # as words
     by_unit: bool  # whether the unit says it, which is surer than a name
-    index: str  # what the name has besides: the number of the coordinate
+    index: str  # what tells it from others of its kind: numbers in its name, or else its other words
     angle: bool  # whether it is an angle in radians, by its unit or name
+    symbol: bool = False  # whether only a symbol says it, which is less sure than a word
+    rank: int = 0  # of an input: 0 measured force, 1 current, 2 command
 
 
 @dataclass(frozen=True)
@@ -51,8 +90,9 @@ class Guess:
     # names of a coordinate and its derivatives, None where one is not measured; one name alone: a first-order state
     chains: tuple[tuple[str | None, ...], ...]
     inputs: tuple[str, ...]
-    undecided: tuple[str, ...]  # channels that may be anything
+    undecided: tuple[str, ...]  # channels that are not used; those without a reason may be anything
     reasons: Mapping[str, str]  # why, by channel
+    questions: tuple[str, ...] = ()  # what the file leaves open, a sentence each
 
     def driven_by(self, shares: Mapping[str, float]) -> Guess:
         """The same with channels that were undecided as inputs, for the share of the motion that each explains."""
@@ -78,21 +118,37 @@ def clue_of(name: str, unit: str) -> Clue:
 
     Examples
     --------
-    >>> clue_of("ch2", "m/s^2").order, clue_of("acc_left", "").order, clue_of("x2", ""), clue_of("ch1", "").order
-    (2, 2, Clue(order=0, why='its name', by_unit=False, index='2', angle=False), None)
+    >>> clue_of("ch2", "m/s^2").order, clue_of("acc_left", "").order, clue_of("Motorspannung", "V").order
+    (2, 2, -1)
+    >>> clue_of("Weg_Soll", "mm").order, clue_of("x2", "").index, clue_of("ch1", "").order
+    (-2, '2', None)
     """
-    by_name, index = _order_of_name(name)
-    angle = unit == "rad" or (not unit and _is_angle(name))
+    parts = _parts(name)
+    by_name, tier, others = _order_of_name(parts)
+    digits = "_".join(part for part in parts if part.isdigit())
+    index = digits or "_".join(others)
+    angle = unit == "rad" or (not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts))
     by_unit = _order_of_unit(unit)
-    if by_unit is not None:
-        return Clue(by_unit, f"its unit {unit}", True, index, angle)
-    return Clue(by_name, "" if by_name is None else "its name", False, index, angle)
+    order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
+    wanted, commands = (not words.isdisjoint(parts) for words in (WANTED, COMMANDS))
+    measured = by_unit == INPUT or not MEASURED.isdisjoint(parts)
+    rank = 2 if wanted or commands else 0 if measured else 1 if not CURRENTS.isdisjoint(parts) else 2
+    if (wanted and order != INPUT) or (commands and (order in (0, 1, 2, STATE)) and (by_unit is not None or not unit)):
+        order, why = REFERENCE, "its name"
+    elif order == STATE and not AMBIENT.isdisjoint(parts):
+        order, why = INPUT, "its name"
+    elif STATE == by_name and order == 0:
+        order, why = STATE, "its name"
+    sure = by_unit is not None and order == by_unit
+    return Clue(order, why if order is not None else "", sure, index, angle, not sure and tier == 2, rank)
 
 
 def _order_of_unit(unit: str) -> int | None:
     powers = parse_unit(unit)
     if any(symbol in FORCES for symbol in powers):
         return INPUT if len(powers) == 1 or set(powers) <= {"N", "m", "mm"} else None
+    if unit in WARMTH:
+        return STATE
     found = in_si(powers)
     if found is None:
         return None
@@ -102,65 +158,135 @@ def _order_of_unit(unit: str) -> int | None:
 
 
 def _parts(name: str) -> list[str]:
-    """Words of a name: divided at underscores, at numbers and where small letters end."""
-    return re.findall(r"\d+|[^\W\d_]+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name))
+    """Words of a name in small letters without accents: divided at underscores, numbers, where small letters end, and
+    where German says what is wanted (soll) or is (ist)."""
+    plain = "".join(c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c))
+    divided = re.sub(r"([a-z])([A-Z])", r"\1_\2", plain).casefold()
+    divided = re.sub(r"(?<![^\W_])(soll|ist)(?=[a-z]{3})|(?<=[a-z])(soll)", r"_\1\2_", divided)
+    parts = re.findall(r"\d+|[^\W\d_]+", divided)
+    return [SENSOR_ENDS.sub("", part) or part for part in parts]
 
 
-def _order_of_name(name: str) -> tuple[int | None, str]:
-    """What the first telling word of a name says, and the other words."""
-    parts = _parts(name)
-    for k, part in enumerate(parts):
-        # a single letter counts at the beginning only
-        if part.casefold() in NAMES and (len(part) > 1 or k == 0):
-            return NAMES[part.casefold()], "_".join(parts[:k] + parts[k + 1 :]).casefold()
-    return None, "_".join(part for part in parts if part.isdigit())
+def _order_of_name(parts: Sequence[str]) -> tuple[int | None, int, list[str]]:
+    """What the most telling word of a name says, its tier, and the other words."""
+    for tier, table in enumerate(TIERS):
+        said = [(k, order) for k, part in enumerate(parts) if (order := _said(part, table, tier, k)) is not None]
+        if said:
+            k, order = said[-1]  # the head of "shaker acceleration" is its last word
+            return order, tier, [part for i, part in enumerate(parts) if i != k and not part.isdigit()]
+    return None, 0, [part for part in parts if not part.isdigit()]
 
 
-def _is_angle(name: str) -> bool:
-    return any(part.casefold() in ("th", "theta", "phi", "angle", "winkel") for part in _parts(name))
+def _said(part: str, table: Mapping[str, int], tier: int, place: int) -> int | None:
+    """What a word says: by itself, with an axis behind it, or as a part of a longer one."""
+    if tier == 2 or len(part) == 1:
+        return table.get(part) if place == 0 else None
+    if part in table:
+        return table[part]
+    if len(part) > 3 and part[-1] in "xyz" and part[:-1] in table:
+        return table[part[:-1]]
+    within = [w for w in table if len(w) >= COMPOUND and (part.startswith(w) or part.endswith(w))]
+    within += ["weg"] if tier == 0 and part.endswith("weg") else []
+    return table[max(within, key=len)] if within else None
 
 
 def guess_roles(
-    names: Sequence[str], clues: Mapping[str, Clue], links: Sequence[Link], first: Mapping[str, float]
+    names: Sequence[str],
+    clues: Mapping[str, Clue],
+    links: Sequence[Link],
+    first: Mapping[str, float],
+    alike: Mapping[frozenset[str], float],
 ) -> Guess:
     """Put channels that move together to chains and inputs.
 
-    By what units and names say (`clues`), what derives from what (`links`, the surest first), and `first`: channels
-    whose changes the others explain, with the share, which are first-order states unless something else is known.
+    By what units and names say (`clues`), what derives from what (`links`, the surest first), `first`: channels
+    whose changes the others explain, with the share, which are first-order states unless something else is known,
+    and how much two channels are `alike`, the largest correlation over all lags.
     """
     reasons: dict[str, str] = {}
-    runs = _runs(_agreeing(links, clues), reasons)
+    questions: list[str] = []
+    runs = _runs(_clear(_agreeing(links, clues), questions), reasons)
     linked = {name for run in runs for name in run if name is not None}
-    inputs = [name for name in names if clues[name].order == INPUT and name not in linked]
-    rest = [name for name in names if name not in linked and name not in inputs]
-    chains = [_completed(_placed(run, clues), rest, clues, reasons) for run in runs]
+    inputs = _one_of_each([name for name in names if clues[name].order == INPUT and name not in linked], clues, alike, reasons)
+    aside = {name for name in names if clues[name].order == REFERENCE and name not in linked}
+    reasons |= {name: "names what the motion is to follow, or an error: not what drives it" for name in aside}
+    rest = [name for name in names if name not in linked and name not in inputs and name not in reasons]
+    chains = [_completed(_placed(run, clues), rest, clues, len(runs), reasons) for run in runs]
     rest = [name for name in rest if not any(name in chain for chain in chains)]
-    chains += _by_clues(rest, clues, first, chains, reasons)
+    chains += _by_clues(rest, clues, first, chains, alike, reasons)
     for name in inputs:
-        reasons[name] = clues[name].why
+        like = next((link for link in links if link.above == name), None)
+        moves = f"; it moves as {like.stands_for} too" if like is not None and like.below not in aside else ""
+        reasons[name] = clues[name].why + moves
     for chain in chains:
         for low, high in zip(chain, [*chain[1:], None], strict=True):
             if low is not None and low not in reasons:
                 reasons[low] = clues[low].why or f"{high} is its derivative"
-    used = {name for chain in chains for name in chain}
+    used = {name for chain in chains for name in chain} | set(inputs)
     ordered = sorted(chains, key=lambda chain: min(names.index(name) for name in chain if name is not None))
-    return Guess(tuple(ordered), tuple(inputs), tuple(name for name in rest if name not in used), reasons)
+    undecided = tuple(name for name in names if name not in used)
+    return Guess(tuple(ordered), tuple(inputs), undecided, reasons, tuple(questions))
 
 
-def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[Link]:
-    """Links, those that contradict nothing that names say before the others; none against units."""
+def _one_of_each(
+    inputs: Sequence[str], clues: Mapping[str, Clue], alike: Mapping[frozenset[str], float], reasons: dict[str, str]
+) -> list[str]:
+    """Inputs without those that another one, nearer to the motion, carries out."""
+    out = []
+    for name in inputs:
+        nearer = [
+            other
+            for other in inputs
+            if clues[other].rank < clues[name].rank and alike.get(frozenset((name, other)), 0.0) > ONE_INPUT
+        ]
+        if nearer:
+            best = max(nearer, key=lambda other: (-clues[other].rank, alike[frozenset((name, other))]))
+            reasons[name] = f"moves as {best} does, which is nearer to the motion: they are one input"
+        else:
+            out.append(name)
+    return out
+
+
+def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[int, Link]]:
+    """Links and how they fit to what names say: -1 agree, 0 unknown, 1 against names; none against units."""
+    counts = Counter(clue.order for clue in clues.values())
 
     def contradiction(link: Link) -> int:
         below, above = clues[link.below], clues[link.above]
-        if INPUT in (below.order, above.order) and abs(abs(link.gain) - 1.0) > 0.1:
-            return 2  # something proportional to a force
+        for clue in (below, above):
+            if clue.order in (INPUT, REFERENCE, STATE) and not (clue.symbol and abs(abs(link.gain) - 1.0) < 0.1):
+                return 2  # something proportional to a force, or that follows a reference
         if below.order is None or above.order is None:
             return 0
-        agrees = above.order - below.order == link.order and below.index == above.index
-        return 0 if agrees else 2 if (below.by_unit and above.by_unit) or INPUT in (below.order, above.order) else 1
+        agrees = above.order - below.order == link.order and _together(below, above, counts)
+        return -1 if agrees else 2 if below.by_unit and above.by_unit else 1
 
     graded = [(contradiction(link), link) for link in links]
-    return [link for grade, link in sorted(graded, key=lambda one: (one[0], one[1].order)) if grade < 2]
+    return sorted(((grade, link) for grade, link in graded if grade < 2), key=lambda one: (one[0], one[1].order))
+
+
+def _together(one: Clue, other: Clue, counts: Mapping[int | None, int]) -> bool:
+    """Whether two channels may be of one coordinate; the only one of its kind needs no index."""
+    return one.index == other.index or 1 in (counts[one.order], counts[other.order])
+
+
+def _clear(graded: Sequence[tuple[int, Link]], questions: list[str]) -> list[Link]:
+    """Links without those that have a rival that explains about as much; these are a question."""
+    doubtful: list[Link] = []
+    for grade, link in graded:
+        rivals = [
+            other
+            for g, other in graded
+            if g == grade
+            and other.order == link.order
+            and (other.below == link.below) != (other.above == link.above)
+            and 1.0 - other.fit < CLEARLY * (1.0 - link.fit)
+        ]
+        doubtful += [link] if rivals else []
+        for other in rivals:
+            if link.below == other.below and link.above < other.above:
+                questions.append(f"{link.above} and {other.above} both move as {link.stands_for}: which one is it?")
+    return [link for _, link in graded if link not in doubtful]
 
 
 def _runs(links: Sequence[Link], reasons: dict[str, str]) -> list[list[str | None]]:
@@ -202,14 +328,20 @@ def _placed(run: list[str | None], clues: Mapping[str, Clue]) -> tuple[str | Non
 
 
 def _completed(
-    chain: tuple[str | None, ...], rest: Sequence[str], clues: Mapping[str, Clue], reasons: dict[str, str]
+    chain: tuple[str | None, ...],
+    rest: Sequence[str],
+    clues: Mapping[str, Clue],
+    count: int,
+    reasons: dict[str, str],
 ) -> tuple[str | None, ...]:
-    """A chain with derivatives that unit and name say, where nothing was found to derive from the others."""
+    """A chain, one of `count`, with derivatives that unit and name say, where none was found to derive."""
     index = next(clues[name].index for name in chain if name is not None)
+    orders = Counter(clues[name].order for name in rest)
     out = list(chain)
     for name in rest:
         clue = clues[name]
-        if clue.order in (0, 1, 2) and clue.index == index and out[clue.order] is None:
+        alone = count == 1 and orders[clue.order] == 1
+        if clue.order in (0, 1, 2) and (clue.index == index or alone) and out[clue.order] is None:
             out[clue.order], reasons[name] = name, clue.why
     return tuple(out)
 
@@ -219,21 +351,37 @@ def _by_clues(
     clues: Mapping[str, Clue],
     first: Mapping[str, float],
     chains: Sequence[tuple[str | None, ...]],
+    alike: Mapping[frozenset[str], float],
     reasons: dict[str, str],
 ) -> list[tuple[str | None, ...]]:
     """Chains of channels that nothing was found to derive from: by their units and names, or first-order states."""
     out: list[tuple[str | None, ...]] = []
+    motion = [name for name in rest if clues[name].order in (0, 1, 2)]
+    states = [name for name in rest if clues[name].order == STATE and not chains and not motion]
+    # one symbol that others explain may be a position under control as well
+    explained = [name for name in rest if name in first and not clues[name].by_unit and clues[name].order != STATE]
+    if len(explained) > 1 or all(clues[name].order is None for name in explained):
+        states += explained
+    for name in states:
+        out.append((name,))
+        share = f": the channels explain {100 * min(first[name], 0.999):.1f} % of its changes" if name in first else ""
+        reasons[name] = f"{clues[name].why or 'a state'} of first order{share}"
+    left = [name for name in motion if name not in states]
+    alone = max(Counter(clues[name].order for name in left).values(), default=0) == 1
     groups: dict[str, dict[int, str]] = {}
-    for name in rest:
+    for name in left:
         clue = clues[name]
-        if name in first and not clue.by_unit:
-            out.append((name,))
-            reasons[name] = f"the channels explain {100 * min(first[name], 0.999):.1f} % of its changes: first order"
-        elif clue.order is not None and clue.order >= 0:
-            groups.setdefault(clue.index, {}).setdefault(clue.order, name)
+        same = next((o for o in left if o != name and alike.get(frozenset((o, name)), 0.0) > SAME
+                     and clues[o].order == clue.order and o in groups.get(clues[o].index, {}).values()), None)
+        if same is not None:
+            reasons[name] = f"moves as {same} does"
+            continue
+        groups.setdefault("" if alone else clue.index, {}).setdefault(int(clue.order or 0), name)
+    lone = [orders for orders in groups.values() if set(orders) == {0}]
     for orders in groups.values():
-        # velocity alone is no coordinate, and an acceleration beside whole chains is another sensor
-        if 0 in orders or (2 in orders and not chains and not out):
+        # velocity alone is no coordinate; an acceleration or a displacement beside whole chains is another sensor
+        whole = bool(chains or out) or len(lone) < len(groups)
+        if (0 in orders and (len(orders) > 1 or not whole or len(groups) == 1 and not chains)) or (2 in orders and not chains and not out):
             chain = tuple(orders.get(k) for k in range(3))
             out.append(chain)
             for name in filter(None, chain):
