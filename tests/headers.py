@@ -98,9 +98,7 @@ def oscillator(n: int = 3000, fs: float = 200.0, k: float = 400.0, c: float = 1.
     """A mass of 1 kg on a hardening spring: metres, seconds, newtons."""
     t = np.arange(n) / fs
     force = 4.0 * tones(t, 1, 0.5, 8.0)
-    y = solve(
-        lambda s, y: [y[1], np.interp(s, t, force) - k * y[0] - c * y[1] - cubic * y[0] ** 3], [0.01, 0.0], t
-    )
+    y = solve(lambda s, y: [y[1], np.interp(s, t, force) - k * y[0] - c * y[1] - cubic * y[0] ** 3], [0.01, 0.0], t)
     a = force - k * y[:, 0] - c * y[:, 1] - cubic * y[:, 0] ** 3
     return {"t": t, "x": y[:, 0], "v": y[:, 1], "a": a, "F": force}
 
@@ -151,7 +149,16 @@ def two_masses(n: int = 4000, fs: float = 200.0) -> Signals:
 
     y = solve(rate, [0.01, 0.0, -0.01, 0.0], t)
     a = np.array([rate(s, row) for s, row in zip(t, y, strict=True)])
-    return {"t": t, "x1": y[:, 0], "v1": y[:, 1], "a1": a[:, 1], "x2": y[:, 2], "v2": y[:, 3], "a2": a[:, 3], "F": force}
+    return {
+        "t": t,
+        "x1": y[:, 0],
+        "v1": y[:, 1],
+        "a1": a[:, 1],
+        "x2": y[:, 2],
+        "v2": y[:, 3],
+        "a2": a[:, 3],
+        "F": force,
+    }
 
 
 def oven(n: int = 2000, step: float = 5.0) -> Signals:
@@ -264,7 +271,13 @@ TUNED = (
     ),
     Headers(
         "French",
-        {"Temps [s]": "t", "Déplacement [mm]": "x", "Vitesse [mm/s]": "v", "Accélération [m/s²]": "a", "Effort [N]": "F"},
+        {
+            "Temps [s]": "t",
+            "Déplacement [mm]": "x",
+            "Vitesse [mm/s]": "v",
+            "Accélération [m/s²]": "a",
+            "Effort [N]": "F",
+        },
         lambda: scaled(noisy(oscillator()), x=1e3, v=1e3),
         (("x", "v", "a"),),
         (("F",),),

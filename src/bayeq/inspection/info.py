@@ -132,11 +132,12 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     other = (INPUT, REFERENCE)
     free = [key for key in moving if key not in derived and clues[key].order not in other and not clues[key].by_unit]
     first = first_order(short, free, [key for key in moving if clues[key].order == INPUT])
-    guess = guess_roles(moving, clues, links, first, correlations(short, moving))
+    alike = correlations(short, moving)
+    guess = guess_roles(moving, clues, links, first, alike)
     second = [chain for chain in guess.chains if len(chain) == 3]
     if len(second) == 1 and not guess.inputs:
         unknown = [key for key in guess.undecided if clues[key].order is None]
-        guess = guess.driven_by(drivers(short, second[0], unknown))
+        guess = guess.driven_by(drivers(short, second[0], unknown), alike)
     bad, looked_at = find_bad(records, guess, moving)
     gaps = tuple(gaps_of(records))
     rates = [record for record in records if record.fs is not None]

@@ -41,8 +41,9 @@ LEAST_COHERENCE = 0.6
 MOST_DELAY = 3.0
 
 # ... and the gain is that of the units, or, where they are not known, of units that are often mixed, within a factor.
-NEAR = 1.25
-MIXED = (1.0, 1e-3, 1e3, 1e-2, 1e2, 9.80665, 2.0 * math.pi, 180.0 / math.pi)
+# Of channels whose names say nothing either it is nearer: an input that is integrated moves as a derivative, too.
+NEAR, NAMELESS = 1.25, 1.1
+MIXED = (1.0, 1e-3, 1e3, 1e-2, 1e2, 9.80665, 9806.65, 2.0 * math.pi, 180.0 / math.pi)
 
 # Any gain is accepted of channels that move over a band this wide: the factor of the derivative's mean frequency to
 # that of the motion. A motion of one frequency is the derivative of anything that has it.
@@ -51,8 +52,11 @@ BROAD = 1.1
 NOT_SLOWER = 0.97
 
 # A channel is a state of first order if this share of its changes is explained by the channels themselves and their
-# products; of a coordinate of second order hardly any is, for its rate is a state of its own.
+# products; of a coordinate of second order hardly any is, for its rate is a state of its own. Smooth channels, such as
+# those of a controller, are explained by sums of each other: of one state at least, products explain clearly more, that
+# is, they leave less by this factor.
 EXPLAINED = 0.8
+CLEARLY = 2.0
 MOST_STATES = 8
 LEAST_ROWS = 16
 
@@ -79,6 +83,11 @@ class Link:
     def stands_for(self) -> str:
         """The derivative as text."""
         return derivative_name(self.below, self.order)
+
+    @property
+    def usual(self) -> bool:
+        """Whether the gain is that of the units, or of units that are often mixed, closely."""
+        return _nearest(abs(self.gain), self.expected) < math.log(NAMELESS)
 
 
 def short_record(records: Sequence[Record], channels: Mapping[str, ChannelInfo]) -> Record:
@@ -211,13 +220,15 @@ def first_order(record: Record, names: Sequence[str], others: Sequence[str]) -> 
     if rows < max(LEAST_ROWS, 2 * len(terms)):
         return {}
     D = _integrals(terms, record.time, width)
-    out = {}
+    out, products = {}, False
     for name in states:
         change = scaled[name][width:] - scaled[name][:-width]
-        share = 1.0 - _left(D, change) / _spread(change) * (rows - 1) / (rows - D.shape[1])
+        sums, left = (_left(A, change) / (rows - A.shape[1]) for A in (D[:, : 1 + len(scaled)], D))
+        share = 1.0 - left / _spread(change) * (rows - 1)
+        products |= sums > CLEARLY * left
         if share > EXPLAINED:
             out[name] = share
-    return out
+    return out if products else {}
 
 
 def drivers(record: Record, chain: Sequence[str | None], candidates: Sequence[str]) -> dict[str, float]:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from bayeq.inspection.links import Link
+from bayeq.inspection.links import CLEARLY, Link
 from bayeq.records.units import in_si, parse_unit
 
 __all__ = ["INPUT", "Clue", "Guess", "clue_of", "guess_roles"]
@@ -48,26 +48,26 @@ SYMBOLS: Mapping[int, str] = {
     REFERENCE: "r e",
 }
 TIERS = tuple(
-    {word: order for order, words in table.items() for word in words.split()} for table in (QUANTITIES, SENSORS, SYMBOLS)
+    {word: order for order, words in table.items() for word in words.split()}
+    for table in (QUANTITIES, SENSORS, SYMBOLS)
 )
-# What the motion is to follow, or its error; with the unit of a force or of none, a command.
-WANTED = set(
-    "ref reference soll setpoint target desired demand consigne fuhrungs vorgabe error err fehler abweichung"
-    " regelabweichung ecart erreur".split()
-)
-COMMANDS = set("command cmd commanded commande befehl stell".split())
-AMBIENT = set("ambient room umgebung ambiante raum outside".split())
-# Of one motor's inputs the measured force is proposed, else the current, else what commands them.
-MEASURED = set("force kraft torque drehmoment moment couple effort fuerza forza load last charge".split())
-CURRENTS = set("current strom courant".split())
+# Words beside them: what the motion is to follow, or its error; commands, which with the unit of a motion are wanted
+# too; what is around; of one motor's inputs the measured force is proposed, else the current, else what commands them.
+KINDS: Mapping[str, str] = {
+    "wanted": "ref reference soll setpoint target desired demand consigne fuhrungs vorgabe error err fehler abweichung"
+    " regelabweichung ecart erreur",
+    "command": "command cmd commanded commande befehl stell",
+    "ambient": "ambient room umgebung ambiante raum outside",
+    "measured": "force kraft torque drehmoment moment couple effort fuerza forza load last charge",
+    "current": "current strom courant",
+}
+OF_KIND = {kind: frozenset(words.split()) for kind, words in KINDS.items()}
 # Words of this many letters are found at the beginning and the end of longer ones: Motorspannung, Kraftmessdose.
 COMPOUND = 5
 SENSOR_ENDS = re.compile(r"(?<=\w{3})(mess)?(aufnehmer|sensor|geber|dose|zelle|wert|signal|grosse)$")
 
 # Channels are the same signal, but for a lag, from this correlation on; inputs of one motor are loosely so.
 SAME, ONE_INPUT = 0.98, 0.5
-# A link is one only if what it leaves unexplained is less than that of its rival by this factor.
-CLEARLY = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,14 +94,31 @@ class Guess:
     reasons: Mapping[str, str]  # why, by channel
     questions: tuple[str, ...] = ()  # what the file leaves open, a sentence each
 
-    def driven_by(self, shares: Mapping[str, float]) -> Guess:
-        """The same with channels that were undecided as inputs, for the share of the motion that each explains."""
+    def driven_by(self, shares: Mapping[str, float], alike: Mapping[frozenset[str], float]) -> Guess:
+        """The same with channels that were undecided as inputs, for the share of the motion that each explains.
+
+        Of those that move alike one is the input, if it explains clearly more, or else it is a question which.
+        """
+        taken: list[str] = []
+        questions = list(self.questions)
+        for name in sorted(shares, key=lambda name: -shares[name]):
+            rivals = [o for o in shares if o != name and alike.get(frozenset((o, name)), 0.0) > ONE_INPUT]
+            if all(1.0 - shares[other] > CLEARLY * (1.0 - shares[name]) for other in rivals):
+                taken.append(name)
+            elif not any(name in question for question in questions) and not set(rivals) & set(taken):
+                both = " and ".join([name, *rivals])
+                questions.append(
+                    f"{both} move alike and each may drive the motion: add the one nearer to it as --input"
+                )
         reasons = {
-            name: f"explains {100.0 * min(share, 0.999):.1f} % of what the motion itself leaves of the acceleration"
-            for name, share in shares.items()
+            name: f"explains {100.0 * min(shares[name], 0.999):.1f} % of what the motion itself leaves of the acceleration"
+            for name in taken
         }
-        undecided = tuple(name for name in self.undecided if name not in shares)
-        return replace(self, inputs=(*self.inputs, *shares), undecided=undecided, reasons={**self.reasons, **reasons})
+        undecided = tuple(name for name in self.undecided if name not in taken)
+        inputs = (*self.inputs, *(name for name in shares if name in taken))
+        return replace(
+            self, inputs=inputs, undecided=undecided, reasons={**self.reasons, **reasons}, questions=tuple(questions)
+        )
 
     def role_of(self, name: str) -> str:
         """Role of a channel as a word; empty where it is not decided."""
@@ -130,14 +147,13 @@ def clue_of(name: str, unit: str) -> Clue:
     angle = unit == "rad" or (not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts))
     by_unit = _order_of_unit(unit)
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
-    wanted, commands = (not words.isdisjoint(parts) for words in (WANTED, COMMANDS))
-    measured = by_unit == INPUT or not MEASURED.isdisjoint(parts)
-    rank = 2 if wanted or commands else 0 if measured else 1 if not CURRENTS.isdisjoint(parts) else 2
-    if (wanted and order != INPUT) or (commands and (order in (0, 1, 2, STATE)) and (by_unit is not None or not unit)):
+    wanted, commands, ambient, measured, current = (not words.isdisjoint(parts) for words in OF_KIND.values())
+    rank = 2 if wanted or commands else 0 if measured or by_unit == INPUT else 1 if current else 2
+    if (wanted and order != INPUT) or (commands and order in (0, 1, 2, STATE) and (by_unit is not None or not unit)):
         order, why = REFERENCE, "its name"
-    elif order == STATE and not AMBIENT.isdisjoint(parts):
+    elif order == STATE and ambient:
         order, why = INPUT, "its name"
-    elif STATE == by_name and order == 0:
+    elif by_name == STATE and order == 0:
         order, why = STATE, "its name"
     sure = by_unit is not None and order == by_unit
     return Clue(order, why if order is not None else "", sure, index, angle, not sure and tier == 2, rank)
@@ -207,7 +223,9 @@ def guess_roles(
     questions: list[str] = []
     runs = _runs(_clear(_agreeing(links, clues), questions), reasons)
     linked = {name for run in runs for name in run if name is not None}
-    inputs = _one_of_each([name for name in names if clues[name].order == INPUT and name not in linked], clues, alike, reasons)
+    inputs = _one_of_each(
+        [name for name in names if clues[name].order == INPUT and name not in linked], clues, alike, reasons
+    )
     aside = {name for name in names if clues[name].order == REFERENCE and name not in linked}
     reasons |= {name: "names what the motion is to follow, or an error: not what drives it" for name in aside}
     rest = [name for name in names if name not in linked and name not in inputs and name not in reasons]
@@ -257,7 +275,7 @@ def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[in
             if clue.order in (INPUT, REFERENCE, STATE) and not (clue.symbol and abs(abs(link.gain) - 1.0) < 0.1):
                 return 2  # something proportional to a force, or that follows a reference
         if below.order is None or above.order is None:
-            return 0
+            return 0 if link.usual or below.order != above.order else 2
         agrees = above.order - below.order == link.order and _together(below, above, counts)
         return -1 if agrees else 2 if below.by_unit and above.by_unit else 1
 
@@ -341,9 +359,14 @@ def _completed(
     for name in rest:
         clue = clues[name]
         alone = count == 1 and orders[clue.order] == 1
-        if clue.order in (0, 1, 2) and (clue.index == index or alone) and out[clue.order] is None:
+        if clue.order in (0, 1, 2) and _tells(clue) and (clue.index == index or alone) and out[clue.order] is None:
             out[clue.order], reasons[name] = name, clue.why
     return tuple(out)
+
+
+def _tells(clue: Clue) -> bool:
+    """Whether a clue is enough where no channel was found to derive from another: v and w are many things."""
+    return not clue.symbol or clue.order != 1
 
 
 def _by_clues(
@@ -356,7 +379,7 @@ def _by_clues(
 ) -> list[tuple[str | None, ...]]:
     """Chains of channels that nothing was found to derive from: by their units and names, or first-order states."""
     out: list[tuple[str | None, ...]] = []
-    motion = [name for name in rest if clues[name].order in (0, 1, 2)]
+    motion = [name for name in rest if clues[name].order in (0, 1, 2) and _tells(clues[name])]
     states = [name for name in rest if clues[name].order == STATE and not chains and not motion]
     # one symbol that others explain may be a position under control as well
     explained = [name for name in rest if name in first and not clues[name].by_unit and clues[name].order != STATE]
@@ -371,17 +394,27 @@ def _by_clues(
     groups: dict[str, dict[int, str]] = {}
     for name in left:
         clue = clues[name]
-        same = next((o for o in left if o != name and alike.get(frozenset((o, name)), 0.0) > SAME
-                     and clues[o].order == clue.order and o in groups.get(clues[o].index, {}).values()), None)
+        same = next(
+            (
+                o
+                for o in left
+                if o != name
+                and alike.get(frozenset((o, name)), 0.0) > SAME
+                and clues[o].order == clue.order
+                and o in groups.get(clues[o].index, {}).values()
+            ),
+            None,
+        )
         if same is not None:
             reasons[name] = f"moves as {same} does"
             continue
         groups.setdefault("" if alone else clue.index, {}).setdefault(int(clue.order or 0), name)
-    lone = [orders for orders in groups.values() if set(orders) == {0}]
+    # what nothing derives from is a coordinate where there are no surer ones: beside them it is another sensor, and
+    # velocity alone is none
+    surer = bool(chains or out or any(0 in orders and len(orders) > 1 for orders in groups.values()))
+    lone = 0 if any(0 in orders for orders in groups.values()) else 2
     for orders in groups.values():
-        # velocity alone is no coordinate; an acceleration or a displacement beside whole chains is another sensor
-        whole = bool(chains or out) or len(lone) < len(groups)
-        if (0 in orders and (len(orders) > 1 or not whole or len(groups) == 1 and not chains)) or (2 in orders and not chains and not out):
+        if (0 in orders and len(orders) > 1) or (lone in orders and not surer):
             chain = tuple(orders.get(k) for k in range(3))
             out.append(chain)
             for name in filter(None, chain):

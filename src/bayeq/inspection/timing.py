@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -22,6 +23,11 @@ Ints = NDArray[np.intp]
 
 # Words for time, and for the number of an experiment, as parts of column names in the usual languages.
 TIME_WORDS = ("time", "zeit", "temps", "tiempo", "tempo", "tijd", "year", "jahr", "date", "stamp", "second", "sekunde")
+# Times that are counted in whole numbers: words of a name, with an s or not.
+COUNTED = (
+    "day week month quarter hour minute tag tage woche wochen monat monate quartal jahre stunde stunden minuten jour"
+    " semaine mois heure annee année an dia día semana mes hora año ano giorno settimana mese ora anno"
+)
 STEP_NAMES = ("ts", "dt", "delta_t", "sampling_time", "sample_time", "time_step")
 TRIAL_WORDS = ("trial", "run", "experiment", "exp", "test", "group", "segment", "versuch", "messung", "essai", "set")
 
@@ -107,7 +113,10 @@ def _doubt(record: Record, name: str) -> int:
     """How surely a column is time: 0 for its unit, 1 for its name, 2 for neither."""
     if record.units.get(name) in SECONDS:
         return 0
-    return 1 if is_time_name(name) or any(word in name.casefold() for word in TIME_WORDS) else 2
+    folded = name.casefold()
+    words = {part.removesuffix("s") for part in re.split(r"[\W\d_]+", folded)}
+    counted = not words.isdisjoint(word.removesuffix("s") for word in COUNTED.split())
+    return 1 if counted or is_time_name(name) or any(word in folded for word in TIME_WORDS) else 2
 
 
 def _rises(values: FloatArray) -> bool:
