@@ -7,7 +7,7 @@ looking at them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,11 @@ class Headers:
         table = np.column_stack([signals[key] for key in self.columns.values()])
         rows = "\n".join(";".join(f"{value:.7g}" for value in row) for row in table)
         return ";".join(self.columns) + "\n" + rows + "\n"
+
+    def without_names(self) -> Headers:
+        """The same channels as ch1, ch2 ...; time keeps its name."""
+        columns = {"t" if key == "t" else f"ch{k}": key for k, key in enumerate(self.columns.values())}
+        return replace(self, columns=columns)
 
     def judge(self, found: RecordInfo) -> str:
         """``right``, ``asks`` (what is proposed is true, the rest is a question), ``silent`` or ``wrong: why``."""
@@ -357,5 +362,178 @@ TUNED = (
         lambda: noisy(loop(), 0.003),
         (("x", "", ""),),
         (("u",),),
+    ),
+)
+
+
+def thermostat(n: int = 2500, step: float = 4.0) -> Signals:
+    """A block under proportional and integral control: set point, per cent of the heater, temperature."""
+    t = step * np.arange(n)
+    rng = np.random.default_rng(9)
+    wanted = np.repeat(rng.uniform(30.0, 70.0, n // 250 + 1), 250)[:n]
+    T, integral, out = 21.0, 0.0, np.empty((n, 2))
+    for k in range(n):
+        drive = float(np.clip(4.0 * (wanted[k] - T) + 0.01 * integral, 0.0, 100.0))
+        integral += step * (wanted[k] - T) * (0.0 < drive < 100.0)
+        out[k] = drive, T
+        T += step * (0.6 * drive - 0.4 * (T - 21.0)) / 250.0
+    return {"t": t, "r": wanted, "u": out[:, 0], "T": out[:, 1]}
+
+
+FRESH = (
+    Headers(
+        "German test rig",
+        {"Zeit [ms]": "t", "Federweg vorne [mm]": "x", "Aufbaubeschleunigung [m/s²]": "a", "Zylinderkraft [kN]": "F"},
+        lambda: scaled(noisy(oscillator(k=900.0), seed=11), t=1e3, x=1e3, F=1e-3),
+        (("x", "", "a"),),
+        (("F",),),
+    ),
+    Headers(
+        "sensors without units",
+        {"Time": "t", "Displacement sensor 3": "x", "Accelerometer top": "a", "Impact hammer": "F"},
+        lambda: scaled(noisy(oscillator(), seed=12), x=1e3, a=1 / 9.81),
+        (("x", "", "a"),),
+        (("F",),),
+    ),
+    Headers(
+        "units within names",
+        {"t_s": "t", "pos_mm": "x", "vel_mm_s": "v", "acc_m_s2": "a", "force_N": "F"},
+        lambda: scaled(noisy(oscillator(), seed=13), x=1e3, v=1e3),
+        (("x", "v", "a"),),
+        (("F",),),
+    ),
+    Headers(
+        "four numbers of channels",
+        {"Time": "t", "CH1": "a", "CH2": "F", "CH3": "x", "CH4": "v"},
+        lambda: noisy(oscillator(cubic=0.0), seed=14),
+        (("x", "v", "a"),),
+        (("F",),),
+    ),
+    Headers(
+        "German drive with wanted and actual speed",
+        {
+            "Zeit [s]": "t",
+            "Winkel Soll [°]": "r",
+            "Winkel Ist [°]": "x",
+            "Drehzahl Ist [1/min]": "v",
+            "Moment [Nm]": "M",
+        },
+        lambda: scaled(noisy(loop(), 0.003, 15), r=180 / np.pi, x=180 / np.pi, v=30 / np.pi),
+        (("x", "v", ""),),
+        (("M",),),
+    ),
+    Headers(
+        "process control",
+        {"time [s]": "t", "setpoint [°C]": "r", "controller output [%]": "u", "process value [°C]": "T"},
+        lambda: noisy(thermostat(), 0.003, 16),
+        (("T",),),
+        (("u",),),
+    ),
+    Headers(
+        "voltage, current and torque of one motor",
+        {
+            "t": "t",
+            "U_Motor [V]": "u",
+            "I_Motor [A]": "i",
+            "M_Welle [Nm]": "M",
+            "phi_Welle [rad]": "x",
+            "om [rad/s]": "v",
+        },
+        lambda: noisy({**(made := loop()), "i": 10.0 * made["M"]}, 0.005, 17),
+        (("x", "v", ""),),
+        (("M", "i", "u"),),
+    ),
+    Headers(
+        "German pendulum with a loose pivot",
+        {"Zeit": "t", "Pendelwinkel [rad]": "x", "Aufhängung x [m]": "px", "Aufhängung y [m]": "py"},
+        lambda: noisy(pendulum(), 0.003, 18),
+        (("x", "", ""),),
+    ),
+    Headers(
+        "a block in a room",
+        {"Time (s)": "t", "T_block (degC)": "T", "T_ambient (degC)": "room", "Q_heater (W)": "P"},
+        lambda: noisy(oven(), 0.002, 19),
+        (("T",),),
+        (("P",), ("room",)),
+    ),
+    Headers(
+        "German populations by week",
+        {"Woche": "t", "Hasen": "prey", "Füchse": "predators"},
+        lambda: noisy({**days(), "t": 1.0 + np.arange(120.0)}, 0.01, 20),
+        (("prey",), ("predators",)),
+    ),
+    Headers(
+        "French populations by day",
+        {"Jour": "t", "Proies (milliers)": "prey", "Prédateurs (milliers)": "predators"},
+        lambda: noisy(days(), 0.02, 21),
+        (("prey",), ("predators",)),
+    ),
+    Headers(
+        "motor and load",
+        {"time": "t", "motor_pos": "x2", "motor_vel": "v2", "load_pos": "x1", "load_vel": "v1", "motor_torque": "F"},
+        lambda: noisy(two_masses(), 0.005, 22),
+        (("x1", "v1", ""), ("x2", "v2", "")),
+        (("F",),),
+    ),
+    Headers(
+        "two displacements, one acceleration",
+        {"Zeit [s]": "t", "Weg 1 [mm]": "x1", "Weg 2 [mm]": "x2", "Beschleunigung 2 [g]": "a2", "Kraft [N]": "F"},
+        lambda: scaled(noisy(two_masses(), seed=23), x1=1e3, x2=1e3, a2=1 / 9.81),
+        (("x1", "", ""), ("x2", "", "a2")),
+        (("F",),),
+    ),
+    Headers(
+        "a force and its command",
+        {"Time (s)": "t", "Command force (N)": "cmd", "Measured force (N)": "F", "Stroke (mm)": "x"},
+        lambda: scaled(noisy({**(made := oscillator()), "cmd": np.roll(made["F"], -3)}, seed=24), x=1e3),
+        (("x", "", ""),),
+        (("F", "cmd"),),
+    ),
+    Headers(
+        "French hammer",
+        {"Temps (s)": "t", "Position laser (µm)": "x", "Accéléromètre (g)": "a", "Marteau (N)": "F"},
+        lambda: scaled(noisy(oscillator(), seed=25), x=1e6, a=1 / 9.81),
+        (("x", "", "a"),),
+        (("F",),),
+    ),
+    Headers(
+        "letters with dots",
+        {"t": "t", "f": "F", "x": "x", "xdot": "v", "xddot": "a"},
+        lambda: noisy(oscillator(), seed=26),
+        (("x", "v", "a"),),
+        (("F",),),
+    ),
+    Headers(
+        "angles of a servo",
+        {
+            "Time (s)": "t",
+            "Reference angle (deg)": "r",
+            "Actual angle (deg)": "x",
+            "Angle error (deg)": "e",
+            "Motor current (A)": "M",
+        },
+        lambda: scaled(noisy(loop(), 0.003, 27), r=180 / np.pi, x=180 / np.pi, e=180 / np.pi),
+        (("x", "", ""),),
+        (("M",),),
+    ),
+    Headers(
+        "counts, gyro, drive",
+        {"time_ms": "t", "Encoder counts": "x", "Gyro": "v", "Shaker drive (V)": "F"},
+        lambda: scaled(noisy(oscillator(), seed=28), t=1e3, x=4e4, v=57.3, F=0.5),
+        (("x", "v", ""),),
+        (("F",),),
+    ),
+    Headers(
+        "inputs of a card",
+        {"t": "t", "AI0": "x", "AI1": "v"},
+        lambda: noisy(pendulum(), 0.005, 29),
+        (("x", "v", ""),),
+    ),
+    Headers(
+        "accelerations alone",
+        {"Zeit [s]": "t", "Kraft [N]": "F", "Beschleunigung 1 [g]": "a1", "Beschleunigung 2 [g]": "a2"},
+        lambda: scaled(noisy(two_masses(), seed=30), a1=1 / 9.81, a2=1 / 9.81),
+        (("", "", "a1"), ("", "", "a2")),
+        (("F",),),
     ),
 )

@@ -5,7 +5,8 @@
     BayeqError
     ├── InputError (ValueError)       the input or an argument is wrong; the command line exits with 2
     │   ├── FileFormatError           a file is missing, unreadable or not what its name says
-    │   │   └── WordsError            a column that holds words instead of numbers
+    │   │   ├── WordsError            a column that holds words instead of numbers
+    │   │   └── LengthsError          arrays of several lengths: no single record
     │   ├── RecordError               samples that cannot be used: NaN, unordered time, zero rows ...
     │   ├── UnknownNameError          no such channel, system, dictionary ...; near names are offered
     │   ├── ChainError                a kinematic chain that cannot be read or differentiated
@@ -44,6 +45,7 @@ __all__ = [
     "FileFormatError",
     "InputError",
     "InterruptedRun",
+    "LengthsError",
     "MissingExtraError",
     "RecordError",
     "TermWarning",
@@ -101,6 +103,22 @@ class WordsError(FileFormatError):
     def __init__(self, message: str, column: str = "", others: Sequence[str] = ()) -> None:
         super().__init__(message)
         self.column, self.others = column, tuple(others)
+
+
+class LengthsError(FileFormatError):
+    """Arrays of a file have several lengths, so that they are no single record.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong, and where.
+    sizes : mapping of str to int
+        Number of samples of each array, by the name of its channel.
+    """
+
+    def __init__(self, message: str, sizes: Mapping[str, int] | None = None) -> None:
+        super().__init__(message)
+        self.sizes = dict(sizes or {})
 
 
 class RecordError(InputError):

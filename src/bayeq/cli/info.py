@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bayeq.cli.options import FILE, Command, json_option, option
+from bayeq.cli.options import FILE, Command, Names, json_option, measured
+from bayeq.cli.reading import Reading, file_options
 
 if TYPE_CHECKING:
     from bayeq.inspection.info import RecordInfo
@@ -19,24 +20,27 @@ __all__ = ["info"]
 
 @click.command(cls=Command)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
-@option("--time", help="Time column [s].")
-@option("--fs", type=float, help="Sampling frequency [Hz], where there is no time column.")
-@option("--names", help="Column names, separated by commas, for a file without header.")
-@option("--group", help="Column that numbers the trials within a file.")
+@file_options
+@measured(
+    "--channel", "channels", multiple=True, help="Channel that is read, x or name=path. Once per channel; else all."
+)
 @json_option()
-def info(files: tuple[Path, ...], as_json: bool, **reading: Any) -> None:
+def info(files: tuple[Path, ...], as_json: bool, channels: tuple[str, ...], **options: Any) -> None:
     """Say what is in a file: channels, rate, units, power, bad samples, likely roles, and what to run next.
 
-    FILE... are one or several records: CSV, TSV, text, Parquet or NPZ.
+    FILE... are one or several records, in any format that discover reads.
     """
     from importlib.metadata import version
 
     from bayeq.inspection.info import info as describe
     from bayeq.inspection.info import proposal_for_all
 
+    reading, named = Reading.of(options), Names()
+    for text in channels:
+        named.name(text)
     found: list[RecordInfo] = []
     for file in files:
-        found.append(describe(file, **reading))
+        found.append(describe(file, channels=named.paths or None, rows=reading.rows, **reading.of_file))
         if not as_json:
             click.echo(("\n" if len(found) > 1 else "") + _text(found[-1]))
     together = proposal_for_all(found)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bayeq.records import Record
     from bayeq.streaming.units import Extent
 
-__all__ = ["STANDARD_INPUT", "Reading", "plain_files", "reading_options"]
+__all__ = ["STANDARD_INPUT", "Reading", "file_options", "plain_files", "reading_options"]
 
 #: The argument that means standard input, and what messages call it.
 STANDARD_INPUT = Path("-")
@@ -31,7 +31,7 @@ _CALLED = "standard input"
 
 _ROWS = re.compile(r"\s*(-?\d{1,18})?\s*:\s*(-?\d{1,18})?\s*")
 
-_OPTIONS = (
+_OF_FILES = (
     opt.measured("--time", help="Time column [s], or the path of an array."),
     opt.measured("--fs", type=float, help="Sampling frequency [Hz], where there is no time column."),
     opt.measured(
@@ -45,6 +45,9 @@ _OPTIONS = (
     opt.measured("--names", help="Column names, separated by commas, for a file without header."),
     opt.measured("--skip", type=int, default=0, help="Lines at the top of a text file that are passed over."),
     opt.measured("--group", help="Column that numbers the trials within a file."),
+    opt.altered("--rows", help="Rows that are used, A:B as in Python, of each record: 0:2000, 500:, :-100."),
+)
+_OTHERS = (
     opt.measured(
         "--join", is_flag=True, help="FILE... are channels of one motion: join them on the time of the first."
     ),
@@ -55,7 +58,6 @@ _OPTIONS = (
         help="Read some rows at a time, for files larger than memory: Parquet, HDF5, NPY, text. By default folders, and"
         " files of more than 256 MB together.",
     ),
-    opt.altered("--rows", help="Rows that are used, A:B as in Python, of each record: 0:2000, 500:, :-100."),
     opt.altered(
         "--remove-offset",
         "offsets",
@@ -67,7 +69,16 @@ _OPTIONS = (
 
 def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with the options about reading, which `Reading.of` takes."""
-    for add in reversed(_OPTIONS):
+    return file_options(_with(command, _OTHERS))
+
+
+def file_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorate a command with those of them that say what is read of each file."""
+    return _with(command, _OF_FILES)
+
+
+def _with(command: Callable[..., Any], options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
+    for add in reversed(options):
         command = add(command)
     return command
 
@@ -103,14 +114,22 @@ class Reading:
             fs=options.pop("fs"),
             names=None if names is None else [name.strip() for name in names.split(",")],
             group=opt.path_of(options.pop("group")),
-            join=options.pop("join"),
+            join=options.pop("join", False),
             units=_units(options.pop("units"), options.pop("scales")),
             skip=skip,
             rows=_rows(options.pop("rows")),
-            offsets=_offsets(options.pop("offsets")),
-            stream=options.pop("stream"),
+            offsets=_offsets(options.pop("offsets", ())),
+            stream=options.pop("stream", None),
             sheet=options.pop("sheet"),
         )
+
+    @property
+    def of_file(self) -> dict[str, Any]:
+        """What `bayeq.records.read` is told."""
+        return {
+            "time": self.time, "fs": self.fs, "names": self.names, "group": self.group, "units": self.units,
+            "skip": self.skip, "sheet": self.sheet,
+        }  # fmt: skip
 
     def streamed(self, files: Sequence[Path]) -> bool:
         """Whether files are read some rows at a time: folders, large files, or as `stream` says."""
@@ -200,10 +219,7 @@ class Reading:
         from bayeq.records import read
         from bayeq.records.names import is_time_name
 
-        options: dict[str, Any] = {
-            "time": self.time, "fs": self.fs, "names": self.names, "group": self.group, "units": self.units,
-            "skip": self.skip, "sheet": self.sheet,
-        }  # fmt: skip
+        options = self.of_file
         found: Record | list[Record]
         if self.join:
             found = _read_those_there(file, dict(paths) or {name: name for name in used}, options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import InputError, RecordError, WordsError
+from bayeq.errors import InputError, LengthsError, RecordError, WordsError
 from bayeq.inspection.channels import describe_channels
 from bayeq.inspection.contents import RecordInfo
-from bayeq.inspection.links import Link, correlations, drivers, find_links, first_order, short_record
+from bayeq.inspection.links import Link, correlations, drivers, find_links, first_order, rough_channels, short_record
 from bayeq.inspection.proposal import Proposal, Reading, propose
 from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clue_of, guess_roles
 from bayeq.inspection.samples import find_bad
-from bayeq.inspection.timing import Experiments, gaps_of, sort_rows
+from bayeq.inspection.timing import Experiments, gaps_of, sort_rows, starts_from_rest
 from bayeq.records import Record, as_record, check_record, read
 from bayeq.records.names import is_time_name
 from bayeq.records.record import with_only
@@ -40,6 +41,9 @@ def info(
     names: Sequence[str] | str | None = None,
     units: Mapping[str, str] | None = None,
     group: str | None = None,
+    channels: Mapping[str, str] | None = None,
+    skip: int = 0,
+    rows: slice | None = None,
 ) -> RecordInfo:
     """What is in a record or a file, and what to run next.
 
@@ -47,8 +51,10 @@ def info(
     ----------
     source : Record, path, DataFrame or mapping of arrays
         What was measured. A file is opened as `bayeq.read` does; where its time starts over it is divided there.
-    time, fs, names, units, group : optional
+    time, fs, names, units, group, channels, skip : optional
         As in `bayeq.read`, for files.
+    rows : slice, optional
+        Rows of each record that are looked at.
 
     Returns
     -------
@@ -68,56 +74,75 @@ def info(
     >>> print(found.proposal.python)
     bq.discover(record, displacement='x', velocity='v')
     """
+    how = {"time": time, "fs": fs, "names": names, "units": units, "group": group, "channels": channels, "skip": skip}
     if isinstance(source, Record):
-        given = {"time": time, "fs": fs, "names": names, "units": units, "group": group}
-        if any(value is not None for value in given.values()):
-            used = next(key for key, value in given.items() if value is not None)
-            raise InputError(f"{used} says how a file is read; a Record has been read")
+        used = [key for key, value in {**how, "rows": rows}.items() if value]
+        if used:
+            raise InputError(f"{used[0]} says how a file is read; a Record has been read")
         return _described(sort_rows(source), source.name, Reading(clocked=source.time is not None))
     if not isinstance(source, (str, os.PathLike)):
         return info(as_record(source))
     path = Path(source)
     listed = names if names is None or isinstance(names, str) else ",".join(names)
-    reading = Reading((str(path),), time, fs, listed, group)
-    experiments, words = _numbers(path, time, fs, group, {"names": names, "units": units})
+    reading = Reading((str(path),), time, fs, listed, group, dict(units or {}), dict(channels or {}), skip, rows)
+    experiments, remarks = _numbers(path, rows or slice(None), how)
     found = _described(experiments, path.name, reading)
-    return replace(found, findings=(*(f"{name} holds words, not numbers: left out" for name in words), *found.findings))
+    return replace(found, findings=(*remarks, *found.findings))
 
 
-def _numbers(
-    path: Path, time: str | None, fs: float | None, group: str | None, how: Mapping[str, Any]
-) -> tuple[Experiments, list[str]]:
-    """A file by experiment without its columns of words, and their names."""
+def _numbers(path: Path, rows: slice, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
+    """A file by experiment, without columns of words and arrays of other lengths, and what to say of these."""
+    remarks: list[str] = []
     words: list[str] = []
-    how = dict(how)
     while True:
         try:
-            return _opened(path, time, fs, group, how), words
+            return _opened(path, rows, how), remarks
         except WordsError as error:
             how["columns"] = [name for name in error.others if name not in words]
-            if how["names"] is not None or not how["columns"] or error.column in (time, group):
+            if how["names"] or how["channels"] or not how["columns"] or error.column in (how["time"], how["group"]):
                 raise
             words.append(error.column)
+            remarks.append(f"{error.column} holds words, not numbers: left out")
+        except LengthsError as error:
+            if how["names"]:
+                raise
+            # the length that most arrays have, of several such the longest
+            usual = max(Counter(error.sizes.values()).items(), key=lambda one: (one[1], one[0]))[0]
+            how["columns"] = [name for name, size in error.sizes.items() if size == usual]
+            others = ", ".join(f"{name} ({size})" for name, size in error.sizes.items() if size != usual)
+            remarks.append(
+                f"arrays of several lengths: those of {usual} samples are described, not {others}; others are named"
+                " with --channel"
+            )
 
 
-def _opened(path: Path, time: str | None, fs: float | None, group: str | None, how: Mapping[str, Any]) -> Experiments:
+def _opened(path: Path, rows: slice, how: Mapping[str, Any]) -> Experiments:
     """A file by experiment, also one in which time starts over, which `read` refuses."""
-    if group is not None:
-        return Experiments(tuple(read(path, time=time, fs=fs, group=group, **how)), column=group)
+    time, group = how["time"], how["group"]
+    found: list[Record] | Record
     try:
-        return sort_rows(read(path, time=time, fs=fs, **how))
+        found = read(path, **how)
+        if isinstance(found, list):
+            return Experiments(tuple(_of_rows(record, rows) for record in found), column=group)
+        return sort_rows(_of_rows(found, rows))
     except RecordError as error:
-        if fs is not None:
+        if how["fs"] is not None or group is not None:
             raise
         # with a rate, any will do, the column of time is a channel as the others
-        record = read(path, fs=1.0, **how)
+        record = read(path, **{**how, "fs": 1.0})
         column = next((name for name in record.names if name == time or (time is None and is_time_name(name))), None)
         if column is None:
             raise
         try:
-            return sort_rows(Record(record.channels, None, record.units, record.name), column)
+            return sort_rows(_of_rows(Record(record.channels, None, record.units, record.name), rows), column)
         except RecordError:
             raise error from None  # which names the row of the file
+
+
+def _of_rows(record: Record, rows: slice) -> Record:
+    if not len(range(record.n)[rows]):
+        raise InputError(f"{record.name}: there are {record.n} rows, none of which is looked at")
+    return record if rows == slice(None) else record.take(rows)
 
 
 def _described(experiments: Experiments, name: str, reading: Reading) -> RecordInfo:
@@ -133,7 +158,7 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     free = [key for key in moving if key not in derived and clues[key].order not in other and not clues[key].by_unit]
     first = first_order(short, free, [key for key in moving if clues[key].order == INPUT])
     alike = correlations(short, moving)
-    guess = guess_roles(moving, clues, links, first, alike)
+    guess = guess_roles(moving, clues, links, first, alike, rough_channels(short, moving))
     second = [chain for chain in guess.chains if len(chain) == 3]
     if len(second) == 1 and not guess.inputs:
         unknown = [key for key in guess.undecided if clues[key].order is None]
@@ -264,7 +289,7 @@ def _on_experiments(found: RecordInfo) -> list[str]:
     one = found.experiments
     count = len(one.records)
     if count == 1:
-        return [f"{one.column} numbers the experiments: there is one"] if one.column else []
+        return [f"{one.column} numbers the experiments: there is one"] if one.column else _on_parts(found)
     least, most = min(record.n for record in one.records), max(record.n for record in one.records)
     rows = f"{least} row{'s' * (least != 1)} each" if least == most else f"{least} to {most} rows each"
     if one.column is not None:
@@ -273,6 +298,23 @@ def _on_experiments(found: RecordInfo) -> list[str]:
     return [
         f"{count} experiments, {rows}: time starts over, first in row {first}, and no column numbers them; add one and"
         " name it with --group, or write a file for each"
+    ]
+
+
+def _on_parts(found: RecordInfo) -> list[str]:
+    """Whether what looks like one experiment may be several: time jumps, or the motion begins again from rest."""
+    record = found.experiments.records[0]
+    names = [name for chain in found.guess.chains if len(chain) == 3 for name in chain if name is not None]
+    peaks = [power.peak for name in names if (power := found.channels[name].spectrum) is not None and power.peak > 0.0]
+    again = starts_from_rest(record, names, 1.0 / min(peaks)) if peaks else []
+    jumps = [gap.row + 1 for gap in found.gaps if gap.long]
+    how, rows = ("time jumps before", jumps) if jumps else ("the motion begins again from rest at about", again)
+    if not rows:
+        return []
+    listed = ", ".join(map(str, rows[:LISTED])) + (", ..." if len(rows) > LISTED else "")
+    return [
+        f"{how} row{'s' * (len(rows) > 1)} {listed}: perhaps {len(rows) + 1} experiments; number them in a column and"
+        " name it with --group, or take one with --rows"
     ]
 
 

@@ -20,7 +20,7 @@ from bayeq.records.consistency import Frames, Relation, derivative_name, relate,
 from bayeq.records.truth import FloatArray
 from bayeq.records.units import derivative_ratio
 
-__all__ = ["Link", "correlations", "drivers", "find_links", "first_order", "short_record"]
+__all__ = ["Link", "correlations", "drivers", "find_links", "first_order", "rough_channels", "short_record"]
 
 # Channels are compared on at most this many rows, the middle ones. A faster record is first averaged over blocks of
 # rows, as many as leave this many to a period of the fastest channel: a block mean is a filter, alike for all channels,
@@ -200,6 +200,11 @@ def correlations(record: Record, names: Sequence[str]) -> dict[frozenset[str], f
         frozenset((p, q)): float(np.abs(np.fft.irfft(spectra[p] * spectra[q].conj(), length)).max()) / record.n
         for p, q in combinations(spectra, 2)
     }
+
+
+def rough_channels(record: Record, names: Sequence[str]) -> set[str]:
+    """Channels of which more than half is gone from one row to the next, as of noise."""
+    return {name for name, values in _scaled(record, names).items() if np.mean(values[1:] * values[:-1]) < 0.5}
 
 
 # --- least squares on integrals --------------------------------------------------------------------------------------

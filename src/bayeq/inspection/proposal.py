@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from bayeq.inspection.roles import Clue, Guess
@@ -19,13 +19,17 @@ ROWS_PER_TERM = 10
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How the file is to be read; `time`, `fs`, `names` and `group` as the options of the same name."""
+    """How the file is to be read; `time` to `rows` as the options of the same name, `channels` as name and path."""
 
     files: tuple[str, ...] = ()  # empty where the record is no file
     time: str | None = None
     fs: float | None = None
     names: str | None = None
     group: str | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    channels: Mapping[str, str] = field(default_factory=dict)
+    skip: int = 0
+    rows: slice | None = None
     clocked: bool = True  # whether there is time at all
     unnumbered: bool = False  # whether time starts over and no column numbers the experiments
 
@@ -69,7 +73,9 @@ def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int
     if reading.files:
         files = [name if not name.startswith("-") else f"./{name}" for name in reading.files]
         words = ["bayeq", "discover", *files]
-        for option, value in (*_reading_options(reading), *options):
+        paths = {name: f"{name}={path}" for name, path in reading.channels.items() if name != path}
+        roles = ((option, ":".join(paths.get(name, name) for name in value.split(":"))) for option, value in options)
+        for option, value in (*_reading_options(reading), *roles):
             words += [option, value]
         command = " ".join(shlex.quote(word) for word in words)
     complete = reading.clocked and bool(guess.chains) and not reading.unnumbered
@@ -78,6 +84,11 @@ def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int
 
 def _reading_options(reading: Reading) -> list[tuple[str, str]]:
     out = [(f"--{key}", value) for key in ("time", "names", "group") if (value := getattr(reading, key)) is not None]
+    out += [("--units", ",".join(f"{name}={unit}" for name, unit in reading.units.items()))] if reading.units else []
+    out += [("--skip", str(reading.skip))] if reading.skip else []
+    if reading.rows is not None:
+        first, last = ("" if end is None else end for end in (reading.rows.start, reading.rows.stop))
+        out.append(("--rows", f"{first}:{last}"))
     if reading.fs is not None:
         out.append(("--fs", f"{reading.fs:.12g}"))
     elif not reading.clocked:
@@ -147,12 +158,15 @@ def _say_undecided(guess: Guess, notes: list[str]) -> None:
 def _python(reading: Reading, arguments: Sequence[str]) -> str:
     if not reading.files:
         return f"bq.discover(record, {', '.join(arguments)})"
-    options = [f"{key}={getattr(reading, key)!r}" for key in ("time", "fs", "names", "group") if getattr(reading, key)]
+    keys = ("time", "fs", "names", "group", "units", "channels", "skip")
+    options = [f"{key}={getattr(reading, key)!r}" for key in keys if getattr(reading, key)]
     if not reading.clocked and reading.fs is None:
         options.append("fs=RATE")
     read = [f"bq.read({', '.join([repr(file), *options])})" for file in reading.files]
-    if reading.group is not None and len(read) > 1:
-        records = " + ".join(read)  # each is a list of trials
+    take = "" if reading.rows is None else f".take(slice({reading.rows.start}, {reading.rows.stop}))"
+    if reading.group is not None:  # each is a list of trials
+        records = " + ".join(f"[record{take} for record in {one}]" if take else one for one in read)
     else:
+        read = [one + take for one in read]
         records = read[0] if len(read) == 1 else f"[{', '.join(read)}]"
     return f"bq.discover({records}, {', '.join(arguments)})"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -23,12 +23,12 @@ ANGLES = {"rad", "mrad", "deg", "°", "rev", "rpm"}
 WARMTH = {"°C", "K", "degC", "°F", "degF"}
 
 # Words of names in English, German, French, Spanish and Italian, in small letters without accents. What is measured is
-# told by quantities; else by sensors and places; else by symbols, which count as the first word alone.
+# told by quantities; else by sensors and places; else by symbols; single letters count as the first word alone.
 QUANTITIES: Mapping[int, str] = {
     0: "disp displ displacement pos position angle deflection stroke travel weg auslenkung winkel lage ausschlag hub"
     " verschiebung deplacement elongation desplazamiento spostamento",
     1: "vel velo velocity speed rate geschwindigkeit drehzahl vitesse velocidad velocita",
-    2: "a acc accel acceleration beschl beschleunigung aceleracion accelerazione",
+    2: "acc accel acceleration beschl beschleunigung aceleracion accelerazione",
     INPUT: "force kraft torque moment couple effort fuerza forza voltage volt spannung tension current strom courant"
     " power leistung puissance heizleistung pwm duty command cmd commanded commande befehl stell",
     STATE: "level niveau pegel fullstand temp temperature temperatur concentration konzentration",
@@ -43,7 +43,7 @@ SENSORS: Mapping[int, str] = {
 SYMBOLS: Mapping[int, str] = {
     0: "x y z q s d o th theta phi psi",
     1: "v w om omega xd xdot yd ydot zd zdot dx dy dz thd thdot dth",
-    2: "xdd xddot ydd yddot zdd zddot ddx ddy ddz thdd thddot ddth",
+    2: "a xdd xddot ydd yddot zdd zddot ddx ddy ddz thdd thddot ddth",
     INPUT: "u f fx fy fz tau",
     REFERENCE: "r e",
 }
@@ -110,9 +110,9 @@ class Guess:
                 questions.append(
                     f"{both} move alike and each may drive the motion: add the one nearer to it as --input"
                 )
+        percent = {name: f"{100.0 * min(shares[name], 0.999):.1f} %" for name in taken}
         reasons = {
-            name: f"explains {100.0 * min(shares[name], 0.999):.1f} % of what the motion itself leaves of the acceleration"
-            for name in taken
+            k: f"explains {share} of what the motion itself leaves of the acceleration" for k, share in percent.items()
         }
         undecided = tuple(name for name in self.undecided if name not in taken)
         inputs = (*self.inputs, *(name for name in shares if name in taken))
@@ -195,10 +195,8 @@ def _order_of_name(parts: Sequence[str]) -> tuple[int | None, int, list[str]]:
 
 def _said(part: str, table: Mapping[str, int], tier: int, place: int) -> int | None:
     """What a word says: by itself, with an axis behind it, or as a part of a longer one."""
-    if tier == 2 or len(part) == 1:
-        return table.get(part) if place == 0 else None
-    if part in table:
-        return table[part]
+    if part in table or tier == 2:
+        return table.get(part) if len(part) > 1 or place == 0 else None
     if len(part) > 3 and part[-1] in "xyz" and part[:-1] in table:
         return table[part[:-1]]
     within = [w for w in table if len(w) >= COMPOUND and (part.startswith(w) or part.endswith(w))]
@@ -212,12 +210,13 @@ def guess_roles(
     links: Sequence[Link],
     first: Mapping[str, float],
     alike: Mapping[frozenset[str], float],
+    rough: Set[str],
 ) -> Guess:
     """Put channels that move together to chains and inputs.
 
     By what units and names say (`clues`), what derives from what (`links`, the surest first), `first`: channels
     whose changes the others explain, with the share, which are first-order states unless something else is known,
-    and how much two channels are `alike`, the largest correlation over all lags.
+    how much two channels are `alike`, the largest correlation over all lags, and which ones are `rough` as noise.
     """
     reasons: dict[str, str] = {}
     questions: list[str] = []
@@ -227,7 +226,10 @@ def guess_roles(
         [name for name in names if clues[name].order == INPUT and name not in linked], clues, alike, reasons
     )
     aside = {name for name in names if clues[name].order == REFERENCE and name not in linked}
-    reasons |= {name: "names what the motion is to follow, or an error: not what drives it" for name in aside}
+    reasons |= dict.fromkeys(aside, "is what the motion is to follow, or an error, and does not drive it")
+    motions = [name for name in names if clues[name].order == 0]
+    jitter = {name for name in rough if name in motions and name not in linked and not rough.issuperset(motions)}
+    reasons |= dict.fromkeys(jitter, "jumps from row to row as noise does")
     rest = [name for name in names if name not in linked and name not in inputs and name not in reasons]
     chains = [_completed(_placed(run, clues), rest, clues, len(runs), reasons) for run in runs]
     rest = [name for name in rest if not any(name in chain for chain in chains)]
@@ -277,7 +279,8 @@ def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[in
         if below.order is None or above.order is None:
             return 0 if link.usual or below.order != above.order else 2
         agrees = above.order - below.order == link.order and _together(below, above, counts)
-        return -1 if agrees else 2 if below.by_unit and above.by_unit else 1
+        against = 2 if (below.by_unit and above.by_unit) or link.gain < 0.0 or not link.usual else 1
+        return -1 if agrees else against
 
     graded = [(contradiction(link), link) for link in links]
     return sorted(((grade, link) for grade, link in graded if grade < 2), key=lambda one: (one[0], one[1].order))
@@ -301,9 +304,11 @@ def _clear(graded: Sequence[tuple[int, Link]], questions: list[str]) -> list[Lin
             and 1.0 - other.fit < CLEARLY * (1.0 - link.fit)
         ]
         doubtful += [link] if rivals else []
-        for other in rivals:
-            if link.below == other.below and link.above < other.above:
-                questions.append(f"{link.above} and {other.above} both move as {link.stands_for}: which one is it?")
+        questions += [
+            f"{link.above} and {other.above} both move as {link.stands_for}: which one is it?"
+            for other in rivals
+            if link.below == other.below and link.above < other.above
+        ]
     return [link for _, link in graded if link not in doubtful]
 
 
@@ -340,7 +345,7 @@ def _reaches(up: Mapping[str, Link], start: str, end: str) -> bool:
 def _placed(run: list[str | None], clues: Mapping[str, Clue]) -> tuple[str | None, ...]:
     """A run as a chain of second order: it begins at the derivative that most of its channels' clues say."""
     votes = [order - k for k, name in enumerate(run) if name is not None and (order := clues[name].order) in (0, 1, 2)]
-    shift = max(set(votes), key=votes.count) if votes else 0
+    shift = max(sorted(set(votes)), key=votes.count) if votes else 0
     shift = min(max(shift, 0), 3 - len(run))
     return (*[None] * shift, *run, *[None] * (3 - shift - len(run)))
 

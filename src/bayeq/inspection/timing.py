@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from bayeq.records.repair import GAP, LONG_GAP
 from bayeq.records.truth import FloatArray
 from bayeq.records.validate import SECONDS
 
-__all__ = ["Experiments", "Gap", "gaps_of", "sort_rows"]
+__all__ = ["Experiments", "Gap", "gaps_of", "starts_from_rest", "sort_rows"]
 
 Ints = NDArray[np.intp]
 
@@ -33,6 +34,10 @@ TRIAL_WORDS = ("trial", "run", "experiment", "exp", "test", "group", "segment", 
 
 # An experiment has at least this many rows: what changes more often is a signal.
 LEAST_ROWS = 20
+
+# A channel rests in a stretch of a period of its motion or more where it moves less than this share of what it usually
+# does; a motion goes on for at least this many such stretches.
+REST, MOVES = 0.05, 4
 
 # Fewer rows do not show that a column rises steadily.
 LEAST_RISING = 8
@@ -174,3 +179,21 @@ def gaps_of(records: Sequence[Record]) -> list[Gap]:
             ]
         first += record.n
     return out
+
+
+def starts_from_rest(record: Record, names: Sequence[str], period: float) -> list[int]:
+    """Rows, counted from 1, from which channels move again after all of them rested, to within a period [s].
+
+    A motion after another one may be an experiment of its own.
+    """
+    step = record.dt
+    width = max(LEAST_ROWS, math.ceil(period / step)) if step else 0
+    channels = [record[name] for name in names if np.isfinite(record[name]).all()]
+    if not width or not channels or record.n < 3 * MOVES * width:
+        return []
+    rows = record.n // width * width
+    spreads = [values[:rows].reshape(-1, width).std(axis=1) for values in channels]
+    rests = np.all([spread < REST * np.quantile(spread, 0.9) for spread in spreads], axis=0)
+    starts, lengths = equal_runs(rests.astype(np.float64))
+    moves = [int(a) for a, n in zip(starts, lengths, strict=True) if not rests[a] and n >= MOVES]
+    return [1 + width * start for start in moves[1:]]

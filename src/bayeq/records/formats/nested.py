@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import FileFormatError, UnknownNameError
+from bayeq.errors import FileFormatError, LengthsError, UnknownNameError
 from bayeq.records.assemble import RATE_NAMES, STEP_NAMES
 from bayeq.records.columns import Columns, Headers, Names, Request
-from bayeq.records.names import is_time_name
+from bayeq.records.names import clean_name, is_time_name
 from bayeq.records.validate import SECONDS
 
 __all__ = ["Channel", "channels_of", "read_pieces", "step_of"]
@@ -47,8 +47,8 @@ class Channel:
 
     @property
     def is_time(self) -> bool:
-        """Whether the last word of the path says so."""
-        return is_time_name(_word(self.path))
+        """Whether the last word of the path, or the label, says so."""
+        return is_time_name(_word(self.path)) or (self.label is not None and is_time_name(clean_name(self.label)[0]))
 
 
 def _word(path: str) -> str:
@@ -59,8 +59,9 @@ def _word(path: str) -> str:
 def channels_of(tree: Any, where: str) -> list[Channel]:
     """Every array of a tree of mappings (fields), lists (cells) and arrays, in order.
 
-    Text next to an array named unit or units is its unit; a single number named dt, Ts, fs ... the step of time. Arrays
-    have `shape`, `dtype` and are read by ``array[...]``. A tree of more than 64 levels or 100,000 arrays is refused.
+    Text next to an array named unit or units is its unit, text called name next to a single array its name, a number
+    named dt, Ts, fs ... the step of time. Arrays have `shape`, `dtype` and are read by ``array[...]``. A tree of more
+    than 64 levels or 100,000 arrays is refused.
     """
     found: list[Channel] = []
     for channel in _walk(tree, "", {}, where, 0):
@@ -74,7 +75,7 @@ def _walk(node: Any, path: str, about: Mapping[str, Any], where: str, depth: int
     if depth > DEEPEST:
         raise FileFormatError(f"{where}: {path[:40]!r} is nested deeper than {DEEPEST} levels")
     if isinstance(node, Mapping):
-        here = {**{key: value for key, value in about.items() if key != "unit"}, **_about(node)}
+        here = {**{key: value for key, value in about.items() if key not in ("unit", "label")}, **_about(node)}
         for name, child in node.items():
             inner = f"{path}{name}" if str(name).startswith("[") else f"{path}.{name}" if path else str(name)
             yield from _walk(child, inner, here, where, depth + 1)
@@ -83,16 +84,20 @@ def _walk(node: Any, path: str, about: Mapping[str, Any], where: str, depth: int
             yield from _walk(child, f"{path}[{k}]", about, where, depth + 1)
     elif hasattr(node, "shape"):
         if is_time_name(_word(path)):  # the unit beside it is that of the channels
-            about = {key: value for key, value in about.items() if key != "unit"}
+            about = {key: value for key, value in about.items() if key not in ("unit", "label")}
         yield from _rows(node, path, {**about, **dict(getattr(node, "about", {}))})
 
 
 def _about(node: Mapping[str, Any]) -> dict[str, Any]:
-    """Unit and step of time that the entries of a struct or a group state."""
+    """Unit and step of time that the entries of a struct or a group state, and the name of the one array among them."""
     out: dict[str, Any] = {}
+    arrays = [name for name, value in node.items() if math.prod(getattr(value, "shape", ())) > 1]
+    alone = len(arrays) == 1 or sum(not is_time_name(name) for name in arrays) == 1
     for name, value in node.items():
         if name.casefold() in ("unit", "units") and isinstance(value, str):
             out["unit"] = value
+        elif name.casefold() == "name" and isinstance(value, str) and value.strip() and alone:
+            out["label"] = value
         elif name in (*STEP_NAMES, *RATE_NAMES) and math.prod(getattr(value, "shape", (0,))) == 1:
             step = step_of(name, value[...])
             if step is not None:
@@ -123,7 +128,7 @@ def _rows(array: Any, path: str, about: Mapping[str, Any]) -> Iterator[Channel]:
     long = max(shape, default=0)
     enough = long > 1 or (long == 1 and about.get("single"))
     if enough and long == np.prod(shape, dtype=float):  # of one dimension, as a row or as a column
-        yield Channel(path, long, _whole(array, long), unit=unit, step=step)
+        yield Channel(path, long, _whole(array, long), about.get("label"), unit, step)
     elif len(shape) == 2 and 1 < min(shape) <= MOST_ROWS:
         across = shape[0] > shape[1]
         for k in range(min(shape)):
@@ -237,5 +242,6 @@ def _main(channels: Sequence[Channel], headers: Headers, request: Request) -> li
     if others and request.time is None:
         several = [channels[i] for i in (*rows, *others)]
         shown = ", ".join(f"{c.path} ({c.size})" for c in several[:12]) + (", ..." if len(several) > 12 else "")
-        raise FileFormatError(f"{headers.where}: arrays of several lengths: {shown}; name the channels to read")
+        sizes = {headers.names[i]: channels[i].size for i in (*rows, *others)}
+        raise LengthsError(f"{headers.where}: arrays of several lengths: {shown}; name the channels to read", sizes)
     return rows
