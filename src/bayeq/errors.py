@@ -106,19 +106,9 @@ class WordsError(FileFormatError):
 
 
 class LengthsError(FileFormatError):
-    """Arrays of a file have several lengths, so that they are no single record.
+    """Arrays of a file have several lengths, `sizes` by the names of their channels: they are no single record."""
 
-    Parameters
-    ----------
-    message : str
-        What is wrong, and where.
-    sizes : mapping of str to int
-        Number of samples of each array, by the name of its channel.
-    """
-
-    def __init__(self, message: str, sizes: Mapping[str, int] | None = None) -> None:
-        super().__init__(message)
-        self.sizes = dict(sizes or {})
+    sizes: Mapping[str, int] = {}
 
 
 class RecordError(InputError):

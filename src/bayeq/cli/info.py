@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from bayeq.cli.options import FILE, Command, Names, json_option, measured
-from bayeq.cli.reading import Reading, file_options
+from bayeq.cli.reading import Reading, reading_options
 
 if TYPE_CHECKING:
     from bayeq.inspection.info import RecordInfo
@@ -20,7 +21,7 @@ __all__ = ["info"]
 
 @click.command(cls=Command)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
-@file_options
+@partial(reading_options, of_files=True)
 @measured(
     "--channel", "channels", multiple=True, help="Channel that is read, x or name=path. Once per channel; else all."
 )

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bayeq.records import Record
     from bayeq.streaming.units import Extent
 
-__all__ = ["STANDARD_INPUT", "Reading", "file_options", "plain_files", "reading_options"]
+__all__ = ["STANDARD_INPUT", "Reading", "plain_files", "reading_options"]
 
 #: The argument that means standard input, and what messages call it.
 STANDARD_INPUT = Path("-")
@@ -67,18 +67,9 @@ _OTHERS = (
 )
 
 
-def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorate a command with the options about reading, which `Reading.of` takes."""
-    return file_options(_with(command, _OTHERS))
-
-
-def file_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorate a command with those of them that say what is read of each file."""
-    return _with(command, _OF_FILES)
-
-
-def _with(command: Callable[..., Any], options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
-    for add in reversed(options):
+def reading_options(command: Callable[..., Any], of_files: bool = False) -> Callable[..., Any]:
+    """Decorate a command with the options about reading, which `Reading.of` takes; or those `of_files` alone."""
+    for add in reversed(_OF_FILES if of_files else (*_OF_FILES, *_OTHERS)):
         command = add(command)
     return command
 
@@ -125,7 +116,7 @@ class Reading:
 
     @property
     def of_file(self) -> dict[str, Any]:
-        """What `bayeq.records.read` is told."""
+        """Arguments of `bayeq.records.read`."""
         return {
             "time": self.time, "fs": self.fs, "names": self.names, "group": self.group, "units": self.units,
             "skip": self.skip, "sheet": self.sheet,

@@ -6,7 +6,7 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 
 from bayeq.inspection.links import CLEARLY, Link
@@ -22,8 +22,8 @@ FORCES = {"N", "kN", "mN", "MN", "daN", "lbf", "kgf", "Nm", "kNm", "mNm"}
 ANGLES = {"rad", "mrad", "deg", "°", "rev", "rpm"}
 WARMTH = {"°C", "K", "degC", "°F", "degF"}
 
-# Words of names in English, German, French, Spanish and Italian, in small letters without accents. What is measured is
-# told by quantities; else by sensors and places; else by symbols; single letters count as the first word alone.
+# Words of names in English, German, French, Spanish and Italian, in small letters without accents. Quantities say what
+# is measured; else sensors and places do; else symbols, of which single letters count as the first word alone.
 QUANTITIES: Mapping[int, str] = {
     0: "disp displ displacement pos position angle deflection stroke travel weg auslenkung winkel lage ausschlag hub"
     " verschiebung deplacement elongation desplazamiento spostamento",
@@ -47,25 +47,24 @@ SYMBOLS: Mapping[int, str] = {
     INPUT: "u f fx fy fz tau",
     REFERENCE: "r e",
 }
-TIERS = tuple(
-    {word: order for order, words in table.items() for word in words.split()}
-    for table in (QUANTITIES, SENSORS, SYMBOLS)
-)
+TABLES = (QUANTITIES, SENSORS, SYMBOLS)
+TIERS = tuple({word: order for order, words in table.items() for word in words.split()} for table in TABLES)
 # Words beside them: what the motion is to follow, or its error; commands, which with the unit of a motion are wanted
 # too; what is around; of one motor's inputs the measured force is proposed, else the current, else what commands them.
-KINDS: Mapping[str, str] = {
-    "wanted": "ref reference soll setpoint target desired demand consigne fuhrungs vorgabe error err fehler abweichung"
+KINDS = (
+    "ref reference soll setpoint target desired demand consigne fuhrungs vorgabe error err fehler abweichung"
     " regelabweichung ecart erreur",
-    "command": "command cmd commanded commande befehl stell",
-    "ambient": "ambient room umgebung ambiante raum outside",
-    "measured": "force kraft torque drehmoment moment couple effort fuerza forza load last charge",
-    "current": "current strom courant",
-}
-OF_KIND = {kind: frozenset(words.split()) for kind, words in KINDS.items()}
+    "command cmd commanded commande befehl stell",
+    "ambient room umgebung ambiante raum outside",
+    "force kraft torque drehmoment moment couple effort fuerza forza load last charge",
+    "current strom courant",
+)
 # Words of this many letters are found at the beginning and the end of longer ones: Motorspannung, Kraftmessdose.
 COMPOUND = 5
 SENSOR_ENDS = re.compile(r"(?<=\w{3})(mess)?(aufnehmer|sensor|geber|dose|zelle|wert|signal|grosse)$")
 
+#: The largest correlation over all lags, by two channels.
+Alike = Mapping[frozenset[str], float]
 # Channels are the same signal, but for a lag, from this correlation on; inputs of one motor are loosely so.
 SAME, ONE_INPUT = 0.98, 0.5
 
@@ -94,31 +93,23 @@ class Guess:
     reasons: Mapping[str, str]  # why, by channel
     questions: tuple[str, ...] = ()  # what the file leaves open, a sentence each
 
-    def driven_by(self, shares: Mapping[str, float], alike: Mapping[frozenset[str], float]) -> Guess:
+    def driven_by(self, shares: Mapping[str, float], alike: Alike) -> Guess:
         """The same with channels that were undecided as inputs, for the share of the motion that each explains.
 
         Of those that move alike one is the input, if it explains clearly more, or else it is a question which.
         """
-        taken: list[str] = []
-        questions = list(self.questions)
-        for name in sorted(shares, key=lambda name: -shares[name]):
-            rivals = [o for o in shares if o != name and alike.get(frozenset((o, name)), 0.0) > ONE_INPUT]
-            if all(1.0 - shares[other] > CLEARLY * (1.0 - shares[name]) for other in rivals):
-                taken.append(name)
-            elif not any(name in question for question in questions) and not set(rivals) & set(taken):
+        reasons, questions = dict(self.reasons), list(self.questions)
+        for name, share in shares.items():
+            rivals = [other for other in shares if other != name and alike[frozenset((other, name))] > ONE_INPUT]
+            if all(1.0 - shares[other] > CLEARLY * (1.0 - share) for other in rivals):
+                percent = f"{100.0 * min(share, 0.999):.1f} %"
+                reasons[name] = f"explains {percent} of what the motion itself leaves of the acceleration"
+            elif all(shares[other] <= share for other in rivals):
                 both = " and ".join([name, *rivals])
-                questions.append(
-                    f"{both} move alike and each may drive the motion: add the one nearer to it as --input"
-                )
-        percent = {name: f"{100.0 * min(shares[name], 0.999):.1f} %" for name in taken}
-        reasons = {
-            k: f"explains {share} of what the motion itself leaves of the acceleration" for k, share in percent.items()
-        }
-        undecided = tuple(name for name in self.undecided if name not in taken)
-        inputs = (*self.inputs, *(name for name in shares if name in taken))
-        return replace(
-            self, inputs=inputs, undecided=undecided, reasons={**self.reasons, **reasons}, questions=tuple(questions)
-        )
+                questions.append(f"{both} move alike and each may drive the motion: add the nearer one as --input")
+        inputs = [name for name in shares if name in reasons]
+        undecided = tuple(name for name in self.undecided if name not in inputs)
+        return Guess(self.chains, (*self.inputs, *inputs), undecided, reasons, tuple(questions))
 
     def role_of(self, name: str) -> str:
         """Role of a channel as a word; empty where it is not decided."""
@@ -147,7 +138,7 @@ def clue_of(name: str, unit: str) -> Clue:
     angle = unit == "rad" or (not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts))
     by_unit = _order_of_unit(unit)
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
-    wanted, commands, ambient, measured, current = (not words.isdisjoint(parts) for words in OF_KIND.values())
+    wanted, commands, ambient, measured, current = (bool(set(words.split()) & set(parts)) for words in KINDS)
     rank = 2 if wanted or commands else 0 if measured or by_unit == INPUT else 1 if current else 2
     if (wanted and order != INPUT) or (commands and order in (0, 1, 2, STATE) and (by_unit is not None or not unit)):
         order, why = REFERENCE, "its name"
@@ -209,7 +200,7 @@ def guess_roles(
     clues: Mapping[str, Clue],
     links: Sequence[Link],
     first: Mapping[str, float],
-    alike: Mapping[frozenset[str], float],
+    alike: Alike,
     rough: Set[str],
 ) -> Guess:
     """Put channels that move together to chains and inputs.
@@ -222,22 +213,27 @@ def guess_roles(
     questions: list[str] = []
     runs = _runs(_clear(_agreeing(links, clues), questions), reasons)
     linked = {name for run in runs for name in run if name is not None}
-    inputs = _one_of_each(
-        [name for name in names if clues[name].order == INPUT and name not in linked], clues, alike, reasons
-    )
-    aside = {name for name in names if clues[name].order == REFERENCE and name not in linked}
-    reasons |= dict.fromkeys(aside, "is what the motion is to follow, or an error, and does not drive it")
-    motions = [name for name in names if clues[name].order == 0]
-    jitter = {name for name in rough if name in motions and name not in linked and not rough.issuperset(motions)}
-    reasons |= dict.fromkeys(jitter, "jumps from row to row as noise does")
-    rest = [name for name in names if name not in linked and name not in inputs and name not in reasons]
-    chains = [_completed(_placed(run, clues), rest, clues, len(runs), reasons) for run in runs]
-    rest = [name for name in rest if not any(name in chain for chain in chains)]
-    chains += _by_clues(rest, clues, first, chains, alike, reasons)
-    for name in inputs:
-        like = next((link for link in links if link.above == name), None)
-        moves = f"; it moves as {like.stands_for} too" if like is not None and like.below not in aside else ""
-        reasons[name] = clues[name].why + moves
+    of_order = {k: [n for n in names if clues[n].order == k and n not in linked] for k in (INPUT, REFERENCE, 0)}
+    for name in of_order[REFERENCE]:
+        reasons[name] = "is what the motion is to follow, or an error, and does not drive it"
+    for k, name in enumerate(of_order[0]):
+        same = [other for other in of_order[0][:k] if alike.get(frozenset((name, other)), 0.0) > SAME]
+        if same:
+            reasons[name] = f"moves as {same[0]} does"
+        elif name in rough and not rough.issuperset(n for n in names if clues[n].order == 0):
+            reasons[name] = "jumps from row to row as noise does"
+    inputs = []
+    for name in of_order[INPUT]:
+        one = [other for other in of_order[INPUT] if alike.get(frozenset((name, other)), 0.0) > ONE_INPUT]
+        nearest = min(one, key=lambda other: clues[other].rank, default=name)
+        if clues[nearest].rank < clues[name].rank:
+            reasons[name] = f"moves as {nearest} does, which is nearer to the motion: they are one input"
+            continue
+        inputs.append(name)
+        like = [link.stands_for for link in links if link.above == name and clues[link.below].order != REFERENCE]
+        reasons[name] = clues[name].why + "".join(f"; it moves as {motion} too" for motion in like[:1])
+    rest = [name for name in names if name not in linked and name not in reasons]
+    chains = _chains([_placed(run, clues) for run in runs], rest, clues, first, reasons)
     for chain in chains:
         for low, high in zip(chain, [*chain[1:], None], strict=True):
             if low is not None and low not in reasons:
@@ -246,25 +242,6 @@ def guess_roles(
     ordered = sorted(chains, key=lambda chain: min(names.index(name) for name in chain if name is not None))
     undecided = tuple(name for name in names if name not in used)
     return Guess(tuple(ordered), tuple(inputs), undecided, reasons, tuple(questions))
-
-
-def _one_of_each(
-    inputs: Sequence[str], clues: Mapping[str, Clue], alike: Mapping[frozenset[str], float], reasons: dict[str, str]
-) -> list[str]:
-    """Inputs without those that another one, nearer to the motion, carries out."""
-    out = []
-    for name in inputs:
-        nearer = [
-            other
-            for other in inputs
-            if clues[other].rank < clues[name].rank and alike.get(frozenset((name, other)), 0.0) > ONE_INPUT
-        ]
-        if nearer:
-            best = max(nearer, key=lambda other: (-clues[other].rank, alike[frozenset((name, other))]))
-            reasons[name] = f"moves as {best} does, which is nearer to the motion: they are one input"
-        else:
-            out.append(name)
-    return out
 
 
 def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[int, Link]]:
@@ -278,17 +255,14 @@ def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[in
                 return 2  # something proportional to a force, or that follows a reference
         if below.order is None or above.order is None:
             return 0 if link.usual or below.order != above.order else 2
-        agrees = above.order - below.order == link.order and _together(below, above, counts)
-        against = 2 if (below.by_unit and above.by_unit) or link.gain < 0.0 or not link.usual else 1
-        return -1 if agrees else against
+        # the only one of its kind needs no index
+        together = below.index == above.index or 1 in (counts[below.order], counts[above.order])
+        if together and above.order - below.order == link.order:
+            return -1
+        return 2 if (below.by_unit and above.by_unit) or link.gain < 0.0 or not link.usual else 1
 
     graded = [(contradiction(link), link) for link in links]
     return sorted(((grade, link) for grade, link in graded if grade < 2), key=lambda one: (one[0], one[1].order))
-
-
-def _together(one: Clue, other: Clue, counts: Mapping[int | None, int]) -> bool:
-    """Whether two channels may be of one coordinate; the only one of its kind needs no index."""
-    return one.index == other.index or 1 in (counts[one.order], counts[other.order])
 
 
 def _clear(graded: Sequence[tuple[int, Link]], questions: list[str]) -> list[Link]:
@@ -350,78 +324,50 @@ def _placed(run: list[str | None], clues: Mapping[str, Clue]) -> tuple[str | Non
     return (*[None] * shift, *run, *[None] * (3 - shift - len(run)))
 
 
-def _completed(
-    chain: tuple[str | None, ...],
-    rest: Sequence[str],
-    clues: Mapping[str, Clue],
-    count: int,
-    reasons: dict[str, str],
-) -> tuple[str | None, ...]:
-    """A chain, one of `count`, with derivatives that unit and name say, where none was found to derive."""
-    index = next(clues[name].index for name in chain if name is not None)
-    orders = Counter(clues[name].order for name in rest)
-    out = list(chain)
-    for name in rest:
-        clue = clues[name]
-        alone = count == 1 and orders[clue.order] == 1
-        if clue.order in (0, 1, 2) and _tells(clue) and (clue.index == index or alone) and out[clue.order] is None:
-            out[clue.order], reasons[name] = name, clue.why
-    return tuple(out)
-
-
-def _tells(clue: Clue) -> bool:
-    """Whether a clue is enough where no channel was found to derive from another: v and w are many things."""
-    return not clue.symbol or clue.order != 1
-
-
-def _by_clues(
+def _chains(
+    found: Sequence[tuple[str | None, ...]],
     rest: Sequence[str],
     clues: Mapping[str, Clue],
     first: Mapping[str, float],
-    chains: Sequence[tuple[str | None, ...]],
-    alike: Mapping[frozenset[str], float],
     reasons: dict[str, str],
 ) -> list[tuple[str | None, ...]]:
-    """Chains of channels that nothing was found to derive from: by their units and names, or first-order states."""
-    out: list[tuple[str | None, ...]] = []
-    motion = [name for name in rest if clues[name].order in (0, 1, 2) and _tells(clues[name])]
-    states = [name for name in rest if clues[name].order == STATE and not chains and not motion]
+    """The chains that were found, completed by units and names, and those of the channels that are left."""
+    # v and w are many things: without a link they are no velocities
+    motion = [n for n in rest if clues[n].order in (0, 1, 2) and not (clues[n].symbol and clues[n].order == 1)]
+    states = [n for n in rest if clues[n].order == STATE and not found and not motion]
     # one symbol that others explain may be a position under control as well
-    explained = [name for name in rest if name in first and not clues[name].by_unit and clues[name].order != STATE]
+    explained = [n for n in rest if n in first and not clues[n].by_unit and clues[n].order != STATE]
     if len(explained) > 1 or all(clues[name].order is None for name in explained):
         states += explained
     for name in states:
-        out.append((name,))
         share = f": the channels explain {100 * min(first[name], 0.999):.1f} % of its changes" if name in first else ""
         reasons[name] = f"{clues[name].why or 'a state'} of first order{share}"
     left = [name for name in motion if name not in states]
-    alone = max(Counter(clues[name].order for name in left).values(), default=0) == 1
-    groups: dict[str, dict[int, str]] = {}
+    counts = Counter(clues[name].order for name in left)
+    alone = max(counts.values(), default=0) <= 1
+    chains = [list(chain) for chain in found]
+    indices = [next(clues[name].index for name in chain if name is not None) for chain in found]
     for name in left:
-        clue = clues[name]
-        same = next(
-            (
-                o
-                for o in left
-                if o != name
-                and alike.get(frozenset((o, name)), 0.0) > SAME
-                and clues[o].order == clue.order
-                and o in groups.get(clues[o].index, {}).values()
-            ),
-            None,
-        )
-        if same is not None:
-            reasons[name] = f"moves as {same} does"
-            continue
-        groups.setdefault("" if alone else clue.index, {}).setdefault(int(clue.order or 0), name)
+        order, index = int(clues[name].order or 0), clues[name].index
+        fits = [
+            chain
+            for chain, other in zip(chains, indices, strict=True)
+            if chain[order] is None
+            and (index == other or (len(chains) == 1 and counts[order] == 1) or (alone and not found))
+        ]
+        if not fits and index not in indices:
+            fits = [[None, None, None]]
+            chains += fits
+            indices.append(index)
+        if fits:
+            fits[0][order] = name
     # what nothing derives from is a coordinate where there are no surer ones: beside them it is another sensor, and
     # velocity alone is none
-    surer = bool(chains or out or any(0 in orders and len(orders) > 1 for orders in groups.values()))
-    lone = 0 if any(0 in orders for orders in groups.values()) else 2
-    for orders in groups.values():
-        if (0 in orders and len(orders) > 1) or (lone in orders and not surer):
-            chain = tuple(orders.get(k) for k in range(3))
-            out.append(chain)
-            for name in filter(None, chain):
-                reasons[name] = clues[name].why
-    return out
+    sure = states or any(chain[0] is not None and chain != [chain[0], None, None] for chain in chains) or found
+    lone = 0 if any(chain[0] is not None for chain in chains) else 2
+    kept = [
+        tuple(chain)
+        for k, chain in enumerate(chains)
+        if k < len(found) or (chain[0] is not None and any(chain[1:])) or (chain[lone] is not None and not sure)
+    ]
+    return [*kept, *((name,) for name in states)]

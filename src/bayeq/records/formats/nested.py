@@ -242,6 +242,7 @@ def _main(channels: Sequence[Channel], headers: Headers, request: Request) -> li
     if others and request.time is None:
         several = [channels[i] for i in (*rows, *others)]
         shown = ", ".join(f"{c.path} ({c.size})" for c in several[:12]) + (", ..." if len(several) > 12 else "")
-        sizes = {headers.names[i]: channels[i].size for i in (*rows, *others)}
-        raise LengthsError(f"{headers.where}: arrays of several lengths: {shown}; name the channels to read", sizes)
+        error = LengthsError(f"{headers.where}: arrays of several lengths: {shown}; name the channels to read")
+        error.sizes = {headers.names[i]: channels[i].size for i in (*rows, *others)}
+        raise error
     return rows
