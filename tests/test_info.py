@@ -8,6 +8,7 @@ import shlex
 
 import numpy as np
 import pytest
+import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -477,3 +478,69 @@ def test_time_that_is_named_may_not_be_words(tmp_path):
     path.write_text("when,x,v\n" + "".join(f"morning,{k % 7},{k % 5}\n" for k in range(50)))
     with pytest.raises(FileFormatError, match="'morning' is not a number"):
         bq.info(path, time="when")
+
+
+# --- options about reading, arrays of several lengths, several experiments -------------------------------------------
+
+
+def test_options_about_reading_are_those_of_discover_and_stay_in_the_command(tmp_path, capsys):
+    t, x, v, _ = motion(1000)
+    path = tmp_path / "run.csv"
+    lines = [f"{a},{b},{c}" for a, b, c in zip(t, x, v, strict=True)]
+    path.write_text("made by hand\nt,p,q\n" + "\n".join(lines))
+    options = ["--skip", "1", "--rows", "100:900", "--units", "weg=mm,q=mm/s", "--channel", "weg=p", "--channel", "q"]
+    assert main(["info", str(path), *options, "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["rows"] == 800
+    assert [(one["name"], one["unit"]) for one in shown["channels"]] == [("weg", "mm"), ("q", "mm/s")]
+    command = shlex.split(shown["next"]["command"])[3:]
+    assert command == [*options[4:6], *options[:4], "--disp", "weg=p", "--vel", "q"]
+    assert ", skip=1).take(slice(100, 900)), displacement='weg'" in shown["next"]["python"]
+    assert main(["discover", str(path), *command, "--json"]) == 0
+    assert main(["info", str(path), "--skip", "1", "--rows", "5000:"]) == 2
+
+
+def test_arrays_of_several_lengths_are_listed(tmp_path, capsys):
+    t, x, v, _ = motion(1000)
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(path, {"t": t, "x": x, "v": v, "short": x[:700], "other": {"y": x[:500]}})
+    with pytest.raises(FileFormatError, match="arrays of several lengths"):
+        bq.read(path)
+    found = bq.info(path)
+    assert list(found.channels) == ["x", "v"]
+    assert "short (700), other_y (500)" in found.findings[0]
+    assert main([*shlex.split(found.proposal.command)[1:], "--json"]) == 0
+    assert list(bq.info(path, channels={"y": "other.y"}).channels) == ["y"]
+
+
+def test_the_name_of_a_struct_names_its_channel(tmp_path):
+    t, x, v, _ = motion(1000)
+    Y = np.zeros(2, dtype=[("Name", object), ("Data", object), ("Unit", object)])
+    Y[0], Y[1] = ("Angle", x, "rad"), ("Plant/Angular speed", v, "rad/s")
+    several = {"Name": "run 3", "a": x, "b": v}
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(path, {"rec": {"X": {"Name": "time", "Data": t}, "Y": Y}, "s": several})
+    record = bq.read(path)
+    assert record.fs == pytest.approx(FS)
+    assert record.names == ("Angle", "Plant_Angular_speed", "s_a", "s_b")
+    assert bq.read(path, channels={"th": "rec.Y[0].Data"}).units["th"] == "rad"
+
+
+def test_motions_from_rest_and_jumps_in_time_may_be_experiments():
+    t = np.arange(2000) / 100
+    x = np.tile(np.exp(-t) * np.cos(6 * t), 3)
+    x += 1e-3 * np.random.default_rng(0).normal(size=len(x))
+    time = np.arange(len(x)) / 100
+    (sentence,) = [one for one in bq.info(bq.Record({"x": x}, time)).findings if "experiments" in one]
+    assert "begins again from rest" in sentence
+    assert "perhaps 3 experiments" in sentence
+    found = bq.info(bq.Record({"x": x}, time + 50.0 * (np.arange(len(x)) // 2000)))
+    assert any("time jumps before rows 2001, 4001: perhaps 3 experiments" in one for one in found.findings)
+    assert not any("experiments" in one for one in bq.info(duffing()).findings)
+
+
+@pytest.mark.parametrize("name", ["day", "Woche", "Jahr", "année", "Days", "test week"])
+def test_days_weeks_and_years_are_time(name):
+    k = np.arange(80.0)
+    found = bq.info(bq.Record({name.replace(" ", "_"): k, "x": np.sin(k)}))
+    assert found.experiments.time == name.replace(" ", "_")
