@@ -16,7 +16,7 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import FileFormatError, InputError, RecordError
 from bayeq.inspection.channels import bars, spectrum
-from bayeq.inspection.roles import INPUT, clue_of
+from bayeq.inspection.roles import INPUT, REFERENCE, STATE, clue_of
 from tests.data import measured, pendulum_record
 
 FS = 200.0
@@ -294,7 +294,7 @@ def test_units_go_before_names(name, unit, order):
 @settings(max_examples=100, deadline=None)
 @given(st.text(max_size=20), st.text(max_size=10))
 def test_any_name_and_unit_is_read(name, unit):
-    assert clue_of(name, unit).order in (None, INPUT, 0, 1, 2)
+    assert clue_of(name, unit).order in (None, INPUT, REFERENCE, STATE, 0, 1, 2)
 
 
 def test_derivatives_and_their_units():

@@ -193,7 +193,9 @@ def _doubt(relation: Relation, expected: float | None, frames: Frames) -> float:
 
 
 def correlations(record: Record, names: Sequence[str]) -> dict[frozenset[str], float]:
-    """Of each two channels the largest correlation over all lags, without its sign."""
+    """Of each two channels the largest correlation over all lags, without its sign; none without even time."""
+    if record.time is None or uniform_frames(record.time) is None:
+        return {}
     length = 2 * record.n
     spectra = {name: np.fft.rfft(values, length) for name, values in _scaled(record, names[:MOST_CHANNELS]).items()}
     return {
@@ -204,7 +206,7 @@ def correlations(record: Record, names: Sequence[str]) -> dict[frozenset[str], f
 
 def rough_channels(record: Record, names: Sequence[str]) -> set[str]:
     """Channels of which more than half is gone from one row to the next, as of noise."""
-    return {name for name, values in _scaled(record, names).items() if np.mean(values[1:] * values[:-1]) < 0.5}
+    return {name for name, values in _scaled(record, names).items() if values[1:] @ values[:-1] < 0.5 * len(values)}
 
 
 # --- least squares on integrals --------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from fractions import Fraction
 from bayeq.inspection.links import CLEARLY, Link
 from bayeq.records.units import in_si, parse_unit
 
-__all__ = ["INPUT", "Clue", "Guess", "clue_of", "guess_roles"]
+__all__ = ["INPUT", "REFERENCE", "STATE", "Clue", "Guess", "clue_of", "guess_roles"]
 
 # What a channel is: the derivative of its coordinate, 0 to 2, or an input, a reference, a state of first order.
 INPUT, REFERENCE, STATE = -1, -2, -3
@@ -100,7 +100,9 @@ class Guess:
         """
         reasons, questions = dict(self.reasons), list(self.questions)
         for name, share in shares.items():
-            rivals = [other for other in shares if other != name and alike[frozenset((other, name))] > ONE_INPUT]
+            rivals = [
+                other for other in shares if other != name and alike.get(frozenset((other, name)), 0.0) > ONE_INPUT
+            ]
             if all(1.0 - shares[other] > CLEARLY * (1.0 - share) for other in rivals):
                 percent = f"{100.0 * min(share, 0.999):.1f} %"
                 reasons[name] = f"explains {percent} of what the motion itself leaves of the acceleration"
@@ -233,7 +235,7 @@ def guess_roles(
         like = [link.stands_for for link in links if link.above == name and clues[link.below].order != REFERENCE]
         reasons[name] = clues[name].why + "".join(f"; it moves as {motion} too" for motion in like[:1])
     rest = [name for name in names if name not in linked and name not in reasons]
-    chains = _chains([_placed(run, clues) for run in runs], rest, clues, first, reasons)
+    chains = _chains([_placed(run, clues) for run in runs], rest, clues, first, bool(alike), reasons)
     for chain in chains:
         for low, high in zip(chain, [*chain[1:], None], strict=True):
             if low is not None and low not in reasons:
@@ -329,11 +331,14 @@ def _chains(
     rest: Sequence[str],
     clues: Mapping[str, Clue],
     first: Mapping[str, float],
+    compared: bool,
     reasons: dict[str, str],
 ) -> list[tuple[str | None, ...]]:
     """The chains that were found, completed by units and names, and those of the channels that are left."""
-    # v and w are many things: without a link they are no velocities
-    motion = [n for n in rest if clues[n].order in (0, 1, 2) and not (clues[n].symbol and clues[n].order == 1)]
+    # v and w are many things: without a link, where one could be found, they are no velocities
+    motion = [
+        n for n in rest if clues[n].order in (0, 2) or (clues[n].order == 1 and not (compared and clues[n].symbol))
+    ]
     states = [n for n in rest if clues[n].order == STATE and not found and not motion]
     # one symbol that others explain may be a position under control as well
     explained = [n for n in rest if n in first and not clues[n].by_unit and clues[n].order != STATE]
