@@ -311,9 +311,8 @@ def _on_parts(found: RecordInfo) -> list[str]:
     how, rows = ("time jumps before", jumps) if jumps else ("the motion begins again from rest at about", again)
     if not rows:
         return []
-    listed = ", ".join(map(str, rows[:LISTED])) + (", ..." if len(rows) > LISTED else "")
     return [
-        f"{how} row{'s' * (len(rows) > 1)} {listed}: perhaps {len(rows) + 1} experiments; number them in a column and"
+        f"{how} row{'s' * (len(rows) > 1)} {_listed(rows)}: perhaps {len(rows) + 1} experiments; number them in a column and"
         " name it with --group, or take one with --rows"
     ]
 
@@ -336,14 +335,17 @@ def _on_channels(found: RecordInfo) -> list[str]:
     return out
 
 
+def _listed(rows: Sequence[int]) -> str:
+    return ", ".join(map(str, rows[:LISTED])) + (", ..." if len(rows) > LISTED else "")
+
+
 def _on_bad_samples(found: RecordInfo) -> list[str]:
     out = []
     for name, kinds in found.bad.items():
         for kind, rows in kinds.items():
-            listed = ", ".join(map(str, rows[:LISTED])) + (", ..." if len(rows) > LISTED else "")
             what = {"spikes": "spike" if len(rows) == 1 else "spikes", "stuck": "stuck samples"}
             out.append(
-                f"{name}: {len(rows)} {what.get(kind, 'clipped samples')}, row{'s' * (len(rows) > 1)} {listed};"
+                f"{name}: {len(rows)} {what.get(kind, 'clipped samples')}, row{'s' * (len(rows) > 1)} {_listed(rows)};"
                 f" discover leaves them out; {ADVICE[kind]}"
             )
     if 0 < found.looked_at < found.rows:

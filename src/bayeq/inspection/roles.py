@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -203,7 +203,7 @@ def guess_roles(
     links: Sequence[Link],
     first: Mapping[str, float],
     alike: Alike,
-    rough: Set[str],
+    rough: set[str],
 ) -> Guess:
     """Put channels that move together to chains and inputs.
 
