@@ -345,8 +345,8 @@ def _on_bad_samples(found: RecordInfo) -> list[str]:
         for kind, rows in kinds.items():
             what = {"spikes": "spike" if len(rows) == 1 else "spikes", "stuck": "stuck samples"}
             out.append(
-                f"{name}: {len(rows)} {what.get(kind, 'clipped samples')}, row{'s' * (len(rows) > 1)} {_listed(rows)};"
-                f" discover leaves them out; {ADVICE[kind]}"
+                f"{name}: {len(rows)} {what.get(kind, 'clipped samples')}, row{'s' * (len(rows) > 1)}"
+                f" {_listed(rows)}; discover leaves them out; {ADVICE[kind]}"
             )
     if 0 < found.looked_at < found.rows:
         out.append(
