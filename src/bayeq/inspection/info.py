@@ -312,8 +312,8 @@ def _on_parts(found: RecordInfo) -> list[str]:
     if not rows:
         return []
     return [
-        f"{how} row{'s' * (len(rows) > 1)} {_listed(rows)}: perhaps {len(rows) + 1} experiments; number them in a column and"
-        " name it with --group, or take one with --rows"
+        f"{how} row{'s' * (len(rows) > 1)} {_listed(rows)}: perhaps {len(rows) + 1} experiments; number them in a"
+        " column and name it with --group, or take one with --rows"
     ]
 
 
