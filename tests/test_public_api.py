@@ -69,7 +69,7 @@ def test_signatures():
     assert parameters(bq.simulate)[:2] == ["system", "n"]
     assert parameters(bq.read)[0] == "path"
     reading = ["time", "fs", "names", "units", "group"]
-    assert parameters(bq.info) == ["source", *reading, "channels", "skip", "rows"]
+    assert parameters(bq.info) == ["source", *reading, "channels", "skip", "rows", "sheet"]
     assert parameters(bq.Equations.plot) == ["self", "record", "ax"]
     for name in (
         "coefficients",

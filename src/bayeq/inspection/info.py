@@ -44,6 +44,7 @@ def info(
     channels: Mapping[str, str] | None = None,
     skip: int = 0,
     rows: slice | None = None,
+    sheet: str | None = None,
 ) -> RecordInfo:
     """What is in a record or a file, and what to run next.
 
@@ -51,7 +52,7 @@ def info(
     ----------
     source : Record, path, DataFrame or mapping of arrays
         What was measured. A file is opened as `bayeq.read` does; where its time starts over it is divided there.
-    time, fs, names, units, group, channels, skip : optional
+    time, fs, names, units, group, channels, skip, sheet : optional
         As in `bayeq.read`, for files.
     rows : slice, optional
         Rows of each record that are looked at.
@@ -74,7 +75,10 @@ def info(
     >>> print(found.proposal.python)
     bq.discover(record, displacement='x', velocity='v')
     """
-    how = {"time": time, "fs": fs, "names": names, "units": units, "group": group, "channels": channels, "skip": skip}
+    how = {
+        "time": time, "fs": fs, "names": names, "units": units, "group": group, "channels": channels, "skip": skip,
+        "sheet": sheet,
+    }  # fmt: skip
     if isinstance(source, Record):
         used = [key for key, value in {**how, "rows": rows}.items() if value]
         if used:
@@ -84,7 +88,7 @@ def info(
         return info(as_record(source))
     path = Path(source)
     listed = names if names is None or isinstance(names, str) else ",".join(names)
-    reading = Reading((str(path),), time, fs, listed, group, dict(units or {}), dict(channels or {}), skip, rows)
+    reading = Reading((str(path),), time, fs, listed, group, dict(units or {}), dict(channels or {}), skip, rows, sheet)
     experiments, remarks = _numbers(path, rows or slice(None), how)
     found = _described(experiments, path.name, reading)
     return replace(found, findings=(*remarks, *found.findings))

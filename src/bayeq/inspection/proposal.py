@@ -30,6 +30,7 @@ class Reading:
     channels: Mapping[str, str] = field(default_factory=dict)
     skip: int = 0
     rows: slice | None = None
+    sheet: str | None = None
     clocked: bool = True  # whether there is time at all
     unnumbered: bool = False  # whether time starts over and no column numbers the experiments
 
@@ -86,6 +87,7 @@ def _reading_options(reading: Reading) -> list[tuple[str, str]]:
     out = [(f"--{key}", value) for key in ("time", "names", "group") if (value := getattr(reading, key)) is not None]
     out += [("--units", ",".join(f"{name}={unit}" for name, unit in reading.units.items()))] if reading.units else []
     out += [("--skip", str(reading.skip))] if reading.skip else []
+    out += [("--sheet", reading.sheet)] if reading.sheet else []
     if reading.rows is not None:
         first, last = ("" if end is None else end for end in (reading.rows.start, reading.rows.stop))
         out.append(("--rows", f"{first}:{last}"))
@@ -158,7 +160,7 @@ def _say_undecided(guess: Guess, notes: list[str]) -> None:
 def _python(reading: Reading, arguments: Sequence[str]) -> str:
     if not reading.files:
         return f"bq.discover(record, {', '.join(arguments)})"
-    keys = ("time", "fs", "names", "group", "units", "channels", "skip")
+    keys = ("time", "fs", "names", "group", "units", "channels", "skip", "sheet")
     options = [f"{key}={getattr(reading, key)!r}" for key in keys if getattr(reading, key)]
     if not reading.clocked and reading.fs is None:
         options.append("fs=RATE")
