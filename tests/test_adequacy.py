@@ -97,16 +97,20 @@ def test_verdicts_from_the_worst():
     (chain,) = Roles.parse("x:v:a").chains
 
     def verdict_of(*doubts, verdict=found, **more):
-        return doubted(verdict, chain, *doubts, 2.0, **more)
+        return doubted(verdict, chain, *doubts, **more)
 
     assert verdict_of(none, None, None) is found
     cases = [
         (verdict_of(others, lacking, hum), "not determined", "with v**3 and without v"),
-        (verdict_of(none, lacking, hum, exact=1e-3, left=0.02), "nearly true", "the law holds to 2 % of the standard"),
-        (verdict_of(none, lacking, hum), "nearly true", "a force of 3 % of the standard deviation of a (0.06) that no"),
+        (
+            verdict_of(none, lacking, hum, exact=1e-3, left=0.02),
+            "nearly true",
+            "2 % of a is not explained by these terms; what is",
+        ),
+        (verdict_of(none, lacking, hum), "nearly true", "3 % of a is not explained by these terms, mostly at"),
         (verdict_of(none, None, hum), "nearly true", "what is left of v is not white noise: 4 times"),
         (verdict_of(none, None, None, n_eff=(40.2, 100)), "nearly true", "100 rows tell as much as 40 independent"),
-        (verdict_of(none, None, None, left=0.3), "nearly true", "the terms leave 30 % of the standard deviation"),
+        (verdict_of(none, None, None, left=0.3), "nearly true", "30 % of a is not explained by these terms"),
         (verdict_of(none, None, None, left=0.1), "found", "R2 1"),
         (verdict_of(none, None, None, reversed_channel="v"), "not determined", "x and v contradict each other in sign"),
         (verdict_of(none, None, None, again=Repeating(2.0, 3, 9)), "not determined", "repeats itself at 2 Hz"),

@@ -26,7 +26,7 @@ RIVAL = 0.05
 # Terms that are too small to be seen are listed up to this number.
 FEW = 2
 
-# Symbols of the parameters of an oscillator that are printed, by the term that they multiply; others are derived.
+# Parameters that follow from others and are not printed.
 DERIVED = ("omega_n",)
 
 
@@ -79,7 +79,8 @@ def _sentence(eq: Answer) -> str:
         if name in eq.data.measured.ranges:
             low, high = eq.data.measured.ranges[name]
             unit = eq.equations[0].units.get(name, "")
-            ranges.append(f"{name} {low:.2g} .. {high:.2g}{' ' if unit else ''}{unit}")
+            ends = [f"{end:.2g}" if abs(end) < 100.0 else f"{end:.3g}" for end in (low, high)]
+            ranges.append(f"{name} {' .. '.join(ends)}{' ' if unit else ''}{unit}")
     within = f" for {', '.join(ranges)}" if ranges else ""
     return printable(f"no test speaks against {'it' if len(eq.equations) == 1 else 'them'}{within}")
 
@@ -110,7 +111,7 @@ def _in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[
     about = f"({equation.chain.states[0]} - x0)" if "x0" in symbols else equation.chain.states[0]
     parts = [f"m*{equation.target}" if not per else equation.target]
     parts += [
-        f"{symbol if not per else f'({symbol}{per})'}*{term.replace(equation.chain.states[0], about)}"
+        f"{symbol if not per else f'({symbol}{per})'}*{with_names(term, {equation.chain.states[0]: about})}"
         for symbol, term in force_of(equation.chain)
         if symbol + per in symbols
     ]

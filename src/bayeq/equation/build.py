@@ -153,7 +153,6 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     lacking, coloured = regression.tests()
     # as the likelihood has it, which other equations are compared by
     others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), max(tolerance, equation.tau))
-    spread = regression.rows.target_deviation
     exact = 1.0 - (equation.error_probability or 0.0)
     verdict = doubted(
         equation.verdict,
@@ -161,7 +160,6 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         others,
         lacking,
         coloured,
-        spread,
         again,
         exact,
         equation.error_share,

@@ -155,7 +155,6 @@ def doubted(
     others: Alternatives,
     lacking: Discrepancy | None,
     coloured: Octave | None,
-    spread: float,
     again: Repeating | None = None,
     exact: float = 1.0,
     left: float | None = None,
@@ -176,8 +175,6 @@ def doubted(
         What the motion needs and the equation does not hold.
     coloured : Octave or None
         Where what is left of a channel is not white.
-    spread : float
-        Standard deviation of the target, in its unit.
     again : Repeating, optional
         Motion that repeats itself and does not tell the candidates apart.
     exact : float
@@ -220,19 +217,20 @@ def doubted(
             "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand",
         )
     share = left if left is not None else 0.0 if lacking is None else lacking.size
-    size = f"{100 * share:.2g} % of the standard deviation of {target} ({share * spread:.2g})"
+    unexplained = f"{100 * share:.2g} % of {target} is not explained by these terms"
+    careful = "parameters may be off by more than their intervals say"
     if exact < IMPROBABLE and not share < LEAST:
         return Verdict(
             "nearly true",
-            f"the law holds to {size}; what it lacks depends on the states",
-            "add terms that may be missing, and check the calibration and timing of the channels",
+            f"{unexplained}; what is missing depends on the states",
+            f"{careful}: add terms, and check the calibration and timing of the channels",
         )
     if lacking is not None:
         low, high = lacking.octave
         return Verdict(
             "nearly true",
-            f"a force of {size} that no term explains, mostly between {low:.2g} and {high:.2g} Hz",
-            "add inputs or terms that may be missing, and check the timing of the channels",
+            f"{unexplained}, mostly at {low:.2g} to {high:.2g} Hz",
+            f"{careful}: add inputs or terms, and check the timing of the channels",
         )
     if coloured is not None:
         return Verdict(
@@ -248,7 +246,7 @@ def doubted(
             "give the channels as they were measured: filters, of zero phase too, leave what looks like a law",
         )
     if share > MUCH:
-        return Verdict("nearly true", f"the terms leave {size}", "add terms or inputs that may be missing")
+        return Verdict("nearly true", unexplained, f"{careful}: add terms or inputs")
     return verdict
 
 
