@@ -241,3 +241,18 @@ def test_encoder_pendulum_chooses_the_sine():
     assert "sin(th)" in eq[0].shown
     assert not {"th", "th**2", "th**3", "cos(th)"} & set(eq[0].shown)
     assert eq[0].shown_coef["sin(th)"] == pytest.approx(64.22, rel=0.02)
+
+
+def test_a_falling_body_is_a_constant():
+    # the smoothed acceleration hardly varies: a prior of the constant of its deviation, not of its size, hid it
+    right = 0
+    for seed in range(4):
+        rng, t = np.random.default_rng([seed, 3]), np.arange(120) / 60.0
+        record = bq.Record.from_arrays(x=20.0 - 4.905 * t**2 + 0.02 * rng.standard_normal(120), fs=60.0)
+        eq = bq.discover(record, chains="x::", dictionary="dx, dx*abs(dx)")
+        (one,) = eq
+        assert one.intercept_matters
+        assert one.text.startswith("ddx = -9.")
+        low, high = one.printed_intercept_ci95
+        right += (low <= -9.81 <= high) and eq.verdict.kind == "found"
+    assert right >= 3

@@ -68,7 +68,7 @@ def build_equations(
                     "a longer record would tell",
                 )
             equation = replace(equation, train=former.train, held_out=former.held_out, verdict=verdict, scored=former)
-        if not equation.shown and equation.verdict.kind != "none":
+        if not (equation.shown or equation.intercept_matters) and equation.verdict.kind != "none":
             without = Verdict("none", "no equation found: no candidate term is in the equation")
             equation = replace(equation, verdict=without)
         warn_of(equation, selection, log)

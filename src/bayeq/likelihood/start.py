@@ -318,8 +318,12 @@ def _rounding(samples: Floats) -> float:
 def _precision(motion: Motion, layout: Layout) -> Floats:
     """1/variance of every coefficient's prior, (C (P + 1),)."""
     columns = np.concatenate([evaluate_terms(layout.terms, rows.columns) for rows in motion.train])
-    spread = np.append(columns.var(axis=0), 1.0 / (1.0 + _offsets(motion, layout.terms)))
-    return np.asarray(spread / (SLAB * _targets(layout.roles, motion.train).var(axis=0)[:, None])).ravel()
+    targets = _targets(layout.roles, motion.train)
+    own = targets.mean(axis=0) ** 2 / np.maximum(targets.var(axis=0), 1e-300)
+    spread = np.tile(np.append(columns.var(axis=0), 1.0), (layout.chains, 1))
+    # a target far from zero, as of a falling body, is a constant first of all
+    spread[:, -1] /= 1.0 + _offsets(motion, layout.terms) + np.where(own > FAR_FROM_ZERO, own, 0.0)
+    return np.asarray(spread / (SLAB * targets.var(axis=0)[:, None])).ravel()
 
 
 def _offsets(motion: Motion, terms: Sequence[Expression]) -> float:
