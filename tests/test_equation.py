@@ -214,7 +214,7 @@ def test_saved_and_loaded(answer, tmp_path, record, request):
 def test_json_has_the_shape_of_the_contract(eq):
     out = eq.to_dict()
     json.dumps(out, allow_nan=False)
-    assert list(out) == ["version", "method", "verdict", "data", "equations", "diagnostics"]
+    assert list(out) == ["version", "method", "verdict", "data", "equations", "parameters", "modes", "diagnostics"]
     assert {"file", "n"} <= set(out["data"])
     equation = out["equations"][0]
     assert {"target", "intercept", "noise_sd", "elbo", "equation", "latex", "terms"} <= set(equation)

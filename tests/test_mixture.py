@@ -264,7 +264,7 @@ def test_the_command_prints_either(doubtful, tmp_path, capsys):
     bq.write(rivals(0), tmp_path / "run.csv")
     command = ["discover", str(tmp_path / "run.csv"), "--chain", "x:dx", "--input", "r", "--input", "z"]
     command += ["--dictionary", "x, r, z", "--smooth", "none", "--holdout", "0", "--fs", "1"]
-    assert main(command) == 0
+    assert main([*command, "--verbose"]) == 0
     over = capsys.readouterr().out
     assert interval_of(over, "z").endswith(f" {MARK}")
     assert over.count(f"{MARK} {OVER_MODELS}") == 1

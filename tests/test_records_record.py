@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayeq.errors import RecordError, UnknownNameError
+from bayeq.errors import DataWarning, RecordError, UnknownNameError
 from bayeq.records import Record, Truth
 
 
@@ -245,8 +245,8 @@ def test_dataframe_there_and_back() -> None:
     rec = Record.from_dataframe(gaps, columns="x")
     assert np.isnan(rec["x"][1])
     assert rec.units == {"x": "m"}
-    with pytest.raises(ValueError, match="column 'label' does not hold numbers"):
-        Record.from_dataframe(gaps)
+    with pytest.warns(DataWarning, match="'label' holds words, not numbers: left out"):
+        assert Record.from_dataframe(gaps).names == ("x",)
     dated = pd.DataFrame({"x": [1.0, 2.0]}, index=pd.date_range("2024", periods=2, freq="s", tz="CET", name="time"))
     assert Record.from_dataframe(dated).dt == 1.0
 

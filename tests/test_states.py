@@ -35,9 +35,7 @@ def test_chains(text, names, order):
     assert parse_chain(str(chain)) == chain
 
 
-@pytest.mark.parametrize(
-    "text", ["", ":", "::", "::x", "::dx", "x:x", "x:1v", "x y", "x:v:a:b:c:d", "lambda", "x;v", "x.v"]
-)
+@pytest.mark.parametrize("text", ["", ":", "::", "::x", "::dx", "x:x", "x:v:a:b:c:d", "lambda"])
 def test_wrong_chains(text):
     with pytest.raises(ChainError):
         parse_chain(text)

@@ -288,7 +288,7 @@ def require_texts(value: Any, what: str) -> None:
     if isinstance(value, str):
         return
     require_kind(value, Iterable, what, "text or a list of texts")
-    for one in value if not isinstance(value, Mapping) else []:
+    for one in value:
         require_kind(one, str, f"each of {what}", "text")
 
 

@@ -12,7 +12,7 @@ from bayeq.equation.equation import Equation, round_to
 from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.physical import PhysicalParameters, Quantity, force_of
 from bayeq.equation.short_names import short_names, with_names
-from bayeq.equation.text import CERTAIN, DOUBTFUL, LONGEST_NAME, NOTEWORTHY_PIP, printable, source_of
+from bayeq.equation.text import CERTAIN, DOUBTFUL, LONGEST_NAME, NOTEWORTHY_PIP, given_of, printable, source_of
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES
 
@@ -54,10 +54,7 @@ def brief(eq: Answer) -> str:
     for one in eq.equations:
         lines += _wrapped(_checks(one, eq))
         lines += [line for text in (*_failed(one), *_unseen(one)) for line in _wrapped(text)]
-    if eq.refined is not None:
-        lines += _wrapped(printable(str(eq.refined)))
-    if eq.constraints:
-        lines += _wrapped(printable(f"constraints: {'; '.join(eq.constraints)}"))
+    lines += [line for text in given_of(eq) for line in _wrapped(printable(text))]
     return "\n".join([*lines, *_wrapped(source_of(eq, short=True))])
 
 

@@ -23,7 +23,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.regression.residuals import Residuals
 from bayeq.states import rates
 
-__all__ = ["printable", "render", "source_of"]
+__all__ = ["given_of", "printable", "render", "source_of"]
 
 # Candidates that are not included are listed from this PIP on.
 NOTEWORTHY_PIP = 0.01
@@ -76,31 +76,37 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     for equation in eq.equations:
         _render_equation(console, equation, eq.method, eq.scores, terminal, conditional)
     console.print(f"{markup.escape(source_of(eq))}; method: {ENGINES[eq.method].title}")
-    if eq.data.band is not None:
-        low, high = eq.data.band
-        console.print(f"band: the record is believed between {low:g} and {high:g} Hz")
     if eq.data.estimated:
         how = "smoothing" if eq.data.smoothed else "central differences"
         console.print(f"not measured, estimated by {how}: {escape(', '.join(eq.data.estimated))}")
-    known = eq.data.sensors
-    if known.noise:
-        listed = ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items())
-        console.print(escape(f"noise given, standard deviation: {listed}"))
-    if known.tails == "student":
-        console.print("noise: Student's t, with degrees of freedom estimated per channel")
-    if known.gain_sd:
-        listed = ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items())
-        include = "do not include" if eq.refined else "include"
-        console.print(escape(f"intervals {include} the calibration: {listed}"))
-    if eq.refined:
-        console.print(escape(str(eq.refined)))
-    if eq.constraints:
-        console.print(f"constraints: {escape('; '.join(eq.constraints))}")
+    for line in given_of(eq):
+        console.print(escape(line))
     for message in eq.warnings if with_warnings else ():
         console.print(f"[yellow]warning:[/yellow] {escape(message)}")
     lines = [line.rstrip() for line in buffer.getvalue().rstrip().splitlines()]
     # tables bring empty lines of their own
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
+
+
+def given_of(eq: Answer) -> list[str]:
+    """What was given beside the record, and what was done with the equations."""
+    known, out = eq.data.sensors, list[str]()
+    if eq.data.band is not None:
+        low, high = eq.data.band
+        out.append(f"band: the record is believed between {low:g} and {high:g} Hz")
+    if known.noise:
+        listed = ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items())
+        out.append(f"noise given, standard deviation: {listed}")
+    if known.tails == "student":
+        out.append("noise: Student's t, with degrees of freedom estimated per channel")
+    if known.gain_sd:
+        listed = ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items())
+        out.append(f"intervals {'do not include' if eq.refined else 'include'} the calibration: {listed}")
+    if eq.refined:
+        out.append(str(eq.refined))
+    if eq.constraints:
+        out.append(f"constraints: {'; '.join(eq.constraints)}")
+    return out
 
 
 def source_of(eq: Answer, short: bool = False) -> str:

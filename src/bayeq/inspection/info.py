@@ -52,10 +52,12 @@ def info(
     ----------
     source : Record, path, DataFrame or mapping of arrays
         What was measured. A file is opened as `bayeq.read` does; where its time starts over it is divided there.
-    time, fs, names, units, group, channels, skip, sheet : optional
+    time, fs, names, units, group, channels, skip : optional
         As in `bayeq.read`, for files.
     rows : slice, optional
         Rows of each record that are looked at.
+    sheet : str, optional
+        As in `bayeq.read`.
 
     Returns
     -------
