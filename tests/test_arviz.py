@@ -274,7 +274,7 @@ def test_the_block_of_the_page_runs(capsys):
 # ---- of the answer
 
 
-@pytest.mark.filterwarnings("default::bayeq.errors.BayeqWarning")
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 @pytest.mark.parametrize("smooth", ["none", "auto"])
 def test_draws_of_an_equation(smooth):
     pytest.importorskip("arviz")
@@ -295,7 +295,7 @@ def test_draws_of_an_equation(smooth):
     np.testing.assert_array_equal(same["posterior"]["coef"].values[0], coef)
 
 
-@pytest.mark.filterwarnings("default::bayeq.errors.BayeqWarning")
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 def test_draws_that_cannot_be(tmp_path):
     record = bq.simulate("duffing", n=300, seed=1)
     eq = bq.discover(record, chains=["x", "v"], inputs=["u"], dictionary="x, v, u", smooth="none")

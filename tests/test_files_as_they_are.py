@@ -311,7 +311,7 @@ def test_a_full_disk_is_no_damaged_file(book):
     )
 
 
-@pytest.mark.filterwarnings("default::bayeq.errors.BayeqWarning")
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 def test_an_error_that_is_not_known_is_no_run_that_blew_up(frame):
     from bayeq.equation.applied import apply_to
 
