@@ -101,7 +101,8 @@ class RecordFit:
             fitted, found = best, cls(task, best, *averaged(task, best, soft))
         included = found.about(found.posterior.support)
         lost = fitted.power * (fitted.evidence - included.fitted.evidence)
-        if included.own and lost < found.worse(included.fitted.model) + WINDOW:
+        # where innovations are correlated a fit of another model is no more to be relied on than the raised Gram
+        if included.own and (fitted.power < 1.0 or lost < found.worse(included.fitted.model) + WINDOW):
             return included
         # what the Gram says of models far from the fitted one is not to be relied on
         revise = partial(among_fitted, fitted=fitted)
