@@ -101,7 +101,7 @@ def test_a_force_that_nobody_measured(tmp_path):
         inside += sum(ends[name][0] <= truth[name] <= ends[name][1] for name in one.shown)
         known += len(one.shown)
         shares.append(one.error_share / share)
-        assert one.verdict.kind == "nearly true"
+        assert one.verdict.kind in ("nearly true", "not determined")
     # of 12 intervals of 95 % three or more fail once in fifty
     assert inside >= known - 2
     # some of a slow force is taken for constant or for terms

@@ -15,6 +15,9 @@ __all__ = ["MAX_ORDER", "Chain", "Roles", "parse_chain", "parse_chains"]
 
 MAX_ORDER = 4
 
+# Names of channels are no longer [characters], as terms are not.
+LONGEST = 1000
+
 
 # Name of a coordinate that is not measured; where that name is taken, with the first measured channel: x_a1, x_a2.
 COORDINATE = "x"
@@ -112,7 +115,7 @@ def parse_chain(text: str) -> Chain:
     if not any(parts):
         raise ChainError(f"chain {text[:60]!r} names no channel; {form}")
     for part in parts:
-        if keyword.iskeyword(part.removeprefix("~")):
+        if keyword.iskeyword(part.removeprefix("~")) or len(part) > LONGEST:
             raise ChainError(f"chain {text[:60]!r}: {part[:40]!r} is not a channel name; {form}")
     named = [part.removeprefix("~") for part in parts if part]
     if len(set(named)) < len(named):
