@@ -378,8 +378,8 @@ def _require_rate(record: Record, name: str) -> None:
 
     with np.errstate(invalid="ignore"):  # of infinite times
         steps = np.diff(record[name])
-    # a unit such as ms is that of the column, which is a channel here
-    step = float(np.median(steps)) * SECONDS.get(record.units.get(name, "s"), 1.0) if len(steps) else 0.0
+        # a unit such as ms is that of the column, which is a channel here
+        step = float(np.median(steps)) * SECONDS.get(record.units.get(name, "s"), 1.0) if len(steps) else 0.0
     if record.fs is not None and step > 0 and not 0.99 < record.fs * step < 1.01:
         raise InputError(
             f"{record.name}: --fs {record.fs:g} contradicts column {name!r}, whose median step is {step:g}; leave --fs"
