@@ -70,7 +70,7 @@ def _wrapped(text: str, indent: str = "  ") -> list[str]:
 def _sentence(eq: Answer) -> str:
     verdict = eq.verdict
     if verdict.kind != "found":
-        return str(verdict).partition(": ")[2].removeprefix("no equation found: ")
+        return printable(str(verdict).partition(": ")[2].removeprefix("no equation found: "))
     ranges = []
     for name in dict.fromkeys([*(n for one in eq.equations for n in one.chain.states), *eq.inputs]):
         if name in eq.data.measured.ranges:
@@ -118,7 +118,12 @@ def _in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[
 
 def _quantities(quantities: Sequence[Quantity]) -> list[str]:
     rows = [
-        (q.symbol, round_to(q.mean, q.sd), f"({round_to(q.low, q.sd)} .. {round_to(q.high, q.sd)})", q.unit or "")
+        (
+            q.symbol,
+            round_to(q.mean, q.sd),
+            f"({round_to(q.low, q.sd)} .. {round_to(q.high, q.sd)})",
+            printable(q.unit or ""),
+        )
         for q in quantities
     ]
     widths = [max((len(row[k]) for row in rows), default=0) for k in range(4)]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bayeq.equation.physical_units import OscillatorUnits
 from bayeq.equation.rest import about_rest, is_displaced
+from bayeq.equation.units import quotient_unit
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
@@ -270,8 +271,8 @@ def first_order_parameters(
         rate = np.where(values[x] < 0.0, -values[x], np.nan)
         for name, own in values.items():
             if name in inputs:
-                both = units.get(x) and units.get(name) and f"{units[x]}/{units[name]}"
-                gains.append(quantity(f"gain[{x}, {name}]", f"static gain of {x} by {name}", own / rate, both or None))
+                unit = quotient_unit(x, parse(name), units)
+                gains.append(quantity(f"gain[{x}, {name}]", f"static gain of {x} by {name}", own / rate, unit))
             elif name != x and name not in other:
                 other.append(name)
         found += [quantity(f"tau[{x}]", f"time constant of {x}", 1.0 / rate, "s"), *gains]

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.likelihood.filter import Filtered
-from bayeq.likelihood.fit import marginal
 from bayeq.likelihood.search import Fitted, Task
 
 __all__ = ["excess_of", "power_of"]
@@ -30,10 +29,9 @@ CLEARLY = 3.0
 
 def power_of(task: Task, fitted: Fitted) -> float:
     """The power, 1 where innovations look independent."""
-    state, precision = fitted.state, task.precision[task.number(fitted.state.chosen)]
-    if not len(state.theta):
+    if not len(fitted.state.theta):
         return 1.0
-    found = marginal(task.linearised(state), state, state.levels, precision)
+    found = task.marginal(fitted.state)
     root = np.linalg.cholesky(found.covariance)
     excess, error = excess_of([_scores(one, found.delta) @ root for one in found.filtered])
     return 1.0 / excess if excess > 1.0 + CLEARLY * error else 1.0

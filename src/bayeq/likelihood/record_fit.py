@@ -100,7 +100,7 @@ class RecordFit:
             soft = soft if best is fitted else soft_of(task, best)
             fitted, found = best, cls(task, best, *averaged(task, best, soft))
         included = found.about(found.posterior.support)
-        lost = fitted.power * (fitted.evidence - included.fitted.evidence)
+        lost = fitted.evidence - included.fitted.evidence
         # where innovations are correlated a fit of another model is no more to be relied on than the raised Gram
         if included.own and (fitted.power < 1.0 or lost < found.worse(included.fitted.model) + WINDOW):
             return included
