@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from os.path import isdir, isfile
 from pathlib import Path
@@ -15,10 +15,19 @@ from numpy.typing import NDArray
 
 from bayeq.dictionary import fourier, neighbours, oscillator, polynomial
 from bayeq.dictionary.family import Variables
-from bayeq.dictionary.specification import Member, Specification, members, of_equations, split_at_commas, written
+from bayeq.dictionary.specification import (
+    Member,
+    Specification,
+    members,
+    of_equations,
+    split_at,
+    split_at_commas,
+    written,
+)
 from bayeq.errors import ExpressionError, FileFormatError, InputError, UnknownNameError, require_kind
-from bayeq.expressions import Evaluator, Expression, parse
+from bayeq.expressions import Binary, Evaluator, Expression, Negate, Node, Unknown, parse
 from bayeq.expressions.functions import FUNCTIONS
+from bayeq.expressions.nodes import arguments_of
 from bayeq.records.io import near_files
 
 __all__ = ["FAMILIES", "MAX_TERMS", "Family", "build_dictionaries", "build_dictionary", "evaluate_terms", "read_terms"]
@@ -47,6 +56,9 @@ MAX_TERMS = 20_000
 MAX_ARGUMENT = 20
 MAX_FILE_BYTES = 1_000_000
 MAX_PATH = 250
+
+# Constants inside one term, at most: they are sought on a grid.
+MOST_UNKNOWN = 3
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -149,8 +161,11 @@ def _union(union: Sequence[Member], where: str, variables: Variables) -> tuple[E
         found = _parse_terms([(text, where) for text in texts], variables)
         if member.left_out:
             gone.append((member.text, found))
-        else:
-            terms |= dict.fromkeys(found)
+            continue
+        for term in found:
+            if term.choice:
+                terms.pop(term, None)  # what a family has otherwise is a member of the either-or
+            terms.setdefault(term)
     for text, found in gone:
         if not any(term in terms for term in found):
             near = UnknownNameError("term", text, [term.text for term in terms], where)
@@ -233,16 +248,63 @@ def _parse_terms(texts: Sequence[tuple[str, str]], variables: Variables) -> tupl
     for text, where in texts:
         if not text.strip():
             raise ExpressionError(f"{where}: empty; write a term there, or leave out the comma before or after")
-        try:
-            term = parse(text, variables.known)
-        except UnknownNameError as error:
-            raise InputError(f"{where}: {error}") from error
-        except ExpressionError as error:
-            raise ExpressionError(f"{where}: {error}") from error
-        if term in terms:
-            raise InputError(f"{where}: term {term.text!r} was already given ({terms[term]})")
-        terms[term] = where
+        members = [_parsed(one, where, variables) for one in split_at(text, "|")]
+        choice = " | ".join(term.text for term in members) if len(members) > 1 else ""
+        for term in members:
+            if term in terms:
+                raise InputError(f"{where}: term {term.text!r} was already given ({terms[term]})")
+            terms[Expression(term.tree, choice)] = where
     return tuple(terms)
+
+
+def _parsed(text: str, where: str, variables: Variables) -> Expression:
+    if not text:
+        raise ExpressionError(f"{where}: a term is missing beside '|', which stands between terms of which one is in")
+    try:
+        term = parse(text, variables.known)
+    except UnknownNameError as error:
+        unknown = "" if "(" not in text else f"; an unknown constant is written {{{error.name}}}"
+        raise InputError(f"{where}: {error}{unknown}") from error
+    except ExpressionError as error:
+        raise ExpressionError(f"{where}: {error}") from error
+    _require_inside(term, where)
+    return term
+
+
+def _require_inside(term: Expression, where: str) -> None:
+    """Refuse unknown constants that are coefficients, or too many of them."""
+    if not term.unknowns:
+        return
+    if len(term.unknowns) > MOST_UNKNOWN:
+        raise InputError(f"{where}: {term.text} has {len(term.unknowns)} unknown constants; at most {MOST_UNKNOWN}")
+    outside = [node.name for node in factors_of(term.tree) if isinstance(node, Unknown)]
+    if outside:
+        raise InputError(f"{where}: {outside[0]} multiplies {term.text}: it is its coefficient; leave it out")
+    if not term.names:
+        raise InputError(f"{where}: {term.text} is a constant; every equation has one beside its terms")
+    if isinstance(term.tree, Binary) and term.tree.op in "+-" and any(map(is_scaled, arguments_of(term.tree))):
+        raise InputError(f"{where}: write the parts of {term.text} as terms of their own, without {{}}")
+
+
+def factors_of(node: Node) -> Iterator[Node]:
+    """What a term is a product of, signs and numbers among it."""
+    match node:
+        case Negate(operand):
+            yield from factors_of(operand)
+        case Binary("*", left, right):
+            yield from factors_of(left)
+            yield from factors_of(right)
+        case Binary("/", left, right):
+            yield from factors_of(left)
+            if isinstance(right, Unknown):
+                yield right
+        case _:
+            yield node
+
+
+def is_scaled(node: Node) -> bool:
+    """Whether a part of a sum is an unknown constant, or has one for a factor."""
+    return any(isinstance(factor, Unknown) for factor in factors_of(node))
 
 
 def evaluate_terms(terms: Sequence[Expression], columns: Mapping[str, Floats]) -> Floats:

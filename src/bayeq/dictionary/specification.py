@@ -8,13 +8,13 @@ from typing import NamedTuple, TypeAlias
 
 from bayeq.errors import InputError, UnknownNameError
 
-__all__ = ["Member", "Specification", "members", "of_equations", "split_at_commas", "written"]
+__all__ = ["Member", "Specification", "members", "of_equations", "split_at", "split_at_commas", "written"]
 
 # A family, a file, terms or unions of them; or one of these by the target of each equation.
 Specification: TypeAlias = str | Sequence[str] | Mapping[str, str | Sequence[str]]
 
 # What stands in front of a sign that belongs to a number or an operand.
-_OPERATOR = re.compile(r"(?:^|[-+*/^(,<>=:]|(?:^|[^\w.])[0-9.]+[eE])$")
+_OPERATOR = re.compile(r"(?:^|[-+*/^(,<>=:|]|(?:^|[^\w.])[0-9.]+[eE])$")
 
 
 class Member(NamedTuple):
@@ -59,7 +59,7 @@ def _parts(text: str) -> list[Member]:
     """The parts between + and - outside of brackets, each with its sign."""
     parts, left_out, depth = [""], [False], 0
     for c in text:
-        depth += (c == "(") - (c == ")")
+        depth += (c in "({") - (c in ")}")
         before = parts[-1].rstrip()
         if c in "+-" and depth <= 0 and not before and len(parts) == 1:
             left_out[0] = c == "-"
@@ -79,10 +79,21 @@ def split_at_commas(text: str) -> list[str]:
     >>> split_at_commas("x, atan2(x, v)")
     ['x', 'atan2(x, v)']
     """
+    return split_at(text, ",")
+
+
+def split_at(text: str, mark: str) -> list[str]:
+    """The parts between the marks outside of brackets.
+
+    Examples
+    --------
+    >>> split_at("tanh(v/{v0}) | sign(v)", "|")
+    ['tanh(v/{v0})', 'sign(v)']
+    """
     parts, depth = [""], 0
     for c in text:
-        depth += (c == "(") - (c == ")")
-        if c == "," and depth <= 0:
+        depth += (c in "({") - (c in ")}")
+        if c == mark and depth <= 0:
             parts.append("")
         else:
             parts[-1] += c

@@ -19,6 +19,7 @@ from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.record_fit import MOST_CANDIDATES, RecordFit, refit_record
+from bayeq.likelihood.unknowns import first_values
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows
 from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import Constraints, parse_constraints
@@ -120,7 +121,11 @@ class Question:
         _require_unambiguous(self.terms, measured, self.roles)
         step("states", 0, 1)
         motion, pieces = self._motion(measured, log, whole)
-        terms, allowed, most = self.terms, self.allowed, MOST_CANDIDATES // len(motion.roles.chains) - 1
+        terms, allowed, most = (
+            self._with_values(motion, whole),
+            self.allowed,
+            MOST_CANDIDATES // len(motion.roles.chains) - 1,
+        )
         if len(terms) > most:
             constrained = parse_constraints(self.known, terms, motion.roles.targets)
             terms, allowed = _screened(terms, motion, allowed, constrained, most, log)
@@ -136,6 +141,7 @@ class Question:
         if record is None and self.tails == "student":
             log.warn(NO_TAILS, DataWarning)
         _require_likelihood(motion, record, whole)
+        design = self._at_values(design, record)
         first = WarningLog()
         units = _units(pieces, motion.roles, log)
         judged = self._judged(design, record)
@@ -204,7 +210,37 @@ class Question:
         if whole is not None:
             return of_all, whole.record(record, motion, log)
         found = refit_record(motion.whole, record, of_all.terms, of_all.train)
-        return None if found is None else (self._judged(of_all, found), found)
+        return None if found is None else (self._judged(self._at_values(of_all, found), found), found)
+
+    def _with_values(self, motion: Motion, whole: Whole | None) -> tuple[Expression, ...]:
+        """The terms with first values of the constants inside them."""
+        unknown = next((term for term in self.terms if term.unknowns or term.choice), None)
+        if unknown is None:
+            return self.terms
+        if self.smooth != "auto" or not motion.smoothing:
+            raise InputError(
+                f"term {unknown.text}: constants inside terms, and either-or, are found by the likelihood of the"
+                " record: use smooth='auto', and more rows, or write a number"
+            )
+        if whole is not None:
+            raise InputError(
+                f"term {unknown.text}: constants inside terms need the record in memory: choose some rows, --rows"
+            )
+        return first_values(self.terms, motion, self.allowed)
+
+    def _at_values(self, design: Design, record: RecordFit | None) -> Design:
+        """The dictionary with the constants that the likelihood found."""
+        if record is None:
+            unknown = next((term.text for term in design.terms if term.unknowns), None)
+            if unknown is not None:
+                raise InputError(
+                    f"term {unknown}: its constants are found by the likelihood of the record, which could not be"
+                    " evaluated near its motion: give narrower ranges, or fewer terms"
+                )
+            return design
+        if record.task.layout.terms == design.terms:
+            return design
+        return build_design(record.task.layout.terms, design.motion, allowed=design.allowed)
 
     def _judged(self, design: Design, record: RecordFit | None) -> Design:
         """The dictionary on the motion that equations are judged by."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayeq.errors import InputError, MissingExtraError, UnknownNameError
-from bayeq.expressions import Binary, Call, Constant, Evaluator, Expression, Negate, Node, Number
+from bayeq.expressions import Binary, Call, Constant, Evaluator, Expression, Negate, Node, Number, Unknown
 from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS, TIME
 from bayeq.expressions.parse import substituted, template
 from bayeq.forecast.dynamics import Law
@@ -60,7 +60,7 @@ def _derivatives(law: Law, columns: Mapping[str, Any], evaluate: Callable[[Expre
 def _value(node: Node, columns: Mapping[str, Any], array: Any) -> Any:
     """Value of an expression by the functions of an array module that has NumPy's names."""
     match node:
-        case Number(value):
+        case Number(value) | Unknown(value=value):
             return value
         case Constant(name):
             return CONSTANTS[name]

@@ -6,7 +6,7 @@ kernels; `to_sympy` and `latex` show it.
 
 from bayeq.expressions.evaluate import Evaluator, FloatArray
 from bayeq.expressions.functions import FUNCTIONS
-from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, number
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown, number
 from bayeq.expressions.parse import parse
 from bayeq.expressions.symbolic import latex, to_sympy
 from bayeq.expressions.tape import Tape, run_tape
@@ -24,6 +24,7 @@ __all__ = [
     "Number",
     "Symbol",
     "Tape",
+    "Unknown",
     "latex",
     "number",
     "parse",

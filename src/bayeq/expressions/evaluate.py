@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
-from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 
 __all__ = ["ARITHMETIC", "MAX_INTEGER_POWER", "Evaluator", "FloatArray"]
 
@@ -110,7 +110,7 @@ class Evaluator:
             return result
         if isinstance(node, Negate):
             return -self._value(node.operand)
-        if isinstance(node, Number):
+        if isinstance(node, Number | Unknown):
             return np.float64(node.value)
         if isinstance(node, Constant):
             return np.float64(CONSTANTS[node.name])

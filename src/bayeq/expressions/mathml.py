@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
-from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 
 __all__ = ["mathml", "number_mathml", "symbol_mathml"]
 
@@ -87,6 +87,8 @@ def _bare(node: Node, names: Mapping[str, str]) -> tuple[str, int]:
             return number_mathml(f"{value:.6g}" if isinstance(value, float) else str(value)), _ATOM
         case Constant(name):
             return f"<mi>{_CONSTANTS.get(name, escape(name))}</mi>", _ATOM
+        case Unknown(name):
+            return symbol_mathml(name), _ATOM
         case Symbol(name):
             return names.get(name) or symbol_mathml(name), _ATOM
         case Negate(operand):

@@ -1,9 +1,10 @@
-"""The expression tree: six kinds of frozen, hashable nodes, and their canonical text."""
+"""The expression tree: seven kinds of frozen, hashable nodes, and their canonical text."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -20,6 +21,7 @@ __all__ = [
     "Node",
     "Number",
     "Symbol",
+    "Unknown",
     "arguments_of",
     "is_comparison",
     "number",
@@ -89,6 +91,32 @@ class Constant(_Node):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Unknown(_Node):
+    """A constant whose value is to be found, written ``{name}`` or ``{name: low..high}``.
+
+    Attributes
+    ----------
+    name : str
+        Two with the same name are one constant.
+    low, high : float
+        Where it may be; NaN where that is read from the record.
+    value : float
+        What it counts as; NaN before any value was found.
+    """
+
+    name: str
+    low: float = math.nan
+    high: float = math.nan
+    value: float = math.nan
+
+    def __post_init__(self) -> None:
+        for field_name in ("low", "high", "value"):
+            if math.isnan(getattr(self, field_name)):
+                object.__setattr__(self, field_name, math.nan)  # the one NaN that equals itself in tuples
+        _Node.__post_init__(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Negate(_Node):
     """Unary minus."""
 
@@ -131,7 +159,7 @@ def argument_count(least: int, most: int | None) -> str:
     return f"exactly {words[least]}" if most == least else f"{words[least]} or more"
 
 
-Node: TypeAlias = Number | Constant | Symbol | Negate | Binary | Call
+Node: TypeAlias = Number | Constant | Symbol | Unknown | Negate | Binary | Call
 
 
 def number(value: float) -> Node:
@@ -175,6 +203,8 @@ def _written(node: Node) -> tuple[str, int]:
             return repr(value), _ATOM
         case Symbol(name) | Constant(name):
             return name, _ATOM
+        case Unknown(name):
+            return f"{{{name}}}", _ATOM
         case Call(function, arguments):
             return f"{function}({','.join(_written(argument)[0] for argument in arguments)})", _ATOM
         case Negate(operand):
@@ -198,6 +228,19 @@ def _named(node: Node, kind: type[Symbol | Constant]) -> frozenset[str]:
     return own.union(*(_named(part, kind) for part in arguments_of(node)))
 
 
+def _unknowns(node: Node) -> Iterator[Unknown]:
+    if isinstance(node, Unknown):
+        yield node
+    for part in arguments_of(node):
+        yield from _unknowns(part)
+
+
+def _with_unknowns(node: Node, found: Mapping[str, Unknown]) -> Node:
+    if isinstance(node, Unknown):
+        return found.get(node.name, node)
+    return with_arguments(node, tuple(_with_unknowns(part, found) for part in arguments_of(node)))
+
+
 def _size(node: Node) -> int:
     return 1 + sum(map(_size, arguments_of(node)))
 
@@ -216,8 +259,12 @@ class Expression:
         The symbols that occur.
     constants : frozenset of str
         The names of numbers that occur.
+    unknowns : dict of str to Unknown
+        Constants whose values are to be found, by name.
     size : int
         Number of nodes: 1 of ``x``, 2 of ``sign(v)``, 3 of ``x**3``.
+    choice : str
+        The either-or that the term is a member of, as it was written.
 
     Examples
     --------
@@ -228,6 +275,7 @@ class Expression:
     """
 
     tree: Node
+    choice: str = field(default="", compare=False)
 
     @cached_property
     def text(self) -> str:
@@ -242,8 +290,16 @@ class Expression:
         return _named(self.tree, Constant)
 
     @cached_property
+    def unknowns(self) -> dict[str, Unknown]:
+        return {node.name: node for node in _unknowns(self.tree)}
+
+    @cached_property
     def size(self) -> int:
         return _size(self.tree)
+
+    def with_unknowns(self, found: Mapping[str, Unknown]) -> Expression:
+        """The expression with others in place of its unknown constants, by name."""
+        return Expression(_with_unknowns(self.tree, found), self.choice) if self.unknowns else self
 
     def __str__(self) -> str:
         return self.text

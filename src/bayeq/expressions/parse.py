@@ -27,6 +27,7 @@ from bayeq.expressions.nodes import (
     Node,
     Number,
     Symbol,
+    Unknown,
     argument_count,
     arguments_of,
     is_comparison,
@@ -43,7 +44,14 @@ MAX_NODES = 500
 MAX_NESTING = 2 * MAX_DEPTH
 
 _NUMBER = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.])"
-_TOKEN = re.compile(rf"(?P<number>{_NUMBER})|(?P<name>[^\W\d]\w*)|(?P<mark>\*\*|[<>=!]=|[-+*/^()<>,])")
+_NAME = r"[^\W\d]\w*"
+_BRACES = r"\{[^{}]*\}"
+_TOKEN = re.compile(
+    rf"(?P<number>{_NUMBER})|(?P<name>{_NAME})|(?P<unknown>{_BRACES})|(?P<mark>\*\*|[<>=!]=|[-+*/^()<>,])"
+)
+_SIGNED = r"[-+]?(?:[0-9]+(?:\.(?!\.)[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_ENDS = rf"(?P<low>{_SIGNED})\s*\.\.\s*(?P<high>{_SIGNED})"
+_UNKNOWN = re.compile(rf"\{{\s*(?P<name>{_NAME})\s*(?::\s*{_ENDS}\s*)?\}}")
 _BAD_NUMBER = re.compile(r"\.?[0-9][\w.]*")
 _HINTS = {
     "=": "give the right-hand side only; there are no keyword arguments, and == compares",
@@ -56,7 +64,7 @@ _CONDITION = "comparisons are conditions of where, as in where(x > 0, x, 0)"
 
 
 class _Token(NamedTuple):
-    kind: str  # number, name, mark or end
+    kind: str  # number, name, unknown, mark or end
     text: str
     column: int  # counted from 1
 
@@ -221,6 +229,8 @@ class _Parser:
         token = self.take()
         if token.kind == "number":
             return self.made(self.constant(token))
+        if token.kind == "unknown":
+            return self.made(self.unknown(token))
         if token.kind == "name":
             opened = self.accept("(")
             return self.call(token, opened) if opened else self.made(Symbol(token.text))
@@ -237,6 +247,17 @@ class _Parser:
             if self.next.kind != "end":
                 raise self.error(self.misplaced())
             raise self.error(f"missing ')' at column {self.next.column}, of the bracket at column {opened.column}")
+
+    def unknown(self, token: _Token) -> Unknown:
+        found = _UNKNOWN.fullmatch(token.text)
+        if found is None:
+            place = f"{_shown(token.text)} at column {token.column}"
+            raise self.error(f"{place}: an unknown constant is {{name}}, or {{name: low..high}}, as in {{v0: 0.01..3}}")
+        name = _name(self.text, found["name"], token.column)
+        ends = [math.nan if end is None else float(end) for end in (found["low"], found["high"])]
+        if not math.isnan(ends[0]) and not -math.inf < ends[0] < ends[1] < math.inf:
+            raise self.error(f"the range of {{{name}}} at column {token.column} is empty: write the lower end first")
+        return Unknown(name, *ends)
 
     def constant(self, token: _Token) -> Number:
         value = float(token.text)

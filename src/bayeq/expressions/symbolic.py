@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from bayeq.expressions.functions import COMPARISONS, FUNCTIONS
-from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 from bayeq.expressions.parse import substituted, template
 
 __all__ = ["latex", "to_sympy"]
@@ -54,6 +54,8 @@ def _convert(node: Node) -> Any:
     match node:
         case Number(value):
             return sympy.Integer(value) if isinstance(value, int) else sympy.Float(value)
+        case Unknown(name, value=value):
+            return sympy.Float(value) if math.isfinite(value) else sympy.Symbol(name)
         case Constant(name):
             return {"pi": sympy.pi, "e": sympy.E}[name]
         case Symbol(name):

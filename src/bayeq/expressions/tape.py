@@ -31,7 +31,7 @@ from bayeq.expressions.functions import (
     apply_function,
     apply_pair,
 )
-from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
+from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 from bayeq.expressions.parse import substituted, template
 from bayeq.kernels import kernel
 
@@ -224,7 +224,7 @@ class _Compiler:
     def register(self, node: Node) -> int:
         """The register that holds the value of a node."""
         match node:
-            case Number(value):
+            case Number(value) | Unknown(value=value):
                 return self.constant(np.float64(value))
             case Symbol(name):
                 if name not in self.variables:

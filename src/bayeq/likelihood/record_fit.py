@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -36,6 +36,7 @@ from bayeq.likelihood.search import (
 from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, among_fitted, averaged, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from, with_courses
 from bayeq.likelihood.student import with_heavy_tails
+from bayeq.likelihood.unknowns import ConstantEstimate, Forms, first_members, joint_covariance, with_constants
 from bayeq.states import Motion
 
 __all__ = ["MOST_CANDIDATES", "RecordFit", "fit_record", "refit_record"]
@@ -79,6 +80,8 @@ class RecordFit:
         Whether the likelihood is that about the model; of one that could not be fitted it is that about another.
     more : (bool array, Block) or None
         A model, and the sums over all rows about it, where the series are some of them.
+    forms : mapping of str to mapping of str to float
+        Of each either-or, the log posteriors of its members.
     """
 
     task: Task
@@ -87,6 +90,7 @@ class RecordFit:
     nearly: Nearly
     own: bool = True
     more: tuple[Bools, Block] | None = None
+    forms: Forms = field(default_factory=dict)
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
@@ -178,7 +182,30 @@ class RecordFit:
 
     @cached_property
     def unshrunk(self) -> tuple[State, Floats]:
-        """The fit under a prior that does not shrink coefficients, and their covariance."""
+        """The fit under a prior that does not shrink coefficients, and their covariance, constants not known either."""
+        state, covariance = self._unshrunk
+        return state, covariance if self._joint is None else self._joint[0]
+
+    @cached_property
+    def _joint(self) -> tuple[Floats, tuple[ConstantEstimate, ...]] | None:
+        """Covariance and constants, where terms of the model have any."""
+        if not any(self.task.layout.terms[j].unknowns for j in self.fitted.state.chosen.term if j < self.width - 1):
+            return None
+        task = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[])
+        with np.errstate(all="ignore"):
+            covariance, found = joint_covariance(task, self._unshrunk[0])
+        return covariance / self.fitted.power, found
+
+    def constants(self, c: int) -> tuple[ConstantEstimate, ...]:
+        """Constants inside the terms of equation c."""
+        state = self.fitted.state
+        own, terms = state.chosen.term[state.chosen.chain == c], self.task.layout.terms
+        names = {terms[j].text for j in own if j < len(terms)}
+        return () if self._joint is None else tuple(one for one in self._joint[1] if names.intersection(one.terms))
+
+    @cached_property
+    def _unshrunk(self) -> tuple[State, Floats]:
+        """The same with constants given."""
         task, state = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[]), self.fitted.state
         included, q = np.flatnonzero(self.fitted.model), self.fitted.quadratic
         precision = task.precision[included]
@@ -347,14 +374,16 @@ def fit_record(
         with np.errstate(all="ignore"):
             some, places = _stretches(motion)
             log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
+            log_odds = first_members(some, terms, log_odds)
             task, states = start_from(some, terms, grams, log_odds, tolerance)
-            found = search(task, states, partial(with_courses, some))
+            task, fitted = search(task, states, partial(with_courses, some))
+            task, fitted, forms = with_constants(some, task, fitted)
             if some is not motion:
-                return _resumed(motion, *found, places)
+                return _resumed(motion, task, fitted, places)
             if motion.sensors.tails == "student":
-                task, state = with_heavy_tails(found[0], found[1].state)
-                found = task, resumed(task, state)
-            return _checked(RecordFit.of(*found))
+                task, state = with_heavy_tails(task, fitted.state)
+                fitted = resumed(task, state)
+            return _checked(replace(RecordFit.of(task, fitted), forms=forms))
     except np.linalg.LinAlgError:
         return None
 
@@ -388,7 +417,9 @@ def refit_record(
         found = None
     if found is not None and found.own and found.kappa.max() < ADEQUATE:
         return found
-    other = fit_record(motion, terms, former.task.log_odds.reshape(-1, former.width), grams, former.task.tolerance)
+    task = former.task
+    log_odds = task.log_odds if task.ranges is None else task.log_odds - task.ranges
+    other = fit_record(motion, terms, log_odds.reshape(-1, former.width), grams, task.tolerance)
     pairs = [one for one in (found, other) if one is not None]
     return max(pairs, key=lambda one: one.fitted.evidence, default=None)
 
@@ -397,7 +428,8 @@ def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[
     task, state = carried_over(motion, task, fitted, places)
     if motion.sensors.tails == "student":
         task, state = with_heavy_tails(task, state)
-    return _checked(RecordFit.of(task, resumed(task, state)))
+    task, fitted, forms = with_constants(motion, task, resumed(task, state))
+    return _checked(replace(RecordFit.of(task, fitted), forms=forms))
 
 
 def _checked(found: RecordFit) -> RecordFit:

@@ -40,15 +40,18 @@ from bayeq.likelihood.linear import Linear
 
 __all__ = [
     "ADEQUATE",
+    "COARSE",
     "WINDOW",
     "Fitted",
     "Task",
     "among_neighbours",
+    "calmed",
     "finer",
     "fit",
     "from_all_levels",
     "resumed",
     "search",
+    "settle",
     "with_model",
 ]
 
@@ -135,6 +138,8 @@ class Task:
         Number of samples that the likelihood is of, where the series are some of them only.
     tolerance : float or None
         See `bayeq.discover`.
+    ranges : (C (P + 1),) array or None
+        What the log odds have lost to the ranges of constants inside terms.
     recent : list
         The last two linearisations and what they are of: fits go on from where others have stood.
     """
@@ -146,6 +151,7 @@ class Task:
     substeps: int = 1
     counted: float | None = None
     tolerance: float | None = None
+    ranges: Floats | None = None
     recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
 
     def linearised(self, state: State) -> list[Linear]:

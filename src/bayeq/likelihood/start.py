@@ -26,7 +26,15 @@ from bayeq.likelihood.search import INPUT_NOISE, Fitted, Task
 from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
-__all__ = ["carried_over", "series_and_paths", "start_from", "start_of_runs", "with_courses", "with_spectra"]
+__all__ = [
+    "carried_over",
+    "precision_of_terms",
+    "series_and_paths",
+    "start_from",
+    "start_of_runs",
+    "with_courses",
+    "with_spectra",
+]
 
 Floats = NDArray[np.float64]
 
@@ -107,7 +115,7 @@ def start_from(
         held=held,
     )
     empty = State(NOTHING, np.zeros(0), paths, levels)
-    task = Task(layout, series, _precision(motion, layout), log_odds.ravel(), tolerance=tolerance)
+    task = Task(layout, series, precision_of_terms(motion, layout), log_odds.ravel(), tolerance=tolerance)
     return task, (_by_rows(empty, grams, log_odds[:, :-1] > -np.inf), empty)
 
 
@@ -154,7 +162,7 @@ def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -
     slope = scales.variance[layout.driven] / interval**2
     memory, exact = np.full(layout.chains, LEAST_MEMORY), np.full(count, COURSES[0])
     levels = Levels(layout, scales, noise, target, memory, slope, exact, np.zeros(0), held=held)
-    precision = _precision(motion, layout)
+    precision = precision_of_terms(motion, layout)
     task = Task(layout, series, precision, np.zeros(len(precision)))
     return task, State(NOTHING, np.zeros(0), paths, levels)
 
@@ -315,7 +323,7 @@ def _rounding(samples: Floats) -> float:
     return float(np.diff(values).min() ** 2 / 12.0) if 1 < len(values) < len(samples) else 0.0
 
 
-def _precision(motion: Motion, layout: Layout) -> Floats:
+def precision_of_terms(motion: Motion, layout: Layout) -> Floats:
     """1/variance of every coefficient's prior, (C (P + 1),)."""
     columns = np.concatenate([evaluate_terms(layout.terms, rows.columns) for rows in motion.train])
     targets = _targets(layout.roles, motion.train)

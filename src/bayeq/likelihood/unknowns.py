@@ -1,0 +1,494 @@
+"""Constants inside terms: values that make the record likeliest, and how well these are known.
+
+A constant psi of the terms of an equation has a column as a coefficient has one, sum_j theta_j d phi_j / d psi, on the
+logarithm where it is a scale. Its values are first sought on a grid: in the smoothed rows, then in the likelihood of
+all candidates about a fit. From the best of them Gauss-Newton steps move constants, coefficients and path together.
+Constants have flat priors over their ranges, so that a term with one costs ln(range / (sqrt(2 pi) sd)) of its odds:
+it is not favoured for being flexible. Of an either-or one member at a time is in the dictionary; the others are
+fitted in its place, and the likeliest is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.dictionary import evaluate_terms
+from bayeq.dictionary.ranges import families, grids, is_scale, located, to_plain, to_scale
+from bayeq.expressions import Binary, Expression, Node, Unknown, number
+from bayeq.inference.collapsed.conditional import exact_posterior
+from bayeq.inference.collapsed.search import best_models
+from bayeq.likelihood.fit import (
+    Quadratic,
+    State,
+    adjoints,
+    corrections,
+    improved,
+    information,
+    marginal,
+    maximised,
+)
+from bayeq.likelihood.layout import Candidates, Layout
+from bayeq.likelihood.search import COARSE, Fitted, Task, calmed, fit, settle
+from bayeq.likelihood.start import precision_of_terms
+from bayeq.numerics.normal import Z95
+from bayeq.states import Motion
+
+__all__ = ["ConstantEstimate", "Forms", "first_members", "first_values", "joint_covariance", "with_constants"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# Log posterior of each member of an either-or, by the text of both.
+Forms = Mapping[str, Mapping[str, float]]
+
+# Smoothed rows in which values are sought, at most, where no term is a wave.
+ROWS = 4000
+
+# Values that are tried on the likelihood about a fit, those that explain most of the smoothed rows.
+TRIED = 24
+
+# Rounds of trying others and of moving; another value is taken where it is likelier by this many nats.
+ROUNDS, BETTER = 3, 0.5
+
+# Gauss-Newton steps, at most; they move a constant by no more than this share of its range, and end where none moves by
+# more than this share of its standard deviation.
+STEPS, FARTHEST, NEAR = 12, 0.25, 0.05
+
+# Differences of terms by their constants are over this much of a logarithm, or share of the range.
+STEP = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantEstimate:
+    """A constant inside terms, as the record tells it.
+
+    Attributes
+    ----------
+    name : str
+        As it is written between braces.
+    value : float
+        The likeliest.
+    sd : float
+        Standard deviation; of the logarithm where the constant is a scale.
+    ci95 : (float, float)
+        95 % interval, within the range.
+    low, high : float
+        The range in which it was sought.
+    logarithmic : bool
+        Whether it is a scale.
+    terms : tuple of str
+        Those of the equation that it stands in.
+    """
+
+    name: str
+    value: float
+    sd: float
+    ci95: tuple[float, float]
+    low: float
+    high: float
+    logarithmic: bool
+    terms: tuple[str, ...]
+
+
+def first_values(terms: Sequence[Expression], motion: Motion, allowed: Bools) -> tuple[Expression, ...]:
+    """Terms with values of their constants that explain most of the smoothed rows beside the other terms.
+
+    Raises
+    ------
+    InputError
+        A range that has to be written.
+    """
+    found = tuple(terms)
+    if not any(term.unknowns for term in terms):
+        return found
+    constants = located(terms, [rows.columns for rows in motion.train])
+    found = _with(found, {name: _middle(one) for name, one in constants.items()}, constants)
+    for family in families(terms):
+        values, _ = _by_rows(found, motion, allowed, family)
+        found = _with(found, values[0], constants)
+    return found
+
+
+def first_members(motion: Motion, terms: Sequence[Expression], log_odds: Floats) -> Floats:
+    """Log odds, (C, P + 1), of which those of all members of an either-or are nothing but of one that explains most."""
+    out = log_odds.copy()
+    for members in _choices(terms).values():
+        gains = [_by_rows(terms, motion, log_odds[:, :-1] > -np.inf, [j])[1][0] for j in members]
+        for j in members:
+            if j != members[int(np.argmax(gains))]:
+                out[:, j] = -np.inf
+    return out
+
+
+def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted, Forms]:
+    """A fit with its constants where they are likeliest, and the likeliest members of its choices.
+
+    Parameters
+    ----------
+    motion : Motion
+        Whose training rows are fitted.
+    task, fitted : Task, Fitted
+        With some values of the constants.
+
+    Returns
+    -------
+    (Task, Fitted, Forms)
+        The task with terms of these values, and odds that know how wide their ranges are.
+    """
+    terms = task.layout.terms
+    choices = _choices(terms)
+    if not choices and not any(term.unknowns for term in terms):
+        return task, fitted, {}
+    task, fitted = _settled(motion, task, fitted)
+    forms: dict[str, dict[str, float]] = {}
+    for choice, members in choices.items():
+        active = next((j for j in members if _is_active(task, j)), members[0])
+        forms[choice] = {terms[active].text: _log_posterior(task, fitted)}
+        first = task, fitted
+        for j in members:
+            if j == active:
+                continue
+            try:
+                other = _settled(motion, *_instead(motion, *first, active, j))
+            except np.linalg.LinAlgError:
+                continue
+            forms[choice][terms[j].text] = _log_posterior(*other)
+            if _log_posterior(*other) > _log_posterior(task, fitted):
+                task, fitted = other
+    return _with_odds(task, fitted), fitted, forms
+
+
+def _settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
+    """The fit after rounds of other values and of steps from there."""
+    for _ in range(ROUNDS):
+        before = fitted
+        for family in families(task.layout.terms):
+            if any(_is_active(task, j) for j in family):
+                task, fitted = _elsewhere(motion, task, fitted, family)
+        task, fitted = _moved(motion, task, fitted)
+        if fitted is before or fitted.evidence < before.evidence + BETTER:
+            break
+    return task, fitted
+
+
+def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]) -> tuple[Task, Fitted]:
+    """The fit, or one with other values of the constants of a family that the likelihood about it finds likelier."""
+    value, _, _ = _on_gram(task, fitted, family, {})[0]
+    allowed = _allowed(task)
+    values, _ = _by_rows(task.layout.terms, motion, allowed, family)
+    tried = _on_gram(task, fitted, family, *values[:TRIED])
+    best = max(range(len(tried)), key=lambda k: tried[k][0])
+    if tried[best][0] < value + BETTER:
+        return task, fitted
+    try:
+        other = settle(*_at(motion, task, fitted, values[best], *tried[best][1:]))
+    except np.linalg.LinAlgError:
+        return task, fitted
+    return other if other[1].evidence > fitted.evidence else (task, fitted)
+
+
+def _instead(motion: Motion, task: Task, fitted: Fitted, active: int, j: int) -> tuple[Task, Fitted]:
+    """A fit with another member of an either-or in place of the active one."""
+    odds = task.log_odds.reshape(task.layout.chains, -1).copy()
+    odds[:, j], odds[:, active] = odds[:, active], -np.inf
+    task = replace(task, log_odds=odds.ravel(), recent=[])
+    family = next((own for own in families(task.layout.terms) if j in own), [j])
+    values, _ = _by_rows(task.layout.terms, motion, _allowed(task), family)
+    tried = _on_gram(task, fitted, family, *values[:TRIED])
+    best = max(range(len(tried)), key=lambda k: tried[k][0])
+    return settle(*_at(motion, task, fitted, values[best], *tried[best][1:]))
+
+
+def _at(
+    motion: Motion, task: Task, fitted: Fitted, values: Mapping[str, float], model: Bools, theta: Floats
+) -> tuple[Task, State]:
+    """The task at other values, and the start of a fit there."""
+    task = _with_terms(motion, task, _with(task.layout.terms, values))
+    chosen = task.layout.everything.take(np.flatnonzero(model))
+    state = _fresh(fitted.state, task.layout)
+    return task, calmed(replace(state, chosen=chosen, theta=theta))
+
+
+def _on_gram(
+    task: Task, fitted: Fitted, family: Sequence[int], *values: Mapping[str, float]
+) -> list[tuple[float, Bools, Floats]]:
+    """Of each set of values, about a fit: log posterior of the likeliest model, that model, and its coefficients."""
+    terms, layout = task.layout.terms, task.layout
+    others = [_with(terms, one)[j] for one in values for j in family]
+    q, precision, odds = _beside(task, fitted, others)
+    wide = len(terms) + len(others) + 1
+    first = np.arange(layout.chains)[:, None] * wide
+    out = []
+    for k in range(len(values)):
+        column = np.append(np.arange(len(terms)), wide - 1)
+        column[list(family)] = len(terms) + k * len(family) + np.arange(len(family))
+        at = (first + column).ravel()
+        own = replace(task, precision=precision[at], log_odds=odds[at], recent=[])
+        problem = own.problem(Quadratic(q.level, q.slope[at], q.information[np.ix_(at, at)]))
+        score, model = best_models(problem)[0]
+        coef, _ = exact_posterior(problem, model, None)
+        out.append((score, model, coef[model] / np.sqrt(own.precision[model])))
+    return out
+
+
+def _beside(task: Task, fitted: Fitted, others: Sequence[Expression]) -> tuple[Quadratic, Floats, Floats]:
+    """The likelihood about zero of further terms too, and precision and log odds of all: as of those of their text."""
+    layout, P = task.layout, len(task.layout.terms)
+    own, state = _extended(task, fitted.state, others)
+    linears = own.linearised(state)
+    found = marginal(linears, state, state.levels, own.precision_of(state))
+    smoothed = adjoints(linears, state.levels, found, found.delta, curved=True)
+    q = information(own.layout, linears, state, corrections(own.layout, linears, smoothed)).raised(fitted.power)
+    like = [next(j for j in range(P) if layout.terms[j].text == one.text) for one in others]
+    odds, precision = (values.reshape(layout.chains, -1) for values in (task.log_odds, task.precision))
+    inside = np.concatenate([one.terms[:, P:-1] for one in linears]).var(axis=0)
+    base = np.concatenate([one.terms[:, :P] for one in linears]).var(axis=0)[like]
+    ratio = inside / np.maximum(base, 1e-300)
+    precision = np.hstack([precision[:, :-1], precision[:, like] * ratio, precision[:, -1:]])
+    odds = np.hstack([odds[:, :-1], odds[:, like], odds[:, -1:]])
+    return q, precision.ravel(), odds.ravel()
+
+
+def _extended(task: Task, state: State, others: Sequence[Expression]) -> tuple[Task, State]:
+    """The task with further terms behind its own, and a state of its own terms there; of precision it has none."""
+    layout = replace(task.layout, terms=(*task.layout.terms, *others))
+    P, width = len(task.layout.terms), len(layout.terms) + 1
+    column = np.append(np.arange(P), width - 1)
+    precision = np.zeros((layout.chains, width))
+    precision[:, column] = task.precision.reshape(layout.chains, -1)
+    own = replace(task, layout=layout, precision=precision.ravel(), log_odds=np.zeros(precision.size), recent=[])
+    state = _fresh(state, layout)
+    return own, replace(state, chosen=state.chosen._replace(term=column[state.chosen.term]))
+
+
+def _fresh(state: State, layout: Layout) -> State:
+    """The state for terms with other values: the widths of their jumps are not known if these are others."""
+    same = layout.jumps == state.levels.layout.jumps
+    levels = replace(state.levels, layout=replace(state.levels.layout, terms=layout.terms))
+    return replace(state, levels=levels, blurs=state.blurs if same else ())
+
+
+class _Tangent(NamedTuple):
+    """What the terms of an equation change by with a constant: its name, the number of the equation, the change."""
+
+    name: str
+    chain: int
+    change: Expression
+
+
+def _tangents(layout: Layout, chosen: Candidates, theta: Floats) -> list[_Tangent]:
+    """Of every constant of the terms of a model, on the scale of each, in every equation that it stands in."""
+    sums: dict[tuple[str, int], Node] = {}
+    for c, j, size in zip(chosen.chain.tolist(), chosen.term.tolist(), theta.tolist(), strict=True):
+        if j == len(layout.terms):
+            continue
+        term = layout.terms[j]
+        for name, constant in term.unknowns.items():
+            place = to_scale(constant, constant.value)
+            step = STEP * (1.0 if is_scale(constant) else constant.high - constant.low)
+            up, down = (
+                term.with_unknowns({name: replace(constant, value=to_plain(constant, place + way * step))}).tree
+                for way in (1.0, -1.0)
+            )
+            change: Node = Binary("*", number(size / (2.0 * step)), Binary("-", up, down))
+            key = name, c
+            sums[key] = Binary("+", sums[key], change) if key in sums else change
+    return [_Tangent(name, c, Expression(change)) for (name, c), change in sums.items()]
+
+
+def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent], Floats]:
+    """The task and a state with the constants of its model as further coefficients, and the precision of all."""
+    tangents = _tangents(task.layout, state.chosen, state.theta)
+    own, wide = _extended(task, state, [one.change for one in tangents])
+    count = len(tangents)
+    chosen = Candidates(
+        np.append(wide.chosen.chain, [one.chain for one in tangents]).astype(np.int64),
+        np.append(wide.chosen.term, len(task.layout.terms) + np.arange(count)).astype(np.int64),
+    )
+    constants = _constants(task.layout.terms)
+    known = [12.0 / _range(constants[one.name]) ** 2 for one in tangents]
+    wide = replace(wide, chosen=chosen, theta=np.append(wide.theta, np.zeros(count)))
+    return own, wide, tangents, np.append(task.precision_of(state), known)
+
+
+def _moved(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
+    """The fit with its constants moved to where they are likeliest."""
+    state = fitted.state
+    if not _tangents(task.layout, state.chosen, state.theta):
+        return task, fitted
+    for _ in range(STEPS):
+        own, wide, tangents, precision = _with_tangents(task, state)
+        count = len(tangents)
+        linears = own.linearised(wide)
+        levels, found = maximised(linears, wide, precision, **COARSE)
+        wide, _ = improved(own.layout, task.series, linears, replace(wide, levels=levels), found)
+        sd = np.sqrt(np.diagonal(found.covariance)[-count:])
+        constants, farthest = _constants(task.layout.terms), 0.0
+        values = {}
+        for name in {one.name for one in tangents}:
+            constant = constants[name]
+            at = np.array([k for k, one in enumerate(tangents) if one.name == name])
+            weight = sd[at] ** -2.0
+            step = float(wide.theta[len(state.theta) + at] @ weight / weight.sum())
+            most = FARTHEST * _range(constant)
+            step = min(max(step, -most), most)
+            place = to_scale(constant, constant.value) + step
+            low, high = to_scale(constant, constant.low), to_scale(constant, constant.high)
+            place = min(max(place, low), high)
+            farthest = max(farthest, abs(place - to_scale(constant, constant.value)) * math.sqrt(float(weight.sum())))
+            values[name] = to_plain(constant, place)
+        chosen, theta = state.chosen, wide.theta[: len(state.theta)]
+        task = replace(task, layout=replace(task.layout, terms=_with(task.layout.terms, values)), recent=[])
+        state = replace(_fresh(wide, task.layout), chosen=chosen, theta=theta)
+        if farthest < NEAR:
+            break
+    task = _with_terms(motion, task, task.layout.terms)
+    return task, fit(task, state)
+
+
+def joint_covariance(task: Task, state: State) -> tuple[Floats, tuple[ConstantEstimate, ...]]:
+    """Covariance of the coefficients of a fit whose constants are not known either, and what is known of these."""
+    own, wide, tangents, precision = _with_tangents(task, state)
+    found = marginal(own.linearised(wide), wide, wide.levels, precision, keep=False)
+    count = len(tangents)
+    constants, names = _constants(task.layout.terms), dict.fromkeys(one.name for one in tangents)
+    estimates = []
+    for name in names:
+        constant = constants[name]
+        at = [len(state.theta) + k for k in range(count) if tangents[k].name == name]
+        sd = float(1.0 / np.sqrt(np.sum(1.0 / np.diagonal(found.covariance)[at])))
+        place = to_scale(constant, constant.value)
+        ends = [to_plain(constant, place + way * Z95 * sd) for way in (-1.0, 1.0)]
+        inside = tuple(
+            task.layout.terms[j].text
+            for j in dict.fromkeys(state.chosen.term.tolist())
+            if j < len(task.layout.terms) and name in task.layout.terms[j].unknowns
+        )
+        low, high = max(ends[0], constant.low), min(ends[1], constant.high)
+        scale = is_scale(constant)
+        estimates.append(
+            ConstantEstimate(name, constant.value, sd, (low, high), constant.low, constant.high, scale, inside)
+        )
+    return found.covariance[: len(state.theta), : len(state.theta)], tuple(estimates)
+
+
+def _with_odds(task: Task, fitted: Fitted) -> Task:
+    """The task with log odds of terms with constants averaged over their ranges, by Laplace's method."""
+    lost = np.zeros((task.layout.chains, len(task.layout.terms) + 1))
+    for j, cost in _costs(task, fitted).items():
+        lost[:, j] = cost
+    before = 0.0 if task.ranges is None else task.ranges
+    return replace(task, log_odds=task.log_odds + lost.ravel() - before, ranges=lost.ravel())
+
+
+def _log_posterior(task: Task, fitted: Fitted) -> float:
+    """ln p(data, model), constants integrated out."""
+    return fitted.evidence + min([0.0, *_costs(task, fitted).values()])
+
+
+def _costs(task: Task, fitted: Fitted) -> dict[int, float]:
+    """What each term with constants that is in the model loses of its log odds: at least the range is not narrower."""
+    state, terms = fitted.state, task.layout.terms
+    if not _tangents(task.layout, state.chosen, state.theta):
+        return {}
+    _, estimates = joint_covariance(task, state)
+    constants = _constants(terms)
+    lost = {
+        one.name: min(0.0, math.log(math.sqrt(2.0 * math.pi) * one.sd / _range(constants[one.name])))
+        for one in estimates
+    }
+    return {j: sum(lost.get(name, 0.0) for name in term.unknowns) for j, term in enumerate(terms) if term.unknowns}
+
+
+def _by_rows(
+    terms: Sequence[Expression], motion: Motion, allowed: Bools, family: Sequence[int]
+) -> tuple[list[dict[str, float]], list[float]]:
+    """Values of a family's constants, those first that explain most of the smoothed rows beside the other terms."""
+    own = [terms[j] for j in family]
+    rivals = {one.choice for one in own} - {""}
+    waves = any("sin" in one.text or "cos" in one.text for one in own)
+    total = sum(rows.n for rows in motion.train)
+    step = 1 if waves else max(1, total // ROWS)
+    parts = [rows.part(slice(None, None, step)) for rows in motion.train]
+    others = [term for j, term in enumerate(terms) if j not in family and term.choice not in rivals]
+    Y = np.concatenate([np.column_stack([rows.columns[t] for t in motion.roles.targets]) for rows in parts])
+    D = np.ones((len(Y), 1))
+    if others:
+        D = np.hstack([D, np.concatenate([evaluate_terms(others, rows.columns) for rows in parts])])
+    D = D[:, np.isfinite(D).all(axis=0)]
+    Q, _ = np.linalg.qr(D / np.maximum(np.abs(D).max(axis=0), 1e-300))
+    left = Y - Q @ (Q.T @ Y)
+    square = np.maximum((left**2).sum(axis=0), 1e-300)
+    used = allowed[:, list(family)].any(axis=1)
+    constants = _constants(own)
+    found: list[tuple[float, dict[str, float]]] = []
+    for values in grids(own, constants, [rows.columns for rows in motion.train]) if constants else iter([{}]):
+        now = _with(own, values, constants)
+        with np.errstate(all="ignore"):
+            columns = np.concatenate([evaluate_terms(now, rows.columns) for rows in parts])
+        size = np.sqrt((columns**2).sum(axis=0))
+        if not np.isfinite(columns).all() or not (size > 0.0).all():
+            continue
+        rest = columns / size
+        rest = rest - Q @ (Q.T @ rest)
+        gain = left.T @ rest
+        explained = np.einsum("ck,kc->c", gain, np.linalg.lstsq(rest.T @ rest, gain.T, rcond=1e-10)[0])
+        share = np.clip(explained / square, 0.0, 1.0 - 1e-12)
+        found.append((float(-0.5 * len(Y) * np.log1p(-share[used]).sum()), values))
+    found.sort(key=lambda one: -one[0])
+    if not found:
+        return [{name: _middle(one) for name, one in constants.items()}], [-math.inf]
+    return [values for _, values in found], [score for score, _ in found]
+
+
+def _with(
+    terms: Sequence[Expression], values: Mapping[str, float], located: Mapping[str, Unknown] | None = None
+) -> tuple[Expression, ...]:
+    """The terms with other values of some constants; with the ranges that were found, where these are given."""
+    constants = _constants(terms) if located is None else {**_constants(terms), **located}
+    found = {name: replace(constants[name], value=value) for name, value in values.items() if name in constants}
+    return tuple(term.with_unknowns(found) for term in terms)
+
+
+def _with_terms(motion: Motion, task: Task, terms: tuple[Expression, ...]) -> Task:
+    """The task with terms of other values; priors that were wider than at first stay so."""
+    layout = replace(task.layout, terms=terms)
+    former = precision_of_terms(motion, task.layout)
+    wider = float(np.median(task.precision / former))
+    return replace(task, layout=layout, precision=wider * precision_of_terms(motion, layout), recent=[])
+
+
+def _constants(terms: Sequence[Expression]) -> dict[str, Unknown]:
+    return {name: one for term in terms for name, one in term.unknowns.items()}
+
+
+def _middle(constant: Unknown) -> float:
+    low, high = to_scale(constant, constant.low), to_scale(constant, constant.high)
+    return to_plain(constant, 0.5 * (low + high))
+
+
+def _range(constant: Unknown) -> float:
+    return to_scale(constant, constant.high) - to_scale(constant, constant.low)
+
+
+def _choices(terms: Sequence[Expression]) -> dict[str, list[int]]:
+    """Members of each either-or, as numbers of terms."""
+    out: dict[str, list[int]] = {}
+    for j, term in enumerate(terms):
+        if term.choice:
+            out.setdefault(term.choice, []).append(j)
+    return {choice: members for choice, members in out.items() if len(members) > 1}
+
+
+def _allowed(task: Task) -> Bools:
+    return np.asarray(task.log_odds.reshape(task.layout.chains, -1)[:, :-1] > -np.inf)
+
+
+def _is_active(task: Task, j: int) -> bool:
+    return bool(_allowed(task)[:, j].any())
