@@ -1,9 +1,9 @@
 """Where the constants inside terms may be, such as v0 of ``tanh(v/{v0})``, and grids on which they are sought.
 
 A constant beside a state is a scale of it, a place on it, or a power; one that multiplies time inside a sine is a
-frequency. What is not written, ``{v0: 0.01..3}``, is read from the record: scales from what samples resolve to three
-times the largest value, places from the smallest value to the largest, frequencies from one wave over the record to a
-quarter of the sampling rate.
+frequency. What is not written, ``{v0: 0.01..3}``, is read from the record: scales from what samples resolve to the
+largest value, places from the smallest value to the largest, frequencies from half a wave over the record to a quarter
+of the sampling rate.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from bayeq.expressions import Binary, Call, Evaluator, Expression, Negate, Node,
 from bayeq.expressions.functions import COMPARISONS, TIME
 from bayeq.expressions.nodes import arguments_of
 
-__all__ = ["families", "grids", "is_scale", "located", "to_plain", "to_scale"]
+__all__ = ["NODES", "beside", "families", "grids", "is_scale", "located", "to_plain", "to_scale"]
 
 Floats = NDArray[np.float64]
 Columns = Sequence[Mapping[str, Floats]]
 
-# Scales reach from this share of the step between samples to this many times the largest value.
+# Scales reach from this share of the step between samples to the largest value, and what is added to a state to this
+# many times that: at the end tanh(v/v0) still bends by a quarter over the record, and x/(K + x) too.
 RESOLVED, BEYOND = 0.2, 3.0
 
 # A range whose ends are further apart by this factor is divided on a logarithmic scale.
@@ -127,6 +128,11 @@ def grids(
         yield dict(zip(names, values, strict=True))
 
 
+def beside(term: Expression, name: str) -> tuple[str, Node | None]:
+    """The operation or function that a constant stands in, ``"below"`` where it divides, and what stands beside it."""
+    return _beside(next(_paths(term.tree, name)))
+
+
 def _paths(node: Node, name: str) -> Iterator[tuple[Node, ...]]:
     """From the root to a constant."""
     if isinstance(node, Unknown):
@@ -177,7 +183,7 @@ def _range(
             low, high = _waves(values, other, columns)
             return (low, high) if operation == "*" else (1.0 / high, 1.0 / low)
         if largest > 0.0 and operation in ("below", "+"):
-            return least, BEYOND * largest
+            return least, largest if operation == "below" else BEYOND * largest
         if largest > 0.0 and operation == "*":
             return 1.0 / (BEYOND * largest), 1.0 / least
         if operation in ("-", "max", "min", *COMPARISONS) and values.max() > values.min():

@@ -12,7 +12,17 @@ from bayeq.equation.equation import Equation, round_to
 from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.physical import PhysicalParameters, Quantity, force_of
 from bayeq.equation.short_names import short_names, with_names
-from bayeq.equation.text import CERTAIN, DOUBTFUL, LONGEST_NAME, NOTEWORTHY_PIP, given_of, printable, source_of
+from bayeq.equation.text import (
+    CERTAIN,
+    DOUBTFUL,
+    LONGEST_NAME,
+    NOTEWORTHY_PIP,
+    constant_numbers,
+    forms_of,
+    given_of,
+    printable,
+    source_of,
+)
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES
 
@@ -46,7 +56,7 @@ def brief(eq: Answer) -> str:
             *(() if found is None else _law(one, found, eq.inputs)),
             *map(_bold, _wrapped(printable(one.text), "    ")),
         ]
-        if found is None or _doubtful(one):
+        if found is None or _doubtful(one) or one.shown_constants:
             lines += _table(one, ENGINES[eq.method].score)
     if physical is not None and len(eq.equations) > 1:
         lines += ["", *_quantities([q for q in physical if not q.symbol.startswith("phi_")])]
@@ -151,6 +161,9 @@ def _table(equation: Equation, score: str) -> list[str]:
             rows.append((with_names(term.text, short), round_to(p.coef[j], p.sd[j]), f"{low} .. {high}", unit, pip))
         elif with_pip and equation.posterior.pip[j] >= NOTEWORTHY_PIP:
             rows.append((with_names(term.text, short), "not in it", "", "", pip))
+    for one in equation.shown_constants:
+        shown, _, *ends = constant_numbers(one)
+        rows.append((f"{{{one.name}}}", shown, " .. ".join(ends), equation.constant_units.get(one.name, ""), ""))
     if equation.intercept_matters:
         value, sd = equation.intercept_estimate
         low, high = (round_to(end, sd) for end in equation.printed_intercept_ci95)
@@ -187,6 +200,7 @@ def _failed(equation: Equation) -> Iterator[str]:
         yield "what is left has heavy tails: try --tails student"
     if found.driver is not None and found.driver.p_value < DOUBTFUL:
         yield printable(f"what is left follows {found.driver}: a term with it may be missing, or it is delayed")
+    yield from map(printable, forms_of(equation))
     for left in equation.left_out:
         yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")
 

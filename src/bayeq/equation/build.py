@@ -122,6 +122,8 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         tau=regression.tau,
         bound=bound,
         undetermined=undetermined(fit, posterior, bound),
+        constants=selection.shown_fit.regression.constants,
+        forms=regression.forms,
     )
 
 

@@ -15,13 +15,14 @@ from bayeq.equation.intervals import Model, OverModels, over_models, unlike
 from bayeq.equation.pip_curve import PipCurve, PriorSensitivity
 from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity, require_spike_slab
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
-from bayeq.equation.units import quotient_unit
+from bayeq.equation.units import constant_units, quotient_unit
 from bayeq.equation.verdict import Verdict
 from bayeq.errors import InputError
 from bayeq.export.latex import Uncertainty, sum_in_latex
-from bayeq.expressions import Evaluator, Expression, to_sympy
+from bayeq.expressions import Evaluator, Expression, Unknown, to_sympy
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.unknowns import ConstantEstimate, Forms
 from bayeq.numerics.normal import Z95
 from bayeq.plan.models import CandidateModel
 from bayeq.regression.fit import RegressionFit
@@ -129,6 +130,10 @@ class Equation:
         NaN for those.
     undetermined : tuple of str
         Terms that within their bounds could matter (`bayeq.selection.alternatives`), the simplest first.
+    constants : tuple of ConstantEstimate
+        Constants inside the terms, ``{name}``: the value that terms have, and how well it is known.
+    forms : mapping of str to mapping of str to float
+        Of each either-or, the log posteriors of its members.
     """
 
     chain: Chain
@@ -154,6 +159,8 @@ class Equation:
     tau: float = 0.0
     bound: Floats | None = None
     undetermined: tuple[str, ...] = ()
+    constants: tuple[ConstantEstimate, ...] = ()
+    forms: Forms = field(default_factory=dict)
 
     @property
     def law(self) -> Law:
@@ -199,6 +206,11 @@ class Equation:
         return self.included_model.names
 
     @property
+    def shown_constants(self) -> tuple[ConstantEstimate, ...]:
+        """Constants inside the terms of the equation that is printed."""
+        return tuple(one for one in self.constants if one.sd is not None and set(one.terms) & set(self.shown))
+
+    @property
     def shown(self) -> tuple[str, ...]:
         """Names of the terms of the equation that is printed, evaluated and integrated."""
         return self.shown_model.names
@@ -216,7 +228,13 @@ class Equation:
     @cached_property
     def coef_units(self) -> tuple[str | None, ...]:
         """Unit of each candidate's coefficient; None where a unit is not known. Those of the intercept are y's."""
-        return tuple(quotient_unit(self.target, term, self.units) for term in self.terms)
+        units = {**self.units, **{f"{{{name}}}": unit for name, unit in self.constant_units.items()}}
+        return tuple(quotient_unit(self.target, term, units) for term in self.terms)
+
+    @cached_property
+    def constant_units(self) -> dict[str, str]:
+        """Unit of each constant inside the terms, by its place there; those that are not known are left out."""
+        return constant_units(self.terms, self.units)
 
     def with_posterior(self, posterior: Posterior, **changes: Any) -> Equation:
         """The equation with other coefficients of the terms shown; of the included terms too, where these are the same.
@@ -278,8 +296,8 @@ class Equation:
     def printed_over_models(self) -> NDArray[np.bool_]:
         """Terms whose interval is printed over all models that hold the term, (P,)."""
         shown = self.shown_posterior
-        # coefficients by output error are of one model
-        given = None if shown.averaged_coef is None else self.over_models.given_in
+        # coefficients by output error are of one model, and those beside constants are joint with them
+        given = None if shown.averaged_coef is None or self.shown_constants else self.over_models.given_in
         if given is None:
             return np.zeros(len(self.terms), dtype=np.bool_)
         return shown.support & unlike(given, self.shown_ci95)
@@ -292,6 +310,8 @@ class Equation:
         """
         shown, conditional = self.shown_posterior, self.intercept_ci95
         if shown.averaged_coef is None or shown.left_out_intercept is not None or self.over_models.intercept is None:
+            return conditional
+        if self.shown_constants:
             return conditional
         over = self.over_models.intercept
         low, high = over.tolist() if unlike(over[None], np.array([conditional]))[0] else conditional
@@ -413,7 +433,7 @@ class Equation:
         else:
             parts = []
             for value, sd, term in self._sum():
-                factor = sympy.Integer(1) if term is None else to_sympy(term)
+                factor = sympy.Integer(1) if term is None else to_sympy(_named(term))
                 text = "" if term is None else sympy.latex(factor, symbol_names=names)
                 parts.append((value, sd, rf"\left({text}\right)" if factor.is_Add else text))
             right = sum_in_latex(parts, uncertainty)
@@ -425,7 +445,7 @@ class Equation:
         total = sympy.Integer(0)
         for value, sd, term in self._sum():
             number = sympy.Float(float(round_to(value, sd)) if rounded else value)
-            total += number if term is None else number * to_sympy(term)
+            total += number if term is None else number * to_sympy(_named(term) if rounded else term)
         return total
 
     def evaluate(self, columns: Mapping[str, ArrayLike]) -> Floats:
@@ -562,6 +582,11 @@ class Equation:
         if self.fit is None:
             raise InputError("a file of equations does not hold what their posterior came from: run discover again")
         return self.fit
+
+
+def _named(term: Expression) -> Expression:
+    """The term with the names of its constants in place of their values."""
+    return term.with_unknowns({name: Unknown(name) for name in term.unknowns})
 
 
 def _factor(term: str) -> str:

@@ -25,10 +25,11 @@ from bayeq.equation.intervals import OverModels
 from bayeq.equation.schema import first_fault
 from bayeq.equation.to_json import FORMAT
 from bayeq.errors import BayeqError, FileFormatError, as_path
-from bayeq.expressions import parse
+from bayeq.expressions import Unknown, parse
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import ModelAverage, Posterior
+from bayeq.likelihood.unknowns import ConstantEstimate
 from bayeq.records.io import near_files
 from bayeq.records.validate import check_name
 from bayeq.regression.design import DroppedTerm
@@ -178,7 +179,9 @@ def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str
     """Equation k, that of a chain; `names` are those of all channels."""
     saved, state = content["equations"][k], content["posteriors"][k]
     checks = content["diagnostics"]["equations"][saved["target"]]
-    terms = tuple(parse(term["name"], names) for term in saved["terms"])
+    constants = saved.get("constants", ())
+    values = {one["name"]: Unknown(one["name"], one["low"], one["high"], one["value"]) for one in constants}
+    terms = tuple(parse(term["name"], names).with_unknowns(values) for term in saved["terms"])
     posterior = _restored_posterior(content["method"], tuple(term.text for term in terms), saved, state, checks)
     column = partial(_column, saved["terms"])
     return Equation(
@@ -195,6 +198,8 @@ def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str
             given_in=column("printed_ci95"),
             **_fields(OverModels, {"intercept": saved.get("intercept_printed_ci95")}),
         ),
+        constants=tuple(ConstantEstimate(**_fields(ConstantEstimate, one)) for one in constants),
+        forms=saved.get("forms", {}),
         **_fields(Equation, saved, "verdict", "undetermined", "unit_gains", "error_probability", "tau"),
         **_fields(Equation, state, "models"),
         **_fields(Equation, checks["fit"], "train", "held_out"),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import io
+import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from math import isclose, isfinite
 from typing import Any
 
@@ -20,10 +21,11 @@ from bayeq.equation.size_path import percent
 from bayeq.equation.verdict import LEAST_SHOWN
 from bayeq.forecast.score import Scores, percentages
 from bayeq.inference.engines import ENGINES
+from bayeq.likelihood.unknowns import ConstantEstimate
 from bayeq.regression.residuals import Residuals
 from bayeq.states import rates
 
-__all__ = ["given_of", "printable", "render", "source_of"]
+__all__ = ["constant_numbers", "forms_of", "given_of", "printable", "render", "source_of", "undecided"]
 
 # Candidates that are not included are listed from this PIP on.
 NOTEWORTHY_PIP = 0.01
@@ -46,6 +48,9 @@ MARK = "*"
 OVER_MODELS = "interval over all models that hold the term; given the terms shown: shown_ci95, --conditional"
 # Terms that the record does not determine are listed up to this number.
 MOST_UNDETERMINED = 6
+
+# A form is undecided where another one has more than this probability: within 3 nats.
+FORMS = 0.05
 
 # What is said of residuals, if it had a smaller probability by chance.
 DOUBTFUL = 1e-3
@@ -158,6 +163,8 @@ def _render_equation(
         console.print(escape(line))
     for line in _residuals(equation.residuals, equation.error_share):
         console.print(escape(line))
+    for line in forms_of(equation):
+        console.print(escape(line))
     for line in _differences(equation, ENGINES[method].score):
         console.print(escape(line))
     if equation.undetermined and equation.bound is not None:
@@ -169,6 +176,30 @@ def _render_equation(
         for r in runners_up:
             console.print(f"{r.odds:>10}  {escape(str(r))}")
     console.print("")
+
+
+def forms_of(equation: Equation) -> list[str]:
+    """How likely the members of each either-or are that is in the equation."""
+    return [
+        f"form{'' if sure else ' undecided'}: {', '.join(f'{name} {share:.3f}' for name, share in found)}"
+        for found, sure in _ranked_forms(equation)
+    ]
+
+
+def undecided(equation: Equation) -> bool:
+    """Whether another member of an either-or may as well be in the equation."""
+    return any(not sure for _, sure in _ranked_forms(equation))
+
+
+def _ranked_forms(equation: Equation) -> Iterator[tuple[list[tuple[str, float]], bool]]:
+    """Members with their probabilities, the likeliest first, and whether that is sure."""
+    for found in equation.forms.values():
+        if len(found) > 1 and set(found) & set(equation.shown):
+            top = max(found.values())
+            weight = {name: math.exp(value - top) for name, value in found.items()}
+            total = sum(weight.values())
+            ranked = [(name, weight[name] / total) for name in sorted(weight, key=lambda name: -weight[name])]
+            yield ranked, ranked[1][1] < FORMS
 
 
 def _differences(equation: Equation, score: str) -> list[str]:
@@ -296,14 +327,22 @@ def _listed(equation: Equation) -> list[int]:
 def _extra_columns(equation: Equation) -> dict[str, list[str]]:
     """Shares of variance and units, where they are known, for the rows of the table: terms, then the intercept."""
     kept, share = equation.shown_posterior.support, equation.share
-    shown = _listed(equation)
+    shown, constants = _listed(equation), equation.shown_constants
     out = {}
     if share is not None and kept.any():
-        out["share"] = [percent(share[j]) if kept[j] and isfinite(share[j]) else "" for j in shown] + [""]
+        own = [percent(share[j]) if kept[j] and isfinite(share[j]) else "" for j in shown]
+        out["share"] = own + [""] * (len(constants) + 1)
     if any(equation.coef_units[j] for j in np.flatnonzero(kept)):
         units = [equation.coef_units[j] or "" if kept[j] else "" for j in shown]
+        units += [equation.constant_units.get(one.name, "") for one in constants]
         out["unit"] = [escape(unit) for unit in (*units, equation.units.get(equation.target, ""))]
     return out
+
+
+def constant_numbers(one: ConstantEstimate) -> tuple[str, float, str, str]:
+    """A constant's value, standard deviation and the ends of its interval, as they are printed."""
+    spread = (one.sd or 0.0) * (abs(one.value) if one.logarithmic else 1.0)
+    return round_to(one.value, spread), spread, round_to(one.ci95[0], spread), round_to(one.ci95[1], spread)
 
 
 def _rows(equation: Equation, conditional: bool) -> list[tuple[Any, ...]]:
@@ -320,6 +359,9 @@ def _rows(equation: Equation, conditional: bool) -> list[tuple[Any, ...]]:
         else:
             absent = "not shown" if equation.posterior.support[j] else "not included"
             rows.append((escape(term.text), absent, "", "", f"{p.pip[j]:.3f}"))
+    for one in equation.shown_constants:
+        shown, deviation, *ends = constant_numbers(one)
+        rows.append((f"{{{one.name}}}", shown, f"{deviation:.2g}", " .. ".join(ends), ""))
     if p.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING:
         return [*rows, ("intercept", "none", "", "", "")]
     low, high = equation.intercept_ci95 if conditional else equation.printed_intercept_ci95

@@ -16,6 +16,7 @@ from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.physical import Quantity
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.unknowns import ConstantEstimate
 from bayeq.numerics.normal import Z95
 
 __all__ = ["FORMAT", "to_dict", "to_saved"]
@@ -108,8 +109,15 @@ def _equation(equation: Equation) -> dict[str, Any]:
         **_attributes(equation, "error_probability", "tau"),
         "latex": equation.to_latex(),
         **_attributes(equation, "unit_gains", "undetermined"),
+        **({"constants": [_constant(equation, one) for one in equation.constants]} if equation.constants else {}),
+        **({"forms": {choice: dict(found) for choice, found in equation.forms.items()}} if equation.forms else {}),
         "terms": _terms(equation),
     }
+
+
+def _constant(equation: Equation, one: ConstantEstimate) -> dict[str, Any]:
+    unit = equation.constant_units.get(one.name)
+    return {**asdict(one), "ci95": list(one.ci95), "terms": list(one.terms), "unit": unit}
 
 
 def _terms(equation: Equation) -> list[dict[str, Any]]:

@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
-from bayeq.expressions import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol
+from bayeq.dictionary.ranges import beside
+from bayeq.expressions import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 from bayeq.records.units import Unit, multiply_units, parse_unit, written_unit
 from bayeq.states import Chain
 
-__all__ = ["channel_units", "derivative_unit", "quotient_unit"]
+__all__ = ["channel_units", "constant_units", "derivative_unit", "quotient_unit"]
 
 
 def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
@@ -22,6 +23,8 @@ def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
             return {}
         case Symbol(name):
             return parse_unit(units[name]) if name in units else None
+        case Unknown(name):
+            return parse_unit(units[f"{{{name}}}"]) if f"{{{name}}}" in units else None
         case Negate(operand) | Call("abs" | "relu", (operand,)):
             return _of(operand, units)
         case Call("sqrt" | "cbrt" as root, (operand,)):
@@ -76,6 +79,25 @@ def quotient_unit(target: str, term: Expression, units: Mapping[str, str]) -> st
         return None
     below = _of(term.tree, units)
     return None if below is None else written_unit(multiply_units(parse_unit(units[target]), below, -1))
+
+
+def constant_units(terms: Sequence[Expression], units: Mapping[str, str]) -> dict[str, str]:
+    """Units of the constants inside terms: of what they are added to or divide, one over that of what they multiply.
+
+    Examples
+    --------
+    >>> from bayeq.expressions import parse
+    >>> constant_units([parse("tanh(v/{v0})"), parse("exp(-{a}*t)")], {"v": "m/s", "t": "s"})
+    {'v0': 'm/s', 'a': '1/s'}
+    """
+    out: dict[str, str] = {}
+    for term in terms:
+        for name in term.unknowns:
+            operation, other = beside(term, name)
+            unit = None if other is None or name in out else _of(other, units)
+            if unit is not None and operation != "**":
+                out[name] = written_unit(multiply_units({}, unit, -1 if operation == "*" else 1))
+    return out
 
 
 def derivative_unit(unit: str, order: int) -> str:

@@ -189,7 +189,7 @@ class RecordFit:
     @cached_property
     def _joint(self) -> tuple[Floats, tuple[ConstantEstimate, ...]] | None:
         """Covariance and constants, where terms of the model have any."""
-        if not any(self.task.layout.terms[j].unknowns for j in self.fitted.state.chosen.term if j < self.width - 1):
+        if not any(term.unknowns for term in self.task.layout.terms):
             return None
         task = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[])
         with np.errstate(all="ignore"):
@@ -197,11 +197,10 @@ class RecordFit:
         return covariance / self.fitted.power, found
 
     def constants(self, c: int) -> tuple[ConstantEstimate, ...]:
-        """Constants inside the terms of equation c."""
-        state = self.fitted.state
-        own, terms = state.chosen.term[state.chosen.chain == c], self.task.layout.terms
-        names = {terms[j].text for j in own if j < len(terms)}
-        return () if self._joint is None else tuple(one for one in self._joint[1] if names.intersection(one.terms))
+        """Constants inside the candidates of equation c."""
+        allowed, terms = self.task.log_odds[self.block(c)][:-1] > -np.inf, self.task.layout.terms
+        names = {name for term, inside in zip(terms, allowed, strict=True) if inside for name in term.unknowns}
+        return () if self._joint is None else tuple(one for one in self._joint[1] if one.name in names)
 
     @cached_property
     def _unshrunk(self) -> tuple[State, Floats]:

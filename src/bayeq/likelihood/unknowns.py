@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
-from bayeq.dictionary.ranges import families, grids, is_scale, located, to_plain, to_scale
+from bayeq.dictionary.ranges import NODES, families, grids, is_scale, located, to_plain, to_scale
 from bayeq.expressions import Binary, Expression, Node, Unknown, number
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.search import best_models
@@ -74,8 +74,8 @@ class ConstantEstimate:
         As it is written between braces.
     value : float
         The likeliest.
-    sd : float
-        Standard deviation; of the logarithm where the constant is a scale.
+    sd : float or None
+        Standard deviation, of the logarithm where the constant is a scale; None of one in no term of the model.
     ci95 : (float, float)
         95 % interval, within the range.
     low, high : float
@@ -83,12 +83,12 @@ class ConstantEstimate:
     logarithmic : bool
         Whether it is a scale.
     terms : tuple of str
-        Those of the equation that it stands in.
+        Those of the model that it stands in; of one in none, those of the dictionary.
     """
 
     name: str
     value: float
-    sd: float
+    sd: float | None
     ci95: tuple[float, float]
     low: float
     high: float
@@ -110,7 +110,7 @@ def first_values(terms: Sequence[Expression], motion: Motion, allowed: Bools) ->
     constants = located(terms, [rows.columns for rows in motion.train])
     found = _with(found, {name: _middle(one) for name, one in constants.items()}, constants)
     for family in families(terms):
-        values, _ = _by_rows(found, motion, allowed, family)
+        values, _ = _ranked(found, motion, allowed, family)
         found = _with(found, values[0], constants)
     return found
 
@@ -119,7 +119,7 @@ def first_members(motion: Motion, terms: Sequence[Expression], log_odds: Floats)
     """Log odds, (C, P + 1), of which those of all members of an either-or are nothing but of one that explains most."""
     out = log_odds.copy()
     for members in _choices(terms).values():
-        gains = [_by_rows(terms, motion, log_odds[:, :-1] > -np.inf, [j])[1][0] for j in members]
+        gains = [_ranked(terms, motion, log_odds[:, :-1] > -np.inf, [j])[1][0] for j in members]
         for j in members:
             if j != members[int(np.argmax(gains))]:
                 out[:, j] = -np.inf
@@ -179,15 +179,13 @@ def _settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
 
 def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]) -> tuple[Task, Fitted]:
     """The fit, or one with other values of the constants of a family that the likelihood about it finds likelier."""
-    value, _, _ = _on_gram(task, fitted, family, {})[0]
-    allowed = _allowed(task)
-    values, _ = _by_rows(task.layout.terms, motion, allowed, family)
-    tried = _on_gram(task, fitted, family, *values[:TRIED])
-    best = max(range(len(tried)), key=lambda k: tried[k][0])
-    if tried[best][0] < value + BETTER:
+    now = {name: one.value for j in family for name, one in task.layout.terms[j].unknowns.items()}
+    here, *others = _on_gram(task, fitted, family, [now, *_by_rows(task, motion, family)[:TRIED]])
+    best = max(others, key=lambda one: one.score)
+    if best.score < here.score + BETTER:
         return task, fitted
     try:
-        other = settle(*_at(motion, task, fitted, values[best], *tried[best][1:]))
+        other = settle(*_at(motion, task, fitted, best))
     except np.linalg.LinAlgError:
         return task, fitted
     return other if other[1].evidence > fitted.evidence else (task, fitted)
@@ -199,53 +197,81 @@ def _instead(motion: Motion, task: Task, fitted: Fitted, active: int, j: int) ->
     odds[:, j], odds[:, active] = odds[:, active], -np.inf
     task = replace(task, log_odds=odds.ravel(), recent=[])
     family = next((own for own in families(task.layout.terms) if j in own), [j])
-    values, _ = _by_rows(task.layout.terms, motion, _allowed(task), family)
-    tried = _on_gram(task, fitted, family, *values[:TRIED])
-    best = max(range(len(tried)), key=lambda k: tried[k][0])
-    return settle(*_at(motion, task, fitted, values[best], *tried[best][1:]))
+    tried = _on_gram(task, fitted, family, _by_rows(task, motion, family)[:TRIED])
+    return settle(*_at(motion, task, fitted, max(tried, key=lambda one: one.score)))
 
 
-def _at(
-    motion: Motion, task: Task, fitted: Fitted, values: Mapping[str, float], model: Bools, theta: Floats
-) -> tuple[Task, State]:
+class _Node(NamedTuple):
+    """Values of some constants, the log posterior of the likeliest model there, that model and its coefficients."""
+
+    values: Mapping[str, float]
+    score: float
+    model: Bools
+    theta: Floats
+
+
+def _at(motion: Motion, task: Task, fitted: Fitted, node: _Node) -> tuple[Task, State]:
     """The task at other values, and the start of a fit there."""
-    task = _with_terms(motion, task, _with(task.layout.terms, values))
-    chosen = task.layout.everything.take(np.flatnonzero(model))
-    state = _fresh(fitted.state, task.layout)
-    return task, calmed(replace(state, chosen=chosen, theta=theta))
+    task = _with_terms(motion, task, _with(task.layout.terms, node.values))
+    chosen = task.layout.everything.take(np.flatnonzero(node.model))
+    return task, calmed(replace(_fresh(fitted.state, task.layout), chosen=chosen, theta=node.theta))
 
 
-def _on_gram(
-    task: Task, fitted: Fitted, family: Sequence[int], *values: Mapping[str, float]
-) -> list[tuple[float, Bools, Floats]]:
-    """Of each set of values, about a fit: log posterior of the likeliest model, that model, and its coefficients."""
-    terms, layout = task.layout.terms, task.layout
-    others = [_with(terms, one)[j] for one in values for j in family]
-    q, precision, odds = _beside(task, fitted, others)
-    wide = len(terms) + len(others) + 1
-    first = np.arange(layout.chains)[:, None] * wide
+def _on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence[Mapping[str, float]]) -> list[_Node]:
+    """What the likelihood about a fit makes of other values of a family's constants.
+
+    Beside each term stand its derivatives by its constants, so that a node of a grid covers its neighbourhood.
+    """
+    layout, P, C = task.layout, len(task.layout.terms), task.layout.chains
+    names = [(j, name) for j in family for name in layout.terms[j].unknowns]
+    others: list[Expression] = []
+    for one in values:
+        terms = _with(layout.terms, one)
+        others += [terms[j] for j in family]
+        others += [_derivative(terms[j], name) for j, name in names]
+    q, precision, odds = _beside(task, fitted, others, [*family, *(j for j, _ in names)])
+    wide, each = P + len(others) + 1, len(family) + len(names)
     out = []
-    for k in range(len(values)):
-        column = np.append(np.arange(len(terms)), wide - 1)
-        column[list(family)] = len(terms) + k * len(family) + np.arange(len(family))
-        at = (first + column).ravel()
-        own = replace(task, precision=precision[at], log_odds=odds[at], recent=[])
+    for k, one in enumerate(values):
+        column = np.append(np.arange(P), wide - 1)
+        column[list(family)] = P + k * each + np.arange(len(family))
+        column = np.append(column, P + k * each + len(family) + np.arange(len(names)))
+        at = (np.arange(C)[:, None] * wide + column).ravel()
+        known = odds[at].reshape(C, -1)
+        known[:, P + 1 :] = np.where(known[:, P + 1 :] > -np.inf, np.inf, -np.inf)
+        own = replace(task, precision=precision[at], log_odds=known.ravel(), recent=[])
         problem = own.problem(Quadratic(q.level, q.slope[at], q.information[np.ix_(at, at)]))
         score, model = best_models(problem)[0]
         coef, _ = exact_posterior(problem, model, None)
-        out.append((score, model, coef[model] / np.sqrt(own.precision[model])))
+        theta = (coef / np.sqrt(own.precision)).reshape(C, -1)
+        found = model.reshape(C, -1)[:, : P + 1]
+        moved = {}
+        constants = _constants(_with(layout.terms, one))
+        for name in one:
+            pairs = [(j, P + 1 + i) for i, (j, other) in enumerate(names) if other == name]
+            size = np.array([theta[:, j] for j, _ in pairs])
+            square, constant = float(np.sum(size**2)), constants[name]
+            step = float(np.sum(size * np.array([theta[:, i] for _, i in pairs]))) / square if square else 0.0
+            step = float(np.clip(step, -1.0, 1.0)) * min(1.0, _range(constant) / NODES / max(abs(step), 1e-300))
+            moved[name] = _bounded(constant, to_scale(constant, constant.value) + step)
+        out.append(_Node(moved, score, found.ravel(), theta[:, : P + 1][found]))
     return out
 
 
-def _beside(task: Task, fitted: Fitted, others: Sequence[Expression]) -> tuple[Quadratic, Floats, Floats]:
-    """The likelihood about zero of further terms too, and precision and log odds of all: as of those of their text."""
+def _beside(
+    task: Task, fitted: Fitted, others: Sequence[Expression], each: Sequence[int]
+) -> tuple[Quadratic, Floats, Floats]:
+    """The likelihood about zero of further terms too, and precision and log odds of all.
+
+    Those of the further terms, which come in groups as `each`, are as of these terms, by their variance.
+    """
     layout, P = task.layout, len(task.layout.terms)
     own, state = _extended(task, fitted.state, others)
     linears = own.linearised(state)
     found = marginal(linears, state, state.levels, own.precision_of(state))
     smoothed = adjoints(linears, state.levels, found, found.delta, curved=True)
     q = information(own.layout, linears, state, corrections(own.layout, linears, smoothed)).raised(fitted.power)
-    like = [next(j for j in range(P) if layout.terms[j].text == one.text) for one in others]
+    like = np.tile(each, len(others) // len(each))
     odds, precision = (values.reshape(layout.chains, -1) for values in (task.log_odds, task.precision))
     inside = np.concatenate([one.terms[:, P:-1] for one in linears]).var(axis=0)
     base = np.concatenate([one.terms[:, :P] for one in linears]).var(axis=0)[like]
@@ -289,17 +315,29 @@ def _tangents(layout: Layout, chosen: Candidates, theta: Floats) -> list[_Tangen
         if j == len(layout.terms):
             continue
         term = layout.terms[j]
-        for name, constant in term.unknowns.items():
-            place = to_scale(constant, constant.value)
-            step = STEP * (1.0 if is_scale(constant) else constant.high - constant.low)
-            up, down = (
-                term.with_unknowns({name: replace(constant, value=to_plain(constant, place + way * step))}).tree
-                for way in (1.0, -1.0)
-            )
-            change: Node = Binary("*", number(size / (2.0 * step)), Binary("-", up, down))
+        for name in term.unknowns:
+            change: Node = Binary("*", number(size), _derivative(term, name).tree)
             key = name, c
             sums[key] = Binary("+", sums[key], change) if key in sums else change
     return [_Tangent(name, c, Expression(change)) for (name, c), change in sums.items()]
+
+
+def _derivative(term: Expression, name: str) -> Expression:
+    """The derivative of a term by one of its constants, on its scale."""
+    constant = term.unknowns[name]
+    step = STEP * (1.0 if is_scale(constant) else constant.high - constant.low)
+    place = to_scale(constant, constant.value)
+    up, down = (
+        term.with_unknowns({name: replace(constant, value=to_plain(constant, place + way * step))}).tree
+        for way in (1.0, -1.0)
+    )
+    return Expression(Binary("*", number(0.5 / step), Binary("-", up, down)))
+
+
+def _bounded(constant: Unknown, place: float) -> float:
+    """A place on the scale of a constant, within its range, as a value."""
+    low, high = to_scale(constant, constant.low), to_scale(constant, constant.high)
+    return to_plain(constant, min(max(place, low), high))
 
 
 def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent], Floats]:
@@ -338,11 +376,10 @@ def _moved(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
             step = float(wide.theta[len(state.theta) + at] @ weight / weight.sum())
             most = FARTHEST * _range(constant)
             step = min(max(step, -most), most)
-            place = to_scale(constant, constant.value) + step
-            low, high = to_scale(constant, constant.low), to_scale(constant, constant.high)
-            place = min(max(place, low), high)
-            farthest = max(farthest, abs(place - to_scale(constant, constant.value)) * math.sqrt(float(weight.sum())))
-            values[name] = to_plain(constant, place)
+            place = to_scale(constant, constant.value)
+            values[name] = _bounded(constant, place + step)
+            moved = abs(to_scale(constant, values[name]) - place)
+            farthest = max(farthest, moved * math.sqrt(float(weight.sum())))
         chosen, theta = state.chosen, wide.theta[: len(state.theta)]
         task = replace(task, layout=replace(task.layout, terms=_with(task.layout.terms, values)), recent=[])
         state = replace(_fresh(wide, task.layout), chosen=chosen, theta=theta)
@@ -357,24 +394,19 @@ def joint_covariance(task: Task, state: State) -> tuple[Floats, tuple[ConstantEs
     own, wide, tangents, precision = _with_tangents(task, state)
     found = marginal(own.linearised(wide), wide, wide.levels, precision, keep=False)
     count = len(tangents)
-    constants, names = _constants(task.layout.terms), dict.fromkeys(one.name for one in tangents)
-    estimates = []
-    for name in names:
-        constant = constants[name]
+    terms, estimates = task.layout.terms, []
+    for name, constant in _constants(terms).items():
+        low, high, scale = constant.low, constant.high, is_scale(constant)
         at = [len(state.theta) + k for k in range(count) if tangents[k].name == name]
-        sd = float(1.0 / np.sqrt(np.sum(1.0 / np.diagonal(found.covariance)[at])))
-        place = to_scale(constant, constant.value)
-        ends = [to_plain(constant, place + way * Z95 * sd) for way in (-1.0, 1.0)]
-        inside = tuple(
-            task.layout.terms[j].text
-            for j in dict.fromkeys(state.chosen.term.tolist())
-            if j < len(task.layout.terms) and name in task.layout.terms[j].unknowns
-        )
-        low, high = max(ends[0], constant.low), min(ends[1], constant.high)
-        scale = is_scale(constant)
-        estimates.append(
-            ConstantEstimate(name, constant.value, sd, (low, high), constant.low, constant.high, scale, inside)
-        )
+        used = range(len(terms)) if not at else [j for j in dict.fromkeys(state.chosen.term.tolist()) if j < len(terms)]
+        inside = tuple(terms[j].text for j in used if name in terms[j].unknowns)
+        sd, ends = None, [low, high]
+        if at:
+            sd = float(1.0 / np.sqrt(np.sum(1.0 / np.diagonal(found.covariance)[at])))
+            place = to_scale(constant, constant.value)
+            ends = [to_plain(constant, place + way * Z95 * sd) for way in (-1.0, 1.0)]
+        ci95 = max(ends[0], low), min(ends[1], high)
+        estimates.append(ConstantEstimate(name, constant.value, sd, ci95, low, high, scale, inside))
     return found.covariance[: len(state.theta), : len(state.theta)], tuple(estimates)
 
 
@@ -402,11 +434,17 @@ def _costs(task: Task, fitted: Fitted) -> dict[int, float]:
     lost = {
         one.name: min(0.0, math.log(math.sqrt(2.0 * math.pi) * one.sd / _range(constants[one.name])))
         for one in estimates
+        if one.sd is not None
     }
     return {j: sum(lost.get(name, 0.0) for name in term.unknowns) for j, term in enumerate(terms) if term.unknowns}
 
 
-def _by_rows(
+def _by_rows(task: Task, motion: Motion, family: Sequence[int]) -> list[dict[str, float]]:
+    """Values of a family's constants, those first that explain most of the smoothed rows."""
+    return _ranked(task.layout.terms, motion, _allowed(task), family)[0]
+
+
+def _ranked(
     terms: Sequence[Expression], motion: Motion, allowed: Bools, family: Sequence[int]
 ) -> tuple[list[dict[str, float]], list[float]]:
     """Values of a family's constants, those first that explain most of the smoothed rows beside the other terms."""

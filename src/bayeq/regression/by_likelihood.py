@@ -13,6 +13,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.likelihood.projection import projected
 from bayeq.likelihood.record_fit import RecordFit
+from bayeq.likelihood.unknowns import ConstantEstimate, Forms
 from bayeq.regression.design import Design
 from bayeq.regression.regression import Regression, judged_by
 
@@ -58,6 +59,16 @@ class RecordRegression(Regression):
     def tau(self) -> float:
         """As of `Regression`."""
         return self.record.nearly.tau[self.k]
+
+    @property
+    def constants(self) -> tuple[ConstantEstimate, ...]:
+        """As of `Regression`."""
+        return self.record.constants(self.k)
+
+    @property
+    def forms(self) -> Forms:
+        """As of `Regression`."""
+        return self.record.forms
 
     @property
     def discrepancy(self) -> float | None:

@@ -16,6 +16,7 @@ from bayeq.gram import Gram
 from bayeq.gram.gram import grams_from_blocks
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Discrepancy, Octave
+from bayeq.likelihood.unknowns import ConstantEstimate, Forms
 from bayeq.regression.design import Design
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
 from bayeq.regression.thinning import thinned_gram, without_noise
@@ -91,6 +92,16 @@ class Regression:
     def tau(self) -> float:
         """Most probable size of what a law lacks that is nearly true, as a share of the target's standard deviation."""
         return 0.0
+
+    @property
+    def constants(self) -> tuple[ConstantEstimate, ...]:
+        """Constants inside the candidates, which the likelihood of the records finds."""
+        return ()
+
+    @property
+    def forms(self) -> Forms:
+        """Log posteriors of the members of every either-or, found by the same."""
+        return {}
 
     @property
     def discrepancy(self) -> float | None:
