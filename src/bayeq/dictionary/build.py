@@ -27,6 +27,7 @@ from bayeq.dictionary.specification import (
 from bayeq.errors import ExpressionError, FileFormatError, InputError, UnknownNameError, require_kind
 from bayeq.expressions import Binary, Evaluator, Expression, Negate, Node, Unknown, parse
 from bayeq.expressions.functions import FUNCTIONS
+from bayeq.expressions.implicit import MOST_COUPLED, multiplied
 from bayeq.expressions.nodes import arguments_of
 from bayeq.records.io import near_files
 
@@ -129,7 +130,7 @@ def build_dictionaries(
     if given is None and not _by_equation(specification):
         assert not isinstance(specification, Mapping)
         terms = build_dictionary(specification, variables)
-        return terms, np.ones((len(targets), len(terms)), dtype=np.bool_)
+        return terms, _apart(terms, targets, np.ones((len(targets), len(terms)), dtype=np.bool_))
     own = []
     for k, target in enumerate(targets):
         one = given[target] if given is not None else specification
@@ -141,7 +142,37 @@ def build_dictionaries(
                 raise
             raise InputError(f"equation {target}: {error}") from error
     whole = tuple(dict.fromkeys(term for terms in own for term in terms))
-    return whole, np.array([[term in terms for term in whole] for terms in map(set, own)], dtype=np.bool_)
+    allowed = np.array([[term in terms for term in whole] for terms in map(set, own)], dtype=np.bool_)
+    return whole, _apart(whole, targets, allowed)
+
+
+def _apart(terms: Sequence[Expression], targets: Sequence[str], allowed: Bools) -> Bools:
+    """Which terms each equation may have: none has its own target on its right-hand side.
+
+    Raises
+    ------
+    InputError
+        A term that is not proportional to the one target in it, or that no equation may have.
+    """
+    out = allowed.copy()
+    for j, term in enumerate(terms):
+        try:
+            part = multiplied(term, targets)
+        except ValueError as error:
+            raise InputError(f"term {error}: a highest derivative may only be a factor of a term") from None
+        if part is not None:
+            out[part[0], j] = False
+            if len(targets) > MOST_COUPLED:
+                raise InputError(
+                    f"term {term.text}: highest derivatives are solved for in at most {MOST_COUPLED} equations"
+                )
+            if not out[:, j].any():
+                target = targets[part[0]]
+                raise InputError(
+                    f"term {term.text}: {target} would stand on both sides of its equation; for a law with a"
+                    " denominator write a constant inside a term, as in x/({K} + x)"
+                )
+    return out
 
 
 def _by_equation(specification: Specification) -> bool:

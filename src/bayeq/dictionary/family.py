@@ -23,12 +23,15 @@ class Variables:
         The states chain by chain; empty where that is not known.
     own : int or None
         The chain whose equation the terms are for; None for all.
+    targets : tuple of str
+        Highest derivatives, which terms of other equations may be proportional to.
     """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...] = ()
     chains: tuple[tuple[str, ...], ...] = ()
     own: int | None = None
+    targets: tuple[str, ...] = ()
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -41,5 +44,6 @@ class Variables:
 
     @property
     def known(self) -> tuple[str, ...]:
-        """The names, and t, the time."""
-        return self.names if TIME in self.names else (*self.names, TIME)
+        """The names, those of the targets, and t, the time."""
+        names = (*self.names, *self.targets)
+        return names if TIME in names else (*names, TIME)

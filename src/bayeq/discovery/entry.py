@@ -229,7 +229,8 @@ def question_of(
     smooth = current(smooth)
     _check_tails(tails, smooth)
     _check_band(band, smooth)
-    variables = Variables(roles.states, roles.inputs, tuple(chain.states for chain in roles.chains))
+    chained = tuple(chain.states for chain in roles.chains)
+    variables = Variables(roles.states, roles.inputs, chained, targets=roles.targets)
     if is_library(dictionary):
         dictionary = terms_of(dictionary, variables.names)
     terms, allowed = build_dictionaries(dictionary, roles.targets, variables)

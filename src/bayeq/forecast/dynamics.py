@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
+from bayeq.expressions.implicit import inverse, multiplied, product, solved, total
 from bayeq.expressions.tape import Program
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Drive, local_errors
@@ -102,18 +103,29 @@ class Dynamics:
         targets: list[Expression] = []
         parameters: list[str] = []
         forces: list[str] = []
+        sides: list[Node] = []
+        heads = [law.chain.target for law in laws]
+        multipliers: list[list[list[Node]]] = [[[] for _ in laws] for _ in laws]
         for k, (law, members) in enumerate(zip(laws, kept, strict=True)):
             # names that no channel can have
             names = [f"theta[{k},{j}]" for j in range(len(members) + 1)]
-            total: Node = Symbol(names[0]) if constant[k] else Number(0)
+            side: Node = Symbol(names[0]) if constant[k] else Number(0)
             for name, term in zip(names[1:], members, strict=True):
-                total = Binary("+", total, Binary("*", Symbol(name), term.tree))
+                part = multiplied(term, heads)
+                if part is None:
+                    side = Binary("+", side, Binary("*", Symbol(name), term.tree))
+                else:
+                    multipliers[k][part[0]].append(product(Symbol(name), part[1].tree))
             parameters += names[not constant[k] :]
             if forced and law.posterior.error_lines:
                 forces.append(f"force[{k}]")
-                total = Binary("+", total, Symbol(forces[-1]))
-            targets.append(Expression(total))
-            above = [*map(Symbol, law.chain.states[1:]), total]
+                side = Binary("+", side, Symbol(forces[-1]))
+            sides.append(side)
+        if any(any(row) for row in multipliers):
+            sides = solved(inverse([[total(one) for one in row] for row in multipliers]), sides)
+        for law, side in zip(laws, sides, strict=True):
+            targets.append(Expression(side))
+            above = [*map(Symbol, law.chain.states[1:]), side]
             factors = rates(law.chain, law.unit_gains)
             for factor, node in zip(factors, above, strict=True):
                 slopes.append(Expression(node if factor == 1.0 else Binary("*", number(factor), node)))

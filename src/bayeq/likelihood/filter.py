@@ -255,7 +255,7 @@ def _forward(
     path, end, transition, gradient, residual, kinds, follows = linear[:7]
     added, memory, steps = noise.channels, noise.memory, noise.steps
     spread, unresolved, terms = linear.spread, linear.unresolved, linear.terms
-    force, discrepancy = linear.force, linear.discrepancy
+    force, discrepancy, coupling = linear.force, linear.discrepancy, linear.coupling
     work, step, lines, scaled, variances = at
     innovation, variance, gain, mean, covariance = out[:5]
     size, start, used = path.shape[1], 1 + len(chosen.chain), 0
@@ -288,7 +288,10 @@ def _forward(
                     for i in range(size):
                         S += gradient[k, -1 - kind, i] * lines[0, start + i]
                     for j in range(len(chain)):
-                        if chain[j] == -1 - kind:
+                        if len(coupling):
+                            share = coupling[k, -1 - kind, chain[j]] if -1 - kind < coupling.shape[1] else 0.0
+                            lines[0, 1 + j] += share * terms[k, term[j]]
+                        elif chain[j] == -1 - kind:
                             lines[0, 1 + j] += linear.open_to[k, chain[j]] * terms[k, term[j]]
                 lines[0, 0] -= residual[k, channel]
                 unit = 1.0 / np.sqrt(S)

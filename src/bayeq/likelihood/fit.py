@@ -13,7 +13,7 @@ from bayeq.likelihood.blur import Blur, blur_of
 from bayeq.likelihood.filter import Filtered, run_filter
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series
 from bayeq.likelihood.levels import Levels
-from bayeq.likelihood.linear import Linear, derivatives_along, linearise, terms_at
+from bayeq.likelihood.linear import Linear, derivatives_along, linearise, targets_along, terms_at
 from bayeq.numerics.minimise import minimise
 
 __all__ = [
@@ -138,11 +138,12 @@ def linearised(layout: Layout, series: Sequence[Series], state: State, substeps:
 
 def candidates(layout: Layout, series: Sequence[Series], state: State, step: int = 1) -> list[Floats]:
     """All candidates and the constant along a fit's paths, at every `step`-th sample, (n, P + 1) of each record."""
-    blurs = state.blurs or (None,) * len(series)
-    return [
-        terms_at(layout, path[::step], (one.inputs if blur is None else blur.beside(one.inputs))[::step])
-        for one, path, blur in zip(series, state.paths, blurs, strict=True)
-    ]
+    blurs, out = state.blurs or (None,) * len(series), []
+    for one, path, blur in zip(series, state.paths, blurs, strict=True):
+        inputs, along = (one.inputs if blur is None else blur.beside(one.inputs))[::step], path[::step]
+        free, _ = targets_along(layout, along, inputs, state.chosen, state.theta)
+        out.append(terms_at(layout, along, inputs, free))
+    return out
 
 
 def quadratic(filtered: Sequence[Filtered]) -> Quadratic:

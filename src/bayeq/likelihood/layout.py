@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bayeq.expressions import Binary, Call, Expression, Node, Number, Symbol, Tape, number
 from bayeq.expressions.functions import TIME
+from bayeq.expressions.implicit import inverse, multiplied, product, solved, substituted_targets, total
 from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import jumps_of, mean_of_jumps
 from bayeq.states import Roles, rates
@@ -244,13 +245,42 @@ class Layout:
         widths: dict[Node, Node] = {jump: Symbol(name) for jump, name in zip(self.jumps, self.jump_widths, strict=True)}
         return tuple(Expression(mean_of_jumps(term.tree, widths)) for term in self.terms)
 
+    @cached_property
+    def implicit(self) -> tuple[tuple[int, Expression] | None, ...]:
+        """Of every term the target that it is proportional to, and the rest; empty where no term holds any."""
+        parts = tuple(multiplied(term, self.roles.targets) for term in self.terms)
+        return parts if any(parts) else ()
+
+    def solved(self, chosen: Candidates) -> tuple[list[Node], list[list[Node]]]:
+        """The targets without their discrepancies, and (I - A)^-1 of the mass matrix I - A (`expressions.implicit`)."""
+        b: list[list[Node]] = [[] for _ in range(self.chains)]
+        A: list[list[list[Node]]] = [[[] for _ in range(self.chains)] for _ in range(self.chains)]
+        for k, (c, j) in enumerate(zip(chosen.chain.tolist(), chosen.term.tolist(), strict=True)):
+            part = self.implicit[j] if j < len(self.terms) else None
+            whole = self.blurred[j].tree if j < len(self.terms) else number(1)
+            place = b[c] if part is None else A[c][part[0]]
+            place.append(product(Symbol(f"theta[{k}]"), whole if part is None else part[1].tree))
+        inverted = inverse([[total(one) for one in row] for row in A])
+        return solved(inverted, [total(one) for one in b]), inverted
+
     def tape(self, chosen: Candidates) -> Tape:
-        """Rates of the states, targets, chosen terms, in states, t, widths and the terms' coefficients."""
+        """Rates of the states, targets, chosen terms, in states, t, widths and the terms' coefficients.
+
+        Of implicit equations the targets without discrepancies and (I - A)^-1 follow.
+        """
         parameters = [f"theta[{j}]" for j in range(len(chosen.chain))]
         targets: list[Node] = [Symbol(f"d[{c}]") for c in range(self.chains)]
         terms: list[Node] = [self.blurred[j].tree if j < len(self.terms) else number(1) for j in chosen.term]
-        for name, c, term in zip(parameters, chosen.chain, terms, strict=True):
-            targets[c] = Binary("+", targets[c], Binary("*", Symbol(name), term))
+        further: list[Node] = []
+        if self.implicit:
+            free, inverted = self.solved(chosen)
+            targets = [Binary("+", one, d) for one, d in zip(free, targets, strict=True)]
+            values: dict[Node, Node] = dict(zip(map(Symbol, self.roles.targets), free, strict=True))
+            terms = [substituted_targets(term, values) for term in terms]
+            further = [*free, *(entry for row in inverted for entry in row)]
+        else:
+            for name, c, term in zip(parameters, chosen.chain, terms, strict=True):
+                targets[c] = Binary("+", targets[c], Binary("*", Symbol(name), term))
         out: list[Node] = []
         for chain, factors, target in zip(self.roles.chains, self.rates, targets, strict=True):
             for factor, node in zip(factors, [*map(Symbol, chain.states[1:]), target], strict=True):
@@ -259,7 +289,8 @@ class Layout:
         for name, width in zip(self.roles.inputs, self.widths, strict=True):
             out += [*(Symbol(f"{name}[{k}]") for k in range(1, width)), Number(0)]
         return Tape.compile(
-            map(Expression, [*out, *targets, *terms]), [*self.names, *self.given, *self.jump_widths, *parameters]
+            map(Expression, [*out, *targets, *terms, *further]),
+            [*self.names, *self.given, *self.jump_widths, *parameters],
         )
 
     @cached_property
@@ -279,6 +310,7 @@ class Layout:
 
     @cached_property
     def terms_tape(self) -> Tape:
-        """The candidate terms and the constant, in states, t and widths of jumps."""
+        """The candidate terms and the constant, in states, t, widths of jumps, and targets where terms hold them."""
         trees: Sequence[Node] = [*(term.tree for term in self.blurred), Number(1)]
-        return Tape.compile(map(Expression, trees), [*self.names, *self.given, *self.jump_widths])
+        further = self.roles.targets if self.implicit else ()
+        return Tape.compile(map(Expression, trees), [*self.names, *self.given, *self.jump_widths, *further])

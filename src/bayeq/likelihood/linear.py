@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
+from bayeq.expressions import Evaluator, Expression
 from bayeq.likelihood.blur import Blur, Hold, crossings, first_blur
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.steps import Steps, add_derivatives, arrays, integrate
 
-__all__ = ["Linear", "derivatives_along", "linearise", "sources_of", "terms_at"]
+__all__ = ["Linear", "derivatives_along", "linearise", "sources_of", "targets_along", "terms_at"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -51,6 +52,8 @@ class Linear(NamedTuple):
         See `Layout.discrepancy`.
     terms : (n, P + 1) array
         The candidates and the constant at the path.
+    coupling : (n, C, C) array
+        Derivatives of the targets by the right-hand sides, (I - A)^-1, where terms hold targets; otherwise empty.
     open_to : (n, C) array
         Share of a term that shows in a sample of its target: 1, and 0 where a jump makes up for it.
     chosen : Candidates
@@ -77,6 +80,7 @@ class Linear(NamedTuple):
     bends: Floats
     discrepancy: Ints
     terms: Floats
+    coupling: Floats
     open_to: Floats
     chosen: Candidates
     sources: Floats
@@ -136,6 +140,7 @@ def linearise(
         layout.motion,
         layout.rising,
         layout.straight,
+        bool(layout.implicit),
     )
     end, transition, sources, target, gradient = arrays(
         (n - 1, size), (n - 1, size, size), (n - 1, layout.motion, len(theta)), (n, chains), (n, chains, size)
@@ -160,6 +165,7 @@ def linearise(
         seen += path[:, layout.drifts]
         kinds, gradient = _with_drifts(layout, gradient)
     related = (transition != 0.0).any(axis=0)
+    free, coupling = targets_along(layout, path, inputs, chosen, theta)
     return Linear(
         path=path,
         end=end,
@@ -174,7 +180,8 @@ def linearise(
         force=blur.force,
         bends=bends,
         discrepancy=layout.discrepancy,
-        terms=terms_at(layout, path, inputs),
+        terms=terms_at(layout, path, inputs, free),
+        coupling=coupling,
         open_to=open_to,
         chosen=chosen,
         sources=sources,
@@ -254,10 +261,33 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
         transition[:, slope] = np.einsum("nj,njs->ns", factors, transition[:, states])
 
 
-def terms_at(layout: Layout, path: Floats, inputs: Floats) -> Floats:
-    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps."""
+def _columns(layout: Layout, path: Floats, inputs: Floats) -> dict[str, Floats]:
     columns = dict(zip(layout.names, np.asfortranarray(path).T, strict=True))
-    columns |= dict(zip((*layout.given, *layout.jump_widths), inputs[:, :, 0].T, strict=True))
+    return columns | dict(zip((*layout.given, *layout.jump_widths), inputs[:, :, 0].T, strict=True))
+
+
+def targets_along(
+    layout: Layout, path: Floats, inputs: Floats, chosen: Candidates, theta: Floats
+) -> tuple[Floats, Floats]:
+    """Targets without discrepancies, (n, C), and (I - A)^-1, (n, C, C), of implicit equations; of others empty."""
+    chains = layout.chains
+    if not layout.implicit:
+        return np.zeros((0, chains)), np.zeros((0, chains, chains))
+    free, inverted = layout.solved(chosen)
+    values = {f"theta[{j}]": value for j, value in enumerate(theta.tolist())}
+    evaluate = Evaluator({**_columns(layout, path, inputs), **values})
+    shared = [[evaluate(Expression(node)) for node in row] for row in inverted]
+    return np.stack([evaluate(Expression(node)) for node in free], axis=1), np.moveaxis(np.array(shared), 2, 0).copy()
+
+
+def terms_at(layout: Layout, path: Floats, inputs: Floats, free: Floats) -> Floats:
+    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps.
+
+    `free` are the targets without discrepancies, (n, C), where terms hold them.
+    """
+    columns = _columns(layout, path, inputs)
+    if layout.implicit:
+        columns |= dict(zip(layout.roles.targets, free.T, strict=True))
     out = np.ones((len(path), len(layout.terms) + 1))
     out[:, :-1] = evaluate_terms(layout.blurred, columns)
     return out
@@ -267,6 +297,10 @@ def derivatives_along(linear: Linear, at_samples: Floats, between: Floats) -> Fl
     """Derivatives of all candidates along directions (n, C, S) at samples, and (n - 1, C, S) between: (C, P + 1)."""
     out = np.zeros((at_samples.shape[1], linear.terms.shape[1]))
     steps = linear.steps.fresh()
+    if len(linear.coupling):
+        # a term moves every target; that it moves the mass matrix too is left out
+        at_samples = np.einsum("nec,nes->ncs", linear.coupling, at_samples)
+        between = np.einsum("nec,nes->ncs", linear.coupling[:-1], between)
     add_derivatives(steps, linear.path, linear.end, at_samples, False, out)
     add_derivatives(steps, linear.path[:-1], linear.end, between, True, out)
     return out

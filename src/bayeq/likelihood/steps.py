@@ -52,6 +52,8 @@ class Steps(NamedTuple):
         Whether the rate of a state behind them is the next one, and not 0.
     straight : (S,) int array
         How a state behind them goes from one sample to the next: `SMOOTH`, `STRAIGHT` or `HELD`.
+    implicit : bool
+        Whether terms hold targets: then the program gives these without discrepancies, and (I - A)^-1, at last.
     """
 
     program: Program
@@ -66,6 +68,7 @@ class Steps(NamedTuple):
     motion: int
     rising: NDArray[np.bool_]
     straight: Ints
+    implicit: bool
 
     def fresh(self) -> Steps:
         """The steps with registers of their own."""
@@ -142,17 +145,25 @@ def _rates(
             else:
                 for j in range(o, size):
                     rate[i, 1 + j] += factor * work.powers[o, j]
-    r = width - 1 - size
-    first = size + len(steps.factors)
+    r, chains = width - 1 - size, len(steps.factors)
+    first, free = size + chains, len(program.outputs) - chains * (chains + 1)
     if r and not own:
         for i in range(size):
             basis.registers[i] = registers[i]
         _set_inputs(basis, steps.inputs, size, row, fraction)
+        if steps.implicit:
+            for c in range(chains):
+                basis.registers[size + steps.inputs.shape[1] + c] = registers[program.outputs[free + c]]
         run_tape(basis, None)
     for j in range(r):
         c = chosen.chain[j]
         term = registers[program.outputs[first + j]] if own else basis.registers[basis.outputs[chosen.term[j]]]
-        rate[steps.last[c], 1 + size + j] += steps.factors[c] * term
+        if steps.implicit:
+            for e in range(chains):
+                shared = registers[program.outputs[free + chains * (1 + e) + c]]
+                rate[steps.last[e], 1 + size + j] += steps.factors[e] * shared * term
+        else:
+            rate[steps.last[c], 1 + size + j] += steps.factors[c] * term
 
 
 @kernel(borrowing=True)
@@ -241,6 +252,9 @@ def add_derivatives(steps: Steps, start: Floats, end: Floats, directions: Floats
     """
     program, (n, size), chains = steps.basis, start.shape, directions.shape[1]
     tangents = np.zeros((program.registers.shape[0], chains))
+    model = steps.program
+    of_model = np.zeros((model.registers.shape[0] if steps.implicit else 0, chains))
+    free = len(model.outputs) - chains * (chains + 1)
     for row in range(n):
         count = steps.substeps[row] if between else 1
         for node in range(count):
@@ -251,6 +265,18 @@ def add_derivatives(steps: Steps, start: Floats, end: Floats, directions: Floats
                 for c in range(chains):
                     tangents[i, c] = directions[row, c, i] / count
             _set_inputs(program, steps.inputs, size, row, fraction)
+            if steps.implicit:
+                for i in range(size):
+                    model.registers[i] = program.registers[i]
+                    for c in range(chains):
+                        of_model[i, c] = tangents[i, c]
+                _set_inputs(model, steps.inputs, size, row, fraction)
+                run_tape(model, of_model)
+                for e in range(chains):
+                    register = size + steps.inputs.shape[1] + e
+                    program.registers[register] = model.registers[model.outputs[free + e]]
+                    for c in range(chains):
+                        tangents[register, c] = of_model[model.outputs[free + e], c]
             run_tape(program, tangents)
             for c in range(chains):
                 for j in range(out.shape[1]):

@@ -11,6 +11,7 @@ otherwise than without: in the record, or where states and inputs are ten times 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.polynomial import degree
+from bayeq.expressions import Expression
 from bayeq.inference.collapsed.conditional import noise_given_model
 from bayeq.inference.collapsed.problem import all_rows
 from bayeq.inference.posterior import Posterior
@@ -76,7 +78,7 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float = TOL
     regression = fit.regression
     terms, motion = regression.design.terms, regression.motion
     spread = regression.rows.target_deviation
-    columns = [evaluate_terms(terms, points) for points in _points(motion)]
+    columns = [evaluate_terms(terms, points) for points in _points(motion, terms)]
     heavy = np.flatnonzero(average.probability >= LEAST)
     total, found = 0.0, Alternatives(0.0)
     for k in heavy.tolist():
@@ -97,15 +99,16 @@ def _root_mean_square(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _samples(motion: Motion) -> dict[str, Floats]:
-    """States and inputs of all training rows."""
-    names = (*motion.roles.states, *motion.roles.drivers)
+def _samples(motion: Motion, terms: Sequence[Expression]) -> dict[str, Floats]:
+    """States and inputs of all training rows; targets too that terms hold."""
+    held = [name for name in motion.roles.targets if any(name in term.names for term in terms)]
+    names = (*motion.roles.states, *motion.roles.drivers, *held)
     return {name: np.concatenate([rows.columns[name] for rows in motion.train]) for name in names}
 
 
-def _points(motion: Motion) -> list[dict[str, Floats]]:
+def _points(motion: Motion, terms: Sequence[Expression]) -> list[dict[str, Floats]]:
     """States and inputs at rows of the record, and each at rows of its own."""
-    whole, rng = _samples(motion), np.random.default_rng(SEED)
+    whole, rng = _samples(motion, terms), np.random.default_rng(SEED)
     rows = len(next(iter(whole.values())))
     together = rng.integers(rows, size=POINTS)
     apart = {name: values[rng.integers(rows, size=POINTS)] for name, values in whole.items()}
@@ -167,7 +170,7 @@ def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> 
     share = share * unit[inside][:, None] / unit[others]
     constant = gram.mean[others] - gram.mean[inside] @ share
     effect = np.zeros(len(others))
-    roles, whole = fit.regression.motion.roles, _samples(fit.regression.motion)
+    roles, whole = fit.regression.motion.roles, _samples(fit.regression.motion, terms)
     step = max(1, len(next(iter(whole.values()))) // ROWS)
     some = {name: values[::step] for name, values in whole.items()}
     for amplitude in AMPLITUDES:

@@ -1,0 +1,114 @@
+"""Equations whose terms hold highest derivatives of each other: ``a1 = ... + theta a2 cos(p - q)``.
+
+In matrices a = b + A a, where b sums the other terms and A holds what highest derivatives are multiplied by: the mass
+matrix is I - A. It is solved symbolically, so that a tape, its derivatives and whatever is integrated need to know
+nothing of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from bayeq.expressions.nodes import Binary, Expression, Negate, Node, Number, Symbol, arguments_of, with_arguments
+
+__all__ = ["MOST_COUPLED", "inverse", "multiplied", "product", "solved", "substituted_targets", "total"]
+
+#: Equations that are solved together, at most: the entries of the inverse grow with each.
+MOST_COUPLED = 4
+
+_ZERO, _ONE = Number(0), Number(1)
+
+
+def multiplied(term: Expression, targets: Sequence[str]) -> tuple[int, Expression] | None:
+    """The highest derivative that is a factor of a term, and the rest; None of a term without any.
+
+    Raises
+    ------
+    ValueError
+        A term that is not proportional to one highest derivative.
+
+    Examples
+    --------
+    >>> from bayeq.expressions import parse
+    >>> multiplied(parse("a2*cos(p-q)"), ["a1", "a2"])
+    (1, parse('cos(p-q)'))
+    """
+    inside = [k for k, name in enumerate(targets) if name in term.names]
+    if not inside:
+        return None
+    if len(inside) == 1:
+        rest = _without(term.tree, Symbol(targets[inside[0]]))
+        if rest is not None and targets[inside[0]] not in Expression(rest).names:
+            return inside[0], Expression(rest)
+    names = " and ".join(targets[k] for k in inside)
+    raise ValueError(f"{term.text} is not proportional to {names}")
+
+
+def _without(node: Node, factor: Symbol) -> Node | None:
+    """A product without one of its factors; None if that is none."""
+    if node == factor:
+        return _ONE
+    match node:
+        case Negate(operand):
+            rest = _without(operand, factor)
+            return None if rest is None else Negate(rest)
+        case Binary("*", left, right):
+            first = _without(left, factor)
+            if first is not None:
+                return product(first, right)
+            second = _without(right, factor)
+            return None if second is None else product(left, second)
+        case Binary("/", left, right):
+            rest = _without(left, factor)
+            return None if rest is None else Binary("/", rest, right)
+    return None
+
+
+def product(left: Node, right: Node) -> Node:
+    """The product of two nodes, without factors of 1 and 0."""
+    if _ZERO in (left, right):
+        return _ZERO
+    return right if left == _ONE else left if right == _ONE else Binary("*", left, right)
+
+
+def total(nodes: Sequence[Node]) -> Node:
+    """The sum of some nodes."""
+    out: Node = _ZERO
+    for node in nodes:
+        out = node if out == _ZERO else out if node == _ZERO else Binary("+", out, node)
+    return out
+
+
+def _minus(left: Node, right: Node) -> Node:
+    return left if right == _ZERO else Negate(right) if left == _ZERO else Binary("-", left, right)
+
+
+def inverse(A: Sequence[Sequence[Node]]) -> list[list[Node]]:
+    """(I - A)^-1, by Gauss and Jordan without pivots: A is small, or the equations say the same."""
+    n = len(A)
+    left = [[_minus(_ONE if i == j else _ZERO, A[i][j]) for j in range(n)] for i in range(n)]
+    right: list[list[Node]] = [[_ONE if i == j else _ZERO for j in range(n)] for i in range(n)]
+    for k in range(n):
+        pivot = left[k][k]
+        if pivot != _ONE:
+            left[k] = [one if one == _ZERO else Binary("/", one, pivot) for one in left[k]]
+            right[k] = [one if one == _ZERO else Binary("/", one, pivot) for one in right[k]]
+        for i in range(n):
+            factor = left[i][k]
+            if i != k and factor != _ZERO:
+                left[i] = [_minus(a, product(factor, b)) for a, b in zip(left[i], left[k], strict=True)]
+                right[i] = [_minus(a, product(factor, b)) for a, b in zip(right[i], right[k], strict=True)]
+                left[i][k] = _ZERO
+    return right
+
+
+def solved(inverted: Sequence[Sequence[Node]], b: Sequence[Node]) -> list[Node]:
+    """The highest derivatives, (I - A)^-1 b."""
+    return [total([product(g, one) for g, one in zip(row, b, strict=True)]) for row in inverted]
+
+
+def substituted_targets(node: Node, values: Mapping[Node, Node]) -> Node:
+    """A term with what highest derivatives are solved for in their place."""
+    if node in values:
+        return values[node]
+    return with_arguments(node, tuple(substituted_targets(part, values) for part in arguments_of(node)))
