@@ -12,7 +12,7 @@ from bayeq.errors import InputError, MissingExtraError, UnknownNameError
 from bayeq.expressions import Binary, Call, Constant, Evaluator, Expression, Negate, Node, Number, Unknown
 from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS, TIME
 from bayeq.expressions.parse import substituted, template
-from bayeq.forecast.dynamics import Law
+from bayeq.forecast.dynamics import Law, solved_laws
 from bayeq.states import rates
 
 __all__ = ["MODULES", "to_callable"]
@@ -30,7 +30,7 @@ def to_callable(laws: Sequence[Law], inputs: Sequence[str], timed: bool, module:
             array = import_module("jax.numpy")
         except ImportError:
             raise MissingExtraError("jax", "jax", "a function of JAX") from None
-    states = [name for law in laws for name in law.chain.states]
+    states, laws = [name for law in laws for name in law.chain.states], solved_laws(laws)
 
     def rhs(t: Any, y: Any, u: Any = None) -> Any:
         y, u = array.asarray(y), array.asarray([] if u is None else u)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import to_sympy
-from bayeq.forecast.dynamics import Law
+from bayeq.forecast.dynamics import Law, solved_laws
 from bayeq.states import rates
 
 __all__ = ["LANGUAGES", "Language", "to_code"]
@@ -114,7 +114,7 @@ def to_code(laws: Sequence[Law], inputs: Sequence[str], timed: bool, language: s
     places = {name: ("y", k) for k, name in enumerate(states)} | {name: ("u", k) for k, name in enumerate(inputs)}
     called = _names(list(places), row, len(states))
     renamed = {sympy.Symbol(name): sympy.Symbol(new) for name, new in called.items()}
-    slopes = [slope.xreplace(renamed) for law in laws for slope in _slopes(law)]
+    slopes = [slope.xreplace(renamed) for law in solved_laws(laws) for slope in _slopes(law)]
     used = {str(symbol) for slope in slopes for symbol in slope.free_symbols}
     results = [f"dy{row.first + k}" for k in range(len(slopes))]
     about = {

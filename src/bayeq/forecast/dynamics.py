@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Drive, local_errors
 from bayeq.states import Chain, Motion, Roles, rates
 
-__all__ = ["Dynamics", "Law", "finest_step", "normal_draws"]
+__all__ = ["Dynamics", "Law", "finest_step", "normal_draws", "solved_laws"]
 
 Floats = NDArray[np.float64]
 
@@ -47,6 +47,33 @@ class Law(NamedTuple):
     terms: Sequence[Expression]
     posterior: Posterior
     unit_gains: Sequence[float] = ()
+
+
+def solved_laws(laws: Sequence[Law]) -> list[Law]:
+    """The same laws, or, where terms hold highest derivatives, each with one term that is solved for them."""
+    heads = [law.chain.target for law in laws]
+    parts = [[multiplied(term, heads) for term in compress(law.terms, law.posterior.support)] for law in laws]
+    if not any(part for row in parts for part in row):
+        return list(laws)
+    sides: list[Node] = []
+    multipliers: list[list[list[Node]]] = [[[] for _ in laws] for _ in laws]
+    for k, (law, own) in enumerate(zip(laws, parts, strict=True)):
+        p = law.posterior
+        side: list[Node] = [number(p.intercept)]
+        members = compress(law.terms, p.support)
+        for term, part, value in zip(members, own, p.coef[p.support].tolist(), strict=True):
+            place = side if part is None else multipliers[k][part[0]]
+            place.append(product(number(value), term.tree if part is None else part[1].tree))
+        sides.append(total(side))
+    inverted = inverse([[total(one) for one in row] for row in multipliers])
+    alone = np.ones(1, dtype=np.bool_)
+    return [
+        law._replace(
+            terms=(Expression(side),),
+            posterior=replace(law.posterior, support=alone, coef=np.ones(1), center=np.zeros(1), target_mean=0.0),
+        )
+        for law, side in zip(laws, solved(inverted, sides), strict=True)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
