@@ -103,7 +103,7 @@ def oscillator(added: str, parameters: Parameters) -> System:
         terms={"a": {}},
         parameters={"c": 0.4, **parameters},
         initial={"x": 0.0, "v": 0.0},
-        inputs=("u", "q") if "q" in added else ("u",),
+        inputs=("u", "q") if added.startswith("+F*q") else ("u",),
         force=FORCE,
         n=ROWS * FINER,
         fs=RATE * FINER,
