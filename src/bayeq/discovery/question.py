@@ -135,7 +135,12 @@ class Question:
         constrained = _constrained(self.known, design, self.method)
 
         step("likelihood", 0, 1)
-        record = record_of(design, self.smooth, self.dictionary, self.prior, self.rules.tolerance)
+        record = record_of(design, self.smooth, self.dictionary, self.prior, self.rules.tolerance, constrained)
+        if any(one.stated for one in constrained) and (record is None or whole is not None):
+            raise InputError(
+                "constraints: what is known of a coefficient with ~ is taken by the likelihood of the record in memory:"
+                " use smooth='auto', and choose rows (--rows) of a long file"
+            )
         if record is None and motion.smoothing:
             log.warn(NO_LIKELIHOOD, DataWarning)
         if record is None and self.tails == "student":

@@ -25,6 +25,9 @@ from bayeq.selection.select import Selection
 
 __all__ = ["build_equations", "with_doubts"]
 
+# The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations.
+CONTRADICTED = 3.0
+
 # Share of the residuals of rows as measured that are worth an independent one, at least.
 INDEPENDENT = 0.5
 
@@ -231,6 +234,13 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             " from its fit; a longer record would tell",
             ConvergenceWarning,
         )
+    for j, mean, sd in selection.fit.constraints.stated:
+        if abs(posterior.coef[j] - mean) > CONTRADICTED * sd:
+            log.warn(
+                f"{target}: the record contradicts {posterior.names[j]} ~ {mean:g} +- {sd:g}, with it the coefficient is"
+                f" {posterior.coef[j]:.4g}: check both, or leave that out",
+                DataWarning,
+            )
     if posterior.contradicted:
         log.warn(
             f"{target}: the data contradict the known sign of {', '.join(posterior.contradicted)} (Bayes factor above"

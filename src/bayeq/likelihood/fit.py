@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayeq.likelihood.adjoint import Adjoint, adjoint
 from bayeq.likelihood.blur import Blur, blur_of
 from bayeq.likelihood.filter import Filtered, run_filter
-from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series
+from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series, Stated
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.linear import Linear, derivatives_along, linearise, targets_along, terms_at
 from bayeq.numerics.minimise import minimise
@@ -153,6 +153,19 @@ def quadratic(filtered: Sequence[Filtered]) -> Quadratic:
     return Quadratic(-0.5 * (logs + float(product[0, 0])), product[1:, 0], product[1:, 1:])
 
 
+def of_stated(stated: Sequence[Stated], chosen: Candidates, theta: Floats) -> Quadratic:
+    """The log likelihood of what is stated of coefficients, about some values of those that are not zero."""
+    r = len(theta)
+    level, slope, weight = 0.0, np.zeros(r), np.zeros(r)
+    for chain, term, mean, sd in stated:
+        at = np.flatnonzero((chosen.chain == chain) & (chosen.term == term))
+        missed = mean - float(theta[at].sum())
+        level -= 0.5 * (missed / sd) ** 2
+        slope[at] += missed / sd**2
+        weight[at] += sd**-2.0
+    return Quadratic(level, slope, np.diag(weight))
+
+
 def solved(A: Floats, B: Floats) -> Floats:
     """A^-1 B of a positive matrix that may be singular; B (r,) or (r, k)."""
     unit = 1.0 / np.sqrt(np.diagonal(A))
@@ -166,7 +179,7 @@ def marginal(
 ) -> Statistics:
     """The likelihood with the chosen coefficients integrated out under N(0, 1/precision); `keep` as in `run_filter`."""
     filtered = tuple(run_filter(linear, state.chosen, levels.noise, keep) for linear in linears)
-    q = quadratic(filtered)
+    q = quadratic(filtered) + of_stated(levels.layout.stated, state.chosen, state.theta)
     if not len(state.theta):
         return Statistics(q.level, np.zeros(0), np.zeros((0, 0)), filtered)
     if not (np.isfinite(q.level) and np.isfinite(q.information).all()):
@@ -334,8 +347,9 @@ def information(layout: Layout, linears: Sequence[Linear], state: State, curved:
     """The likelihood of all candidates about zero: what models are compared on."""
     every = layout.everything
     filtered = [run_filter(linear, every, state.levels.noise, keep=False) for linear in linears]
-    q = quadratic(filtered)
-    return Quadratic(q.level, q.information @ coefficients(layout, state) + q.slope + curved.ravel(), q.information)
+    theta = coefficients(layout, state)
+    q = quadratic(filtered) + of_stated(layout.stated, every, theta)
+    return Quadratic(q.level, q.information @ theta + q.slope + curved.ravel(), q.information)
 
 
 def coefficients(layout: Layout, state: State) -> Floats:

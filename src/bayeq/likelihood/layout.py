@@ -22,7 +22,7 @@ from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import jumps_of, mean_of_jumps
 from bayeq.states import Roles, rates
 
-__all__ = ["HELD", "NOTHING", "SMOOTH", "STRAIGHT", "Candidates", "Course", "Layout", "Series"]
+__all__ = ["HELD", "NOTHING", "SMOOTH", "STRAIGHT", "Candidates", "Course", "Layout", "Series", "Stated"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -52,6 +52,23 @@ class Candidates(NamedTuple):
 
 #: No coefficient.
 NOTHING = Candidates(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+
+
+class Stated(NamedTuple):
+    """What is known of a coefficient before: a normal distribution, as if it had been measured.
+
+    Attributes
+    ----------
+    chain, term : int
+        The coefficient, as in `Candidates`.
+    mean, sd : float
+        In original units.
+    """
+
+    chain: int
+    term: int
+    mean: float
+    sd: float
 
 
 class Series(NamedTuple):
@@ -103,6 +120,8 @@ class Layout:
         what the "cubic" or "band-limited" interpolation of the samples has beside one.
     drift : float
         What is left after a sample of the drift of every channel; 0 where there is none.
+    stated : tuple of Stated
+        What is known of coefficients before.
     """
 
     roles: Roles
@@ -113,6 +132,7 @@ class Layout:
     corners: tuple[float, ...] = ()
     courses: tuple[Course, ...] = ()
     drift: float = 0.0
+    stated: tuple[Stated, ...] = ()
 
     @cached_property
     def chains(self) -> int:

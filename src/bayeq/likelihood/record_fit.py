@@ -18,6 +18,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.block import Block, at_its_path
 from bayeq.likelihood.fit import Quadratic, State, candidates, solved
+from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.power import power_of
 from bayeq.likelihood.projection import Leftover, leftover
@@ -345,6 +346,7 @@ def fit_record(
     log_odds: Floats,
     grams: Sequence[Gram],
     tolerance: float | None = None,
+    stated: tuple[Stated, ...] = (),
 ) -> RecordFit | None:
     """Fit a dictionary to the training rows of some motion.
 
@@ -362,6 +364,8 @@ def fit_record(
         Of the smoothed rows, one per equation.
     tolerance : float, optional
         See `bayeq.discover`.
+    stated : tuple of Stated
+        What is known of coefficients before.
 
     Returns
     -------
@@ -374,7 +378,7 @@ def fit_record(
             some, places = _stretches(motion)
             log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
             log_odds = first_members(some, terms, log_odds)
-            task, states = start_from(some, terms, grams, log_odds, tolerance)
+            task, states = start_from(some, terms, grams, log_odds, tolerance, stated)
             task, fitted = search(task, states, partial(with_courses, some))
             task, fitted, forms = with_constants(some, task, fitted)
             if some is not motion:
@@ -418,7 +422,7 @@ def refit_record(
         return found
     task = former.task
     log_odds = task.log_odds if task.ranges is None else task.log_odds - task.ranges
-    other = fit_record(motion, terms, log_odds.reshape(-1, former.width), grams, task.tolerance)
+    other = fit_record(motion, terms, log_odds.reshape(-1, former.width), grams, task.tolerance, task.layout.stated)
     pairs = [one for one in (found, other) if one is not None]
     return max(pairs, key=lambda one: one.fitted.evidence, default=None)
 

@@ -19,7 +19,7 @@ from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, maximised
-from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout, Series
+from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout, Series, Stated
 from bayeq.likelihood.levels import COURSES, LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
 from bayeq.likelihood.search import INPUT_NOISE, Fitted, Task
@@ -69,7 +69,12 @@ LEAST_MEMORY, MOST_MEMORY = 0.05, 0.99
 
 
 def start_from(
-    motion: Motion, terms: Sequence[Expression], grams: Sequence[Gram], log_odds: Floats, tolerance: float | None
+    motion: Motion,
+    terms: Sequence[Expression],
+    grams: Sequence[Gram],
+    log_odds: Floats,
+    tolerance: float | None,
+    stated: tuple[Stated, ...] = (),
 ) -> tuple[Task, tuple[State, ...]]:
     """What is to be explained by a dictionary in the training rows of some motion, and where fits start.
 
@@ -85,6 +90,8 @@ def start_from(
         Of each candidate, and of the constant, not being zero.
     tolerance : float or None
         See `bayeq.discover`.
+    stated : tuple of Stated
+        What is known of coefficients before.
 
     Returns
     -------
@@ -94,7 +101,8 @@ def start_from(
     roles, pieces = motion.roles, motion.train
     known = motion.sensors.noise
     inputs = [_input(name, pieces, known.get(name), SMOOTHNESS) for name in roles.inputs]
-    layout = _with_inputs(Layout(roles, tuple(terms), motion.unit_gains, drift=_drift(motion)), inputs)
+    bare = Layout(roles, tuple(terms), motion.unit_gains, drift=_drift(motion), stated=stated)
+    layout = _with_inputs(bare, inputs)
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
     targets = _targets(roles, pieces)

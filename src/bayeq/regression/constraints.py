@@ -27,7 +27,7 @@ from bayeq.states.derive import LARGEST
 
 __all__ = ["Constraints", "Equalities", "parse_constraints"]
 
-_RELATIONS = "==|<=|>=|!=|<|>|="
+_RELATIONS = "==|<=|>=|!=|<|>|=|~"
 
 _SIGNS_ONLY = "an inequality gives the sign of one coefficient, as in 'v <= 0'; no sums, no bounds other than 0"
 
@@ -42,10 +42,13 @@ class Constraints:
         Linear equations between coefficients.
     signs : (P,) int array
         Known signs, 0 for unknown.
+    stated : tuple of (int, float, float)
+        Coefficients that are known about: the term, the mean and the standard deviation of a normal distribution.
     """
 
     equalities: Equalities
     signs: NDArray[np.int64]
+    stated: tuple[tuple[int, float, float], ...] = ()
 
     @property
     def binding(self) -> bool:
@@ -58,6 +61,7 @@ class Constraints:
         out = self.signs != 0
         out[self.equalities.eliminated] = True
         out[self.equalities.kept[(self.equalities.slopes != 0.0).any(axis=0)]] = True
+        out[[j for j, _, _ in self.stated]] = True
         return out
 
     def among(self, allowed: NDArray[np.bool_]) -> Constraints:
@@ -82,7 +86,8 @@ class Constraints:
         ]
         names = known.names
         equations += [(Linear({int(j): 1.0}, 0.0), f"term {names[j]}") for j in np.flatnonzero(~allowed)]
-        return replace(self, equalities=Equalities.solving(names, equations))
+        kept = tuple(one for one in self.stated if allowed[one[0]])
+        return replace(self, equalities=Equalities.solving(names, equations), stated=kept)
 
     def reduce(self, gram: Gram) -> Gram:
         """The regression that the equalities leave."""
@@ -155,8 +160,9 @@ def parse_constraints(
     ----------
     texts : str or sequence of str
         ``"u == 1"``, ``"x*abs(x) == 0.5*x**3"``, ``"x + 2*v == 3"``: linear equations between coefficients;
-        ``"v <= 0"``, ``"x**3 > 0"``: the sign of one (``<`` and ``<=`` mean the same). ``"a: v <= 0"`` concerns the
-        equation of target a only, others concern every equation.
+        ``"v <= 0"``, ``"x**3 > 0"``: the sign of one (``<`` and ``<=`` mean the same); ``"u ~ 0.1 +- 0.001"``: one
+        that was measured before, with its standard deviation. ``"a: v <= 0"`` concerns the equation of target a only,
+        others concern every equation.
     terms : sequence of Expression
         The P candidates.
     targets : sequence of str
@@ -186,19 +192,24 @@ def parse_constraints(
     names = tuple(term.text for term in terms)
     equations: dict[str, list[tuple[Linear, str]]] = {target: [] for target in targets}
     signs = {target: np.zeros(len(terms), dtype=np.int64) for target in targets}
+    stated: dict[str, list[tuple[int, float, float]]] = {target: [] for target in targets}
     for text in texts:
         if not isinstance(text, str):
             raise InputError(f"a constraint is text such as 'u == 1', not {text!r}")
         where = f"constraint {text if len(text) <= 60 else text[:57] + '...'!r}"
         target, body = _addressed(text, targets, where)
         left, relation, right = _sides(body, where)
+        if relation == "~":
+            for t in [target] if target else targets:
+                stated[t].append(_stated(reader.read(left, where), right, where))
+            continue
         difference = reader.read(left, where).plus(reader.read(right, where), -1.0)
         for t in [target] if target else targets:
             if relation == "==":
                 equations[t].append((difference, where))
             else:
                 _note_sign(signs[t], *_sign(difference, relation, where), names, where)
-    found = tuple(Constraints(Equalities.solving(names, equations[t]), signs[t]) for t in targets)
+    found = tuple(Constraints(Equalities.solving(names, equations[t]), signs[t], tuple(stated[t])) for t in targets)
     for constraints in found:
         constraints.prior(Prior())  # contradictions are reported at once
     return found
@@ -221,8 +232,22 @@ def _sides(text: str, where: str) -> tuple[str, str, str]:
     ends = [0, *(edge for m in found for edge in m.span()), len(text)]
     left, *rest = [text[a:b] for a, b in itertools.pairwise(ends)]
     if len(rest) != 2 or rest[0] in ("=", "!=") or not left.strip() or not rest[1].strip():
-        raise InputError(f"{where}: write one ==, <= or >= between two sides, as in 'u == 1' or 'v <= 0'")
+        raise InputError(f"{where}: write one ==, <=, >= or ~ between two sides, as in 'u == 1' or 'v <= 0'")
     return left.strip(), rest[0], rest[1].strip()
+
+
+def _stated(left: Linear, right: str, where: str) -> tuple[int, float, float]:
+    """The one term of a side, and the mean and standard deviation that its coefficient was measured with."""
+    form = f"{where}: write what is known of a coefficient as 'u ~ 0.1 +- 0.001'"
+    parts = [part.strip() for part in re.split(r"\+-|\+/-|±", right)]
+    try:
+        mean, sd = map(float, parts)
+    except ValueError:
+        raise InputError(form) from None
+    if left.constant != 0.0 or len(left.slopes) != 1 or not (abs(mean) <= LARGEST and 0.0 < sd <= LARGEST):
+        raise InputError(f"{form}: one term, a number, and a standard deviation above 0")
+    ((j, slope),) = left.slopes.items()
+    return j, mean / slope, sd / abs(slope)
 
 
 def _sign(difference: Linear, relation: str, where: str) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
+from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, fit_record
 from bayeq.regression.by_likelihood import RecordRegression
 from bayeq.regression.constraints import Constraints
@@ -51,11 +52,17 @@ def record_of(
     dictionary: Specification,
     prior: Prior | None = None,
     tolerance: float | None = None,
+    constraints: Sequence[Constraints] = (),
 ) -> RecordFit | None:
-    """The likelihood of the records of a design; None where it is not used, or cannot be evaluated."""
+    """The likelihood of the records of a design; None where it is not used, or cannot be evaluated.
+
+    Of constraints it takes what is stated of coefficients.
+    """
     if smooth != "auto" or not design.motion.smoothing:
         return None
-    return fit_record(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train, tolerance)
+    stated = tuple(Stated(c, *one) for c, own in enumerate(constraints) for one in own.stated)
+    log_odds = _log_odds(design, dictionary, prior)
+    return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, stated)
 
 
 def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
