@@ -237,8 +237,8 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     for j, mean, sd in selection.fit.constraints.stated:
         if abs(posterior.coef[j] - mean) > CONTRADICTED * sd:
             log.warn(
-                f"{target}: the record contradicts {posterior.names[j]} ~ {mean:g} +- {sd:g}, with it the coefficient is"
-                f" {posterior.coef[j]:.4g}: check both, or leave that out",
+                f"{target}: the record contradicts {posterior.names[j]} ~ {mean:g} +- {sd:g}: with it the coefficient"
+                f" is {posterior.coef[j]:.4g}; check both, or leave that out",
                 DataWarning,
             )
     if posterior.contradicted:
