@@ -83,6 +83,10 @@ Examples:
     help="What is known of coefficients, by the names of terms: 'u == 1', 'v <= 0', 'a: x*abs(x) == 0.5*x**3' (of"
     " equation a). Once per constraint.",
 )
+@opt.in_terms(
+    "--differs",
+    help="Terms whose coefficients may differ between the records, 'x, v', or all: differences are candidates.",
+)
 @opt.sure(
     "--noise",
     multiple=True,

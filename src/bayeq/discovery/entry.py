@@ -66,6 +66,7 @@ def discover(
     coarsen: float = 1.0,
     prior: Prior | None = None,
     constraints: str | Sequence[str] = (),
+    differs: str | Sequence[str] = (),
     noise: Mapping[str, float | str] | None = None,
     gain_sd: Mapping[str, float | str] | None = None,
     tails: Tails = "gauss",
@@ -129,8 +130,12 @@ def discover(
         those units; its v_s is used as it is.
     constraints : str or sequence of str
         What is known of the coefficients, in original units: linear equations, ``"u == 1"``,
-        ``"x*abs(x) == 0.5*x**3"``, and signs, ``"v <= 0"`` (methods auto and bma). They concern every equation,
-        or with a target in front that one, ``"a: v <= 0"``.
+        ``"x*abs(x) == 0.5*x**3"``, signs, ``"v <= 0"`` (methods auto and bma), and what was measured before, with its
+        standard deviation, ``"u ~ 0.1 +- 0.001"``. They concern every equation, or with a target in front that one,
+        ``"a: v <= 0"``.
+    differs : str or sequence of str
+        Terms whose coefficients may differ between records, ``"x, v"``, or ``"all"``: each has a candidate difference
+        ``x*run2`` in every record but the first, with a probability of its own.
     noise : mapping of str to float or str, optional
         Known noise of channels: standard deviations in the channel's unit, or shares of its own such as ``"2%"``. It is
         then not learned from the record. 0 is a channel without noise.
@@ -211,6 +216,7 @@ def question_of(
     coarsen: float,
     prior: Prior | None,
     constraints: str | Sequence[str],
+    differs: str | Sequence[str],
     noise: Mapping[str, float | str] | None,
     gain_sd: Mapping[str, float | str] | None,
     tails: Tails,
@@ -219,7 +225,7 @@ def question_of(
     progress: Progress | None,
 ) -> Question:
     """The arguments of `discover`, checked before any record is read."""
-    _check_kinds(method, smooth, prior, seed, progress, constraints)
+    _check_kinds(method, smooth, prior, seed, progress, constraints, differs)
     rules = Rules(max_terms, tolerance)
     rules.check(method)
     _check_shares(holdout, coarsen)
@@ -248,6 +254,7 @@ def question_of(
         coarsen=coarsen,
         prior=prior,
         known=known,
+        differs=differs,
         noise=noise,
         gain_sd=gain_sd,
         tails=tails,
@@ -261,10 +268,13 @@ def _silent(stage: str, done: int, total: int) -> None:
     """No progress shown."""
 
 
-def _check_kinds(method: Any, smooth: Any, prior: Any, seed: Any, progress: Any, constraints: Any) -> None:
+def _check_kinds(
+    method: Any, smooth: Any, prior: Any, seed: Any, progress: Any, constraints: Any, differs: Any
+) -> None:
     require_text(method, "method")
     require_text(smooth, "smooth")
     require_texts(constraints, "constraints")
+    require_texts(differs, "differs")
     if prior is not None:
         require_kind(prior, Prior, "prior", "a Prior")
     if progress is not None:

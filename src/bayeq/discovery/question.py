@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import Specification, written
+from bayeq.discovery.differs import with_differences
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations, EquationTuple
@@ -84,6 +85,7 @@ class Question:
     coarsen: float
     prior: Prior | None
     known: tuple[str, ...]
+    differs: str | Sequence[str]
     noise: Mapping[str, float | str]
     gain_sd: Mapping[str, float | str]
     tails: Tails
@@ -112,6 +114,9 @@ class Question:
         NotStreamed
             Stretches do not do for what is asked.
         """
+        if self.differs:
+            question, numbered = self._by_record(records, whole)
+            return question.answer(numbered, None, because)
         log, step = WarningLog(), self.step
         measured = list(records)
         if because is not None:
@@ -174,6 +179,14 @@ class Question:
             scores=scores,
         )
         return answer, log
+
+    def _by_record(self, records: Sequence[Record], whole: Whole | None) -> tuple[Question, list[Record]]:
+        """The question with a candidate difference of each coefficient that may differ, and numbered records."""
+        if whole is not None:
+            raise InputError("differs: the records have to be in memory: choose some rows, --rows")
+        numbered, names, terms, allowed = with_differences(self.differs, records, self.terms, self.allowed)
+        roles = replace(self.roles, inputs=(*self.roles.inputs, *names))
+        return replace(self, roles=roles, terms=terms, allowed=allowed, differs=()), numbered
 
     def _motion(self, records: list[Record], log: WarningLog, whole: Whole | None) -> tuple[Motion, list[Record]]:
         """States, and the records that they are of."""

@@ -99,7 +99,7 @@ def start_from(
         The states are the regression of the smoothed rows, and the motion without any term.
     """
     roles, pieces = motion.roles, motion.train
-    known = motion.sensors.noise
+    known = _known_noise(motion)
     inputs = [_input(name, pieces, known.get(name), SMOOTHNESS) for name in roles.inputs]
     bare = Layout(roles, tuple(terms), motion.unit_gains, drift=_drift(motion), stated=stated)
     layout = _with_inputs(bare, inputs)
@@ -125,6 +125,14 @@ def start_from(
     empty = State(NOTHING, np.zeros(0), paths, levels)
     task = Task(layout, series, precision_of_terms(motion, layout), log_odds.ravel(), tolerance=tolerance)
     return task, (_by_rows(empty, grams, log_odds[:, :-1] > -np.inf), empty)
+
+
+def _known_noise(motion: Motion) -> dict[str, float]:
+    """Known standard deviations of the noise of channels: 0 of inputs that stay as they are in every record."""
+    still = {
+        name: 0.0 for name in motion.roles.inputs if all(np.ptp(rows.columns[name]) == 0.0 for rows in motion.records)
+    }
+    return still | dict(motion.sensors.noise)
 
 
 def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str, float]) -> NDArray[np.bool_]:
@@ -222,7 +230,7 @@ def _with_inputs(layout: Layout, inputs: Sequence[_Input]) -> Layout:
 def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator[list[tuple[Task, State]]]:
     """The task with other courses of input k, smooth as it is and a random sequence; the fit as a start."""
     inputs, name = _inputs_of(fitted.state), task.layout.roles.inputs[k]
-    random = _input(name, motion.train, motion.sensors.noise.get(name), (0,))._replace(noise=inputs[k].noise)
+    random = _input(name, motion.train, _known_noise(motion).get(name), (0,))._replace(noise=inputs[k].noise)
     for own, courses in ((inputs[k], OTHERWISE), (random, (*OTHERWISE, *BENT))):
         others = [own._replace(course=course) for course in courses]
         yield [_with_others(motion, task, fitted.state, [*inputs[:k], one, *inputs[k + 1 :]]) for one in others]
