@@ -28,7 +28,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 from bayeq.records import as_records, with_row_numbers
 from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_unasked
-from bayeq.regression.constraints import parse_constraints
+from bayeq.regression.constraints import parse_constraints, parse_ties
 from bayeq.selection.select import Rules
 from bayeq.states import Roles, Smooth, Tails, check_sensors
 from bayeq.states.derive import current
@@ -132,7 +132,8 @@ def discover(
         What is known of the coefficients, in original units: linear equations, ``"u == 1"``,
         ``"x*abs(x) == 0.5*x**3"``, signs, ``"v <= 0"`` (methods auto and bma), and what was measured before, with its
         standard deviation, ``"u ~ 0.1 +- 0.001"``. They concern every equation, or with a target in front that one,
-        ``"a: v <= 0"``.
+        ``"a: v <= 0"``. ``"a1: x1-x2 == 2*(a2: x2-x1)"`` ties coefficients of two equations; where the record
+        contradicts that, it is said, and the answer is the one without.
     differs : str or sequence of str
         Terms whose coefficients may differ between records, ``"x, v"``, or ``"all"``: each has a candidate difference
         ``x*run2`` in every record but the first, with a probability of its own.
@@ -241,6 +242,7 @@ def question_of(
         dictionary = terms_of(dictionary, variables.names)
     terms, allowed = build_dictionaries(dictionary, roles.targets, variables)
     known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
+    parse_ties(known, terms, roles.targets)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
     return Question(
         roles=roles.for_terms(terms),

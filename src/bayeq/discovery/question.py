@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +21,12 @@ from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.prior import SIGNED, Prior
+from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import MOST_CANDIDATES, RecordFit, refit_record
 from bayeq.likelihood.unknowns import first_values
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows
 from bayeq.regression.by_likelihood import regressions_of
-from bayeq.regression.constraints import Constraints, parse_constraints
+from bayeq.regression.constraints import Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
 from bayeq.regression.joint import fit_equations, record_of
 from bayeq.selection.select import TOLERANCE, Rules, Selection, select
@@ -61,6 +64,9 @@ NO_TAILS = (
 
 # With fewer training rows there is no regression.
 LEAST_TRAINING_ROWS = 3
+
+# Ties are contradicted by a record that is likelier without them by more nats.
+CONTRADICTED = 5.0
 
 # Channels are checked against each other with straight lines over missing samples if these are a smaller share.
 MOST_BRIDGED = 0.05
@@ -140,11 +146,11 @@ class Question:
         constrained = _constrained(self.known, design, self.method)
 
         step("likelihood", 0, 1)
-        record = record_of(design, self.smooth, self.dictionary, self.prior, self.rules.tolerance, constrained)
-        if any(one.stated for one in constrained) and (record is None or whole is not None):
+        record, tied = self._record(design, constrained, log)
+        if (tied or any(one.stated for one in constrained)) and (record is None or whole is not None):
             raise InputError(
-                "constraints: what is known of a coefficient with ~ is taken by the likelihood of the record in memory:"
-                " use smooth='auto', and choose rows (--rows) of a long file"
+                "constraints: ~, and ties between equations, are taken by the likelihood of the record in memory: use"
+                " smooth='auto', and choose rows (--rows) of a long file"
             )
         if record is None and motion.smoothing:
             log.warn(NO_LIKELIHOOD, DataWarning)
@@ -179,6 +185,30 @@ class Question:
             scores=scores,
         )
         return answer, log
+
+    def _record(
+        self, design: Design, constrained: Sequence[Constraints], log: WarningLog
+    ) -> tuple[RecordFit | None, bool]:
+        """The likelihood of the records, and whether ties between equations were asked for.
+
+        It is compared with that without them, which is taken where the record contradicts them.
+        """
+        ties = parse_ties(self.known, design.terms, design.motion.roles.targets)
+        asked = partial(record_of, design, self.smooth, self.dictionary, self.prior, self.rules.tolerance, constrained)
+        free = asked()
+        if not ties or free is None:
+            return free, bool(ties)
+        record = asked(ties=[Stated(parts, value, 0.0) for _, parts, value in ties])
+        lost = math.inf if record is None else free.of_motion - record.of_motion
+        if lost < CONTRADICTED:
+            return record, True
+        odds = f"1:{math.exp(lost):.0f}" if lost < 10.0 else f"1:10^{lost / math.log(10.0):.0f}"
+        log.warn(
+            f"the record contradicts {'; '.join(text for text, _, _ in ties)} (odds {odds}): shown without; check"
+            " factors, signs and units",
+            DataWarning,
+        )
+        return free, True
 
     def _by_record(self, records: Sequence[Record], whole: Whole | None) -> tuple[Question, list[Record]]:
         """The question with a candidate difference of each coefficient that may differ, and numbered records."""

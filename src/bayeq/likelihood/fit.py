@@ -156,14 +156,16 @@ def quadratic(filtered: Sequence[Filtered]) -> Quadratic:
 def of_stated(stated: Sequence[Stated], chosen: Candidates, theta: Floats) -> Quadratic:
     """The log likelihood of what is stated of coefficients, about some values of those that are not zero."""
     r = len(theta)
-    level, slope, weight = 0.0, np.zeros(r), np.zeros(r)
-    for chain, term, mean, sd in stated:
-        at = np.flatnonzero((chosen.chain == chain) & (chosen.term == term))
-        missed = mean - float(theta[at].sum())
+    level, slope, information = 0.0, np.zeros(r), np.zeros((r, r))
+    for parts, mean, sd in stated:
+        weight = np.zeros(r)
+        for chain, term, factor in parts:
+            weight[(chosen.chain == chain) & (chosen.term == term)] = factor
+        missed = mean - float(weight @ theta)
         level -= 0.5 * (missed / sd) ** 2
-        slope[at] += missed / sd**2
-        weight[at] += sd**-2.0
-    return Quadratic(level, slope, np.diag(weight))
+        slope += weight * missed / sd**2
+        information += np.outer(weight, weight) / sd**2
+    return Quadratic(level, slope, information)
 
 
 def solved(A: Floats, B: Floats) -> Floats:

@@ -55,18 +55,17 @@ NOTHING = Candidates(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
 
 class Stated(NamedTuple):
-    """What is known of a coefficient before: a normal distribution, as if it had been measured.
+    """What is known of a sum of coefficients before: a normal distribution, as if it had been measured.
 
     Attributes
     ----------
-    chain, term : int
-        The coefficient, as in `Candidates`.
+    parts : tuple of (int, int, float)
+        Equation and term, as in `Candidates`, and factor of each coefficient.
     mean, sd : float
-        In original units.
+        In original units. A standard deviation of 0 is a tie: the sum is that number.
     """
 
-    chain: int
-    term: int
+    parts: tuple[tuple[int, int, float], ...]
     mean: float
     sd: float
 

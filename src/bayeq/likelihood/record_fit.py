@@ -30,6 +30,7 @@ from bayeq.likelihood.search import (
     among_neighbours,
     fit,
     from_all_levels,
+    of_motion,
     resumed,
     search,
     with_model,
@@ -152,6 +153,11 @@ class RecordFit:
             return replace(self, fitted=replace(other, power=self.fitted.power))
         except np.linalg.LinAlgError:  # motion that it does not stay near: as the likelihood about the former tells it
             return replace(self, fitted=replace(self.fitted, model=model), own=False)
+
+    @property
+    def of_motion(self) -> float:
+        """ln p(data, model) of the motion, given the inputs, up to a constant of the record."""
+        return of_motion(self.task, self.fitted)
 
     @property
     def width(self) -> int:

@@ -49,6 +49,7 @@ __all__ = [
     "finer",
     "fit",
     "from_all_levels",
+    "of_motion",
     "resumed",
     "search",
     "settle",

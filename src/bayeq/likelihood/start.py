@@ -64,6 +64,9 @@ FIRST_COURSE = 1e-2
 # The spectrum of a drift falls, as that of a random walk, from this share of the lowest frequency that is believed.
 SLOWEST = 0.1
 
+# A tie holds to this share of the prior's standard deviation of its first coefficient, whose log odds alone are -ALONE.
+TIED, ALONE = 1e-6, 3.0
+
 # Memory of discrepancies at first.
 LEAST_MEMORY, MOST_MEMORY = 0.05, 0.99
 
@@ -101,8 +104,7 @@ def start_from(
     roles, pieces = motion.roles, motion.train
     known = _known_noise(motion)
     inputs = [_input(name, pieces, known.get(name), SMOOTHNESS) for name in roles.inputs]
-    bare = Layout(roles, tuple(terms), motion.unit_gains, drift=_drift(motion), stated=stated)
-    layout = _with_inputs(bare, inputs)
+    layout = _with_inputs(Layout(roles, tuple(terms), motion.unit_gains, drift=_drift(motion)), inputs)
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
     targets = _targets(roles, pieces)
@@ -123,8 +125,26 @@ def start_from(
         held=held,
     )
     empty = State(NOTHING, np.zeros(0), paths, levels)
-    task = Task(layout, series, precision_of_terms(motion, layout), log_odds.ravel(), tolerance=tolerance)
+    precision, odds = precision_of_terms(motion, layout), log_odds.ravel().copy()
+    layout = replace(layout, stated=tuple(_tied(one, layout, precision, odds) for one in stated))
+    empty = replace(empty, levels=replace(levels, layout=layout))
+    task = Task(layout, series, precision, odds, tolerance=tolerance)
     return task, (_by_rows(empty, grams, log_odds[:, :-1] > -np.inf), empty)
+
+
+def _tied(stated: Stated, layout: Layout, precision: Floats, odds: Floats) -> Stated:
+    """A tie as a sum that is known very well; the first of its coefficients gets the odds that follow from the others.
+
+    Within TIED of a prior's standard deviation the sum has a share TIED of the prior probability, which those odds
+    make up for; alone the first coefficient is nothing, so that odds of 1/20 are left to that.
+    """
+    if stated.sd > 0.0:
+        return stated
+    c, j, factor = stated.parts[0]
+    first = c * (len(layout.terms) + 1) + j
+    if odds[first] > -math.inf:
+        odds[first] = -math.log(TIED) - ALONE
+    return stated._replace(sd=TIED * abs(factor) / math.sqrt(float(precision[first])))
 
 
 def _known_noise(motion: Motion) -> dict[str, float]:

@@ -25,7 +25,7 @@ from bayeq.inference.prior import Prior
 from bayeq.regression.equalities import Equalities, Linear
 from bayeq.states.derive import LARGEST
 
-__all__ = ["Constraints", "Equalities", "parse_constraints"]
+__all__ = ["Constraints", "Equalities", "parse_constraints", "parse_ties"]
 
 _RELATIONS = "==|<=|>=|!=|<|>|=|~"
 
@@ -196,6 +196,8 @@ def parse_constraints(
     for text in texts:
         if not isinstance(text, str):
             raise InputError(f"a constraint is text such as 'u == 1', not {text!r}")
+        if _is_tie(text):
+            continue
         where = f"constraint {text if len(text) <= 60 else text[:57] + '...'!r}"
         target, body = _addressed(text, targets, where)
         left, relation, right = _sides(body, where)
@@ -213,6 +215,64 @@ def parse_constraints(
     for constraints in found:
         constraints.prior(Prior())  # contradictions are reported at once
     return found
+
+
+def parse_ties(
+    texts: str | Sequence[str], terms: Sequence[Expression], targets: Sequence[str]
+) -> tuple[tuple[str, tuple[tuple[int, int, float], ...], float], ...]:
+    """Read ties between the coefficients of several equations, ``"a1: x1-x2 == 2*(a2: x2-x1)"``.
+
+    Returns
+    -------
+    tuple of (str, tuple of (int, int, float), float)
+        The text; equation, term and factor of each coefficient, and what their sum is.
+
+    Raises
+    ------
+    InputError
+        Malformed text, or a term that is not a candidate.
+    """
+    texts = [texts] if isinstance(texts, str) else list(texts)
+    reader, out = _Reader(terms, {}), []
+    for text in filter(_is_tie, texts):
+        where = f"constraint {text if len(text) <= 60 else text[:57] + '...'!r}"
+        sides = text.split("==")
+        if len(sides) != 2:
+            raise InputError(f"{where}: write a tie as 'a1: x1-x2 == 2*(a2: x2-x1)'")
+        parts: list[tuple[int, int, float]] = []
+        total = 0.0
+        for side, sign in zip(sides, (1.0, -1.0), strict=True):
+            factor, target, body = _side_of(side, where)
+            if target not in targets:
+                raise UnknownNameError("equation", target, targets, where=where)
+            linear = reader.read(body, where).times(sign * factor)
+            parts += [(list(targets).index(target), j, slope) for j, slope in linear.slopes.items()]
+            total -= linear.constant
+        if len(parts) < 2:
+            raise InputError(f"{where}: a tie needs a coefficient on each side")
+        out.append((text, tuple(parts), total))
+    return tuple(out)
+
+
+def _side_of(text: str, where: str) -> tuple[float, str, str]:
+    """Factor, target and body of a side such as ``2*(a2: x2-x1)``."""
+    found = re.fullmatch(r"(?:([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*\*)?\s*(.*)", text.strip())
+    assert found is not None
+    number, rest = found[1], found[2]
+    inside = rest[1:-1] if rest.startswith("(") and rest.endswith(")") else rest
+    target, colon, body = (part.strip() for part in inside.partition(":"))
+    try:
+        factor = 1.0 if number is None else float(number)
+    except ValueError:
+        colon = ""
+    if not (colon and body) or not 0.0 < abs(factor) <= LARGEST:
+        raise InputError(f"{where}: write a tie as 'a1: x1-x2 == 2*(a2: x2-x1)'")
+    return factor, target, body
+
+
+def _is_tie(text: str) -> bool:
+    """Whether a constraint names two equations."""
+    return isinstance(text, str) and text.count(":") > 1
 
 
 def _addressed(text: str, targets: Sequence[str], where: str) -> tuple[str | None, str]:

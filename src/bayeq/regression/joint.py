@@ -53,16 +53,17 @@ def record_of(
     prior: Prior | None = None,
     tolerance: float | None = None,
     constraints: Sequence[Constraints] = (),
+    ties: Sequence[Stated] = (),
 ) -> RecordFit | None:
     """The likelihood of the records of a design; None where it is not used, or cannot be evaluated.
 
-    Of constraints it takes what is stated of coefficients.
+    Of constraints it takes what is stated of coefficients; `ties` are between those of several equations.
     """
     if smooth != "auto" or not design.motion.smoothing:
         return None
-    stated = tuple(Stated(c, *one) for c, own in enumerate(constraints) for one in own.stated)
+    stated = [Stated(((c, j, 1.0),), mean, sd) for c, own in enumerate(constraints) for j, mean, sd in own.stated]
     log_odds = _log_odds(design, dictionary, prior)
-    return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, stated)
+    return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, (*stated, *ties))
 
 
 def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
