@@ -33,8 +33,8 @@ def info(files: tuple[Path, ...], as_json: bool, channels: tuple[str, ...], **op
     """
     from importlib.metadata import version
 
+    from bayeq.inspection.info import copies_among, proposal_for_all
     from bayeq.inspection.info import info as describe
-    from bayeq.inspection.info import proposal_for_all
 
     reading, named = Reading.of(options), Names()
     for text in channels:
@@ -49,7 +49,10 @@ def info(files: tuple[Path, ...], as_json: bool, channels: tuple[str, ...], **op
         parts = [one.to_dict() for one in found]
         whole = parts[0] if len(parts) == 1 else {"files": parts, "next": together and together.to_dict()}
         click.echo(json.dumps({"version": version("bayeq"), **whole}, allow_nan=False))
-    elif together is not None:
+        return
+    for line in copies_among(found):
+        click.echo(f"\n{line}")
+    if together is not None:
         click.echo(f"\nnext, for all {len(found)} files\n  {together.command}")
     elif len(found) > 1:
         click.echo("\nthe files differ in channels or roles: they are not proposed to be used together")

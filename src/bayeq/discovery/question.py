@@ -24,7 +24,7 @@ from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import MOST_CANDIDATES, RecordFit, refit_record
 from bayeq.likelihood.unknowns import first_values
-from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows
+from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, without_copies
 from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
@@ -36,6 +36,7 @@ from bayeq.states import (
     Smooth,
     Tails,
     estimate_motion,
+    force_of_blows,
     known_sensors,
     measured_apart,
     require_in_range,
@@ -125,6 +126,9 @@ class Question:
             return question.answer(numbered, None, because)
         log, step = WarningLog(), self.step
         measured = list(records)
+        if whole is None:
+            measured, copies = without_copies(records, self.roles.channels)
+            log.extend(copies, DataWarning)
         if because is not None:
             log.warn(because, DataWarning)
         if any(map(counts_rows, measured)):
@@ -233,6 +237,7 @@ class Question:
             log.extend(messages, DataWarning)
         motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
         _warn_of_sensors(motion, {*self.noise, *self.gain_sd}, log)
+        _warn_of_blows(pieces, roles.inputs, sensors.noise, log)
         _inspect(motion, pieces, self.holdout, log)
         return motion, pieces
 
@@ -429,6 +434,19 @@ def _warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
             " inputs it would be; leave it out, or use smooth='auto' with time and 10 rows or more",
             DataWarning,
         )
+
+
+def _warn_of_blows(records: Sequence[Record], inputs: Sequence[str], known: Mapping[str, float], log: WarningLog) -> None:
+    """Say what noise would do that a force window hides: between blows there is none to be seen."""
+    for name in inputs:
+        blows = None if name in known else force_of_blows(name, records)
+        if blows is not None:
+            change = float(np.abs(blows).max() / np.sqrt(blows @ blows))
+            log.warn(
+                f"{name} is exactly 0 between blows, its noise is not seen: 1 % of the peak would be {change:.1g} % of its"
+                f" coefficient (--noise {name}=SD)",
+                DataWarning,
+            )
 
 
 def _warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) -> None:

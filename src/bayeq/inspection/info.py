@@ -19,12 +19,12 @@ from bayeq.inspection.proposal import Proposal, Reading, propose
 from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clue_of, guess_roles
 from bayeq.inspection.samples import find_bad
 from bayeq.inspection.timing import Experiments, gaps_of, sort_rows, starts_from_rest
-from bayeq.records import Record, as_record, check_record, read
+from bayeq.records import Record, as_record, check_record, read, without_copies
 from bayeq.records.names import is_time_name
 from bayeq.records.record import with_only
 from bayeq.states.bad_samples import ADVICE
 
-__all__ = ["RecordInfo", "info", "proposal_for_all"]
+__all__ = ["RecordInfo", "copies_among", "info", "proposal_for_all"]
 
 # Of longer records channels are checked against each other on this many rows, the middle ones.
 CHECKED = 40_000
@@ -258,6 +258,13 @@ def proposal_for_all(found: Sequence[RecordInfo]) -> Proposal | None:
     return propose(first.guess, first.clues, replace(first.reading, files=files), sum(one.rows for one in found))
 
 
+def copies_among(found: Sequence[RecordInfo]) -> list[str]:
+    """A sentence on each file with the samples of an earlier one."""
+    records = [replace(one.experiments.records[0], name=one.name) for one in found if len(one.experiments.records) == 1]
+    alike = [record for record in records if record.names == records[0].names]
+    return without_copies(alike, alike[0].names)[1] if alike else []
+
+
 # --- what was noticed, a sentence each ------------------------------------------------------------------------------
 
 
@@ -298,12 +305,14 @@ def _on_experiments(found: RecordInfo) -> list[str]:
         return [f"{one.column} numbers the experiments: there is one"] if one.column else _on_parts(found)
     least, most = min(record.n for record in one.records), max(record.n for record in one.records)
     rows = f"{least} row{'s' * (least != 1)} each" if least == most else f"{least} to {most} rows each"
+    _, copies = without_copies(one.records, one.records[0].names)
     if one.column is not None:
-        return [f"{count} experiments, {rows}, numbered by {one.column}"]
+        return [f"{count} experiments, {rows}, numbered by {one.column}", *copies]
     first = 1 + one.records[0].n
     return [
         f"{count} experiments, {rows}: time starts over, first in row {first}, and no column numbers them; add one and"
-        " name it with --group, or write a file for each"
+        " name it with --group, or write a file for each",
+        *copies,
     ]
 
 

@@ -4,7 +4,7 @@
 `Truth` what is known about a simulated one. Nothing here imports pandas or pyarrow before it is needed.
 """
 
-from bayeq.records.findings import Finding, check_messages, check_record
+from bayeq.records.findings import Finding, check_messages, check_record, without_copies
 from bayeq.records.formats import FORMATS, Format
 from bayeq.records.io import as_record, as_records, read, write
 from bayeq.records.join import join
@@ -24,5 +24,5 @@ from bayeq.records.truth import FloatArray, Truth
 __all__ = [
     "FORMATS", "RESERVED", "SAMPLES", "UNKNOWN_TIME", "Finding", "FloatArray", "Format", "Record", "Truth", "as_record",
     "as_records", "check_messages", "check_record", "clean_name", "clean_names", "correct_delay", "counts_rows", "join",
-    "read", "remove_offset", "split_at_gaps", "with_row_numbers", "write",
+    "read", "remove_offset", "split_at_gaps", "with_row_numbers", "without_copies", "write",
 ]  # fmt: skip

@@ -20,7 +20,7 @@ from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
 from bayeq.records.units import derivative_ratio
 
-__all__ = ["Clipping", "Finding", "check_messages", "check_record", "clipped_levels", "equal_runs"]
+__all__ = ["Clipping", "Finding", "check_messages", "check_record", "clipped_levels", "equal_runs", "without_copies"]
 
 Floats = NDArray[np.float64]
 
@@ -63,6 +63,9 @@ LEAST_REPEATS = 3
 LEVELS_PER_STEP = 8.0
 MOST_REPEATED = 0.3
 
+# Rows that come again: this many in a row are no chance.
+LEAST_AGAIN = 20
+
 # Fewer rows tell nothing.
 LEAST_ROWS_TO_CHECK = 20
 
@@ -75,7 +78,7 @@ class Finding:
     ----------
     kind : str
         ``"offset"``, ``"drift"``, ``"delay"``, ``"sign"``, ``"gain"``, ``"inconsistent"``, ``"clipping"``,
-        ``"dropped"`` or ``"repeated"``.
+        ``"dropped"``, ``"repeated"`` or ``"again"``.
     channels : tuple of str
         The channel that is at fault, then those that it was compared with.
     message : str
@@ -136,7 +139,7 @@ def check_record(
         if whole[name] and record.n >= LEAST_ROWS_TO_CHECK:
             clipped = _clipped(name, record[name])
             found += clipped or _repeated(name, record[name])
-    return found
+    return found + _again(record, [name for name in dict.fromkeys((*names, *inputs)) if whole[name]])
 
 
 def check_messages(
@@ -156,6 +159,20 @@ def check_messages(
         f"{record.name or 'a record'}: {message}{f' (and {count[key] - 1} more records alike)' * (count[key] > 1)}"
         for key, (record, message) in first.items()
     ]
+
+
+def without_copies(records: Sequence[Record], names: Sequence[str]) -> tuple[list[Record], list[str]]:
+    """Records without those whose channels repeat an earlier one sample by sample, and a sentence on each of these."""
+    first: dict[tuple[bytes, ...], str] = {}
+    kept, messages = [], []
+    for k, record in enumerate(records, start=1):
+        name = record.name or f"record {k}"
+        other = first.setdefault(tuple(np.asarray(record[one]).tobytes() for one in names), name)
+        if len(first) > len(kept):
+            kept.append(record)
+        else:
+            messages.append(f"{name} has the same samples as {other}: left out")
+    return kept, messages
 
 
 # --- channels against each other -------------------------------------------------------------------------------------
@@ -351,6 +368,26 @@ def _dropped(record: Record, name: str) -> list[Finding]:
     return [Finding("dropped", (name,), message, float(missing))]
 
 
+def _again(record: Record, names: Sequence[str]) -> list[Finding]:
+    """The longest stretch of rows whose samples stand earlier in the record already."""
+    if not names or record.n < 2 * LEAST_AGAIN:
+        return []
+    _, first, of_row = np.unique(record[names[0]], return_index=True, return_inverse=True)
+    earlier = first[of_row]
+    same = np.all([record[name] == record[name][earlier] for name in names], axis=0)
+    # what stands still has rows ever further from the first
+    lag = np.where(same, np.arange(record.n) - earlier, 0)
+    starts, lengths = equal_runs(lag.astype(np.float64))
+    lengths = np.where(lag[starts] > 0, lengths, 0)
+    longest = int(np.argmax(lengths))
+    if lengths[longest] < LEAST_AGAIN:
+        return []
+    a, b = int(starts[longest]), int(starts[longest] + lengths[longest])
+    shift = int(lag[a])
+    message = f"rows {a + 1} to {b} have the same samples as rows {a - shift + 1} to {b - shift}: leave them out (--rows)"
+    return [Finding("again", tuple(names), message, float(b - a))]
+
+
 def equal_runs(values: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First rows and lengths of runs of equal consecutive samples."""
     starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
@@ -385,7 +422,7 @@ def clipped_levels(values: Floats) -> list[Clipping]:
         lengths = lengths[inner[starts] == level]
         count, longest = int(lengths.sum()), int(lengths.max(initial=0))
         beyond_chance = unlike or count >= max(LEAST_CLIPPED, TIMES_NEXT * int(near.max()))
-        if longest >= LEAST_RUN and beyond_chance and count < MOST_AT_REST * len(values):
+        if longest >= LEAST_RUN and beyond_chance and count < MOST_AT_REST * len(inner):
             found.append(Clipping(which, level, count, longest))
     return found
 

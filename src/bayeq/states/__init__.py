@@ -5,7 +5,7 @@ from bayeq.states.derived_channels import measured_apart
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing
 from bayeq.states.motion import FEW_ROWS, Motion, MotionRows, estimate_motion
 from bayeq.states.roles import Chain, Roles, parse_chain, parse_chains
-from bayeq.states.sensors import Sensors, Tails, check_sensors, known_sensors
+from bayeq.states.sensors import Sensors, Tails, check_sensors, force_of_blows, known_sensors
 from bayeq.states.unit_gains import rates, unit_gains
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "check_sensors",
     "derive_states",
     "estimate_motion",
+    "force_of_blows",
     "known_sensors",
     "measured_apart",
     "parse_chain",

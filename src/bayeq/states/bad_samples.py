@@ -285,13 +285,20 @@ class _Group:
             mask[:, frequent] = False
         return model
 
+    def is_constant(self, i: int) -> bool:
+        """Whether the first channel of a record has one value besides its spikes."""
+        return not np.ptp(self._without_spikes(i))
+
     def is_noise(self, i: int) -> bool:
         """Whether there is nothing but noise in the first channel of a record besides its spikes."""
-        values = np.asarray(self.series[i].channels[0])[~self.spikes[i][:, 0]]
-        values = values[np.isfinite(values)]
+        values = self._without_spikes(i)
         # of white noise steps have twice the variance
         steps, spread = np.median(np.abs(np.diff(values))), np.median(np.abs(values - np.median(values)))
         return bool(steps >= ONLY_NOISE * math.sqrt(2.0) * spread)
+
+    def _without_spikes(self, i: int) -> Floats:
+        values = np.asarray(self.series[i].channels[0])[~self.spikes[i][:, 0]]
+        return values[np.isfinite(values)]
 
 
 def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
@@ -306,7 +313,9 @@ def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
                 answered |= _wider(chain.spikes[i][:, -1] | chain.missed[i] | _blows(answer))
                 chain.spikes[i][_wider(blows), -1] = False
             places = _places(np.flatnonzero(spikes[:, 0]), ANSWER)
-            unseen = not seen and len(places) >= LEAST_BLOWS and group.is_noise(i)
+            # beside a force that a window made zero between blows there is nothing but these
+            few = len(places) < LEAST_BLOWS and not group.is_constant(i)
+            unseen = not seen and not few and group.is_noise(i)
             for place in places:
                 if unseen or answered[place].any():
                     spikes[place] = False

@@ -285,7 +285,7 @@ def _oscillator(
     displacement: str | None, velocity: str | None, acceleration: str | None, inputs: Sequence[str]
 ) -> tuple[Chain, ...]:
     """The chain of one second-order coordinate from the names of its channels."""
-    if displacement is None and acceleration is None:
+    if displacement is None and velocity is None and acceleration is None:
         raise ChainError(
             "no coordinate given: name the displacement (and, where measured, velocity and acceleration), or a chain"
             " such as x:v:a"

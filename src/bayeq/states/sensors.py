@@ -8,17 +8,22 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayeq.errors import InputError, UnknownNameError, require_mapping
 from bayeq.records import Record
 from bayeq.states.roles import Chain, Roles
 
-__all__ = ["LEAST_SHARE", "Sensors", "Tails", "check_sensors", "known_sensors", "scaled_with"]
+__all__ = ["LEAST_SHARE", "Sensors", "Tails", "check_sensors", "force_of_blows", "known_sensors", "scaled_with"]
 
+Floats = NDArray[np.float64]
 Tails = Literal["gauss", "student"]
 
 # Noise of nothing, as a share of the standard deviation of a channel: the smoother divides by it.
 LEAST_SHARE = 1e-5
+
+# Of a force that a window has made zero between blows the blows are less than this share of the samples.
+MOST_IN_BLOWS = 0.5
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,7 @@ def known_sensors(
     """
     used = roles.channels
     levels = {}
+    gains = {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used}
     for name, value in noise.items():
         if name not in used:
             continue
@@ -92,8 +98,25 @@ def known_sensors(
                 f"noise: the noise of {name!r} is given as {levels[name]:g}, and the standard deviation of the channel"
                 f" is {spread:g}: nothing else would be in it; check the unit"
             )
-    gains = {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used}
+        blows = force_of_blows(name, records) if name in roles.inputs else None
+        if blows is not None and levels[name]:
+            # noise of a few rows acts as a factor of the force, and between blows there is none
+            gains[name] = math.hypot(gains.get(name, 0.0), levels[name] / math.sqrt(float(blows @ blows)))
+            levels[name] = 0.0
     return Sensors(levels, gains, tails)
+
+
+def force_of_blows(name: str, records: Sequence[Record]) -> Floats | None:
+    """Samples of blows, of a force that a window has made 0 between them; None of any other channel.
+
+    Their values hardly repeat, and those between them are one and the same.
+    """
+    values = np.concatenate([np.asarray(record[name]) for record in records])
+    values = values[np.isfinite(values)]
+    blows = values[values != 0.0]
+    if not 0 < len(blows) < MOST_IN_BLOWS * len(values) or len(np.unique(blows)) < 0.5 * len(blows):
+        return None
+    return blows
 
 
 def _amount(what: str, name: str, value: float | str) -> tuple[float, bool]:
