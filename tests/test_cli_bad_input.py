@@ -244,10 +244,8 @@ FORM = "write it as x:v:a"
     ("options", "parts"),
     [
         ([], ["no coordinate given", "name the displacement", "x:v:a"]),
-        (["--vel", "v"], ["no coordinate given"]),
         (["--chain", ""], ["chain ''", FORM]),
         (["--chain", ":"], ["chain ':' names no channel", FORM]),
-        (["--chain", "::x"], ["chain '::x'", "rename the channel"]),
         (["--chain", "::a", "--smooth", "none"], ["chain '::a'", "integrated", "smooth"]),
         (["--chain", "x:v:a:u:note:t"], ["order 5", "at most 4", FORM]),
         (["--chain", "x y"], ["no channel named 'x_y'", "did you mean 'x'?"]),

@@ -11,6 +11,7 @@ from typing import Self
 
 from bayeq.errors import FileFormatError, InputError, as_path
 from bayeq.records.formats import suffixes
+from bayeq.records.formats.excel import without_sheet
 from bayeq.records.stream import in_order
 
 __all__ = ["Identity", "files_of"]
@@ -43,14 +44,14 @@ class Identity:
         OSError
             It cannot be read.
         """
-        with path.open("rb") as file:
+        with without_sheet(path)[0].open("rb") as file:
             state = os.fstat(file.fileno())
             return cls(state.st_size, state.st_mtime_ns, hashlib.file_digest(file, "sha256").hexdigest())
 
     def holds(self, path: Path) -> bool:
         """Whether a file is unchanged: its size and time are, or else its content is."""
         try:
-            state = path.stat()
+            state = without_sheet(path)[0].stat()
             if state.st_size != self.size:
                 return False
             return state.st_mtime_ns == self.mtime or Identity.of(path).sha256 == self.sha256

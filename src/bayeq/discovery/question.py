@@ -15,7 +15,7 @@ from bayeq.discovery.differs import with_differences
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations, EquationTuple
-from bayeq.equation.units import channel_units
+from bayeq.equation.units import arguments_with_units, channel_units, in_radians
 from bayeq.errors import AmbiguityWarning, DataWarning, InputError, RecordError, TermWarning, WarningLog
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
@@ -136,18 +136,17 @@ class Question:
         _require_unambiguous(self.terms, measured, self.roles)
         step("states", 0, 1)
         motion, pieces = self._motion(measured, log, whole)
-        terms, allowed, most = (
-            self._with_values(motion, whole),
-            self.allowed,
-            MOST_CANDIDATES // len(motion.roles.chains) - 1,
-        )
+        units = _units(pieces, motion.roles, log)
+        terms, known = _in_radians(self.terms, self.known, units, log)
+        terms = self._with_values(terms, motion, whole)
+        allowed, most = self.allowed, MOST_CANDIDATES // len(motion.roles.chains) - 1
         if len(terms) > most:
-            constrained = parse_constraints(self.known, terms, motion.roles.targets)
+            constrained = parse_constraints(known, terms, motion.roles.targets)
             terms, allowed = _screened(terms, motion, allowed, constrained, most, log)
         design = self._design(motion, terms, allowed, whole)
         _warn_of_terms(design, log)
         _warn_of_zero(design, pieces, log)
-        constrained = _constrained(self.known, design, self.method)
+        constrained = _constrained(known, design, self.method)
 
         step("likelihood", 0, 1)
         record, tied = self._record(design, constrained, log)
@@ -163,7 +162,6 @@ class Question:
         _require_likelihood(motion, record, whole)
         design = self._at_values(design, record)
         first = WarningLog()
-        units = _units(pieces, motion.roles, log)
         judged = self._judged(design, record)
         equations, scores, selections = self._found(judged, record, constrained, units, first)
         found = self._of_all_rows(design, record, whole, log)
@@ -185,7 +183,7 @@ class Question:
             else data.of_stretches(whole.names, *whole.counts(motion.holdout), len(measured)),
             dropped=design.dropped,
             warnings=log.messages,
-            constraints=self.known,
+            constraints=known,
             scores=scores,
         )
         return answer, log
@@ -265,11 +263,13 @@ class Question:
         found = refit_record(motion.whole, record, of_all.terms, of_all.train)
         return None if found is None else (self._judged(self._at_values(of_all, found), found), found)
 
-    def _with_values(self, motion: Motion, whole: Whole | None) -> tuple[Expression, ...]:
+    def _with_values(
+        self, terms: tuple[Expression, ...], motion: Motion, whole: Whole | None
+    ) -> tuple[Expression, ...]:
         """The terms with first values of the constants inside them."""
-        unknown = next((term for term in self.terms if term.unknowns or term.choice), None)
+        unknown = next((term for term in terms if term.unknowns or term.choice), None)
         if unknown is None:
-            return self.terms
+            return terms
         if self.smooth != "auto" or not motion.smoothing:
             raise InputError(
                 f"term {unknown.text}: constants inside terms, and either-or, are found by the likelihood of the"
@@ -279,7 +279,7 @@ class Question:
             raise InputError(
                 f"term {unknown.text}: constants inside terms need the record in memory: choose some rows, --rows"
             )
-        return first_values(self.terms, motion, self.allowed)
+        return first_values(terms, motion, self.allowed)
 
     def _at_values(self, design: Design, record: RecordFit | None) -> Design:
         """The dictionary with the constants that the likelihood found."""
@@ -404,6 +404,26 @@ def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str
     if roles.timed:
         units[TIME] = "s"
     return units
+
+
+def _in_radians(
+    terms: Sequence[Expression], known: Sequence[str], units: Mapping[str, str], log: WarningLog
+) -> tuple[tuple[Expression, ...], tuple[str, ...]]:
+    """Terms, and what is known of them, with sines of radians where channels are in degrees; other units are named."""
+    written = tuple(in_radians(term, units) for term in terms)
+    changed = [(term.text, now.text) for term, now in zip(terms, written, strict=True) if now != term]
+    if changed:
+        before, after = changed[0]
+        others = f" ({len(changed) - 1} more alike)" if len(changed) > 1 else ""
+        log.warn(f"{before} is of an angle in degrees: taken of radians, as {after}{others}", TermWarning)
+    for before, after in changed:
+        known = [text.replace(before, after) for text in known]
+    found = [(term.text, unit) for term in written for unit in arguments_with_units(term, units)]
+    if found:
+        text, unit = found[0]
+        others = f" ({len(found) - 1} more alike)" if len(found) > 1 else ""
+        log.warn(f"{text}: its argument has the unit {unit}{others}: the equation holds in that unit only", TermWarning)
+    return written, tuple(known)
 
 
 def _warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation], log: WarningLog) -> None:

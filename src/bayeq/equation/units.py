@@ -5,15 +5,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 
 from bayeq.dictionary.ranges import beside
 from bayeq.expressions import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
+from bayeq.expressions.functions import TIME
+from bayeq.expressions.nodes import arguments_of, with_arguments
 from bayeq.records.units import Unit, multiply_units, parse_unit, written_unit
 from bayeq.states import Chain
 
-__all__ = ["channel_units", "constant_units", "derivative_unit", "quotient_unit"]
+__all__ = ["arguments_with_units", "channel_units", "constant_units", "derivative_unit", "in_radians", "quotient_unit"]
+
+# Functions of numbers without a unit; those of angles, and units of these.
+PURE = "sin cos tan asin acos atan exp log log10 log1p sinh cosh tanh asinh acosh atanh erf".split()
+OF_ANGLES = ("sin", "cos", "tan")
+RADIANS, DEGREES = ({}, parse_unit("rad")), (parse_unit("deg"), parse_unit("°"))
+# Numbers by which a term converts degrees itself.
+CONVERTING = (180.0, math.pi / 180.0, 180.0 / math.pi)
 
 
 def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
@@ -98,6 +109,50 @@ def constant_units(terms: Sequence[Expression], units: Mapping[str, str]) -> dic
             if unit is not None and operation != "**":
                 out[name] = written_unit(multiply_units({}, unit, -1 if operation == "*" else 1))
     return out
+
+
+def in_radians(term: Expression, units: Mapping[str, str]) -> Expression:
+    """The term with sines, cosines and tangents of degrees written as those of radians.
+
+    Examples
+    --------
+    >>> from bayeq.expressions import parse
+    >>> in_radians(parse("v*sin(th)"), {"th": "deg", "v": "deg/s"}).text
+    'v*sin(pi*th/180)'
+    """
+    return replace(term, tree=_in_radians(term.tree, units))
+
+
+def _in_radians(node: Node, units: Mapping[str, str]) -> Node:
+    node = with_arguments(node, tuple(_in_radians(part, units) for part in arguments_of(node)))
+    match node:
+        case Call(function, (angle,)) if function in OF_ANGLES and _of(angle, units) in DEGREES:
+            if not _converts(angle):
+                return Call(function, (Binary("/", Binary("*", Constant("pi"), angle), Number(180)),))
+    return node
+
+
+def _converts(node: Node) -> bool:
+    """Whether an angle is multiplied by what makes radians of degrees."""
+    match node:
+        case Constant("pi"):
+            return True
+        case Number(value):
+            return any(math.isclose(value, factor, rel_tol=1e-3) for factor in CONVERTING)
+    return any(map(_converts, arguments_of(node)))
+
+
+def arguments_with_units(term: Expression, units: Mapping[str, str]) -> Iterator[str]:
+    """Units of arguments that should have none, of exponentials, logarithms and sines, in a term; t may have its own."""
+    parts = [term.tree]
+    while parts:
+        node = parts.pop()
+        parts += arguments_of(node)
+        if isinstance(node, Call) and node.function in PURE and Expression(node).names != {TIME}:
+            unit = _of(node.arguments[0], units)
+            fine = RADIANS + DEGREES if node.function in OF_ANGLES else RADIANS
+            if unit is not None and unit not in fine:
+                yield written_unit(unit)
 
 
 def derivative_unit(unit: str, order: int) -> str:

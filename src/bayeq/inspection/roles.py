@@ -77,7 +77,7 @@ class Clue:
     why: str  # as words
     by_unit: bool  # whether the unit says it, which is surer than a name
     index: str  # what tells it from others of its kind: numbers in its name, or else its other words
-    angle: bool  # whether it is an angle in radians, by its unit or name
+    angle: bool  # whether it is an angle, by its unit or name
     symbol: bool = False  # whether only a symbol says it, which is less sure than a word
     rank: int = 0  # of an input: 0 measured force, 1 current, 2 command
 
@@ -137,7 +137,7 @@ def clue_of(name: str, unit: str) -> Clue:
     by_name, tier, others = _order_of_name(parts)
     digits = "_".join(part for part in parts if part.isdigit())
     index = digits or "_".join(others)
-    angle = unit == "rad" or (not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts))
+    angle = unit in ("rad", "deg", "°") or (not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts))
     by_unit = _order_of_unit(unit)
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
     wanted, commands, ambient, measured, current = (bool(set(words.split()) & set(parts)) for words in KINDS)
@@ -237,9 +237,11 @@ def guess_roles(
     rest = [name for name in names if name not in linked and name not in reasons]
     chains = _chains([_placed(run, clues) for run in runs], rest, clues, first, bool(alike), reasons)
     for chain in chains:
-        for low, high in zip(chain, [*chain[1:], None], strict=True):
-            if low is not None and low not in reasons:
-                reasons[low] = clues[low].why or f"{high} is its derivative"
+        present = [(k, name) for k, name in enumerate(chain) if name is not None]
+        for (k, low), above in zip(present, [*present[1:], None], strict=True):
+            if low not in reasons:
+                why = f"{above[1]} is its {'second ' * (above[0] - k == 2)}derivative" if above else "nothing else fits it"
+                reasons[low] = clues[low].why or why
     used = {name for chain in chains for name in chain} | set(inputs)
     ordered = sorted(chains, key=lambda chain: min(names.index(name) for name in chain if name is not None))
     undecided = tuple(name for name in names if name not in used)
@@ -366,10 +368,11 @@ def _chains(
             indices.append(index)
         if fits:
             fits[0][order] = name
-    # what nothing derives from is a coordinate where there are no surer ones: beside them it is another sensor, and
-    # velocity alone is none
+    # what nothing derives from is a coordinate where there are no surer ones: beside them it is another sensor, and a
+    # velocity alone is none, but for one by its unit
     sure = states or any(chain[0] is not None and chain != [chain[0], None, None] for chain in chains) or found
-    lone = 0 if any(chain[0] is not None for chain in chains) else 2
+    by_unit = [[n if k != 1 or n is None or clues[n].by_unit else None for k, n in enumerate(c)] for c in chains]
+    lone = next((k for k in (0, 2, 1) if any(chain[k] is not None for chain in by_unit)), 2)
     kept = [
         tuple(chain)
         for k, chain in enumerate(chains)

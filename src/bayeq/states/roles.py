@@ -125,6 +125,8 @@ def parse_chain(text: str) -> Chain:
         raise ChainError(f"chain {text[:60]!r} has no measured channel; {form}")
     called = tuple(part[1:] if part.startswith("~") else None for part in parts)
     chain = Chain(measured, called if any(called) else ())
+    if COORDINATE in measured[1:]:
+        chain = _named_by_channel(chain)
     if len(set(chain.names)) < len(chain.names):
         raise ChainError(
             f"chain {text[:60]!r}: derivatives that are not measured are called after the coordinate,"
@@ -142,8 +144,8 @@ def _named(part: str) -> str:
 def parse_chains(texts: Sequence[str], inputs: Sequence[str] = ()) -> tuple[Chain, ...]:
     """Read several chains and check that no name occurs in two of them.
 
-    A coordinate that is not measured is called x. Where two chains, or a chain and an input, would share that name,
-    such coordinates are called after the lowest measured channel of their chain.
+    A coordinate that is not measured is called x. Where two chains, or a chain and another channel, would share that
+    name, such coordinates are called after the lowest measured channel of their chain.
 
     Examples
     --------
