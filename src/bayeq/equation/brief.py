@@ -51,18 +51,18 @@ def brief(eq: Answer) -> str:
     physical = own_parameters(eq)
     for one in eq.equations:
         found = physical if len(eq.equations) == 1 else None
+        tabled = physical is None or _doubtful(one) or bool(one.shown_constants)
         lines += [
-            "",
+            *([""] if tabled or one is eq.equations[0] else []),
             *(() if found is None else _law(one, found, eq.inputs)),
             *map(_bold, _wrapped(printable(one.text), "    ")),
         ]
-        if found is None or _doubtful(one) or one.shown_constants:
+        if tabled:
             lines += _table(one, ENGINES[eq.method].score)
     if physical is not None and len(eq.equations) > 1:
         lines += ["", *_quantities([q for q in physical if not q.symbol.startswith("phi_")])]
-    lines.append("")
+    lines += ["", *_wrapped(_checks(eq))]
     for one in eq.equations:
-        lines += _wrapped(_checks(one, eq))
         lines += [line for text in (*_failed(one), *_unseen(one)) for line in _wrapped(text)]
     lines += [line for text in given_of(eq) for line in _wrapped(printable(text))]
     return "\n".join([*lines, *_wrapped(source_of(eq, short=True))])
@@ -176,21 +176,22 @@ def _table(equation: Equation, score: str) -> list[str]:
     ]
 
 
-def _checks(equation: Equation, eq: Answer) -> str:
-    """How well the equation predicts rows that were not used."""
-    fit, where = equation.held_out, "rows that were not used"
-    if fit is None:
-        fit, where = equation.train, "the rows used (none were held out)"
-    parts = [percentages({equation.target: fit.nrmse}).replace(" ", " within ", 1)]
+def _checks(eq: Answer) -> str:
+    """How well the equations predict rows that were not used."""
+    fits, where = [one.held_out for one in eq.equations], "rows that were not used"
+    if fits[0] is None:
+        fits, where = [one.train for one in eq.equations], "the rows used (none were held out)"
+    pairs = [(one.target, fit) for one, fit in zip(eq.equations, fits, strict=True) if fit is not None]
+    parts = [percentages({target: fit.nrmse}).replace(" ", " within ", 1) for target, fit in pairs]
     if eq.scores is not None and eq.scores.blew_up_at is None:
-        errors = {name: eq.scores.free_run[name] for name in equation.chain.states if name in eq.scores.free_run}
-        if errors:
-            parts.append(f"free run within {percentages(errors)}")
+        states = [name for one in eq.equations for name in one.chain.states if name in eq.scores.free_run]
+        if states:
+            parts.append(f"free run within {percentages({name: eq.scores.free_run[name] for name in states})}")
     elif eq.scores is not None:
         parts.append(f"a free run over them blew up at {eq.scores.blew_up_at:.6g} s")
-    if not list(_failed(equation)) and equation.verdict.kind == "found":
+    if all(not list(_failed(one)) and one.verdict.kind == "found" for one in eq.equations):
         parts.append("what is left looks like noise")
-    return printable(f"checked on {fit.n} {where}: {', '.join(parts)}")
+    return printable(f"checked on {pairs[0][1].n} {where}: {', '.join(parts)}")
 
 
 def _failed(equation: Equation) -> Iterator[str]:

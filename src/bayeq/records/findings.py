@@ -63,6 +63,10 @@ LEAST_REPEATS = 3
 LEVELS_PER_STEP = 8.0
 MOST_REPEATED = 0.3
 
+# Steps of time [s] from which on they may be milliseconds without a unit, of motion of less rows a period than this.
+LEAST_STEP = 0.5
+MOST_ROWS_A_PERIOD = 200.0
+
 # Rows that come again: this many in a row are no chance.
 LEAST_AGAIN = 20
 
@@ -78,7 +82,7 @@ class Finding:
     ----------
     kind : str
         ``"offset"``, ``"drift"``, ``"delay"``, ``"sign"``, ``"gain"``, ``"inconsistent"``, ``"clipping"``,
-        ``"dropped"``, ``"repeated"`` or ``"again"``.
+        ``"dropped"``, ``"repeated"``, ``"again"`` or ``"clock"``.
     channels : tuple of str
         The channel that is at fault, then those that it was compared with.
     message : str
@@ -131,7 +135,7 @@ def check_record(
     """
     split = [[part or None for part in c.split(":")] if isinstance(c, str) else list(c) for c in chains]
     names = [name for chain in split for name in chain if name is not None]
-    found = _dropped(record, names[0]) if names else []
+    found = [*_dropped(record, names[0]), *(_clock(record, names[0]) if len(split[0]) > 2 else ())] if names else []
     whole = {name: bool(np.isfinite(record[name]).all()) for name in (*names, *inputs)}
     for chain in split:
         found += _kinematics(record, [name if name and whole[name] else None for name in chain])
@@ -366,6 +370,19 @@ def _dropped(record: Record, name: str) -> list[Finding]:
         f" are multiples of {np.median(steps):.4g} s, the first after row {first + 1}; check the acquisition"
     )
     return [Finding("dropped", (name,), message, float(missing))]
+
+
+def _clock(record: Record, name: str) -> list[Finding]:
+    """Times that say no unit and look like milliseconds: long steps, and a motion of many rows a period."""
+    step, values = record.dt, record[name]
+    if step is None or step < LEAST_STEP or "t" in record.units or not np.isfinite(values).all():
+        return []
+    spread, steps = float(np.std(values)), float(np.std(np.diff(values)))
+    rows = 2.0 * math.pi * spread / steps if steps > 0.0 else math.inf
+    if not rows < MOST_ROWS_A_PERIOD:
+        return []
+    message = f"{name} has about {rows * step:.2g} s a period: if time is in ms, write it into its header, or --units COLUMN=ms"
+    return [Finding("clock", (name,), message, step)]
 
 
 def _again(record: Record, names: Sequence[str]) -> list[Finding]:
