@@ -246,6 +246,19 @@ class WarningLog:
             warnings.warn(message, category, stacklevel=stacklevel)
 
 
+def some_of(texts: Sequence[str], width: int = 60, between: str = ", ") -> str:
+    """As many texts as fit into a width, at least one, and how many more there are.
+
+    Examples
+    --------
+    >>> some_of(["x", "v", "x**3"], width=5)
+    'x, v and 1 more'
+    """
+    shown = [text for k, text in enumerate(texts) if not k or len(between.join(texts[: k + 1])) <= width]
+    rest = len(texts) - len(shown)
+    return between.join(shown) + (f" and {rest} more" if rest else "")
+
+
 # What is shown of an argument of the wrong type.
 MOST_SHOWN = 40
 

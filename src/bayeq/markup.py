@@ -1,11 +1,17 @@
-"""Small pieces of HTML for notebooks: everything that comes from files or users is escaped."""
+"""Small pieces of HTML for notebooks, everything that comes from files or users escaped; and text with tables."""
 
 from __future__ import annotations
 
+import io
+import sys
 from collections.abc import Iterable, Sequence
 from html import escape
+from typing import TYPE_CHECKING
 
-__all__ = ["code", "items", "join", "paragraph", "table"]
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["code", "items", "join", "paragraph", "printed", "table", "text_console"]
 
 # Left of text, right of numbers, whatever the notebook's own style is.
 CELL = "padding:2px 8px;text-align:{side};white-space:pre"
@@ -50,3 +56,21 @@ def code(text: str) -> str:
 def join(*parts: str) -> str:
     """Pieces in one block."""
     return f"<div>{''.join(parts)}</div>"
+
+
+def text_console(width: int) -> Console:
+    """What text is printed to: styled if standard output is a terminal, else plain and `width` characters wide."""
+    from rich.console import Console
+
+    terminal = sys.stdout.isatty()
+    return Console(
+        file=io.StringIO(), force_terminal=terminal, no_color=not terminal, width=None if terminal else width,
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+
+
+def printed(console: Console) -> str:
+    """What was printed to a `text_console`, without the empty lines of their own that tables bring."""
+    assert isinstance(console.file, io.StringIO)
+    lines = [line.rstrip() for line in console.file.getvalue().rstrip().splitlines()]
+    return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))

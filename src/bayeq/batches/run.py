@@ -29,13 +29,13 @@ from bayeq.errors import (
     require_mapping,
 )
 from bayeq.records import Record, as_records, read
+from bayeq.resumable import Progress, silent
 from bayeq.resumable.store import Key, ResultStore
 from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
 
 __all__ = ["COMMON", "FILES", "BatchStore", "batch", "run_batch"]
 
 # Called with (stage, done, total).
-Progress = Callable[[str, int, int], None]
 
 #: Stages of a batch: the equation that files have in common, and the files.
 COMMON, FILES = "common equation", "files"
@@ -157,7 +157,7 @@ def run_batch(
     """
     if not (isinstance(jobs, int) and not isinstance(jobs, bool) and 1 <= jobs <= MAX_JOBS):
         raise InputError(f"jobs is a number of processes, 1 to {MAX_JOBS}, got {jobs!r}")
-    step = progress or _silent
+    step = progress or silent
     question(options)
     for path in paths:
         if path.exists() and store.exists() and path.samefile(store):
@@ -327,7 +327,3 @@ def _sources(
     if not sources:
         raise InputError(f"no common equation: none of the {len(paths)} files can be used; the first: {why[0]}")
     return sources, used
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    """No progress shown."""

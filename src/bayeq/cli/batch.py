@@ -121,12 +121,10 @@ class _FileReading:
     paths: Mapping[str, str]
 
     def __call__(self, path: Path) -> Any:
-        _, source = source_of(self.reading, [path], self.used, self.paths, False, _silent)
+        from bayeq.resumable import silent
+
+        _, source = source_of(self.reading, [path], self.used, self.paths, False, silent)
         return source
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    """No progress of a single file."""
 
 
 def _require_outputs(files: Sequence[Path], store: Path, table: Path | None, figure: Path | None) -> None:

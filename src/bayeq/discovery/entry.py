@@ -13,7 +13,7 @@ import numpy as np
 
 from bayeq.adapters.pysindy.library import is_library, terms_of
 from bayeq.dictionary import Specification, Variables, build_dictionaries
-from bayeq.discovery.question import NotStreamed, Progress, Question
+from bayeq.discovery.question import NotStreamed, Question
 from bayeq.equation.equations import Equations
 from bayeq.errors import (
     InputError,
@@ -29,6 +29,7 @@ from bayeq.inference.prior import Prior
 from bayeq.records import as_records, with_row_numbers
 from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_unasked
 from bayeq.regression.constraints import parse_constraints, parse_ties
+from bayeq.resumable import Progress, silent
 from bayeq.selection.select import Rules
 from bayeq.states import Roles, Smooth, Tails, check_sensors
 from bayeq.states.derive import current
@@ -262,12 +263,8 @@ def question_of(
         tails=tails,
         band=band,
         seed=seed,
-        step=_silent if progress is None else progress,
+        step=silent if progress is None else progress,
     )
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    """No progress shown."""
 
 
 def _check_kinds(

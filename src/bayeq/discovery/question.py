@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,7 +16,7 @@ from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations, EquationTuple
 from bayeq.equation.units import arguments_with_units, channel_units, in_radians
-from bayeq.errors import AmbiguityWarning, DataWarning, InputError, RecordError, TermWarning, WarningLog
+from bayeq.errors import AmbiguityWarning, DataWarning, InputError, RecordError, TermWarning, WarningLog, some_of
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
@@ -29,6 +29,7 @@ from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
 from bayeq.regression.joint import fit_equations, record_of
+from bayeq.resumable import Progress
 from bayeq.selection.select import TOLERANCE, Rules, Selection, select
 from bayeq.states import (
     Motion,
@@ -52,15 +53,12 @@ from bayeq.streaming.whole import Whole
 __all__ = ["NotStreamed", "Question"]
 
 Bools = NDArray[np.bool_]
-Progress = Callable[[str, int, int], None]
 NO_LIKELIHOOD = (
-    "the likelihood of the record could not be evaluated near its motion: a regression of its smoothed rows was used,"
-    " as many as their residuals are worth. Its intervals and probabilities are less sure; give fewer terms"
+    "the full fit failed, a simpler one was used: intervals and probabilities are less sure; give fewer terms"
 )
 
 NO_TAILS = (
-    "tails='student' makes no difference: it is part of the likelihood of the record, which is not used here; use more"
-    " rows, or fewer terms"
+    "tails='student' makes no difference: it needs the full fit, which is not used here; use more rows, or fewer terms"
 )
 
 # With fewer training rows there is no regression.
@@ -387,10 +385,9 @@ def _screened(
     """The candidates of a large dictionary that explain most, and those that something is known of."""
     forced = np.any([one.concerned for one in constrained], axis=0)
     kept = screened(terms, motion, allowed, forced, most)
-    targets = ", ".join(motion.roles.targets)
     log.warn(
-        f"{len(terms):,} candidates: {len(kept):,} were kept, the simplest and those that explain most of {targets}"
-        " beside them; probabilities are among these. Leave out what cannot be in the equation, and all are compared",
+        f"{len(terms):,} candidates: {len(kept):,} were kept, the simplest and those that explain most; leave out what"
+        " cannot be true",
         TermWarning,
     )
     return tuple(terms[int(j)] for j in kept), allowed[:, kept]
@@ -431,8 +428,8 @@ def _warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equatio
     for equation, former in zip(equations, scored, strict=True):
         if set(equation.shown) != set(former.shown):
             log.warn(
-                f"{equation.target}: the terms are those that all rows ask for; without the rows held out, that"
-                f" scores are of, they were {', '.join(former.shown) or 'none'}: a longer record would decide",
+                f"{equation.target}: the first rows alone give other terms than all of them"
+                f" ({some_of(former.shown or ('none',), 40)}): measure longer",
                 AmbiguityWarning,
             )
 
@@ -443,28 +440,30 @@ def _warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
     computed = [name for name in given if name not in {*roles.measured, *roles.inputs}]
     if computed:
         log.warn(
-            f"what was given of {', '.join(sorted(computed))} is not used: computed, not measured; give that of the"
-            " channel that it was computed from",
+            f"what was given of {some_of(sorted(computed), 30)} is not used: give that of the channel it was computed"
+            " from",
             DataWarning,
         )
     unused = [name for name in roles.measured if sensors.noisy(name)]
     if unused and not motion.smoothing:
         log.warn(
-            f"the noise given of {', '.join(unused)} is not used: states and targets are taken as measured here; of"
-            " inputs it would be; leave it out, or use smooth='auto' with time and 10 rows or more",
+            f"the noise given of {some_of(unused, 30)} is not used: rows are taken as measured here (smooth='auto' uses"
+            " it)",
             DataWarning,
         )
 
 
-def _warn_of_blows(records: Sequence[Record], inputs: Sequence[str], known: Mapping[str, float], log: WarningLog) -> None:
+def _warn_of_blows(
+    records: Sequence[Record], inputs: Sequence[str], known: Mapping[str, float], log: WarningLog
+) -> None:
     """Say what noise would do that a force window hides: between blows there is none to be seen."""
     for name in inputs:
         blows = None if name in known else force_of_blows(name, records)
         if blows is not None:
             change = float(np.abs(blows).max() / np.sqrt(blows @ blows))
             log.warn(
-                f"{name} is exactly 0 between blows, its noise is not seen: 1 % of the peak would be {change:.1g} % of its"
-                f" coefficient (--noise {name}=SD)",
+                f"{name} is exactly 0 between blows, its noise is not seen: 1 % of the peak would be {change:.1g} % of"
+                f" its coefficient (--noise {name}=SD)",
                 DataWarning,
             )
 
@@ -480,10 +479,8 @@ def _warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) ->
         powers = [term for term in design.terms if term.text.startswith(f"{name}**")]
         if powers and not low <= 0.0 <= high:
             log.warn(
-                f"{name} is nowhere zero, it lies between {low:.4g} and {high:.4g}: terms such as {powers[0]} can"
-                " hardly be told from others there, and coefficients are not those about the position of rest;"
-                f" measure it from there (bayeq.remove_offset(record, {name!r}), --remove-offset {name}); physical()"
-                " gives the stiffness about the position of rest",
+                f"{name} is nowhere zero, it lies between {low:.4g} and {high:.4g}: measure it from the position of"
+                f" rest (--remove-offset {name})",
                 DataWarning,
             )
 
@@ -492,18 +489,13 @@ def _warn_of_terms(design: Design, log: WarningLog) -> None:
     n, terms = design.train[0].n, len(design.terms)
     if n <= terms:
         log.warn(
-            f"{n} training rows for {terms} candidate terms: fewer rows than terms; the prior decides much, and few"
-            " terms can be found; measure more rows, or give fewer terms",
+            f"{n} training rows for {terms} candidate terms: the prior decides much; measure more rows, or give fewer"
+            " terms",
             DataWarning,
         )
     if design.dropped:
-        listed = "; ".join(f"{d.name} ({d.reason})" for d in design.dropped[:8])
-        more = f" and {len(design.dropped) - 8} more" if len(design.dropped) > 8 else ""
-        log.warn(
-            f"terms left out: {listed}{more}; one that is needed asks for other motion, or for units in which it is"
-            " finite",
-            TermWarning,
-        )
+        listed = some_of([f"{one.name} ({one.reason})" for one in design.dropped], 60, "; ")
+        log.warn(f"terms left out: {listed}: other motion, or other units, would tell", TermWarning)
 
 
 def _require_unambiguous(terms: Sequence[Expression], records: Sequence[Record], roles: Roles) -> None:

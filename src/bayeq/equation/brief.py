@@ -16,15 +16,15 @@ from bayeq.equation.text import (
     CERTAIN,
     DOUBTFUL,
     LONGEST_NAME,
-    NOTEWORTHY_PIP,
     constant_numbers,
     forms_of,
     given_of,
     printable,
     source_of,
+    unseen,
 )
 from bayeq.forecast.score import percentages
-from bayeq.inference.engines import ENGINES
+from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 
 __all__ = ["brief"]
 
@@ -33,8 +33,8 @@ WIDTH = 100
 # Runners-up of more than this probability against the equation are rivals, and then probabilities are printed.
 RIVAL = 0.05
 
-# Terms that are too small to be seen are listed up to this number.
-FEW = 2
+# Terms that are too small to be seen are listed up to this number, and where the others are.
+FEW, ADVICE = 2, " (--verbose)"
 
 # Parameters that follow from others and are not printed.
 DERIVED = ("omega_n",)
@@ -63,7 +63,7 @@ def brief(eq: Answer) -> str:
         lines += ["", *_quantities([q for q in physical if not q.symbol.startswith("phi_")])]
     lines += ["", *_wrapped(_checks(eq))]
     for one in eq.equations:
-        lines += [line for text in (*_failed(one), *_unseen(one)) for line in _wrapped(text)]
+        lines += [line for text in (*_failed(one), *unseen(one, FEW, ADVICE)) for line in _wrapped(printable(text))]
     lines += [line for text in given_of(eq) for line in _wrapped(printable(text))]
     return "\n".join([*lines, *_wrapped(source_of(eq, short=True))])
 
@@ -204,13 +204,3 @@ def _failed(equation: Equation) -> Iterator[str]:
     yield from map(printable, forms_of(equation))
     for left in equation.left_out:
         yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")
-
-
-def _unseen(equation: Equation) -> Iterator[str]:
-    """Terms that could matter elsewhere and are too small here."""
-    if not equation.undetermined or equation.bound is None:
-        return
-    bound = dict(zip([term.text for term in equation.terms], equation.bound.tolist(), strict=True))
-    listed = [f"{name} below {bound[name]:.2g}" for name in equation.undetermined[:FEW]]
-    rest = len(equation.undetermined) - len(listed)
-    yield printable(f"too small to be seen here: {', '.join(listed)}{f', {rest} more (--verbose)' if rest else ''}")

@@ -8,7 +8,14 @@ from dataclasses import replace
 
 from bayeq.equation.equation import Equation, RunnerUp
 from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
-from bayeq.errors import AmbiguityWarning, ConvergenceWarning, CorrelatedResidualsWarning, DataWarning, WarningLog
+from bayeq.errors import (
+    AmbiguityWarning,
+    ConvergenceWarning,
+    CorrelatedResidualsWarning,
+    DataWarning,
+    WarningLog,
+    some_of,
+)
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.score import Scores, held_out_scores
 from bayeq.inference.collapsed.path import model_log_posterior, partial_shares
@@ -34,8 +41,8 @@ INDEPENDENT = 0.5
 # Independent numbers whose variance is known to a third.
 LEAST_NUMBERS = 18.0
 
-# Noise of an input that is hidden in the record: examples of what it would do, as shares of its standard deviation.
-NOISE_OF_INPUTS = (0.01, 0.05)
+# Noise of an input that is hidden in the record: an example of what it would do, a share of its standard deviation.
+NOISE_OF_INPUT = 0.05
 
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
 RUNNER_UP_WINDOW = 12.0
@@ -43,7 +50,7 @@ RUNNERS_UP = 5
 AMBIGUOUS = math.log(20.0)
 
 # What tells columns apart that are alike over the range of the motion.
-TELL_APART = "keep one of them in the dictionary, or measure at other amplitudes"
+TELL_APART = "other amplitudes would"
 
 
 def build_equations(
@@ -223,15 +230,13 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     if not posterior.converged:
         rhat = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
         log.warn(
-            f"{target}: {posterior.method} not converged after {posterior.n_iter} steps{rhat}: probabilities may be"
-            " off; give fewer candidate terms, or compare with another method",
+            f"{target}: the search was stopped before it was done{rhat}: probabilities may be off; give fewer terms",
             ConvergenceWarning,
         )
     regression = selection.fit.regression
     if not regression.counts_rows and math.isnan(regression.exact):
         log.warn(
-            f"{target}: whether the law is exact or only nearly true is not known: the likelihood does not hold far"
-            " from its fit; a longer record would tell",
+            f"{target}: whether the law is exact or only nearly true is not known: measure longer",
             ConvergenceWarning,
         )
     for j, mean, sd in selection.fit.constraints.stated:
@@ -243,38 +248,33 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             )
     if posterior.contradicted:
         log.warn(
-            f"{target}: the data contradict the known sign of {', '.join(posterior.contradicted)} (Bayes factor above"
-            " 100 against it): check the directions of the channels, or drop the constraint",
+            f"{target}: the data contradict the known sign of {some_of(posterior.contradicted, 20)}: check the"
+            " channels' directions, or drop it",
             DataWarning,
         )
     if equation.verdict.kind == "none":
-        estimated = f"; {target} is estimated, not measured" if equation.chain.measured[-1] is None else ""
-        log.warn(
-            f"{target}: {equation.verdict.reason}{estimated}; check the channels, their derivatives and the dictionary",
-            DataWarning,
-        )
+        why = equation.verdict.reason.removeprefix("no equation found: ").partition(", though")[0]
+        log.warn(f"{target}: {why}; check which channel is which, then the terms", DataWarning)
     found = selection.fit.posterior
     if found.optimum is not None and bool((found.optimum != found.support).any()):
         other = [n for n, kept in zip(found.names, found.optimum, strict=True) if kept]
         log.warn(
-            f"{target}: the optimum of variational Bayes is another model ({', '.join(other) or 'no terms'});"
-            " the included terms are those with a model-averaged PIP above 0.5; a longer record would decide",
+            f"{target}: variational Bayes alone takes other terms ({some_of(other or ['none'], 40)}): measure longer",
             AmbiguityWarning,
         )
     likelier = [r for r in equation.runners_up if r.log_odds > 0.0]
     if likelier and not equation.left_out:
-        listed = "; ".join(f"{r} (odds {r.odds})" for r in likelier)
+        listed = some_of([f"{r} (odds {r.odds})" for r in likelier], 30, "; ")
         log.warn(
-            f"{target}: the terms shown are those with a PIP above 0.5, but not the likeliest model: {listed};"
-            " a longer record would decide",
+            f"{target}: shown are terms with a PIP above 0.5; likelier is the equation {listed}: measure longer",
             AmbiguityWarning,
         )
     swaps = [r for r in equation.runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
     if found.average is not None:
         _warn_of_groups(equation, {left.name for left in equation.left_out}, log)
     elif swaps:
-        listed = "; ".join(f"{r} (odds {r.odds})" for r in swaps)
-        log.warn(f"{target}: columns that the data hardly tell apart: {listed}; {TELL_APART}", AmbiguityWarning)
+        listed = some_of([f"{r} (odds {r.odds})" for r in swaps], 40, "; ")
+        log.warn(f"{target}: the record cannot tell terms apart: {listed}; {TELL_APART}", AmbiguityWarning)
     _warn_of_residuals(equation, selection, log)
     _warn_of_hidden_noise(equation, regression=selection.shown_fit.regression, log=log)
 
@@ -284,19 +284,16 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
     if residuals.discrepancy is not None:
         return
     if residuals.correlated:
-        counted = ", which is what the rows count for" if regression.gram.n < equation.train.n else ""
-        measured = "" if regression.motion.smoothing else "use smooth='auto', or "
+        advice = "add terms or inputs" if regression.motion.smoothing else "use smooth='auto'"
         log.warn(
-            f"{target}: the residuals are correlated in time (lag-1 autocorrelation {residuals.lag1:.2f},"
-            f" effective sample size about {residuals.n_eff:.0f} of {residuals.n}{counted}): standard deviations and"
-            f" intervals may be too narrow, and terms may be included that only fit the correlation; {measured}add"
-            " terms or inputs that may be missing",
+            f"{target}: the residuals are correlated in time (worth {residuals.n_eff:.0f} of {residuals.n} rows):"
+            f" intervals may be too narrow; {advice}",
             CorrelatedResidualsWarning,
         )
     if residuals.driven and residuals.driver is not None:
         log.warn(
-            f"{target}: the residuals follow {residuals.driver}: the equation misses dynamics, or channels are"
-            " delayed against each other; add terms, or shift the channel (bayeq.correct_delay)",
+            f"{target}: the residuals follow {residuals.driver}: a term is missing, or it is delayed"
+            " (bayeq.correct_delay)",
             CorrelatedResidualsWarning,
         )
 
@@ -304,15 +301,11 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
 def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: WarningLog) -> None:
     """Say what noise of an input that the record does not show would have done."""
     for name in inputs_of_hidden_noise(regression, equation.shown_posterior):
-        changes = changes_by_noise(regression, equation.shown_posterior, name, NOISE_OF_INPUTS)
-        small, large = (f"{share:.0%}".replace("%", " %") for share in NOISE_OF_INPUTS)
-        listed = " and ".join(
-            f"that of {term} by {100 * few:+.2g} %, or by {100 * much:+.2g} %" for term, (few, much) in changes.items()
-        )
+        changes = changes_by_noise(regression, equation.shown_posterior, name, [NOISE_OF_INPUT])
+        term, (change,) = max(changes.items(), key=lambda one: abs(one[1][0]))
         log.warn(
-            f"{equation.target}: the noise of {name} cannot be read from this record. Noise of {small}, or {large}, of"
-            f" its standard deviation would change coefficients: {listed}. Where it is known give it: noise="
-            f"{{{name!r}: '{NOISE_OF_INPUTS[0]:.0%}'}}, --noise {name}={NOISE_OF_INPUTS[0]:.0%}",
+            f"{equation.target}: how noisy {name} is cannot be seen; {100 * NOISE_OF_INPUT:.0f} % of noise would shift"
+            f" that of {term} by {100 * change:+.2g} % (--noise {name}=SD)",
             DataWarning,
         )
 
@@ -323,14 +316,12 @@ def _warn_of_groups(equation: Equation, left_out: Set[str], log: WarningLog) -> 
     for members, some in posterior.average.credible_groups():
         if some <= 0.5:
             continue  # more likely than not that none of them is in
-        listed = ", ".join(f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members)
+        listed = some_of([f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members], 50)
         shown = [posterior.names[j] for j in members if equation.shown_posterior.support[j]]
         beside = [posterior.names[j] for j in members if posterior.names[j] in left_out]
         none = f"none, for {', '.join(beside)} is left out" if beside else "none"
-        decided = len(shown) == 1 or (not shown and beside)
-        advice = "other amplitudes would tell" if decided else TELL_APART
         log.warn(
-            f"{equation.target}: columns that the data hardly tell apart: {listed}; at least one of them is in with"
-            f" probability {some:.2f}; shown here: {', '.join(shown) or none}; {advice}",
+            f"{equation.target}: the record cannot tell {listed} apart; shown: {some_of(shown or [none], 20)};"
+            f" {TELL_APART}",
             AmbiguityWarning,
         )

@@ -16,6 +16,7 @@ from bayeq.errors import DataWarning, FileFormatError, InputError, UnknownNameEr
 from bayeq.forecast.score import Scores
 from bayeq.records import Record, with_row_numbers
 from bayeq.records.files import replacing
+from bayeq.resumable import Progress, silent
 from bayeq.states import estimate_motion
 from bayeq.states.motion import MotionRows
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from bayeq.forecast.run import Forecast
     from bayeq.ode.rk4 import Interpolation
     from bayeq.plan.conditions import Amplitude
-    from bayeq.plan.plan import Progress
     from bayeq.plan.result import Plan
 
 __all__ = ["DataSummary", "EquationTuple", "Equations"]
@@ -408,7 +408,7 @@ class Equations(Answer):
             odds=odds,
             realisations=realisations,
             seed=seed,
-            progress=progress or _silent,
+            progress=progress or silent,
         )
 
     def physical(
@@ -576,10 +576,6 @@ def _white_noise(equation: Equation) -> float:
     """Standard deviation of white noise that hides as much as the residuals, which may be correlated in time."""
     residuals = equation.residuals
     return equation.noise_sd * sqrt(residuals.n / residuals.n_eff)
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    """No progress shown."""
 
 
 def _as_list(records: Record | Sequence[Record], purpose: str) -> list[Record]:

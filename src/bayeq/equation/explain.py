@@ -9,9 +9,9 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation, round_to
-from bayeq.equation.text import DOUBTFUL, MARK, NOTEWORTHY_PIP
+from bayeq.equation.text import DOUBTFUL, MARK
 from bayeq.equation.verdict import LEAST_SHOWN
-from bayeq.inference.engines import ENGINES
+from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 
 __all__ = ["explanation"]
 
@@ -19,8 +19,8 @@ WIDTH = 100
 
 VERDICTS = {
     "none": "no equation was found that predicts rows it has not seen: do not use the one that is printed",
-    "not determined": "the record does not decide between several equations that predict otherwise somewhere: the one"
-    " printed is the likeliest of them",
+    "not determined": "the record does not decide between several equations that predict different motion somewhere:"
+    " the one printed is the likeliest of them",
     "nearly true": "the equation predicts well, but something moves the system that no candidate term can express, or a"
     " channel holds more than noise; trust its predictions more than the meaning of single terms",
     "found": "no test that was made speaks against the equation",
@@ -54,9 +54,9 @@ def _of_equation(equation: Equation, eq: Answer, conditional: bool) -> Iterator[
     yield from _of_residuals(equation)
     if equation.undetermined and equation.bound is not None:
         yield (
-            f"not determined by this record: {equation.undetermined[0]} and the like are too small in it to show,"
-            " whether they are in the law or not; at ten times its amplitude they could matter. The bound in brackets"
-            " is what the coefficient's magnitude is below, with 95 % probability; a stronger excitation would tell."
+            f"too small to be seen here: {equation.undetermined[0]} and the like do not show in this record, whether"
+            " they are in the law or not; at ten times its amplitude they could matter. The coefficient's magnitude is"
+            " below the bound, with 95 % probability; a stronger excitation would tell."
         )
     if equation.runners_up:
         best = equation.runners_up[0]
@@ -92,7 +92,8 @@ def _of_terms(equation: Equation, score: str) -> Iterator[str]:
         largest = max(np.flatnonzero(kept), key=lambda j: share[j])
         yield (
             f"share: how much of the variation of {equation.target} nothing else explains when the term is left out. It"
-            f" is largest for {equation.terms[largest].text}; a small share, as of damping, can be certain too."
+            f" is largest for {equation.terms[largest].text}; a term may be small and still certain, as damping often"
+            " is."
         )
 
 

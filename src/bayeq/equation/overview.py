@@ -12,7 +12,7 @@ from bayeq.figures.picture import above, axes_for
 from bayeq.figures.runs import draw_states
 from bayeq.figures.style import style
 from bayeq.figures.terms import draw_terms
-from bayeq.inference.engines import ENGINES
+from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import code, items, join, paragraph, table
 
 if TYPE_CHECKING:
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["as_html", "plot_run", "plot_terms"]
 
-# Candidates that are not in the equation are listed from this probability on, this many of them at most.
-NOTEWORTHY = 0.01
+# Candidates that are not in the equation are listed up to this many.
 MOST_OTHERS = 10
 
 # Width of the figure, heights of a bar, of what is around the bars, and of a state's panel [mm].
@@ -55,7 +54,7 @@ def plot_run(run: Forecast, ax: Any = None) -> list[Axes]:
 def _listed(equation: Equation) -> list[int]:
     """Terms of the equation, then the likeliest others."""
     pip, shown = equation.posterior.pip, equation.shown_posterior.support
-    others = [int(j) for j in np.argsort(-pip, kind="stable") if not shown[j] and pip[j] >= NOTEWORTHY]
+    others = [int(j) for j in np.argsort(-pip, kind="stable") if not shown[j] and pip[j] >= NOTEWORTHY_PIP]
     return [*np.flatnonzero(shown).tolist(), *others[:MOST_OTHERS]]
 
 

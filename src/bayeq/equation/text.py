@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import math
-import sys
 from collections.abc import Iterator, Mapping
 from math import isclose, isfinite
 from typing import Any
@@ -20,15 +18,14 @@ from bayeq.equation.short_names import short_names, with_names
 from bayeq.equation.size_path import percent
 from bayeq.equation.verdict import LEAST_SHOWN
 from bayeq.forecast.score import Scores, percentages
-from bayeq.inference.engines import ENGINES
+from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.likelihood.unknowns import ConstantEstimate
+from bayeq.markup import printed, text_console
 from bayeq.regression.residuals import Residuals
 from bayeq.states import rates
 
-__all__ = ["constant_numbers", "forms_of", "given_of", "printable", "render", "source_of", "undecided"]
+__all__ = ["constant_numbers", "forms_of", "given_of", "printable", "render", "source_of", "undecided", "unseen"]
 
-# Candidates that are not included are listed from this PIP on.
-NOTEWORTHY_PIP = 0.01
 # No table is as wide: in a pipe none is broken.
 WIDE = 10_000
 # Longer names are shortened in tables; to half of this on terminals with less columns than these.
@@ -71,16 +68,11 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
 
     With `conditional`, every interval is that given the terms shown.
     """
-    terminal = sys.stdout.isatty()
-    buffer = io.StringIO()
-    console = Console(
-        file=buffer, force_terminal=terminal, no_color=not terminal, width=None if terminal else WIDE,
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
+    console = text_console(WIDE)
     console.print(f"verdict: {escape(str(eq.verdict))}\n")
     for equation in eq.equations:
-        _render_equation(console, equation, eq.method, eq.scores, terminal, conditional)
-    console.print(f"{markup.escape(source_of(eq))}; method: {ENGINES[eq.method].title}")
+        _render_equation(console, equation, eq.method, eq.scores, conditional)
+    console.print(f"{markup.escape(source_of(eq))}; method: {eq.method} (bayeq discover -h)")
     if eq.data.estimated:
         how = "smoothing" if eq.data.smoothed else "central differences"
         console.print(f"not measured, estimated by {how}: {escape(', '.join(eq.data.estimated))}")
@@ -88,9 +80,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
         console.print(escape(line))
     for message in eq.warnings if with_warnings else ():
         console.print(f"[yellow]warning:[/yellow] {escape(message)}")
-    lines = [line.rstrip() for line in buffer.getvalue().rstrip().splitlines()]
-    # tables bring empty lines of their own
-    return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
+    return printed(console)
 
 
 def given_of(eq: Answer) -> list[str]:
@@ -140,14 +130,14 @@ def _rate(eq: Answer) -> str:
 
 
 def _render_equation(
-    console: Console, equation: Equation, method: str, scores: Scores | None, terminal: bool, conditional: bool
+    console: Console, equation: Equation, method: str, scores: Scores | None, conditional: bool
 ) -> None:
     console.print(f"[bold]{escape(equation.text)}[/bold]\n")
     names = short_names(
         [equation.terms[j].text for j in _listed(equation)],
         LONGEST_NAME if console.width >= ROOMY else LONGEST_NAME // 2,
     )
-    _print_table(console, equation, ENGINES[method].score, terminal, conditional, names)
+    _print_table(console, equation, ENGINES[method].score, conditional, names)
     if names:
         console.print(escape(f"\nin the table: {', '.join(f'{short} is {name}' for name, short in names.items())}"))
     if not conditional and (equation.printed_over_models.any() or equation.intercept_over_models):
@@ -167,8 +157,8 @@ def _render_equation(
         console.print(escape(line))
     for line in _differences(equation, ENGINES[method].score):
         console.print(escape(line))
-    if equation.undetermined and equation.bound is not None:
-        console.print(escape(_undetermined(equation)))
+    for line in unseen(equation):
+        console.print(escape(line))
     # of an equation that terms were left out of, the likelier ones are no runners-up
     runners_up = [r for r in equation.runners_up if not equation.left_out or r.log_odds <= 0]
     if runners_up:
@@ -208,8 +198,11 @@ def _differences(equation: Equation, score: str) -> list[str]:
     for left in equation.left_out:
         sure = "certain" if left.pip > CERTAIN else "likely"
         within = left.reason == "tolerance"
-        why = f"{sure}, but within the tolerance" if within else f"included, but left out ({left.reason})"
-        out.append(f"{why}: {left.name}, {score} {left.pip:.3f}, explains {percent(left.share)}")
+        found = f"{score} {left.pip:.3f}, explains {percent(left.share)}"
+        if within:
+            out.append(f"{left.name} is {sure}, but changes nothing here: left out ({found}; --tolerance 0 shows it)")
+        else:
+            out.append(f"included, but left out ({left.reason}): {left.name}, {found}")
     for j, term in enumerate(equation.terms):
         if shown.support[j] and not p.support[j]:
             out.append(f"shown, though its {score} is {p.pip[j]:.3f}: {term.text} ({equation.why[term.text]})")
@@ -226,11 +219,9 @@ def _differences(equation: Equation, score: str) -> list[str]:
     return out
 
 
-def _print_table(
-    console: Console, equation: Equation, score: str, terminal: bool, conditional: bool, names: Mapping[str, str]
-) -> None:
+def _print_table(console: Console, equation: Equation, score: str, conditional: bool, names: Mapping[str, str]) -> None:
     """The table of terms, without units and shares of variance where a terminal is too narrow for them."""
-    extra, left_out = _extra_columns(equation), list[str]()
+    extra, left_out, terminal = _extra_columns(equation), list[str](), console.is_terminal
     while True:
         table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
         table.add_column("term", overflow="fold")
@@ -249,18 +240,14 @@ def _print_table(
         console.print(f"\n{' and '.join(left_out)}: not shown, for want of width")
 
 
-def _undetermined(equation: Equation) -> str:
-    """Terms that could matter and that the record does not determine."""
-    assert equation.bound is not None
-    bound = dict(zip(_names(equation), equation.bound.tolist(), strict=True))
-    listed = [f"{name} (|coefficient| below {bound[name]:.2g})" for name in equation.undetermined[:MOST_UNDETERMINED]]
+def unseen(equation: Equation, most: int = MOST_UNDETERMINED, advice: str = "") -> list[str]:
+    """A line on terms that could matter elsewhere and are too small here, if there are any."""
+    if not equation.undetermined or equation.bound is None:
+        return []
+    bound = dict(zip([term.text for term in equation.terms], equation.bound.tolist(), strict=True))
+    listed = [f"{name} below {bound[name]:.2g}" for name in equation.undetermined[:most]]
     rest = len(equation.undetermined) - len(listed)
-    more = f", and {rest} more" if rest else ""
-    return f"not determined by this record, at up to ten times its amplitude: {', '.join(listed)}{more}"
-
-
-def _names(equation: Equation) -> list[str]:
-    return [term.text for term in equation.terms]
+    return [f"too small to be seen here: {', '.join(listed)}{f', {rest} more{advice}' if rest else ''}"]
 
 
 def _units(equation: Equation) -> list[str]:
@@ -297,16 +284,16 @@ def _free_run(equation: Equation, scores: Scores | None) -> list[str]:
 
 
 def _residuals(found: Residuals, error_share: float | None) -> list[str]:
-    shape = "not those of a normal distribution" if found.normality < DOUBTFUL else "as of a normal distribution"
+    shape = "no normal distribution" if found.normality < DOUBTFUL else "what is left looks like noise"
     lines = [
         f"residuals: lag-1 autocorrelation {found.lag1:.2f}, effective sample size {found.n_eff:.0f} of {found.n}",
-        f"residuals: skewness {found.skewness:.2f} and excess kurtosis {found.kurtosis:.2f}, {shape}"
-        f" ({_chance(found.normality)})",
+        f"residuals: {shape} (skewness {found.skewness:.2f}, excess kurtosis {found.kurtosis:.2f},"
+        f" {_chance(found.normality)})",
     ]
     share_left = found.discrepancy if error_share is None else error_share
     if share_left is not None:
         share = f"{100 * share_left:.2g}" if share_left > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g}"
-        lines.append(f"discrepancy, what the dictionary does not hold: {share} % of the target's standard deviation")
+        lines.append(f"unexplained beside noise: {share} % of the target's standard deviation")
     if found.driver is not None and found.driver.p_value < DOUBTFUL:
         lines.append(f"residuals: follow {found.driver} ({_chance(found.driver.p_value)})")
     elif found.driver is not None:

@@ -20,7 +20,25 @@ from bayeq.states import Chain
 __all__ = ["arguments_with_units", "channel_units", "constant_units", "derivative_unit", "in_radians", "quotient_unit"]
 
 # Functions of numbers without a unit; those of angles, and units of these.
-PURE = "sin cos tan asin acos atan exp log log10 log1p sinh cosh tanh asinh acosh atanh erf".split()
+PURE = [
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "exp",
+    "log",
+    "log10",
+    "log1p",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+    "erf",
+]
 OF_ANGLES = ("sin", "cos", "tan")
 RADIANS, DEGREES = ({}, parse_unit("rad")), (parse_unit("deg"), parse_unit("°"))
 # Numbers by which a term converts degrees itself.
@@ -143,7 +161,7 @@ def _converts(node: Node) -> bool:
 
 
 def arguments_with_units(term: Expression, units: Mapping[str, str]) -> Iterator[str]:
-    """Units of arguments that should have none, of exponentials, logarithms and sines, in a term; t may have its own."""
+    """Units of arguments of exponentials, logarithms and sines in a term, which should have none; t may have one."""
     parts = [term.tree]
     while parts:
         node = parts.pop()

@@ -144,7 +144,7 @@ def judge(
     error, length = window
     if not error < AS_THE_MEAN:
         though = f", though the terms explain {target} row by row ({rows})" if rows else ""
-        failed = f"free runs over windows of {length} are no better than the mean"
+        failed = f"started from a measured state the equation is wrong within {length}"
         return Verdict("none", f"no equation found: {failed}{though}")
     return Verdict("found", f"{rows}{'; ' if rows else ''}free runs over {length} within {100 * error:.2g} %")
 
@@ -212,8 +212,8 @@ def doubted(
         change += [f"without {', '.join(others.leave)}"] if others.leave else []
         return Verdict(
             "not determined",
-            f"equations that predict {target} otherwise have {100 * others.probability:.2g} % of the probability,"
-            f" the likeliest {' and '.join(change) or 'with another constant'}",
+            f"other equations, which predict another {target}, have {100 * others.probability:.2g} % of the"
+            f" probability, the likeliest {' and '.join(change) or 'with another constant'}",
             "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand",
         )
     share = left if left is not None else 0.0 if lacking is None else lacking.size

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Expression
 from bayeq.figures.style import new_figure, plain, term_label
+from bayeq.inference.engines import NOTEWORTHY_PIP
 from bayeq.records import Record
 
 if TYPE_CHECKING:
@@ -42,8 +43,7 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-# Candidates that are not in the equation are drawn from this probability on, and this many terms in all.
-NOTEWORTHY_PIP = 0.01
+# Terms that are drawn, at most.
 MOST_TERMS = 24
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -15,7 +15,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from bayeq.inference.posterior import Posterior
 
-__all__ = ["ENGINES", "Engine"]
+__all__ = ["ENGINES", "NOTEWORTHY_PIP", "Engine"]
+
+# Candidates that are not in an equation are listed and drawn from this probability on.
+NOTEWORTHY_PIP = 0.01
 
 
 @dataclass(frozen=True, slots=True)

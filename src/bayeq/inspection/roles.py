@@ -137,7 +137,9 @@ def clue_of(name: str, unit: str) -> Clue:
     by_name, tier, others = _order_of_name(parts)
     digits = "_".join(part for part in parts if part.isdigit())
     index = digits or "_".join(others)
-    angle = unit in ("rad", "deg", "°") or (not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts))
+    angle = unit in ("rad", "deg", "°") or (
+        not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts)
+    )
     by_unit = _order_of_unit(unit)
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
     wanted, commands, ambient, measured, current = (bool(set(words.split()) & set(parts)) for words in KINDS)
@@ -240,7 +242,11 @@ def guess_roles(
         present = [(k, name) for k, name in enumerate(chain) if name is not None]
         for (k, low), above in zip(present, [*present[1:], None], strict=True):
             if low not in reasons:
-                why = f"{above[1]} is its {'second ' * (above[0] - k == 2)}derivative" if above else "nothing else fits it"
+                why = (
+                    f"{above[1]} is its {'second ' * (above[0] - k == 2)}derivative"
+                    if above
+                    else "nothing else fits it"
+                )
                 reasons[low] = clues[low].why or why
     used = {name for chain in chains for name in chain} | set(inputs)
     ordered = sorted(chains, key=lambda chain: min(names.index(name) for name in chain if name is not None))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -21,12 +21,12 @@ from bayeq.plan.designs import SHARES, Design, Motions, designs_for, largest_sha
 from bayeq.plan.information import coefficient_gain, seconds_to_halve, seconds_until, unexplained
 from bayeq.plan.models import CandidateModel
 from bayeq.plan.result import Compared, Outcome, Plan, Separation
+from bayeq.resumable import Progress
 from bayeq.states import Chain
 
 __all__ = ["Found", "plan_excitation"]
 
 Floats = NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 
 # Rivals that a plan tells the leading model from, in all equations: each is simulated under every design.
 MOST_RIVALS = 4

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -16,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, RED, log_ticks, new_figure, picture
+from bayeq.markup import printed, text_console
 from bayeq.plan.designs import Design
 from bayeq.plan.excitations import EXCITATIONS
 
@@ -360,20 +359,14 @@ def _of(plan: Plan, rival: Compared) -> str:
 def render(plan: Plan) -> str:
     """The plan: styled if standard output is a terminal, plain Markdown otherwise."""
     from rich import box
-    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
-    terminal = sys.stdout.isatty()
-    buffer = io.StringIO()
-    console = Console(
-        file=buffer, force_terminal=terminal, no_color=not terminal, width=None if terminal else PLAIN_WIDTH,
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
+    console = text_console(PLAIN_WIDTH)
     console.print(f"[bold]{escape(advice(plan))}[/bold]\n")
     for line in _models(plan):
         console.print(escape(line))
-    table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
+    table = Table(box=box.SIMPLE_HEAD if console.is_terminal else box.MARKDOWN, pad_edge=True)
     models = plan.purpose == "models"
     table.add_column("excitation")
     for name in ("band [Hz]", "amplitude", "nats/s", "sd", f"until {plan.odds:g}:1" if models else "until sd halved"):
@@ -399,8 +392,7 @@ def render(plan: Plan) -> str:
         console.print(f"{rest} more designs tell less")
     for line in (*_extrapolation(plan), *_conditions(plan)):
         console.print(escape(line))
-    lines = [line.rstrip() for line in buffer.getvalue().rstrip().splitlines()]
-    return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
+    return printed(console)
 
 
 def _short(plan: Plan, rival: Compared) -> str:

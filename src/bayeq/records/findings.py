@@ -327,15 +327,14 @@ def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: 
     if abs(shift.offset_t) > significant and abs(shift.offset) > LEAST_OFFSET * spread:
         message = (
             f"{q} has an offset of {shift.offset:.3g}{unit} against {what}"
-            f" ({100.0 * abs(shift.offset) / spread:.2g} % of its standard deviation):"
-            f" bayeq.remove_offset(record, {q!r}, {shift.offset:.4g}) takes it out"
+            f" ({100.0 * abs(shift.offset) / spread:.2g} % of its deviation): --remove-offset {q}={shift.offset:.4g}"
         )
         found.append(Finding("offset", (q, p), message, shift.offset))
     if abs(shift.drift_t) > significant and abs(shift.drift) * span > 2.0 * LEAST_OFFSET * spread:
         message = (
             f"{q} drifts by {shift.drift * span:.3g}{unit} over the record against {what}"
-            f" ({100.0 * abs(shift.drift) * span / spread:.2g} % of its standard deviation):"
-            f" bayeq.remove_offset(record, {q!r}, {shift.offset:.4g}, drift={shift.drift:.4g}) takes it out"
+            f" ({100.0 * abs(shift.drift) * span / spread:.2g} %):"
+            f" bayeq.remove_offset(record, {q!r}, {shift.offset:.4g}, drift={shift.drift:.4g})"
         )
         found.append(Finding("drift", (q, p), message, shift.drift))
     return found
@@ -381,7 +380,8 @@ def _clock(record: Record, name: str) -> list[Finding]:
     rows = 2.0 * math.pi * spread / steps if steps > 0.0 else math.inf
     if not rows < MOST_ROWS_A_PERIOD:
         return []
-    message = f"{name} has about {rows * step:.2g} s a period: if time is in ms, write it into its header, or --units COLUMN=ms"
+    period = f"{rows * step:.2g} s"
+    message = f"{name} has about {period} a period: if time is in ms, write it into its header, or --units COLUMN=ms"
     return [Finding("clock", (name,), message, step)]
 
 
@@ -401,7 +401,9 @@ def _again(record: Record, names: Sequence[str]) -> list[Finding]:
         return []
     a, b = int(starts[longest]), int(starts[longest] + lengths[longest])
     shift = int(lag[a])
-    message = f"rows {a + 1} to {b} have the same samples as rows {a - shift + 1} to {b - shift}: leave them out (--rows)"
+    message = (
+        f"rows {a + 1} to {b} have the same samples as rows {a - shift + 1} to {b - shift}: leave them out (--rows)"
+    )
     return [Finding("again", tuple(names), message, float(b - a))]
 
 
@@ -450,7 +452,7 @@ def _clipped(name: str, values: Floats) -> list[Finding]:
             "clipping",
             (name,),
             f"{name} is clipped: {one.samples} samples stand at its {one.which} value {one.level:.4g}, up to"
-            f" {one.longest} in a row; measure in a wider range, or leave them out",
+            f" {one.longest} in a row; measure in a wider range",
             one.level,
         )
         for one in clipped_levels(values)

@@ -42,8 +42,7 @@ SHORTEST_PIECE = 40
 SAMPLES = "samples"
 
 UNKNOWN_TIME = (
-    "time is not known: row numbers are used as time, derivatives that are not measured and their coefficients are per"
-    " sample; give the sampling rate (fs=, --fs) or the column of time (time=, --time)"
+    "time is not known: row numbers are used as time, and coefficients are per sample; give --fs or --time (fs=, time=)"
 )
 
 # Rows are in order of time if a sample of some channel says this much of the next one.
@@ -78,10 +77,7 @@ def split_at_gaps(records: Sequence[Record], channels: Sequence[str]) -> tuple[l
         steps = np.diff(record.time)
         missing = float(np.sum(steps[np.array(ends) - 1]) / np.median(steps)) - len(ends)
         if left_out > missing:
-            messages.append(
-                f"{gaps} interpolated all the same, since the pieces between them are too short to use; measure"
-                " without gaps"
-            )
+            messages.append(f"{gaps} bridged, the pieces between are too short; measure without gaps")
             out.append(record)
             continue
         rest = f"; {left_out} rows in pieces of less than {SHORTEST_PIECE} are not used" if left_out else ""

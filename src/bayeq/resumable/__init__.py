@@ -1,1 +1,12 @@
-"""Long work that goes on where it was stopped: results in an SQLite file, and worker processes."""
+"""Long work that goes on where it was stopped: results in an SQLite file, worker processes, and progress."""
+
+from collections.abc import Callable
+
+__all__ = ["Progress", "silent"]
+
+#: Called with (stage, done, total).
+Progress = Callable[[str, int, int], None]
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """No progress shown."""

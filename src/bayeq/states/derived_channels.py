@@ -73,9 +73,8 @@ def measured_apart(
         if computed:
             source = chain.measured[chain.lowest]
             messages.append(
-                f"{', '.join(chain.names[k] for k in computed)}: computed from {source}, not measured: a filter of"
-                f" {source} gives the samples to less than the noise of {source}. They tell nothing more and are"
-                f" estimated from {source}; smooth='none' takes them as they are"
+                f"{', '.join(chain.names[k] for k in computed)}: computed from {source}, not measured: estimated from"
+                f" {source} again (smooth='none': taken as it is)"
             )
             measured = tuple(None if k in computed else name for k, name in enumerate(chain.measured))
             called = tuple(name if k in computed else chain.own_name(k) for k, name in enumerate(chain.measured))

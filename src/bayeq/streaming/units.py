@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
@@ -18,12 +18,12 @@ from threadpoolctl import threadpool_limits
 
 from bayeq.records import Record, counts_rows, with_row_numbers
 from bayeq.records.stream import Stream, units_between
+from bayeq.resumable import Progress
 from bayeq.states.motion import cut_at
 
 __all__ = ["Executor", "Extent", "Threads", "Unit", "Work", "fold", "of_channels", "stretches", "units_of"]
 
 Of = TypeVar("Of")
-Progress = Callable[[str, int, int], None]
 
 #: Stretches that are looked at first, and rows of each.
 STRETCHES, ROWS_EACH = 20, 5000

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import DataWarning, RecordError, WarningLog
+from bayeq.errors import DataWarning, RecordError, WarningLog, some_of
 from bayeq.expressions import Expression
 from bayeq.gram.gram import from_moments
 from bayeq.inference.posterior import Posterior
@@ -17,6 +17,7 @@ from bayeq.likelihood.block import Block, Curvature, curvature, relearned
 from bayeq.likelihood.record_fit import RecordFit
 from bayeq.regression.design import Design, usable_terms
 from bayeq.regression.residuals import Residuals
+from bayeq.resumable import Progress
 from bayeq.states import Motion
 from bayeq.states.bad_samples import Learned
 from bayeq.streaming.checkpoint import Checkpoints
@@ -26,7 +27,6 @@ from bayeq.streaming.work import BLOCK_ROWS, AsMeasured, ByLikelihood, LaggedRes
 __all__ = ["Whole"]
 
 Bools = NDArray[np.bool_]
-Progress = Callable[[str, int, int], None]
 
 # Of many units these first, evenly spread, so that the likelihood of all is taken near its maximum.
 SPREAD = 16
@@ -140,8 +140,7 @@ class Whole:
         """Warn of rows that the likelihood of all rows does not hold, and of samples that are missing or were bad."""
         if block.lost:
             log.warn(
-                f"of {block.lost:,} of {self.n:,} rows the likelihood could not be evaluated near their motion: the"
-                " answer is about the others; look at these rows, or leave them out (--rows)",
+                f"{block.lost:,} of {self.n:,} rows could not be used: look at them, or leave them out (--rows)",
                 DataWarning,
             )
         names = (*motion.roles.measured, *motion.roles.inputs)
@@ -149,8 +148,7 @@ class Whole:
             listed = [f"{count:,} of {name}" for name, count in zip(names, counts, strict=False) if count]
             if listed:
                 log.warn(
-                    f"of all {self.n:,} rows these samples {what}: {', '.join(listed)}; check the sensors and the"
-                    " acquisition",
+                    f"of all {self.n:,} rows these samples {what}: {some_of(listed, 40)}; check the sensors",
                     DataWarning,
                 )
 

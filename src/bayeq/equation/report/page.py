@@ -20,13 +20,12 @@ from bayeq.equation.report.interactive import require_bokeh
 from bayeq.equation.report.look import STYLE
 from bayeq.equation.report.pictures import pictures
 from bayeq.equation.size_path import percent
-from bayeq.equation.text import NOTEWORTHY_PIP
 from bayeq.errors import BayeqWarning, InputError
 from bayeq.expressions.mathml import mathml, number_mathml, symbol_mathml
 from bayeq.figures.picture import unit_text
 from bayeq.figures.style import require_matplotlib
 from bayeq.forecast.score import percentages
-from bayeq.inference.engines import ENGINES
+from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.records import Record
 from bayeq.records.files import replacing
 
