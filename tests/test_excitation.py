@@ -68,7 +68,7 @@ def test_of_free_decay_nothing_repeats_itself():
     assert judged(record, ("x::",), [], "oscillator")[0] is None
 
 
-@pytest.mark.filterwarnings("ignore")  # of columns that the data hardly tell apart
+@pytest.mark.filterwarnings("ignore")  # of terms that the record cannot tell apart
 def test_the_verdict_says_what_to_do():
     # the posterior is sure of one law, since it has few terms
     verdict = bq.discover(draw_record(CASES["steady sine"], 4000, 30011), chains="x:v:a", inputs=["u"]).verdict

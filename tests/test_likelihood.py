@@ -164,7 +164,7 @@ def test_a_missing_term_leaves_a_discrepancy():
     assert lacking.low > 0.05
     assert lacking.p < 1e-6
     assert eq[0].residuals.discrepancy > 0.05
-    assert "discrepancy, what the dictionary does not hold" in str(eq)
+    assert "unexplained beside noise" in str(eq)
     (whole,) = quietly(record, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
     assert whole.residuals.discrepancy < 0.02
     assert whole.verdict.kind == "found"

@@ -65,7 +65,7 @@ def test_none_where_free_runs_leave_the_record():
     assert eq[0].held_out.r2 > 0.9
     assert eq.scores.free_run["x"] > 0.8
     assert eq.verdict.kind == "none"
-    assert "free runs over windows of one correlation time are no better than the mean" in eq.verdict.reason
+    assert "started from a measured state the equation is wrong within one correlation time" in eq.verdict.reason
     assert any("no equation found" in message for message in eq.warnings)
 
 

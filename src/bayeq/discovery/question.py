@@ -489,8 +489,7 @@ def _warn_of_terms(design: Design, log: WarningLog) -> None:
     n, terms = design.train[0].n, len(design.terms)
     if n <= terms:
         log.warn(
-            f"{n} training rows for {terms} candidate terms: the prior decides much; measure more rows, or give fewer"
-            " terms",
+            f"{n} training rows for {terms} candidate terms: fewer rows than terms; measure more, or give fewer terms",
             DataWarning,
         )
     if design.dropped:

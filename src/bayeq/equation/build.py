@@ -254,7 +254,7 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
         )
     if equation.verdict.kind == "none":
         why = equation.verdict.reason.removeprefix("no equation found: ").partition(", though")[0]
-        log.warn(f"{target}: {why}; check which channel is which, then the terms", DataWarning)
+        log.warn(f"{target}: {why}; check the channels", DataWarning)
     found = selection.fit.posterior
     if found.optimum is not None and bool((found.optimum != found.support).any()):
         other = [n for n, kept in zip(found.names, found.optimum, strict=True) if kept]
@@ -316,7 +316,7 @@ def _warn_of_groups(equation: Equation, left_out: Set[str], log: WarningLog) -> 
     for members, some in posterior.average.credible_groups():
         if some <= 0.5:
             continue  # more likely than not that none of them is in
-        listed = some_of([f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members], 50)
+        listed = some_of([f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members], 36)
         shown = [posterior.names[j] for j in members if equation.shown_posterior.support[j]]
         beside = [posterior.names[j] for j in members if posterior.names[j] in left_out]
         none = f"none, for {', '.join(beside)} is left out" if beside else "none"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import InputError, LengthsError, RecordError, WordsError
+from bayeq.errors import InputError, LengthsError, RecordError, WordsError, some_of
 from bayeq.inspection.channels import describe_channels
 from bayeq.inspection.contents import RecordInfo
 from bayeq.inspection.links import Link, correlations, drivers, find_links, first_order, rough_channels, short_record
@@ -115,11 +115,8 @@ def _numbers(path: Path, rows: slice, how: dict[str, Any]) -> tuple[Experiments,
             # the length that most arrays have, of several such the longest
             usual = max(Counter(error.sizes.values()).items(), key=lambda one: (one[1], one[0]))[0]
             how["columns"] = [name for name, size in error.sizes.items() if size == usual]
-            others = ", ".join(f"{name} ({size})" for name, size in error.sizes.items() if size != usual)
-            remarks.append(
-                f"arrays of several lengths: those of {usual} samples are described, not {others}; others are named"
-                " with --channel"
-            )
+            others = some_of([f"{name} ({size})" for name, size in error.sizes.items() if size != usual], 30)
+            remarks.append(f"of arrays of {usual} samples; there are others: {others} (--channel NAME)")
 
 
 def _opened(path: Path, rows: slice, how: Mapping[str, Any]) -> Experiments:
@@ -278,8 +275,7 @@ def _on_time(found: RecordInfo) -> list[str]:
     column = found.experiments.time
     if column is not None and not found.experiments.restarts:
         out.append(
-            f"time: no column has its name; {column}, which rises from row to row, is taken, in seconds unless its"
-            " header has a unit"
+            f"time: no column has its name; {column}, which rises, is taken, in seconds unless its header has a unit"
         )
     if found.experiments.step is not None:
         out.append(f"time: {found.experiments.step} is constant and named as the time step [s]: taken for it")
@@ -292,8 +288,7 @@ def _on_time(found: RecordInfo) -> list[str]:
         count = len(found.gaps)
         what = "1 gap" if count == 1 else f"{count} gaps, the longest"
         out.append(
-            f"time: {what} of {longest.seconds:.4g} s after row {longest.row}; discover divides the record at gaps"
-            " that are too long to bridge"
+            f"time: {what} of {longest.seconds:.4g} s after row {longest.row}; discover divides the record at long gaps"
         )
     return out
 
@@ -310,8 +305,7 @@ def _on_experiments(found: RecordInfo) -> list[str]:
         return [f"{count} experiments, {rows}, numbered by {one.column}", *copies]
     first = 1 + one.records[0].n
     return [
-        f"{count} experiments, {rows}: time starts over, first in row {first}, and no column numbers them; add one and"
-        " name it with --group, or write a file for each",
+        f"{count} experiments, {rows}: time starts over, first in row {first}; number them in a column (--group)",
         *copies,
     ]
 
@@ -326,10 +320,7 @@ def _on_parts(found: RecordInfo) -> list[str]:
     how, rows = ("time jumps before", jumps) if jumps else ("the motion begins again from rest at about", again)
     if not rows:
         return []
-    return [
-        f"{how} row{'s' * (len(rows) > 1)} {_listed(rows)}: perhaps {len(rows) + 1} experiments; number them in a"
-        " column and name it with --group, or take one with --rows"
-    ]
+    return [f"{how} row{'s' * (len(rows) > 1)} {_listed(rows)}: perhaps {len(rows) + 1} experiments (--rows, --group)"]
 
 
 def _on_channels(found: RecordInfo) -> list[str]:

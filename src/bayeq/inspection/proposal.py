@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from bayeq.errors import some_of
 from bayeq.inspection.roles import Clue, Guess
 
 __all__ = ["Proposal", "Reading", "propose"]
@@ -61,8 +62,7 @@ def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int
         notes.append("the record has no time: make it with time= or fs=, as in Record.from_arrays(x=x, fs=1000)")
     if reading.unnumbered:
         notes.append(
-            "this works once the file has a column that numbers its experiments (then add --group), or is divided:"
-            " its time starts over"
+            "its time starts over: this works once a column numbers the experiments (--group), or with a file for each"
         )
     arguments = _roles(guess, options, notes)
     dictionary = _dictionary(guess, clues, rows)
@@ -103,8 +103,7 @@ def _roles(guess: Guess, options: list[tuple[str, str]], notes: list[str]) -> li
     if not guess.chains:
         options.append(("--disp", "DISPLACEMENT"))
         notes.append(
-            "DISPLACEMENT: no channel says what it is; write the displacement, and add --vel, --acc and --force where"
-            " these were measured (of first-order states: --chain NAME for each instead)"
+            "DISPLACEMENT: no channel says what it is; write it, and --vel, --acc, --force (first order: --chain NAME)"
         )
         arguments = ["displacement='DISPLACEMENT'"]
     elif len(guess.chains) == 1 and len(guess.chains[0]) == 3:
@@ -150,8 +149,8 @@ def _say_undecided(guess: Guess, notes: list[str]) -> None:
     open_ = [name for name in guess.undecided if name not in guess.reasons]
     if open_ and guess.chains:
         notes.append(
-            f"not used: {', '.join(open_)}; if one of them is a force or another input, add --input"
-            f" {shlex.quote(open_[0])}; if it is a coordinate of its own, --chain {shlex.quote(open_[0] + '::')}"
+            f"not used: {some_of(open_, 30)}; an input: --input {shlex.quote(open_[0])}; a coordinate of its own:"
+            f" --chain {shlex.quote(open_[0] + '::')}"
         )
     elif guess.chains and not guess.inputs:
         notes.append("no channel is known to be a force: without one the motion is taken as free")

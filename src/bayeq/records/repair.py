@@ -80,9 +80,9 @@ def split_at_gaps(records: Sequence[Record], channels: Sequence[str]) -> tuple[l
             messages.append(f"{gaps} bridged, the pieces between are too short; measure without gaps")
             out.append(record)
             continue
-        rest = f"; {left_out} rows in pieces of less than {SHORTEST_PIECE} are not used" if left_out else ""
+        rest = f"; {left_out} rows unused" if left_out else ""
         pieces_used = "1 piece" if len(used) == 1 else f"{len(used)} pieces"
-        messages.append(f"{gaps} taken as {pieces_used}{rest}; check the acquisition")
+        messages.append(f"{gaps} taken as {pieces_used}{rest}")
         out += used
     return out, messages
 

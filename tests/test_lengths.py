@@ -1,0 +1,84 @@
+"""What `discover` and `info` warn of is said in a line each, of at most 120 characters."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import bayeq as bq
+from bayeq.errors import BayeqWarning
+from bayeq.inspection.info import info
+
+LONGEST = 120
+
+T = np.arange(600) / 100
+X = np.sin(3 * T) + 0.6 * np.sin(8 * T + 1)
+V = 3 * np.cos(3 * T) + 4.8 * np.cos(8 * T + 1)
+A = -9 * np.sin(3 * T) - 38.4 * np.sin(8 * T + 1)
+NOISE = np.random.default_rng(0).normal(size=(5, 600))
+U = A + 0.3 * V + 9 * X
+
+
+def _record(**changed: np.ndarray) -> bq.Record:
+    channels = {"x": X + 0.01 * NOISE[0], "v": V + 0.03 * NOISE[1], "a": A + 0.1 * NOISE[2], "u": U + 0.1 * NOISE[3]}
+    return bq.Record.from_arrays({**channels, **changed}, time=T)
+
+
+def _with_spikes(values: np.ndarray) -> np.ndarray:
+    out = values.copy()
+    out[[50, 170, 333, 480]] += 400.0
+    return out
+
+
+def _with_gap(record: bq.Record) -> bq.Record:
+    x = record["x"].copy()
+    x[100:180] = np.nan
+    return record.with_channels({"x": x}, {})
+
+
+AWKWARD: dict[str, Callable[[], tuple[bq.Record | list[bq.Record], dict[str, object]]]] = {
+    "a sign": lambda: (_record(v=-V + 0.03 * NOISE[1]), {"chains": "x:v:a", "inputs": ["u"]}),
+    "an offset and a delay": lambda: (_record(v=V + 1.0, a=np.roll(A, 4)), {"chains": "x:v:a", "inputs": ["u"]}),
+    "wrong units": lambda: (_record(a=A / 9.80665), {"chains": "x:v:a", "inputs": ["u"]}),
+    "nothing in common": lambda: (_record(v=NOISE[1], a=NOISE[2]), {"chains": "x:v:a", "inputs": ["u"]}),
+    "rows as measured": lambda: (_record(), {"chains": "x:v:a", "inputs": ["u"], "smooth": "none"}),
+    "spikes": lambda: (_record(x=_with_spikes(X)), {"chains": "x::", "inputs": ["u"]}),
+    "clipped": lambda: (_record(x=np.clip(X, -0.8, 0.8)), {"chains": "x::", "inputs": ["u"]}),
+    "a gap": lambda: (_with_gap(_record()), {"chains": "x::", "inputs": ["u"]}),
+    "few rows": lambda: (_record().slice(0, 30), {"chains": "x:v:a", "inputs": ["u"]}),
+    "beside zero": lambda: (_record(x=X + 5.0), {"chains": "x:v:a", "inputs": ["u"]}),
+    "twice": lambda: ([_record(), _record()], {"chains": "x:v:a", "inputs": ["u"]}),
+    "the same rows": lambda: (
+        bq.Record.from_arrays({"x": np.tile(X[:300] + 0.01 * NOISE[0][:300], 2), "u": U}, time=T),
+        {"chains": "x::", "inputs": ["u"]},
+    ),
+    "milliseconds": lambda: (bq.Record.from_arrays({"x": X + 0.01 * NOISE[0]}, time=T * 100), {"chains": "x::"}),
+    "degrees": lambda: (
+        bq.Record.from_arrays({"x": X, "u": U}, time=T, units={"x": "deg", "u": "N"}),
+        {"chains": "x::", "inputs": ["u"], "dictionary": ["x", "dx", "sin(x)", "exp(x)", "log(1+u**2)", "u"]},
+    ),
+    "free": lambda: (_record(), {"chains": "x::"}),
+    "copies": lambda: (_record(x=X + 2.0), {"chains": "x::", "inputs": ["u"], "dictionary": "oscillator"}),
+    "gibbs": lambda: (_record(), {"chains": "x:v:a", "inputs": ["u"], "method": "gibbs"}),
+    "vb": lambda: (_record(), {"chains": "x:v:a", "inputs": ["u"], "method": "vb"}),
+    "noise given": lambda: (_record(), {"chains": "x:v:a", "inputs": ["u"], "noise": {"x": 0.01}, "smooth": "none"}),
+    "a wrong sign": lambda: (_record(), {"chains": "x:v:a", "inputs": ["u"], "constraints": "x >= 0"}),
+}
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", AWKWARD)
+def test_a_line_each(name: str) -> None:
+    record, options = AWKWARD[name]()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        eq = bq.discover(record, **options)  # type: ignore[arg-type]
+    said = [str(one.message) for one in caught if issubclass(one.category, BayeqWarning)]
+    assert sorted(said) == sorted(eq.warnings)
+    for one in [record] if isinstance(record, bq.Record) else record:
+        found = info(one)
+        said += [*found.findings, *found.proposal.notes, *found.guess.questions]
+    assert [message for message in said if len(message) > LONGEST] == []
