@@ -193,7 +193,7 @@ def test_pieces_between_gaps():
     pieces, messages = split_at_gaps([rec.take(kept)], ["x"])
     # five rows are bridged; twenty alone are too few
     assert [piece.n for piece in pieces] == [295, 160]
-    assert messages[0].endswith("2 pieces; 20 rows in pieces of less than 40 are not used; check the acquisition")
+    assert messages[0].endswith("2 pieces; 20 rows unused")
     assert split_at_gaps([rec], ["x"]) == ([rec], [])
     without = bq.Record.from_arrays(x=rec["x"])
     assert split_at_gaps([without], ["x"]) == ([without], [])

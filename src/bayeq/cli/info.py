@@ -29,7 +29,8 @@ __all__ = ["info"]
 def info(files: tuple[Path, ...], as_json: bool, channels: tuple[str, ...], **options: Any) -> None:
     """Say what is in a file: channels, rate, units, power, bad samples, likely roles, and what to run next.
 
-    FILE... are one or several records, in any format that discover reads.
+    FILE... are one or several records: text (CSV ...), MATLAB, HDF5, universal files, TDMS, LabVIEW, Excel, WAV,
+    Parquet, NumPy.
     """
     from importlib.metadata import version
 
