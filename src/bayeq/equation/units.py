@@ -40,7 +40,7 @@ PURE = [
     "erf",
 ]
 OF_ANGLES = ("sin", "cos", "tan")
-RADIANS, DEGREES = ({}, parse_unit("rad")), (parse_unit("deg"), parse_unit("°"))
+RADIANS, DEGREES = (Unit(), parse_unit("rad")), (parse_unit("deg"), parse_unit("°"))
 # Numbers by which a term converts degrees itself.
 CONVERTING = (180.0, math.pi / 180.0, 180.0 / math.pi)
 

@@ -168,7 +168,7 @@ def check_messages(
 def without_copies(records: Sequence[Record], names: Sequence[str]) -> tuple[list[Record], list[str]]:
     """Records without those whose channels repeat an earlier one sample by sample, and a sentence on each of these."""
     first: dict[tuple[bytes, ...], str] = {}
-    kept, messages = [], []
+    kept, messages = list[Record](), list[str]()
     for k, record in enumerate(records, start=1):
         name = record.name or f"record {k}"
         other = first.setdefault(tuple(np.asarray(record[one]).tobytes() for one in names), name)
