@@ -376,6 +376,7 @@ def _clock(record: Record, name: str) -> list[Finding]:
     step, values = record.dt, record[name]
     if step is None or step < LEAST_STEP or "t" in record.units or not np.isfinite(values).all():
         return []
+    values = values / (float(np.abs(values).max()) or 1.0)  # squares of huge numbers are infinite
     spread, steps = float(np.std(values)), float(np.std(np.diff(values)))
     rows = 2.0 * math.pi * spread / steps if steps > 0.0 else math.inf
     if not rows < MOST_ROWS_A_PERIOD:
