@@ -253,7 +253,7 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             DataWarning,
         )
     if equation.verdict.kind == "none":
-        why = equation.verdict.reason.removeprefix("no equation found: ").partition(", though")[0]
+        why = equation.verdict.reason.partition(", though")[0].partition(" (")[0]
         log.warn(f"{target}: {why}; check the channels", DataWarning)
     found = selection.fit.posterior
     if found.optimum is not None and bool((found.optimum != found.support).any()):
