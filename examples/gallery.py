@@ -24,7 +24,8 @@ PICTURES = {
     "damper. The line is the discovered curve, the band its 95 % interval. Dots "
     "that follow another curve than the line show what the equation lacks.",
     "pip_bars": "How probable it is that each term is in the law. Filled bars are in the "
-    "equation. Bars near the dashed line, at 0.5, are undecided.",
+    "equation. Bars near the dashed line, at 0.5, are undecided. Here of one second with 10 % noise: in "
+    "the record above all four terms are certain.",
     "coefficient_forest": "Every coefficient and its 95 % interval, in per cent of the estimate, so that "
     "different units stand on one scale. A simulated record knows its law: diamonds"
     " are the true values.",
@@ -36,8 +37,10 @@ PICTURES = {
     "Errors add up here: it is the hardest test.",
     "spectra": "Where in frequency the free run agrees with what was measured. The floor of "
     "the measured spectrum is its noise.",
-    "frequency_response": "Magnitude and phase from the force to the displacement, the receptance. Grey "
-    "is what does not follow the force: noise, or a nonlinear part of the motion.",
+    "frequency_response": "Magnitude and phase from the force to the displacement, the receptance, and how much "
+    "of the motion follows the force (coherence), here over 40 s of the same oscillator: the longer the record, the finer "
+    "the resonance is resolved. At the resonance the coherence of both is low: that is the cubic spring, not noise, which "
+    "takes over from 30 Hz on.",
     "phase_portrait": "Velocity against displacement: the record, and the free run over the rows held out.",
     "candidate_correlation": "How alike the columns of the likeliest terms are. Terms near 1 or -1 can "
     "hardly be told apart by this record; one with other amplitudes would tell.",
@@ -75,9 +78,13 @@ Path and sensitivity have pictures of their own: `eq[0].path().plot()` shows the
 def draw_gallery(folder: Path) -> None:
     """Write every picture."""
     rec = bq.simulate("duffing", n=4000, seed=1)
-    eq = bq.discover(rec, displacement="x", velocity="v", acceleration="a", force="u")
+    short = bq.simulate("duffing", n=1000, noise=0.1, seed=2)
+    eq, doubtful = (
+        bq.discover(one, displacement="x", velocity="v", acceleration="a", force="u") for one in (rec, short)
+    )
+    others = {"pip_bars": (doubtful, short), "frequency_response": (eq, bq.simulate("duffing", n=40_000, seed=2))}
     for name in PICTURES:
-        drawn: Any = getattr(bq.figures, name)(eq, rec)
+        drawn: Any = getattr(bq.figures, name)(*others.get(name, (eq, rec)))
         figure = np.ravel(np.array(drawn, dtype=object))[0].figure
         write_figure(figure, folder / f"gallery_{name}.png")
 

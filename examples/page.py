@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Example", "draw", "markers", "put_blocks", "write_figure", "write_table"]
 
 # Resolution of the figures [dots per inch]: for the screen.
-DPI = 150
+DPI = 240
 
 # Lines of a printed answer that the page leaves out: candidates outside the equation and their bounds, the intercept,
 # noise, training fit, statistics of residuals, runners-up, and how the record was used. Longer lines are cut.

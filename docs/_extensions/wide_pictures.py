@@ -1,4 +1,4 @@
-"""Wide pictures: marked for the style sheet, which lets them scroll on a telephone, and linked to the whole picture."""
+"""Pictures: shown at half their pixels, for fine screens; wide ones scroll on a telephone. Both lead to the whole one."""
 
 from __future__ import annotations
 
@@ -9,15 +9,20 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.images import get_image_size
 
-WIDE = 800  # pixels: twice what a telephone shows
+WIDE = 600  # pixels of the page, from which a picture is as wide as the page
+FINE = 2  # pixels of a picture for one of the page, as on fine screens
 
 
 def mark_wide(app: Sphinx, doctree: nodes.document) -> None:
     for image in doctree.findall(nodes.image):
         size = get_image_size(Path(app.srcdir, image["uri"]))
-        if size is not None and size[0] > WIDE:
+        if size is None:
+            continue
+        # Sphinx links pictures with a width to the whole picture
+        image["width"] = f"{size[0] // FINE}px"
+        if size[0] > FINE * WIDE or image["uri"].endswith(".svg"):
             image["classes"].append("wide")
-            image["width"] = "100%"  # Sphinx links pictures with a width to the whole picture
+            image["width"] = "100%"
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

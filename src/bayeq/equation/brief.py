@@ -26,7 +26,7 @@ from bayeq.equation.text import (
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 
-__all__ = ["brief"]
+__all__ = ["brief", "checks", "failed", "in_symbols", "quantity_rows", "sentence", "what_to_try"]
 
 WIDTH = 100
 
@@ -45,9 +45,9 @@ def brief(eq: Answer) -> str:
 
     No equation is printed where none was found.
     """
-    lines = _wrapped(f"verdict: {eq.verdict.kind}: {_sentence(eq)}")
+    lines = _wrapped(f"verdict: {eq.verdict.kind}: {sentence(eq)}")
     if eq.verdict.kind == "none":
-        return "\n".join([*lines, "", *_wrapped(_what_to_try(eq))])
+        return "\n".join([*lines, "", *_wrapped(what_to_try(eq))])
     physical = own_parameters(eq)
     for one in eq.equations:
         found = physical if len(eq.equations) == 1 else None
@@ -61,9 +61,9 @@ def brief(eq: Answer) -> str:
             lines += _table(one, ENGINES[eq.method].score)
     if physical is not None and len(eq.equations) > 1:
         lines += ["", *_quantities([q for q in physical if not q.symbol.startswith("phi_")])]
-    lines += ["", *_wrapped(_checks(eq))]
+    lines += ["", *_wrapped(checks(eq))]
     for one in eq.equations:
-        lines += [line for text in (*_failed(one), *unseen(one, FEW, ADVICE)) for line in _wrapped(printable(text))]
+        lines += [line for text in (*failed(one), *unseen(one, FEW, ADVICE)) for line in _wrapped(printable(text))]
     lines += [line for text in given_of(eq) for line in _wrapped(printable(text))]
     return "\n".join([*lines, *_wrapped(source_of(eq, short=True))])
 
@@ -77,7 +77,8 @@ def _wrapped(text: str, indent: str = "  ") -> list[str]:
     return textwrap.wrap(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
-def _sentence(eq: Answer) -> str:
+def sentence(eq: Answer) -> str:
+    """The verdict's reason in words, behind its kind."""
     verdict = eq.verdict
     if verdict.kind != "found":
         return printable(str(verdict).partition(": ")[2].removeprefix("no equation found: "))
@@ -92,7 +93,8 @@ def _sentence(eq: Answer) -> str:
     return printable(f"no test speaks against {'it' if len(eq.equations) == 1 else 'them'}{within}")
 
 
-def _what_to_try(eq: Answer) -> str:
+def what_to_try(eq: Answer) -> str:
+    """Where no equation was found: the likely cause and a command."""
     names = [name for name in eq.data.files if name]
     file = printable(names[0]) if names else "FILE"
     return (
@@ -103,13 +105,13 @@ def _what_to_try(eq: Answer) -> str:
 
 def _law(equation: Equation, found: PhysicalParameters, inputs: Sequence[str]) -> Iterator[str]:
     """The law in physical parameters, and these."""
-    law = _in_symbols(equation, found, inputs)
+    law = in_symbols(equation, found, inputs)
     if law is not None:
         yield printable(law)
     yield from _quantities([q for q in found if q.symbol not in DERIVED])
 
 
-def _in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[str]) -> str | None:
+def in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[str]) -> str | None:
     """``m*a + c*v + k*x = u``; None where terms or a constant have no place in it."""
     symbols = {q.symbol for q in found}
     if equation.chain.order != 2 or found.unexplained or (equation.intercept_matters and "x0" not in symbols):
@@ -126,16 +128,16 @@ def _in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[
     return f"{' + '.join(parts)} = {driven[0] if driven and not per else '0'}" if not (driven and per) else None
 
 
-def _quantities(quantities: Sequence[Quantity]) -> list[str]:
-    rows = [
-        (
-            q.symbol,
-            round_to(q.mean, q.sd),
-            f"({round_to(q.low, q.sd)} .. {round_to(q.high, q.sd)})",
-            printable(q.unit or ""),
-        )
+def quantity_rows(quantities: Sequence[Quantity]) -> list[tuple[str, str, str, str]]:
+    """Symbol, mean, interval and unit of each as text."""
+    return [
+        (q.symbol, round_to(q.mean, q.sd), f"{round_to(q.low, q.sd)} .. {round_to(q.high, q.sd)}", q.unit or "")
         for q in quantities
     ]
+
+
+def _quantities(quantities: Sequence[Quantity]) -> list[str]:
+    rows = [(a, b, f"({c})", printable(d)) for a, b, c, d in quantity_rows(quantities)]
     widths = [max((len(row[k]) for row in rows), default=0) for k in range(4)]
     return [
         f"    {a:<{widths[0]}}  {b:>{widths[1]}}  {c:<{widths[2]}}  {d:<{widths[3]}}  {q.meaning}".rstrip()
@@ -176,7 +178,7 @@ def _table(equation: Equation, score: str) -> list[str]:
     ]
 
 
-def _checks(eq: Answer) -> str:
+def checks(eq: Answer) -> str:
     """How well the equations predict rows that were not used."""
     fits, where = [one.held_out for one in eq.equations], "rows that were not used"
     if fits[0] is None:
@@ -189,12 +191,12 @@ def _checks(eq: Answer) -> str:
             parts.append(f"free run within {percentages({name: eq.scores.free_run[name] for name in states})}")
     elif eq.scores is not None:
         parts.append(f"a free run over them blew up at {eq.scores.blew_up_at:.6g} s")
-    if all(not list(_failed(one)) and one.verdict.kind == "found" for one in eq.equations):
+    if all(not list(failed(one)) and one.verdict.kind == "found" for one in eq.equations):
         parts.append("what is left looks like noise")
     return printable(f"checked on {pairs[0][1].n} {where}: {', '.join(parts)}")
 
 
-def _failed(equation: Equation) -> Iterator[str]:
+def failed(equation: Equation) -> Iterator[str]:
     """Diagnostics that fail, and what to do."""
     found = equation.residuals
     if found.normality < DOUBTFUL and found.kurtosis > 0.0:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from bayeq.errors import InputError
-from bayeq.figures.picture import above
+from bayeq.figures.picture import above, unit_text
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, new_panels, picture, plain, term_label
 
 if TYPE_CHECKING:
@@ -95,16 +94,11 @@ def _panel(ax: Axes, rows: pd.DataFrame, before: str) -> None:
         own = drawn[drawn.verdict == kind]
         ax.plot(own.order, own.coef, linestyle="none", markersize=size, zorder=3, **look)
     units = {unit if isinstance(unit, str) else "" for unit in rows.unit}  # pandas makes NaN of None
-    unit = "units differ" if len(units) > 1 else _unit(units.pop())
+    unit = "units differ" if len(units) > 1 else plain(unit_text(units.pop()))
     name = term_label(rows.term.iloc[0], tuple(rows.term)) if rows.term.iloc[0] != "1" else "constant"
     ax.set_ylabel(f"{plain(before)}{name}" + (f"\n[{unit}]" if unit not in ("", "1") else ""))
     ax.locator_params(axis="y", nbins=5)
     ax.ticklabel_format(axis="y", useOffset=False, scilimits=(-4, 5))
-
-
-def _unit(unit: str) -> str:
-    """A unit with its powers raised, of which the font has not all as characters."""
-    return re.sub(r"\^(-?\d+)", r"$^{\1}$", plain(unit))
 
 
 def _files(ax: Axes, table: pd.DataFrame) -> None:

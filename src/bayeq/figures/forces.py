@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Evaluator
-from bayeq.figures.picture import Answer, EquationLike, above, axes_for, equation_of, label_of, thinned, titled
+from bayeq.figures.picture import (
+    Answer,
+    EquationLike,
+    above,
+    axes_for,
+    equation_of,
+    given_as,
+    label_of,
+    thinned,
+    titled,
+)
 from bayeq.figures.runs import BAND
 from bayeq.figures.style import BLACK, BLUE, GREY, SINGLE_COLUMN, new_figure, picture
 from bayeq.numerics.normal import Z95
@@ -137,7 +147,7 @@ def restoring_force_curve(
     (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
     every = thinned(rows.n)
     dots: dict[str, Any] = {"color": GREY, "markersize": 1.8, "markeredgewidth": 0, "alpha": 0.7, "rasterized": True}
-    ax.plot(place[every], force[every], "o", label="measured less other terms", **dots)
+    ax.plot(place[every], force[every], "o", label=f"{given_as(eq, equation.target)} less other terms", **dots)
     ax.fill_between(along, mean - Z95 * sd, mean + Z95 * sd, label="95 % band", **BAND)
     ax.plot(along, mean, color=BLUE, linewidth=1.4, label="discovered")
     ax.set_xlabel(label_of(name, equation.units))
@@ -194,19 +204,20 @@ def restoring_force_surface(eq: Answer, record: Record, ax: Any = None, *, targe
     grid_x, grid_v = _ellipse(x, v)
     surface, _ = _discovered(equation, {names[0]: grid_x, names[1]: grid_v})
     if ax is None:
-        ax = new_figure(SINGLE_COLUMN + 20.0, 88.0).add_axes((0.0, 0.03, 0.9, 0.93), projection="3d")
-        ax.set_box_aspect((1.0, 1.0, 0.8), zoom=1.08)
+        ax = new_figure(SINGLE_COLUMN, 78.0).add_axes((0.11, 0.05, 0.87, 0.9), projection="3d")
+        ax.set_box_aspect((1.0, 1.0, 0.75), zoom=1.0)
     every = thinned(rows.n, POINTS)
-    look: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "linewidth": 0.15, "edgecolor": BLACK, "antialiased": True}
+    look: dict[str, Any] = {"color": BLUE, "alpha": 0.4, "linewidth": 0.15, "edgecolor": BLUE, "antialiased": True}
     ax.plot_surface(grid_x, grid_v, surface, rcount=RINGS, ccount=RAYS, label="discovered", **look)
-    dots: dict[str, Any] = {"s": 1.6, "color": BLACK, "alpha": 0.5, "linewidths": 0, "rasterized": True}
-    ax.scatter(x[every], v[every], force[every], label="measured", depthshade=False, **dots)
+    dots: dict[str, Any] = {"s": 2.2, "color": BLACK, "alpha": 0.6, "linewidths": 0, "rasterized": True}
+    ax.scatter(x[every], v[every], force[every], label=given_as(eq, equation.target), depthshade=False, **dots)
     ax.set_xlabel(label_of(names[0], equation.units), labelpad=-2)
     ax.set_ylabel(label_of(names[1], equation.units), labelpad=-2)
     ax.set_zlabel(label_of(equation.target, equation.units, FORCE), labelpad=-1)
     ax.tick_params(pad=-2)
     ax.locator_params(nbins=5)
-    ax.view_init(elev=26.0, azim=-52.0)
+    # from the low side of the slope: from the high one the surface is seen on edge
+    ax.view_init(elev=28.0, azim=-122.0 if np.polyfit(x, force, 1)[0] >= 0.0 else -58.0)
     titled(ax, eq, equation.target)
     ax.legend(loc="upper right", fontsize=7, markerscale=3.0)
     return ax

@@ -18,8 +18,8 @@ from bayeq.figures.picture import (
     frequency_label,
     units_of,
 )
-from bayeq.figures.runs import DRAWN
-from bayeq.figures.style import BLACK, FULL_WIDTH, GREY, ORANGE, SINGLE_COLUMN, picture, plain, term_label
+from bayeq.figures.runs import DRAWN, MEASURED
+from bayeq.figures.style import FULL_WIDTH, GREY, ORANGE, PALE, SINGLE_COLUMN, log_ticks, picture, plain, term_label
 from bayeq.records import Record
 
 if TYPE_CHECKING:
@@ -29,9 +29,15 @@ __all__ = ["frequency_response", "spectra"]
 
 Floats = NDArray[np.float64]
 
-# Segments of a spectrum: about this many, which overlap by half.
+# Segments of a spectrum, which overlap by half.
 SEGMENTS = 8
+
+# Those of a frequency response: fewer, as a resonance needs long ones, and the root of the rows over this for a long record.
+LEAST_SEGMENTS, ROWS_PER_SEGMENT = 5, 160
 LEAST_ROWS = 32
+
+# Spectra end at this multiple of the last frequency at which the run is above what it does not explain.
+TAIL = 2.0
 
 # Frequencies at which the input has less than this share of its largest power are not drawn: nothing is excited there.
 DRIVEN = 1e-3
@@ -69,14 +75,14 @@ def _filled(values: Floats) -> Floats:
     return np.interp(at, at[there], values[there])
 
 
-def _cross_spectrum(x: Floats, y: Floats, fs: float) -> tuple[Floats, NDArray[np.complex128]]:
+def _cross_spectrum(x: Floats, y: Floats, fs: float, segments: int = SEGMENTS) -> tuple[Floats, NDArray[np.complex128]]:
     """Frequencies [Hz] above zero and the cross spectral density of two channels, by Welch's method (1967).
 
     Hann windows over segments that overlap by half, each less its mean; densities are one-sided.
     """
     from scipy.signal import csd
 
-    length = max(LEAST_ROWS, 2 ** int(np.log2(max(2.0 * len(x) / (SEGMENTS + 1), LEAST_ROWS))))
+    length = max(LEAST_ROWS, int(2.0 * len(x) / (segments + 1)))
     f, density = csd(x, y, fs=fs, nperseg=min(length, len(x)))
     return np.asarray(f[1:]), np.asarray(density[1:], dtype=np.complex128)
 
@@ -114,17 +120,21 @@ def spectra(eq: Answer, record: Record, ax: Any = None, *, channel: str | None =
     measured, simulated = _filled(run.measured[name]), run.mean[name]
     (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
     curves = (
-        (measured, {"color": BLACK, "linewidth": 1.3, "label": "measured"}),
+        (measured, MEASURED),
         (simulated, {**DRAWN, "label": "free run"}),
         (measured - simulated, {"color": ORANGE, "linewidth": 0.8, "label": "difference"}),
     )
-    highest = 0.0
+    densities = []
     for values, look in curves:
         f, density = _cross_spectrum(values, values, fs)
         ax.semilogy(f, density.real, **look)
-        highest = max(highest, float(density.real.max()))
-    ax.set_ylim(max(float(ax.get_ylim()[0]), 1e-12 * highest), 3.0 * highest)
-    ax.set_xlim(0.0, fs / 2.0)
+        densities.append(density.real)
+    whole, run_s, left = densities
+    above_noise = np.flatnonzero(run_s > left)  # beyond, the run is below what is left: a tail that nothing tells
+    last = TAIL * float(f[above_noise[-1]]) if len(above_noise) else fs
+    ax.set_xlim(0.0, min(last, fs / 2.0))
+    highest, least = float(whole.max()), float(np.minimum(whole, left)[f <= last].min())
+    ax.set_ylim(max(0.1 * least, 1e-12 * highest), 3.0 * highest)
     ax.set_xlabel(frequency_label(eq))
     unit = units_of(eq).get(name, "")
     ax.set_ylabel(plain(f"PSD of {name}" + (f" [{bracketed(unit)}²/Hz]" if unit else " [1/Hz]")))
@@ -155,7 +165,8 @@ def frequency_response(
     Returns
     -------
     pair of matplotlib.axes.Axes
-        Of the frequencies that the input excites; faint where the motion does not follow it (coherence below 0.5).
+        Of the frequencies that the input excites; faint where the motion does not follow it (coherence below 0.5). A
+        figure of its own has the coherence below.
 
     Raises
     ------
@@ -175,24 +186,26 @@ def frequency_response(
     rows = eq.motion(record)
     times = run.time if rows.time is None else rows.time
     u = np.interp(run.time, times, _filled(rows.samples[source]))
-    f, power = _cross_spectrum(u, u, fs)
+    count = max(LEAST_SEGMENTS, int(np.sqrt(len(u) / ROWS_PER_SEGMENT)))
+    f, power = _cross_spectrum(u, u, fs, count)
     driven = power.real >= DRIVEN * power.real.max()
-    upper, lower = axes_for(ax, [52.0, 32.0], FULL_WIDTH, sharex=True)
-    looks: tuple[dict[str, Any], ...] = (
-        {"color": BLACK, "linewidth": 1.4, "label": "measured"},
-        {**DRAWN, "label": "free run"},
-    )
+    heights = [52.0, 32.0] if ax is not None else [48.0, 28.0, 22.0]
+    upper, lower, *third = axes_for(ax, heights, FULL_WIDTH, sharex=True)
+    looks: tuple[dict[str, Any], ...] = (MEASURED, {**DRAWN, "label": "free run"})
     for values, look in zip((_filled(run.measured[name]), run.mean[name]), looks, strict=True):
-        cross = _cross_spectrum(u, values, fs)[1]
-        coherence = np.abs(cross) ** 2 / (power.real * _cross_spectrum(values, values, fs)[1].real)
+        cross = _cross_spectrum(u, values, fs, count)[1]
+        coherence = np.abs(cross) ** 2 / (power.real * _cross_spectrum(values, values, fs, count)[1].real)
+        for one in third:
+            one.plot(f, np.where(driven, coherence, np.nan), **look)
         response = np.where(driven, cross / power, np.nan)
         # from -270 to 90 degrees: that of an oscillator does not jump between 180 and -180
         phase = (np.degrees(np.angle(response)) + 270.0) % 360.0 - 270.0
         if look["label"] == "measured":  # what does not follow the input is there, but faint
-            upper.semilogy(f, np.abs(response), color=GREY, linewidth=0.6, label=f"coherence below {COHERENT:g}")
+            faint = MEASURED | {"color": PALE, "label": f"measured, coherence below {COHERENT:g}"}
+            upper.plot(f, np.abs(response), **faint)
             lower.plot(f, np.where(coherence < COHERENT, phase, np.nan), ".", color=GREY, markersize=2.5)
             response, phase = (np.where(coherence >= COHERENT, part, np.nan) for part in (response, phase))
-        upper.semilogy(f, np.abs(response), **look)
+        upper.plot(f, np.abs(response), **look)
         lower.plot(f, phase, **look)
     over, below = (units_of(eq).get(one) for one in (name, source))
     unit = f" [{bracketed(over)}/{bracketed(below)}]" if over and below else ""
@@ -200,8 +213,15 @@ def frequency_response(
     lower.set_ylabel("phase [°]")
     lower.set_yticks([-270, -180, -90, 0, 90])
     lower.set_ylim(-280.0, 100.0)
-    lower.set_xlabel(frequency_label(eq))
-    lower.set_xlim(0.0, float(f[driven].max()))
+    upper.set_yscale("log")
+    for one in third:
+        one.set_ylabel("coherence")
+        one.set_ylim(0.0, 1.05)
+    last = (third or [lower])[0]
+    last.set_xscale("log")
+    last.set_xlabel(f"{frequency_label(eq)}, resolved to {f[0]:.2g}")
+    last.set_xlim(float(f[0]), float(f[driven].max()))
+    log_ticks(last.xaxis)
     upper.set_title(f"response of {term_label(name)} to {term_label(source)}")
     above(upper)
     return upper, lower

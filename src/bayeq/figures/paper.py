@@ -5,6 +5,7 @@ Plain arrays in, a matplotlib figure out. Call these inside `bayeq.figures.style
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -71,28 +72,28 @@ class JointPosterior:
 
 
 def draw_inclusion(panels: Sequence[Inclusion], axis_label: str = "candidate term") -> Figure:
-    """Inclusion probabilities of all terms by MCMC and VB side by side, a panel per system (Fig. 4).
+    """Inclusion probabilities of all terms by MCMC and VB under each other, a panel per system (Fig. 4).
 
     Parameters
     ----------
     panels : sequence of Inclusion
-        From top to bottom.
+        From left to right.
     axis_label : str
-        Below the terms.
+        Beside the terms.
 
     Returns
     -------
     matplotlib.figure.Figure
         Of a journal page's width.
     """
-    figure, axes = new_panels(len(panels), height=18.0 + 29.5 * len(panels), sharex=True)
-    for k, (ax, panel) in enumerate(zip(axes[:, 0], panels, strict=True)):
-        explained = _bars(ax, panel)
-        ax.set_title(f"({chr(97 + k)}) {panel.title}")
     terms = panels[-1].terms
-    ax.set_xticks(np.arange(len(terms)), terms, rotation=90)
-    ax.set_xlim(-0.6, len(terms) - 0.4)
-    ax.set_xlabel(axis_label)
+    figure, axes = new_panels(1, len(panels), height=26.0 + 3.7 * len(terms), sharey=True)
+    for k, (ax, panel) in enumerate(zip(axes[0], panels, strict=True)):
+        explained = _bars(ax, panel)
+        ax.set_title(textwrap.fill(f"({chr(97 + k)}) {panel.title}", 24))
+    axes[0, 0].set_yticks(np.arange(len(terms)), terms)
+    axes[0, 0].set_ylim(len(terms) - 0.4, -0.6)
+    axes[0, 0].set_ylabel(axis_label)
     figure.legend(handles=explained, loc="outside upper right", ncols=4)
     return figure
 
@@ -101,15 +102,13 @@ def _bars(ax: Axes, panel: Inclusion) -> list[Any]:
     """A panel of inclusion probabilities; returns what the legend explains."""
     at = np.arange(len(panel.terms))
     look: dict[str, Any] = {"edgecolor": BLACK, "linewidth": 0.4}
-    true = [ax.axvspan(j - 0.5, j + 0.5, color=PALE, linewidth=0, zorder=0) for j in np.flatnonzero(panel.true)]
-    mcmc = ax.bar(at - 0.19, panel.mcmc, 0.38, color=BLUE, label="SS-MCMC", **look)
-    vb = ax.bar(at + 0.19, panel.vb, 0.38, color=ORANGE, hatch="/////", label="SS-VB", **look)
-    half = ax.axhline(0.5, color=RED, linestyle=DASHED, linewidth=0.8, label="PIP = 0.5", zorder=3)
-    for j in np.flatnonzero(panel.true):
-        ax.text(float(j), 1.06, panel.terms[j], ha="center", va="bottom", fontsize=8)
-    ax.set_ylim(0.0, 1.3)
-    ax.set_yticks([0.0, 0.5, 1.0])
-    ax.set_ylabel("PIP")
+    true = [ax.axhspan(j - 0.5, j + 0.5, color=PALE, linewidth=0, zorder=0) for j in np.flatnonzero(panel.true)]
+    mcmc = ax.barh(at - 0.19, panel.mcmc, 0.38, color=BLUE, label="SS-MCMC", **look)
+    vb = ax.barh(at + 0.19, panel.vb, 0.38, color=ORANGE, hatch="/////", label="SS-VB", **look)
+    half = ax.axvline(0.5, color=RED, linestyle=DASHED, linewidth=0.8, label="PIP = 0.5", zorder=3)
+    ax.set_xlim(0.0, 1.05)
+    ax.set_xticks([0.0, 0.5, 1.0])
+    ax.set_xlabel("PIP")
     if true:
         true[0].set_label("true term")
     return [mcmc, vb, half, *true[:1]]
@@ -191,6 +190,7 @@ def _pair(ax: Axes, system: JointPosterior, i: int, j: int) -> None:
     ax.set_xticks(_ticks(system.limits[i], 2, 0.15))
     ax.set_yticks(_ticks(system.limits[j], 4, 0.07))
     ax.ticklabel_format(useOffset=False, style="plain")
+    ax.tick_params(labelsize=6.0)
 
 
 def _ticks(limits: Floats, intervals: int, margin: float) -> Floats:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Expression
-from bayeq.figures.style import new_figure, plain, term_label
+from bayeq.figures.style import new_figure, plain, shortened, term_label
 from bayeq.inference.engines import NOTEWORTHY_PIP
 from bayeq.records import Record
 
@@ -32,6 +32,7 @@ __all__ = [
     "channel_of",
     "equation_of",
     "frequency_label",
+    "given_as",
     "label_of",
     "likely_terms",
     "thinned",
@@ -101,7 +102,7 @@ class Answer(Protocol):
     @property
     def inputs(self) -> tuple[str, ...]: ...
     @property
-    def data(self) -> Any: ...  # the summary of the data: holdout, rows_as_time
+    def data(self) -> Any: ...  # the summary of the data: holdout, rows_as_time, estimated
     def motion(self, record: Record) -> MotionRows: ...
     def simulate(self, record: Record, *, draws: int = 200, start: int = 0, rows: int | None = None) -> Run: ...
 
@@ -201,10 +202,15 @@ def bracketed(unit: str) -> str:
     return unit if unit.isalpha() else f"({unit_text(unit)})"
 
 
+def given_as(eq: Answer, name: str) -> str:
+    """What a channel is called in a picture: a derivative that no sensor gave is not called measured."""
+    return "estimated" if name in eq.data.estimated else "measured"
+
+
 def label_of(name: str, units: Mapping[str, str], what: str = "{}") -> str:
     """Label of an axis: what is shown of a channel, and its unit where that is known."""
     unit = units.get(name, "")
-    return plain(what.format(name) + (f" [{unit_text(unit)}]" if unit else ""))
+    return plain(what.format(shortened(name)) + (f" [{unit_text(unit)}]" if unit else ""))
 
 
 def units_of(eq: Answer) -> dict[str, str]:

@@ -16,6 +16,7 @@ from bayeq.figures.picture import (
     axes_for,
     channel_of,
     equation_of,
+    given_as,
     label_of,
     thinned,
     time_label,
@@ -27,8 +28,8 @@ from bayeq.figures.style import (
     BLUE,
     DASHED,
     FULL_WIDTH,
-    GREY,
     ORANGE,
+    PALE,
     RED,
     SINGLE_COLUMN,
     labelled,
@@ -61,18 +62,20 @@ Curve = tuple[Floats, Floats | None, Floats | None]
 
 BAND: dict[str, Any] = {"color": BLUE, "alpha": 0.28, "linewidth": 0.0}
 
-# A run is dashed, so that what was measured shows below it where the two agree.
-DRAWN: dict[str, Any] = {"color": BLUE, "linewidth": 0.9, "linestyle": (0, (4, 1.2))}
+# What was measured is a wide grey line, which shows on both sides of a run that agrees with it.
+MEASURED: dict[str, Any] = {"color": "#A8A8A8", "linewidth": 2.6, "label": "measured"}
+DRAWN: dict[str, Any] = {"color": BLUE, "linewidth": 0.9}
 
-# Heights of a panel and of the residual below it [mm].
+# Heights of a panel and of the residual below it [mm]; those of many panels.
 HEIGHTS = (56.0, 28.0)
+LOW = (30.0, 15.0)
 
 # Share of a record that is drawn where no rows were held out.
 LAST = 0.2
 
 
-def _compare(ax: Axes, time: Floats, measured: Floats | None, curve: Curve, label: str) -> None:
-    """A curve with its band over what was measured.
+def _compare(ax: Axes, time: Floats, measured: Floats | None, curve: Curve, label: str, of: str = "measured") -> None:
+    """A curve with its band over what was measured, or estimated.
 
     Limits are those of what was measured, where there is any, for a run may go far away.
     """
@@ -84,7 +87,7 @@ def _compare(ax: Axes, time: Floats, measured: Floats | None, curve: Curve, labe
     ax.set_ylim(low - margin, high + margin)
     ax.set_xlim(float(time[0]), float(time[-1]))
     if measured is not None:
-        ax.plot(time[every], measured[every], color=BLACK, linewidth=0.7, label="measured")
+        ax.plot(time[every], measured[every], **MEASURED | {"label": of})
     _band(ax, time[every], curve[1:], every, "95 % band")
     ax.plot(time[every], curve[0][every], label=label, **DRAWN)
 
@@ -98,7 +101,7 @@ def _band(ax: Axes, time: Floats, ends: Sequence[Floats | None], every: slice, l
         ax.fill_between(time, low, high, label=label, **BAND)
 
 
-def _residual(ax: Axes, time: Floats, measured: Floats, curve: Curve, label: str) -> None:
+def _residual(ax: Axes, time: Floats, measured: Floats, curve: Curve, label: str, of: str = "measured") -> None:
     """What was measured less a curve, and its band."""
     every = thinned(len(time))
     mean, *ends = curve
@@ -108,7 +111,7 @@ def _residual(ax: Axes, time: Floats, measured: Floats, curve: Curve, label: str
     ax.set_xlim(float(time[0]), float(time[-1]))
     ax.axhline(0.0, color=BLACK, linewidth=0.5)
     _band(ax, time[every], [None if end is None else end - mean for end in ends], every)
-    ax.plot(time[every], residual[every], color=ORANGE, linewidth=0.7, label="residual: measured less " + label)
+    ax.plot(time[every], residual[every], color=ORANGE, linewidth=0.7, label=f"residual: {of} less {label}")
 
 
 def _curve(run: Run, name: str) -> Curve:
@@ -150,16 +153,29 @@ def draw_forecasts(runs: Sequence[tuple[str, Run]], time: str = "time [s]") -> F
     matplotlib.figure.Figure
         Of a journal page's width.
     """
-    counts = [len(run.mean) for _, run in runs]
+    heights = [[height for name in run.mean for height in LOW[: 1 + (name in run.measured)]] for _, run in runs]
     titles = sum(bool(title) for title, _ in runs)
-    figure, axes = new_panels(sum(counts), height=7.0 + 38.0 * sum(counts) + 7.0 * len(runs) + 6.0 * titles)
-    for (title, run), panels in zip(runs, np.split(axes[:, 0], np.cumsum(counts)[:-1]), strict=True):
-        draw_states(list(panels), run, time)
-        for ax in panels[:-1]:
-            ax.tick_params(axis="x", labelbottom=False)
-        if title:
-            panels[0].set_title(plain(title))
-    figure.legend(handles=labelled(axes.flat), loc="outside upper center", ncols=4, handlelength=2.2)
+    figure, axes = new_panels(
+        len(sum(heights, [])),
+        height=7.0 + sum(map(sum, heights)) + 8.0 * len(runs) + 6.0 * titles,
+        height_ratios=sum(heights, []),
+    )
+    panels = iter(axes[:, 0])
+    for title, run in runs:
+        for k, name in enumerate(run.mean):
+            ax = next(panels)
+            _state(ax, run, name)
+            if title and k == 0:
+                ax.set_title(plain(title))
+            if name in run.measured:
+                ax.tick_params(axis="x", labelbottom=False)
+                ax = next(panels)
+                _residual(ax, run.time, run.measured[name], _curve(run, name), "free run")
+                ax.set_ylabel("residual")
+            ax.tick_params(axis="x", labelbottom=k == len(run.mean) - 1)
+        ax.set_xlabel(time)
+    figure.align_ylabels()
+    figure.legend(handles=labelled(axes.flat), loc="outside upper right", ncols=4, handlelength=2.2)
     return figure
 
 
@@ -211,7 +227,7 @@ def free_run(
     _state(upper, run, name)
     _residual(lower, run.time, run.measured[name], _curve(run, name), "free run")
     _mark_blow_up(lower, run)
-    lower.set_ylabel(label_of(name, run.units, "residual {}"))
+    lower.set_ylabel(label_of(name, run.units, "residual"))
     lower.set_xlabel(time_label(eq))
     error = run.measured[name] - run.mean[name]
     spread = float(np.nanstd(run.measured[name]))
@@ -278,10 +294,10 @@ def one_step(
     measured = motion.observed[equation.target][part]
     upper, lower = axes_for(ax, HEIGHTS, FULL_WIDTH, sharex=True)
     curve = (mean, mean - Z95 * sd, mean + Z95 * sd)
-    _compare(upper, time, measured, curve, "one step")
-    _residual(lower, time, measured, curve, "one step")
+    _compare(upper, time, measured, curve, "one step", given_as(eq, equation.target))
+    _residual(lower, time, measured, curve, "one step", given_as(eq, equation.target))
     upper.set_ylabel(label_of(equation.target, equation.units))
-    lower.set_ylabel(label_of(equation.target, equation.units, "residual {}"))
+    lower.set_ylabel(label_of(equation.target, equation.units, "residual"))
     lower.set_xlabel("row" if motion.time is None else time_label(eq))
     upper.set_title(f"one step of {term_label(equation.target)}")
     above(upper)
@@ -290,7 +306,7 @@ def one_step(
 
 @picture
 def measured_against_predicted(eq: Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
-    """The target of an equation as it was measured, over what the equation gives at the states of the same row.
+    """The target of an equation, measured or estimated, over what the equation gives at the states of the same row.
 
     Parameters
     ----------
@@ -333,7 +349,7 @@ def measured_against_predicted(eq: Answer, record: Record, ax: Any = None, *, ta
     r2 = 1.0 - float(np.nanvar(error) / np.nanvar(measured)) if np.nanvar(measured) > 0 else float("nan")
     ax.text(0.04, 0.96, f"$R^2$ = {r2:.4f}", transform=ax.transAxes, ha="left", va="top")
     ax.set_xlabel(label_of(equation.target, equation.units, "predicted {}"))
-    ax.set_ylabel(label_of(equation.target, equation.units, "measured {}"))
+    ax.set_ylabel(label_of(equation.target, equation.units, f"{given_as(eq, equation.target)} {{}}"))
     titled(ax, eq, equation.target)
     ax.legend(loc="lower right", fontsize=7, markerscale=2.0, handlelength=1.4)
     return ax
@@ -388,16 +404,19 @@ def phase_portrait(
     motion = eq.motion(record)
     run = eq.simulate(record, draws=0, start=_first_row(eq, record.n) if start is None else start, rows=rows)
     (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
-    x, y = (motion.columns[name][thinned(motion.n)] for name in chosen)
-    ax.plot(x, y, color=GREY, linewidth=0.4, label="record")
+    x, y = (motion.columns[name] for name in chosen)
+    times = np.arange(motion.n) if motion.time is None else motion.time
+    same = (times >= run.time[0]) & (times <= run.time[-1])
+    ax.plot(x[thinned(motion.n)], y[thinned(motion.n)], color=PALE, linewidth=0.6, label="record")
+    ax.plot(x[same], y[same], **MEASURED | {"label": "record, rows of the run"})
     across, up = (run.mean[name][thinned(len(run.time))] for name in chosen)
-    ax.plot(across, up, color=BLUE, linewidth=1.0, label="free run")
-    ax.plot(across[:1], up[:1], "o", color=BLACK, markersize=3.6, label="its start")
+    ax.plot(across, up, label="free run", **DRAWN)
+    ax.plot(across[:1], up[:1], "o", color=BLACK, markersize=3.6, label="start")
     for values, fit in ((x, ax.set_xlim), (y, ax.set_ylim)):
         low, high = float(values.min()), float(values.max())
         margin = 0.1 * (high - low) or 1.0
         fit(low - margin, high + margin)
     ax.set_xlabel(label_of(chosen[0], units_of(eq)))
     ax.set_ylabel(label_of(chosen[1], units_of(eq)))
-    above(ax)
+    above(ax, handlelength=1.4, columnspacing=0.9)
     return ax

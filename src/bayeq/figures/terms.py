@@ -220,7 +220,8 @@ def candidate_correlation(eq: Answer, record: Record, ax: Any = None, *, target:
     correlation = _correlation([np.asarray(evaluate(equation.terms[j])) for j in listed])
     names = [term.text for term in equation.terms]
     (ax,) = axes_for(ax, [min(max(6.0 * len(listed), 36.0), 62.0) + 18.0], SINGLE_COLUMN)
-    ax.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    image = ax.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    ax.figure.colorbar(image, ax=ax, label="correlation", shrink=0.9).outline.set_linewidth(0.5)
     at = np.arange(len(listed))
     labels = [term_label(names[j], names) for j in listed]
     ax.set_xticks(at, labels, rotation=90)

@@ -41,7 +41,7 @@ def without_maths(label: str) -> str:
     >>> without_maths(r"$x^{2} v\\,|x|$"), without_maths(r"$\\mathrm{sgn}(v)$ [m/s]")
     ('x² v |x|', 'sgn(v) [m/s]')
     """
-    text = label.replace(r"\$", "\0").replace(r"\,", " ")
+    text = re.sub(r"_\{(\d+)\}", r"\1", label.replace(r"\$", "\0").replace(r"\,", " "))
     text = re.sub(r"\\(?:mathrm|operatorname|mathit|left|right)(?![a-z])|[${}\\]", "", text)
     return unit_text(text).replace("\0", "$")
 
@@ -84,6 +84,7 @@ def _plot(ax: Any, x_range: Any) -> Any:
     plot.toolbar.logo = None
     for axis, model in ((ax.xaxis, plot.xaxis[0]), (ax.yaxis, plot.yaxis[0])):
         _ticks(axis, model)
+        model.axis_label_text_font_style, model.axis_label_standoff = "normal", 4
     shown = [*_images(plot, ax), *_bands(plot, ax), *_bars(plot, ax), *_lines(plot, ax)]
     labels = [(without_maths(label), [glyph]) for label, glyph in shown if label and not label.startswith("_")]
     if labels and ax.get_legend() is not None:

@@ -24,6 +24,7 @@ table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabul
 th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; padding-left: 0; }
 th { border-bottom: 2px solid var(--ink); }
+th.said, td.said { text-align: left; }
 tr.absent td { color: #666; }
 code, pre { font: .85rem/1.45 ui-monospace, "DejaVu Sans Mono", Menlo, Consolas, monospace; }
 pre { background: var(--pale); padding: .6rem .8rem; white-space: pre-wrap; }
@@ -45,7 +46,8 @@ li { margin: .4rem 0; }
   .equation { font-size: 1.1rem; }
   dl { grid-template-columns: 1fr; gap: 0; } dd { margin-bottom: .5rem; }
   table { font-size: .8rem; } th, td { padding: .25rem .3rem; }
-  th:nth-child(3), td:nth-child(3) { display: none; }  /* the interval says the same */
+  .terms :is(th, td):nth-child(3) { display: none; }  /* the interval says the same */
+  .said { white-space: normal; min-width: 7rem; }
   .pictures { display: block; } .pictures figure { margin: 1.2rem 0; }
 }
 @media print {

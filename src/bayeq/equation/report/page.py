@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 
 from bayeq.equation.answer import Answer
+from bayeq.equation.brief import DERIVED, checks, failed, in_symbols, quantity_rows, sentence, what_to_try
 from bayeq.equation.equation import Equation, round_to
-from bayeq.equation.explain import VERDICTS, explanation
+from bayeq.equation.explain import explanation
+from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.report.interactive import require_bokeh
 from bayeq.equation.report.look import STYLE
 from bayeq.equation.report.pictures import pictures
 from bayeq.equation.size_path import percent
+from bayeq.equation.text import MARK, unseen
 from bayeq.errors import BayeqWarning, InputError
 from bayeq.expressions.mathml import mathml, number_mathml, symbol_mathml
 from bayeq.figures.picture import unit_text
@@ -116,9 +119,10 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
         " font-src data:; base-uri 'none'; form-action 'none'",
         style=STYLE,
         verdict=eq.verdict,
-        meaning=VERDICTS[eq.verdict.kind].capitalize(),
+        reason=sentence(eq) if eq.verdict.kind != "none" else what_to_try(eq),
         several=len(eq.equations) > 1,
-        equations=[_equation(one) for one in eq.equations],
+        physical=_physical(eq),
+        equations=[_equation(one, eq) for one in eq.equations],
         header=("term", "coefficient", "sd", "95 % interval", ENGINES[eq.method].score, "share", "unit"),
         noteworthy=f"{NOTEWORTHY_PIP:g}",
         warnings=eq.warnings,
@@ -135,13 +139,34 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
     )
 
 
-def _equation(one: Equation) -> dict[str, Any]:
-    """An equation as maths and text, with its terms."""
+def _physical(eq: Answer) -> dict[str, Any] | None:
+    """The law in physical parameters, and these with their meanings."""
+    found = own_parameters(eq)
+    if found is None:
+        return None
+    kept = [q for q in found if q.symbol not in DERIVED]
+    rows = [
+        (symbol, *(_typeset(number) for number in numbers), unit_text(unit), q.meaning)
+        for (symbol, *numbers, unit), q in zip(quantity_rows(kept), kept, strict=True)
+    ]
+    law = in_symbols(eq.equations[0], found, eq.inputs) if len(eq.equations) == 1 else None
+    return {"law": law, "rows": rows, "also": ", ".join(found.unexplained)}
+
+
+def _typeset(number: str) -> str:
+    return number.replace(" .. ", " … ").replace("-", "\N{MINUS SIGN}")
+
+
+def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
+    """An equation as maths and text, with its terms and checks."""
     names = {name: symbol_mathml(one.chain.names[0], dots) for dots, name in enumerate(one.chain.names)}
     rows = _rows(one)
     return {
         "target": one.target,
-        "verdict": str(one.verdict),
+        "verdict": str(one.verdict) if len({other.verdict.kind for other in eq.equations}) > 1 else "",
+        "none": one.verdict.kind == "none",
+        "checks": [*([checks(eq)] if one is eq.equations[0] else []), *failed(one), *unseen(one)],
+        "starred": any(MARK in cell for row in rows for cell in row),
         "maths": _maths(one, names),
         "symbols": {
             name: names[name] for k, name in enumerate(one.chain.names) if k and name != "d" * k + one.chain.names[0]
@@ -182,29 +207,29 @@ def _rows(one: Equation) -> list[tuple[str, ...]]:
     for j, term in enumerate(one.terms):
         pip = f"{p.pip[j]:.3f}"
         if shown.support[j]:
-            numbers = _numbers(shown.coef[j], shown.sd[j], ci[j])
+            numbers = _numbers(shown.coef[j], shown.sd[j], ci[j], one.printed_over_models[j])
             part = percent(share[j]) if np.isfinite(share[j]) else ""
             rows.append((term.text, *numbers, pip, part, unit_text(one.coef_units[j] or "")))
         elif p.support[j] or p.pip[j] >= NOTEWORTHY_PIP:
             rows.append((term.text, "not shown" if p.support[j] else "not included", "", "", pip, "", ""))
     estimate, sd = one.intercept_estimate
-    numbers = _numbers(estimate, sd, one.printed_intercept_ci95)
+    numbers = _numbers(estimate, sd, one.printed_intercept_ci95, one.intercept_over_models)
     rows.append(("intercept", *numbers, "", "", unit_text(one.units.get(one.target, ""))))
     return rows
 
 
-def _numbers(value: float, sd: float, interval: Sequence[float]) -> tuple[str, str, str]:
-    """A coefficient, its standard deviation and its interval as text."""
+def _numbers(value: float, sd: float, interval: Sequence[float], over_models: bool) -> tuple[str, str, str]:
+    """A coefficient, its standard deviation and its interval as text, marked where that is over models."""
     low, high = (round_to(end, sd) for end in interval)
-    coefficient, ends = (text.replace("-", "\N{MINUS SIGN}") for text in (round_to(value, sd), f"{low} … {high}"))
-    return coefficient, f"{sd:.2g}", ends
+    ends = _typeset(f"{low} .. {high}") + (f" {MARK}" if over_models else "")
+    return _typeset(round_to(value, sd)), f"{sd:.2g}", ends
 
 
 def _words(eq: Answer) -> list[str]:
-    """What is shown, explained with its own numbers."""
+    """What is shown, explained with its own numbers; marks and bounds are explained where they stand."""
     _, _, *paragraphs = explanation(eq).split("\n\n")
     lines = (" ".join(paragraph.split()) for paragraph in paragraphs)
-    return [line for line in lines if not line.startswith("warnings:")]
+    return [line for line in lines if not line.startswith(("warnings:", f"{MARK}:", "not determined by"))]
 
 
 def _data(eq: Answer) -> dict[str, str]:
@@ -212,7 +237,7 @@ def _data(eq: Answer) -> dict[str, str]:
     source, known = eq.data, eq.data.sensors
     return {
         "records": ", ".join(name for name in source.files if name) or "not named",
-        "rows": f"{source.n}, {source.n_train} used, {source.n_held_out} held out"
+        "rows": f"{source.n}, {source.n_train} used, {source.n_held_out} held out{_checked(eq)}"
         + (", then all used" if source.refitted else ""),
         "sampling": "time not known, rows counted" if source.rows_as_time else _rate(source.fs, source.seconds),
         "chains": ", ".join(str(chain) for chain in eq.chains),
@@ -231,6 +256,12 @@ def _data(eq: Answer) -> dict[str, str]:
         "one step": "" if eq.scores is None else f"normalised RMS error {percentages(eq.scores.one_step)}",
         "free run": "" if eq.scores is None else f"normalised RMS error {percentages(eq.scores.free_run)}",
     }
+
+
+def _checked(eq: Answer) -> str:
+    """How many of the rows held out the checks are of, where they are not all: those with all channels, and no ends."""
+    counts = {one.held_out.n for one in eq.equations if one.held_out is not None}
+    return f", checked on {max(counts)} of these" if counts and max(counts) != eq.data.n_held_out else ""
 
 
 def _rate(fs: float | None, seconds: float | None) -> str:

@@ -15,7 +15,9 @@ import numpy as np
 from bayeq import figures
 from bayeq.equation.answer import Answer
 from bayeq.equation.report.interactive import as_bokeh
+from bayeq.equation.text import NOTEWORTHY_PIP
 from bayeq.errors import BayeqError
+from bayeq.figures.picture import given_as
 from bayeq.figures.style import UNSIGNED, style
 from bayeq.records import Record
 
@@ -23,6 +25,9 @@ __all__ = ["Picture", "pictures"]
 
 # Resolution of still pictures [dots per inch].
 DPI = 200
+
+# What matplotlib calls the axes of one.
+COLOUR_BAR = "<colorbar>"
 
 
 class Remembering:
@@ -58,27 +63,32 @@ def pictures(eq: Answer, record: Record | None) -> tuple[list[Picture], list[str
         except BayeqError as error:
             reasons.append(f"{caption}: {error}")
             continue
-        axes = list(np.ravel(np.array(drawn, dtype=object)))
+        axes = [ax for ax in np.ravel(np.array(drawn, dtype=object))[0].figure.axes if ax.get_label() != COLOUR_BAR]
         made.append(Picture(caption, _still(axes[0].figure), _live(axes, len(made)), len(axes) == 1))
     return made, reasons
 
 
 def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, Any], str]]:
     """Names of pictures, their options and captions."""
+    if eq.verdict.kind == "none":
+        return
     for one in eq.equations:
         of = f" ({one.target})" if len(eq.equations) > 1 else ""
         which = {"target": one.target}
         if record is not None and one.chain.order == 2:
             x, v = one.chain.names[:2]
             yield "restoring_force_surface", which, f"Restoring force over displacement and velocity{of}"
-            yield "restoring_force_curve", which, f"Restoring force over {x}, discovered and measured{of}"
-            yield "restoring_force_curve", which | {"over": v}, f"Damping force over {v}, discovered and measured{of}"
-        yield "pip_bars", which, f"Posterior inclusion probability of each term{of}"
+            source = given_as(eq, one.target)
+            yield "restoring_force_curve", which, f"Restoring force over {x}, discovered and {source}{of}"
+            yield "restoring_force_curve", which | {"over": v}, f"Damping force over {v}, discovered and {source}{of}"
+        pip = one.posterior.pip
+        if np.any((pip > NOTEWORTHY_PIP) & (pip < 1.0 - NOTEWORTHY_PIP)):
+            yield "pip_bars", which, f"Posterior inclusion probability of each term{of}"
         if one.shown:
             yield "coefficient_forest", which, f"Coefficients and their 95 % intervals, each over its own size{of}"
         if record is not None:
-            yield "measured_against_predicted", which, f"Measured against predicted{of}"
-            yield "one_step", which, f"One step: target at the measured states, and residual{of}"
+            yield "measured_against_predicted", which, f"{given_as(eq, one.target).capitalize()} against predicted{of}"
+            yield "one_step", which, f"One step: {one.target} by the states of the same row, and residual{of}"
             if len(one.terms) > 1:
                 yield "candidate_correlation", which, f"Correlation of the likeliest candidate terms{of}"
     if record is None:
@@ -92,7 +102,7 @@ def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, 
     for name in measured[:1]:
         yield "spectra", {"channel": name}, f"Spectra of {name}: measured, free run and their difference"
         if eq.inputs:
-            caption = f"Frequency response of {name} to {eq.inputs[0]}: measured and free run"
+            caption = f"Frequency response of {name} to {eq.inputs[0]}: measured and free run, and coherence"
             yield "frequency_response", {"channel": name}, caption
 
 
