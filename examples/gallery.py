@@ -38,9 +38,9 @@ PICTURES = {
     "spectra": "Where in frequency the free run agrees with what was measured. The floor of "
     "the measured spectrum is its noise.",
     "frequency_response": "Magnitude and phase from the force to the displacement, the receptance, and how much "
-    "of the motion follows the force (coherence), here over 40 s of the same oscillator: the longer the record, the finer "
-    "the resonance is resolved. At the resonance the coherence of both is low: that is the cubic spring, not noise, which "
-    "takes over from 30 Hz on.",
+    "of the motion follows the force (coherence), here over 40 s of the same oscillator: the longer the record, the "
+    "finer the resonance is resolved. At the resonance the coherence of both is low: that is the cubic spring, not "
+    "noise, which takes over from 30 Hz on.",
     "phase_portrait": "Velocity against displacement: the record, and the free run over the rows held out.",
     "candidate_correlation": "How alike the columns of the likeliest terms are. Terms near 1 or -1 can "
     "hardly be told apart by this record; one with other amplitudes would tell.",

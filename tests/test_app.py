@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 import bayeq as bq
 from bayeq.app.child import Child
-from bayeq.app.choices import ROLES, Choice, Choices, chains_of, discover_command, inputs_of, proposed
+from bayeq.app.choices import READING, ROLES, Choice, Choices, chains_of, discover_command, inputs_of, proposed
 from bayeq.app.guard import LARGEST, Guard
 from bayeq.app.session import LONGEST_NAME, Session, Workspace, safe_name
 from bayeq.cli.app import main
@@ -45,29 +45,38 @@ def info_of(chains, inputs=(), others=(), command="bayeq discover run.csv --disp
 
 def test_the_command_holds_what_was_chosen():
     choices = Choices(dict(ROLE_OF), "x, v, x**3, u", rows=" 0:500", band="0.5:40", fs="1000")
-    assert discover_command("run 1.csv", choices) == [
+    assert discover_command(["run 1.csv"], choices) == [
         "discover", "run 1.csv", "--chain", "x:v:a", "--input", "u", "--fs", "1000",
         "--dictionary", "x, v, x**3, u", "--rows", "0:500", "--band", "0.5:40",
         "--save", "equation.json", "--report", "report.html",
     ]  # fmt: skip
-    bare = discover_command("run.csv", Choices({"x": Choice("displacement")}, "", rows="  "))
+    bare = discover_command(["run.csv"], Choices({"x": Choice("displacement")}, "", rows="  "))
     assert bare == ["discover", "run.csv", "--chain", "x::", "--save", "equation.json", "--report", "report.html"]
 
 
 def test_every_option_is_one_of_the_command_line():
-    choices = Choices(dict(ROLE_OF), "x", "0:5", "1:2", "10", ["--time", "t", "--group", "run", "--names", "a,b"])
-    words = discover_command("run.csv", choices)
+    roles = ROLE_OF | {"x": Choice("displacement", unit=" mm", offset="0.2"), "v": Choice("velocity", offset="mean")}
+    choices = Choices(roles, "x", "0:5", "1:2", "10", "u == 1\n\n v <= 0 ", dict.fromkeys(READING, "1"))
+    words = discover_command(["run.csv", "other.csv"], choices)
+    assert words[:3] == ["discover", "run.csv", "other.csv"]
+    for option, values in (
+        ("--units", ["x=mm"]), ("--remove-offset", ["x=0.2", "v"]), ("--constraint", ["u == 1", "v <= 0"])
+    ):  # fmt: skip
+        assert [words[k + 1] for k, word in enumerate(words) if word == option] == values
     known = {option for parameter in discover.params for option in parameter.opts}
     assert {word for word in words if word.startswith("--")} <= known
 
 
 @pytest.mark.parametrize("text", ["--report=/tmp/x", "x; rm -rf ~", "$(id)", "`id`", "-100:", "--"])
 def test_what_is_typed_is_the_value_of_its_option_and_nothing_else(text):
-    choices = Choices(dict(ROLE_OF), dictionary=text, rows=text, band=text)
-    words = discover_command("run.csv", choices)
+    roles = {"x": Choice("displacement", unit=text, offset=text)}
+    choices = Choices(roles, dictionary=text, rows=text, band=text, constraints=text, reading={"--time": text})
+    words = discover_command(["run.csv"], choices)
     context = discover.make_context("discover", words[1:])
     assert context.params["dictionaries"] == (text,)
     assert (context.params["rows"], context.params["band"]) == (text, text)
+    assert (context.params["time"], context.params["constraints"]) == (text, (text,))
+    assert (context.params["units"], context.params["offsets"]) == ((f"x={text}",), (f"x={text}",))
     assert context.params["report"] == Path("report.html")
 
 
@@ -97,7 +106,7 @@ def test_roles_that_make_no_chain_are_said():
 def test_options_about_reading_are_those_of_the_proposal():
     command = "bayeq discover run.csv --time 'T sec' --group trial --fs 50 --chain x --dictionary polynomial:3"
     choices = Choices.proposed(info_of(["x"], command=command))
-    assert choices.reading == ["--time", "T sec", "--group", "trial"]
+    assert choices.words == ["--time", "T sec", "--group", "trial"]
     assert (choices.fs, choices.dictionary) == ("50", "polynomial:3")
     assert Choices.proposed(info_of(["x"], command="bayeq discover run.csv --fs RATE --chain x")).fs == ""
 

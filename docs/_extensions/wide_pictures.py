@@ -1,4 +1,4 @@
-"""Pictures: shown at half their pixels, for fine screens; wide ones scroll on a telephone. Both lead to the whole one."""
+"""Pictures: shown at half their pixels, for fine screens; wide ones scroll on a telephone; all lead to the whole."""
 
 from __future__ import annotations
 

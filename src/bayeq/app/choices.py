@@ -14,6 +14,7 @@ from bayeq.errors import InputError
 
 __all__ = [
     "EQUATION",
+    "READING",
     "REPORT",
     "ROLES",
     "Choice",
@@ -28,8 +29,17 @@ __all__ = [
 #: Names of the files that are written.
 EQUATION, REPORT = "equation.json", "report.html"
 
-# What a proposal says of reading, and is kept as it is.
-READING = ("--time", "--names", "--group")
+#: Options that say how a file is read, and what the page calls them.
+READING = {
+    "--time": "Time column",
+    "--group": "Column of trial numbers",
+    "--names": "Column names: t, x, u",
+    "--sheet": "Sheet of an Excel file",
+    "--skip": "Lines to skip at the top",
+}
+
+# What is typed for the mean of a channel.
+MEAN = "mean"
 
 DISPLACEMENT, VELOCITY, ACCELERATION = "displacement", "velocity", "acceleration"
 STATE, RATE, INPUT = "state", "rate", "input"
@@ -49,10 +59,15 @@ MOTION = (DISPLACEMENT, VELOCITY, ACCELERATION)
 
 @dataclass
 class Choice:
-    """What a channel is: a key of `ROLES`, and of which coordinate, counted from 1, where there are several."""
+    """What a channel is: a key of `ROLES`, and of which coordinate, counted from 1, where there are several.
+
+    The unit replaces that of the file; the offset that is subtracted is a number or ``mean``. Both are texts as typed.
+    """
 
     role: str = ""
     coordinate: int = 1
+    unit: str = ""
+    offset: str = ""
 
 
 def proposed(info: Mapping[str, Any]) -> dict[str, Choice]:
@@ -132,7 +147,7 @@ class Choices:
     """What was chosen on the page; texts as they were typed, empty where nothing is chosen.
 
     Roles by channel, candidate terms, rows ``A:B``, band ``LO:HI`` and sampling rate [Hz], as the options of the
-    command take them, and the options that say how the file is read.
+    command take them, constraints, one in a line, and the options of `READING` that say how the file is read.
     """
 
     roles: dict[str, Choice] = field(default_factory=dict)
@@ -140,7 +155,13 @@ class Choices:
     rows: str = ""
     band: str = ""
     fs: str = ""
-    reading: list[str] = field(default_factory=list)
+    constraints: str = ""
+    reading: dict[str, str] = field(default_factory=lambda: dict.fromkeys(READING, ""))
+
+    @property
+    def words(self) -> list[str]:
+        """How the file is read."""
+        return [word for option, text in self.reading.items() if text.strip() for word in (option, text.strip())]
 
     @classmethod
     def proposed(cls, info: Mapping[str, Any]) -> Choices:
@@ -149,25 +170,30 @@ class Choices:
         options = dict(zip(words[::2], words[1::2], strict=False))
         made = cls(roles=proposed(info))
         made.dictionary = options.get("--dictionary", made.dictionary)
-        made.reading = [word for key in READING if key in options for word in (key, options[key])]
+        made.reading |= {option: options[option] for option in READING if option in options}
         rate = options.get("--fs", "")
         made.fs = rate if rate != "RATE" else ""
         return made
 
 
-def discover_command(file: str, choices: Choices) -> list[str]:
-    """What finds the equations; it writes `EQUATION` and `REPORT` where it is run.
+def discover_command(files: Sequence[str], choices: Choices) -> list[str]:
+    """What finds the equations of one or several records; it writes `EQUATION` and `REPORT` where it is run.
 
     Raises
     ------
     InputError
         Roles that make no chain.
     """
-    words = ["discover", file, *choices.reading]
+    words = ["discover", *files, *choices.words]
     for chain in chains_of(choices.roles):
         words += ["--chain", chain]
     for name in inputs_of(choices.roles):
         words += ["--input", name]
+    for name, choice in choices.roles.items():
+        if choice.unit.strip():
+            words += ["--units", f"{name}={choice.unit.strip()}"]
+        if choice.offset.strip():
+            words += ["--remove-offset", name if choice.offset.strip() == MEAN else f"{name}={choice.offset.strip()}"]
     for option, text in (
         ("--fs", choices.fs),
         ("--dictionary", choices.dictionary),
@@ -176,6 +202,8 @@ def discover_command(file: str, choices: Choices) -> list[str]:
     ):
         if text.strip():
             words += [option, text.strip()]
+    for line in filter(None, map(str.strip, choices.constraints.splitlines())):
+        words += ["--constraint", line]
     return [*words, "--save", EQUATION, "--report", REPORT]
 
 

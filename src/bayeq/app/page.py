@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from nicegui import background_tasks, ui
 
-from bayeq.app.choices import INPUT, RATE, ROLES, Choice
+from bayeq.app.choices import INPUT, RATE, READING, ROLES, Choice, as_typed
 from bayeq.app.guard import LARGEST
 from bayeq.app.session import LOOKING, Session, safe_name
 from bayeq.equation.report.look import STYLE
+from bayeq.errors import InputError
 
 __all__ = ["build", "refresh"]
 
@@ -24,7 +27,7 @@ FIT = """(event) => {
 
 # What stands in the box that files are dropped into; the framework compiles it.
 DROP = """<div class="drop-words"><span>{words}</span>
-  <q-btn no-caps unelevated color="primary" label="Choose a file" @click="props.pickFiles">
+  <q-btn no-caps {look} color="primary" label="{label}" @click="props.pickFiles">
     <q-uploader-add-trigger></q-uploader-add-trigger>
   </q-btn>
 </div>"""
@@ -36,6 +39,7 @@ MOST_CHANNELS = 60
 # More coordinates are not offered.
 MOST_COORDINATES = 9
 
+CONSTRAINTS_HINT = "what is known of coefficients, one in a line, by the names of terms: u == 1, v <= 0"
 TERMS_HINT = "oscillator, polynomial:3, or terms in the names of the channels: x, v, x**3, v*abs(v), sign(v), u"
 
 
@@ -71,13 +75,13 @@ ul { padding-left: 1.2rem; margin: .4rem 0; }
   padding: 1rem; }
 .drop-words span:first-child { flex: 1 1 16rem; }
 .drop .q-uploader__dnd { outline: none; }
-.channels { display: grid; grid-template-columns: minmax(7rem, max-content) minmax(12rem, 1fr) 15rem; gap: .2rem 1.2rem;
-  align-items: center; }
-.channels.several { grid-template-columns: minmax(7rem, max-content) minmax(9rem, 1fr) 15rem 7rem; }
+.channels { display: grid; grid-template-columns: minmax(5rem, max-content) minmax(9rem, 1fr) 14.5rem 5.7rem 5.7rem;
+  gap: .2rem .8rem; align-items: center; }
+.channels.several { grid-template-columns: minmax(5rem, max-content) minmax(7rem, 1fr) 14.5rem 5.7rem 5.7rem 6.5rem; }
 .channels > * { min-width: 0; }
 .channel-name { font-weight: 600; }
 .channel-about { font-size: .9rem; color: #444; }
-.fields { display: grid; grid-template-columns: repeat(3, 1fr); gap: .2rem 1.2rem; }
+.fields { width: 100%; display: grid; grid-template-columns: repeat(3, 1fr); gap: .2rem 1.2rem; }
 .fields .whole { grid-column: 1 / -1; }
 .command span { display: inline-block; max-width: 100%; vertical-align: top; }
 .buttons { display: flex; flex-wrap: wrap; gap: .8rem; align-items: center; margin: .6rem 0; }
@@ -85,12 +89,14 @@ ul { padding-left: 1.2rem; margin: .4rem 0; }
   font-weight: 600; }
 .button-like:hover { background: var(--pale); }
 .report { border: 0; display: block; width: calc(100% + 2.4rem); margin: .5rem -1.2rem 0; min-height: 30rem; }
+.more .q-item { padding-left: 0; }
 .q-linear-progress { margin: .6rem 0; }
 @media (max-width: 40rem) {
-  .channels { grid-template-columns: 1fr; gap: .1rem; }
-  .channels.several { grid-template-columns: 1fr 7.7rem; gap: .1rem .6rem; }
-  .channels.several > .channel-name, .channels.several > .channel-about { grid-column: 1 / -1; }
-  .channels .q-field { margin-bottom: .7rem; }
+  .channels, .channels.several { grid-template-columns: repeat(6, 1fr); gap: .3rem .6rem; }
+  .channels > * { grid-column: span 3; }
+  .channels.several > * { grid-column: span 2; }
+  .channels > :is(.channel-name, .channel-about, .q-select.role) { grid-column: 1 / -1; }
+  .channels .channel-name { margin-top: .9rem; }
   .fields { grid-template-columns: 1fr; }
   .report { width: calc(100% + 1.6rem); margin: .5rem -.8rem 0; }
 }
@@ -102,7 +108,7 @@ def build(session: Session) -> None:
     """The page, as it is now."""
     ui.add_css(SHEET)
     ui.colors(primary=BLUE, negative=RED)
-    with ui.element("main"):
+    with ui.element("div"):  # the framework puts it into the main element
         ui.html("bayeq", tag="h1", sanitize=False)
         text(
             "From a measured motion to the equation that governs it, with how sure that is. Everything is computed on"
@@ -119,6 +125,7 @@ def refresh(*changed: str) -> None:
     """Show again what has changed: "file", "run", "result", "progress"."""
     shown = {
         "file": (file_step, choice_steps),
+        "command": (command_step,),
         "run": (file_step, run_status),
         "result": (result_step,),
         "progress": (run_status,),
@@ -131,14 +138,25 @@ def refresh(*changed: str) -> None:
 def file_step(session: Session) -> None:
     """Choose a file, and see what is in it."""
 
-    async def dropped(event: Any) -> None:
+    async def kept(event: Any) -> Path | None:
         try:
             path = session.workspace.new_folder() / safe_name(event.file.name)
             await event.file.save(path)
         except OSError as error:
             refused(f"the file cannot be kept in the folder for temporary files: {error.strerror or error}")
-        else:
+            return None
+        return path
+
+    async def dropped(event: Any) -> None:
+        path = await kept(event)
+        if path is not None:
             await session.open(path, path.name)
+
+    async def added(event: Any) -> None:
+        path = await kept(event)
+        if path is not None:
+            session.further.append(path)
+            refresh("file")
 
     def refused(words: str) -> None:
         session.file_error = words
@@ -152,20 +170,13 @@ def file_step(session: Session) -> None:
             text(f"{session.busy.capitalize()} ...", "note")
             stop_button(session)
     else:
-        upload = ui.upload(
-            on_upload=dropped,
-            on_rejected=lambda: refused(f"the file is larger than {size}: open it where it is, by bayeq app FILE"),
-            max_file_size=LARGEST,
-            auto_upload=True,
-        )
-        upload.props("flat").classes("drop")
-        upload.add_slot("header", DROP.format(words=f"Drop a measured file here, up to {size}: {FORMATS}."))
-        upload.on("failed", lambda: refused(f"the file did not arrive: is it larger than {size}, or was it moved?"))
+        words = f"Drop a measured file here, up to {size}: {FORMATS}."
+        _upload(dropped, refused, DROP.format(words=words, label="Choose a file", look="unelevated"))
     if session.file_error:
         message(session.file_error, "error")
         text(
-            "A file that needs more to be read, such as names of its columns or paths of its arrays, is read on the"
-            " command line: bayeq discover -h.",
+            "A file that needs more to be read, such as paths of its arrays, is read on the command line:"
+            " bayeq discover -h.",
             "note",
         )
         if session.opened is not None:
@@ -173,6 +184,34 @@ def file_step(session: Session) -> None:
     if session.opened is not None:
         text(f"{session.opened.name}: {in_a_line(session.opened.info)}")
         bullets(session.opened.info["findings"])
+        if session.busy:
+            return
+        with ui.expansion("How it is read, and further records", value=bool(session.further)).classes("more"):
+            with ui.element("div").classes("fields"):
+                for option, label in READING.items():
+                    text_field(label, "", session.choices.reading, option)
+                again = ui.button("Read again", on_click=lambda: background_tasks.create(session.read_again()))
+                again.props("no-caps outline")
+            for path in session.further:
+                with ui.element("div").classes("buttons"):
+                    text(path.name, tag="span")
+                    ui.button("Leave out", on_click=partial(session.drop, path)).props("no-caps flat dense")
+            words = "Add a record of the same channels: another run, of which the same equation is expected."
+            _upload(added, refused, DROP.format(words=words, label="Add a record", look="outline"))
+
+
+def _upload(arrived: Callable[[Any], Any], refused: Callable[[str], None], header: str) -> None:
+    """A box that files are dropped into."""
+    size = f"{LARGEST // 1_000_000} MB"
+    upload = ui.upload(
+        on_upload=arrived,
+        on_rejected=lambda: refused(f"the file is larger than {size}: open it where it is, by bayeq app FILE"),
+        max_file_size=LARGEST,
+        auto_upload=True,
+    )
+    upload.props("flat").classes("drop")
+    upload.add_slot("header", header)
+    upload.on("failed", lambda: refused(f"the file did not arrive: is it larger than {size}, or was it moved?"))
 
 
 @ui.refreshable
@@ -188,7 +227,11 @@ def choice_steps(session: Session) -> None:
         example.props("no-caps outline").bind_enabled_from(session, "busy", lambda busy: not busy)
         return
     heading(2, "What each channel is")
-    text("Roles are proposed from names, units and the motion itself. Change what is wrong.", "note")
+    text(
+        "Roles are proposed from names, units and the motion itself: change what is wrong. A unit replaces that of the"
+        " file; an offset is subtracted, a number or mean.",
+        "note",
+    )
     channels(session, is_several(session.choices.roles))
     heading(3, "What may be in the equation")
     with ui.element("div").classes("fields"):
@@ -197,7 +240,11 @@ def choice_steps(session: Session) -> None:
         text_field("Band, LO:HI in Hz (optional)", "frequencies to fit, as in 0.5:40", session.choices, "band")
         if session.opened.info["time"]["fs"] is None or session.choices.fs:
             text_field("Sampling rate in Hz", "as there is no time in the file", session.choices, "fs")
+        known = ui.textarea("Constraints (optional)").classes("whole")
+        known.props(f'outlined dense autogrow rows=1 spellcheck=false hint="{CONSTRAINTS_HINT}"')
+        known.bind_value(session.choices, "constraints").on_value_change(command_step.refresh)
     heading(4, "Discover")
+    command_step(session)
     with ui.element("div").classes("buttons"):
         start = ui.button("Discover", on_click=lambda: background_tasks.create(session.discover()))
         start.props("no-caps unelevated").bind_enabled_from(session, "busy", lambda busy: not busy)
@@ -246,9 +293,18 @@ def run_status(session: Session) -> None:
             message(session.note, "said")
         if session.result is not None and (session.run_error or session.stopped):
             text("The result below is that of the run before.", "note")
-    if session.command:
-        text("The same on the command line:", "note")
-        command(session.command)
+
+
+@ui.refreshable
+def command_step(session: Session) -> None:
+    """The command that is run, as it is chosen now."""
+    try:
+        words = as_typed(session.words())
+    except InputError as error:
+        text(f"Not yet: {error}.", "note")
+        return
+    text("This is run, and does the same on the command line:", "note")
+    command(words)
 
 
 @ui.refreshable
@@ -265,7 +321,7 @@ def result_step(session: Session) -> None:
         ):
             link = ui.link(words, f"/{file}?run={found.number}").classes("button-like")
             link.props["download"] = f"{found.name}_{ending}"
-    text("Change roles, terms, rows or band above and press Discover to look again.", "note")
+    text("Change what is above and press Discover to look again.", "note")
     frame = ui.element("iframe").classes("report").props('title="Report: verdict, equation, pictures and warnings"')
     frame.props["src"] = f"/report.html?run={found.number}"
     frame.on("load", js_handler=FIT)
@@ -306,9 +362,11 @@ def bullets(texts: Sequence[str]) -> None:
 
 
 def text_field(label: str, hint: str, target: Any, name: str) -> Any:
-    """A labelled field for a text, bound to an attribute."""
-    made = ui.input(label).props(f'outlined dense spellcheck=false autocomplete=off hint="{hint}"')
-    return made.bind_value(target, name)
+    """A labelled field for a text, bound to an attribute or a key."""
+    made = ui.input(label).props(
+        "outlined dense spellcheck=false autocomplete=off" + (f' hint="{hint}"' if hint else "")
+    )
+    return made.bind_value(target, name).on_value_change(command_step.refresh)
 
 
 def in_a_line(info: Mapping[str, Any]) -> str:
@@ -330,7 +388,11 @@ def channel_rows(info: Mapping[str, Any], choices: dict[str, Choice], several: b
             unit = f" [{channel['unit']}]" if channel["unit"] else ""
             text(name + unit, "channel-name", "div")
             text(_about(channel), "channel-about", "div")
-            ui.select(ROLES, label=f"Role of {name}").props("outlined dense options-dense").bind_value(choice, "role")
+            role = ui.select(ROLES, label=f"Role of {name}").props("outlined dense options-dense").classes("role")
+            role.bind_value(choice, "role").on_value_change(command_step.refresh)
+            for what in ("unit", "offset"):
+                made = text_field(what.capitalize(), "", choice, what)
+                made.props["aria-label"] = f"{what.capitalize()} of {name}"  # set so, a name is no option
             if several:
                 _coordinate(name, choice)
     if len(channels) > MOST_CHANNELS:
@@ -344,10 +406,9 @@ def channel_rows(info: Mapping[str, Any], choices: dict[str, Choice], several: b
 def _coordinate(name: str, choice: Choice) -> None:
     """Of which coordinate a channel is."""
     numbers = list(range(1, max(MOST_COORDINATES, choice.coordinate) + 1))
-    made = ui.select(numbers, label="Coordinate").props(
-        f'outlined dense options-dense aria-label="Coordinate of {name}"'
-    )
-    made.bind_value(choice, "coordinate")
+    made = ui.select(numbers, label="Coordinate").props("outlined dense options-dense")
+    made.props["aria-label"] = f"Coordinate of {name}"
+    made.bind_value(choice, "coordinate").on_value_change(command_step.refresh)
     made.bind_visibility_from(choice, "role", lambda role: role not in ("", INPUT))
 
 

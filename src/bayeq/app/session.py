@@ -14,7 +14,7 @@ from time import monotonic
 from typing import Any
 
 from bayeq.app.child import Child, Outcome
-from bayeq.app.choices import EQUATION, REPORT, Choices, as_typed, discover_command
+from bayeq.app.choices import EQUATION, REPORT, Choices, discover_command
 from bayeq.errors import InputError
 
 __all__ = ["LOOKING", "READING", "Opened", "Result", "Session", "Workspace", "safe_name"]
@@ -121,13 +121,14 @@ class Session:
     Attributes
     ----------
     changed : callable
-        Called with the parts of the page that are no longer right: "file", "run", "result", "progress".
+        Called with the parts of the page that are no longer right: "file", "command", "run", "result", "progress".
     """
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
         self.changed: Callable[..., None] = lambda *parts: None
         self.opened: Opened | None = None
+        self.further: list[Path] = []  # records of the same channels
         self.choices = Choices()
         self.result: Result | None = None
         self.busy = ""  # what is being done
@@ -135,12 +136,12 @@ class Session:
         self.progress: list[str] = []
         self.file_error = self.run_error = self.note = ""
         self.stopped = False
-        self.command = ""
         self._child: Child | None = None
         self._runs = 0
 
-    async def open(self, path: Path, name: str) -> None:
-        """Look into a file; what was open before stays open if it cannot be read."""
+    async def open(self, path: Path, name: str, reading: Sequence[str] = ()) -> None:
+        """Look into a file, with options about reading; what was open before stays open if it cannot be read."""
+        again = self.opened is not None and self.opened.path == path
         if self.busy:
             self.file_error = f"{name}: not opened, as something is being done: stop it first"
             self._forget(path)
@@ -148,17 +149,20 @@ class Session:
             return
         # messages name the file as it is called here
         inside = self.workspace.path in path.parents
-        outcome = await self._run(READING, ["info", path.name if inside else str(path), "--json"], path.parent)
+        outcome = await self._run(READING, ["info", self._name(path), "--json", *reading], path.parent)
         self.file_error = outcome.error or ("Stopped: the file was not opened." if outcome.stopped else "")
         if not self.file_error:
-            if self.opened is not None:
-                self._forget(self.opened.path)
+            if self.opened is not None and not again:
+                for former in (self.opened.path, *self.further):
+                    self._forget(former)
+                self.further = []
             if self.result is not None:
                 self.workspace.remove(self.result.folder)
             self.opened = Opened(name, path, json.loads(outcome.out))
             self.choices = Choices.proposed(self.opened.info)
-            self.result, self.run_error, self.note, self.command = None, "", "", ""
-        elif inside:
+            self.choices.reading |= dict(zip(reading[::2], reading[1::2], strict=True))
+            self.result, self.run_error, self.note = None, "", ""
+        elif inside and not again:
             self._forget(path)
         self.changed("file", "run", "result")
 
@@ -175,24 +179,44 @@ class Session:
         else:
             await self.open(folder / EXAMPLE, EXAMPLE)
 
+    async def read_again(self) -> None:
+        """Look into the open file with what was chosen about reading."""
+        if self.opened is not None:
+            await self.open(self.opened.path, self.opened.name, self.choices.words)
+
+    def drop(self, path: Path) -> None:
+        """Leave out a further record."""
+        self.further.remove(path)
+        self._forget(path)
+        self.changed("file", "command")
+
+    def words(self) -> list[str]:
+        """The command that `discover` runs; InputError where roles make no chain."""
+        files = [] if self.opened is None else [self.opened.path, *self.further]
+        return discover_command([self._name(path, k) for k, path in enumerate(files)], self.choices)
+
+    def _name(self, path: Path, k: int = 0) -> str:
+        """How a command names a file: one that was dropped without its folder, and further ones by a number too."""
+        if self.workspace.path not in path.parents:
+            return str(path)
+        return f"record{k + 1}_{path.name}" if k else path.name
+
     async def discover(self) -> None:
         """Find the equations with what was chosen; an earlier result stays until there is another."""
         if self.busy or self.opened is None:
             return
         self.run_error, self.note, self.stopped = "", "", False
-        path = self.opened.path
-        inside = self.workspace.path in path.parents
         try:
-            words = discover_command(path.name if inside else str(path), self.choices)
+            words = self.words()
         except InputError as error:
             self.run_error = str(error)
             self.changed("run")
             return
-        self.command = as_typed(words)
         try:
             folder = self.workspace.new_folder()
-            if inside:  # a name without folders, also in the report
-                (folder / path.name).hardlink_to(path)
+            for k, path in enumerate((self.opened.path, *self.further)):
+                if self.workspace.path in path.parents:  # a name without folders, also in the report
+                    (folder / self._name(path, k)).hardlink_to(path)
         except OSError as error:
             self.run_error = f"the folder for temporary files cannot be written to: {error.strerror or error}"
             self.changed("run")

@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 # Segments of a spectrum, which overlap by half.
 SEGMENTS = 8
 
-# Those of a frequency response: fewer, as a resonance needs long ones, and the root of the rows over this for a long record.
+# Those of a frequency response: fewer, as a resonance needs long ones; of a long record the root of the rows over this.
 LEAST_SEGMENTS, ROWS_PER_SEGMENT = 5, 160
 LEAST_ROWS = 32
 
@@ -201,7 +201,7 @@ def frequency_response(
         # from -270 to 90 degrees: that of an oscillator does not jump between 180 and -180
         phase = (np.degrees(np.angle(response)) + 270.0) % 360.0 - 270.0
         if look["label"] == "measured":  # what does not follow the input is there, but faint
-            faint = MEASURED | {"color": PALE, "label": f"measured, coherence below {COHERENT:g}"}
+            faint = MEASURED | {"color": PALE, "label": f"coherence below {COHERENT:g}"}
             upper.plot(f, np.abs(response), **faint)
             lower.plot(f, np.where(coherence < COHERENT, phase, np.nan), ".", color=GREY, markersize=2.5)
             response, phase = (np.where(coherence >= COHERENT, part, np.nan) for part in (response, phase))

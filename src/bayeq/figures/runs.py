@@ -153,13 +153,10 @@ def draw_forecasts(runs: Sequence[tuple[str, Run]], time: str = "time [s]") -> F
     matplotlib.figure.Figure
         Of a journal page's width.
     """
-    heights = [[height for name in run.mean for height in LOW[: 1 + (name in run.measured)]] for _, run in runs]
+    heights = [height for _, run in runs for name in run.mean for height in LOW[: 1 + (name in run.measured)]]
     titles = sum(bool(title) for title, _ in runs)
-    figure, axes = new_panels(
-        len(sum(heights, [])),
-        height=7.0 + sum(map(sum, heights)) + 8.0 * len(runs) + 6.0 * titles,
-        height_ratios=sum(heights, []),
-    )
+    whole = 7.0 + sum(heights) + 8.0 * len(runs) + 6.0 * titles
+    figure, axes = new_panels(len(heights), height=whole, height_ratios=heights)
     panels = iter(axes[:, 0])
     for title, run in runs:
         for k, name in enumerate(run.mean):

@@ -45,9 +45,9 @@ li { margin: .4rem 0; }
   body { padding: .6rem .8rem 2rem; font-size: 15px; }
   .equation { font-size: 1.1rem; }
   dl { grid-template-columns: 1fr; gap: 0; } dd { margin-bottom: .5rem; }
-  table { font-size: .8rem; } th, td { padding: .25rem .3rem; }
+  table { font-size: .78rem; overflow-wrap: normal; } th, td { padding: .25rem .25rem; white-space: normal; }
   .terms :is(th, td):nth-child(3) { display: none; }  /* the interval says the same */
-  .said { white-space: normal; min-width: 7rem; }
+  .terms :is(th, td):nth-child(6) { display: none; }
   .pictures { display: block; } .pictures figure { margin: 1.2rem 0; }
 }
 @media print {

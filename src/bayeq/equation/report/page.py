@@ -129,7 +129,7 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
         of=f" of {records[0].name}" if len(records) > 1 and records[0].name else "",
         pictures=made,
         reasons=reasons,
-        words=_words(eq),
+        words=_words(eq) if eq.verdict.kind != "none" else [],
         data=_data(eq),
         digests=digests,
         command=command or repeat_command(eq),
@@ -166,7 +166,7 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
         "verdict": str(one.verdict) if len({other.verdict.kind for other in eq.equations}) > 1 else "",
         "none": one.verdict.kind == "none",
         "checks": [*([checks(eq)] if one is eq.equations[0] else []), *failed(one), *unseen(one)],
-        "starred": any(MARK in cell for row in rows for cell in row),
+        "starred": any(row[3].endswith(MARK) for row in rows),
         "maths": _maths(one, names),
         "symbols": {
             name: names[name] for k, name in enumerate(one.chain.names) if k and name != "d" * k + one.chain.names[0]
