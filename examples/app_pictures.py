@@ -12,17 +12,17 @@ from tests.app_process import running_app
 
 FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
 
-# Width of a screen and of a telephone [pixels].
-WIDE, NARROW = 1280, 390
+# Width of a screen and of a telephone [pixels of the page], and pixels of a picture for one of these.
+WIDE, NARROW, FINE = 1280, 390, 2
 
 
 def take(page: Page, name: str, width: int, title: str = "", height: int | None = None) -> None:
     """Write a picture of the page, or of a part of this height [pixels] below a heading."""
     path = FIGURES / f"app_{name}.png"
-    page.screenshot(path, width)
-    top = page.top_of(title) - 20 if title else 0
+    page.screenshot(path, width, FINE)
+    top = FINE * (page.top_of(title) - 20) if title else 0
     with Image.open(path) as whole:
-        last = min(top + height, whole.height) if height else whole.height
+        last = min(top + FINE * height, whole.height) if height else whole.height
         part = whole.crop((0, top, whole.width, last)).convert("P", palette=Image.Palette.ADAPTIVE, colors=128)
     part.save(path, optimize=True)
 

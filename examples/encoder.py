@@ -53,9 +53,5 @@ def run(example: Example, data: Path) -> None:
         "PIP of sign(w)": f"{eq[0].table().set_index('term').loc['sign(w)', 'pip']:.2f}",
     }
     example.numbers["coefficient of w, given three forms, 95 % interval"] = f"{low:.3f} .. {high:.3f}"
-    runs = [
-        (f"as discovered: {eq[0].text}", eq.simulate(pieces[0])),
-        *((f"given: {forms[k][0].text}", forms[k].simulate(thin[0])) for k in (0, 5)),
-    ]
-    angles = [(title, replace(run, mean={"th": run.mean["th"]})) for title, run in runs]
-    example.figure = draw(angles, "time [s]")
+    run = eq.simulate(pieces[0])
+    example.figure = draw([(f"as discovered: {eq[0].text}", replace(run, mean={"th": run.mean["th"]}))], "time [s]")

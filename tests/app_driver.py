@@ -134,10 +134,10 @@ class Page:
         self.wait(file.exists, f"{file.name} is there")
         return file
 
-    def screenshot(self, path, width):
-        """The whole page as a picture, as wide as a screen."""
+    def screenshot(self, path, width, scale=1):
+        """The whole page as a picture, as wide as a screen, of so many pixels for each of the page."""
         time.sleep(0.6)  # ripples and transitions of the framework
-        size = {"mobile": False, "width": width, "height": 900, "deviceScaleFactor": 1}
+        size = {"mobile": False, "width": width, "height": 900, "deviceScaleFactor": scale}
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         time.sleep(0.6)
         size["height"] = int(self.driver.execute_script("return document.documentElement.scrollHeight"))

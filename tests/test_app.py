@@ -13,6 +13,7 @@ import time
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -291,6 +292,39 @@ def test_a_session_keeps_what_is_open_when_another_file_is_bad(tmp_path):
     finally:
         session.close()
     assert not session.workspace.path.exists()
+
+
+def test_a_session_reads_again_and_takes_further_records():
+    session = Session(Workspace())
+    first, second = (session.workspace.new_folder() / "run.csv" for _ in range(2))
+    for seed, path in enumerate((first, second)):
+        rows = bq.simulate("linear", n=300, seed=seed)
+        np.savetxt(path, np.column_stack([rows.time, *rows.channels.values()]), delimiter=",", header="run\nt,x,v,a,u")
+
+    async def opened():
+        await session.open(first, first.name)
+        session.choices.reading |= {"--skip": "2", "--names": "t,p,q,r,s"}
+        await session.read_again()
+        session.further.append(second)
+        session.choices.roles = {"p": Choice("displacement"), "r": Choice("acceleration"), "s": Choice("input")}
+        session.choices.dictionary = "p, s"
+        await session.discover()
+
+    try:
+        asyncio.run(opened())
+        assert (session.file_error, session.run_error) == ("", "")
+        assert [one["name"] for one in session.opened.info["channels"]] == ["p", "q", "r", "s"]
+        assert session.words()[:3] == ["discover", "run.csv", "record2_run.csv"]
+        assert session.words()[3:7] == ["--names", "t,p,q,r,s", "--skip", "2"]
+        assert bq.load(session.result.equation).data.n == 600
+        session.drop(second)
+        assert not second.exists()
+        session.choices.reading["--skip"] = "no"
+        asyncio.run(session.read_again())
+        assert "--skip" in session.file_error
+        assert first.exists()  # what was open stays open
+    finally:
+        session.close()
 
 
 # --- the command -----------------------------------------------------------------------------------------------------

@@ -85,15 +85,24 @@ def test_from_a_file_to_its_equation(tmp_path):
         assert "Verdict: " in first
         assert "a = " in first
         assert "x**3" not in first.split("Pictures")[0]
+        assert "onerror=alert(2)" in first  # the unit, as it stands in the file
         page.write("Candidate terms", "x, v, x**3, u")
         page.write("Rows", "0:450")
+        for name, unit in zip("xvau", ("m", "m/s", "m/s^2", "N"), strict=True):
+            page.write(f"Unit of {name}", unit)
+        page.write("Offset of u", "0.0")
+        driver.find_element("css selector", "textarea").send_keys("u == 1\n")
+        page.wait(lambda: "--constraint 'u == 1' --save" in page.text, "the command follows")
         page.press("Discover")
         second = page.result(2)
         assert "Verdict: found" in second
         assert "x**3" in second.split("Pictures")[0]
-        assert "onerror=alert(2)" in second  # the unit, as it stands in the file
+        assert "viscous damping" in second
+        assert "N*s/m" in second
+        assert len(driver.find_elements("css selector", "main")) == 1
         assert page.error() == ""
-        assert "--dictionary 'x, v, x**3, u' --rows 0:450 --save equation.json --report report.html" in page.text
+        assert "--input u --units x=m --units v=m/s --units 'a=m/s^2' --units u=N --remove-offset u=0.0" in page.text
+        assert "--dictionary 'x, v, x**3, u' --rows 0:450 --constraint 'u == 1' --save equation.json" in page.text
         report, equation = (page.download(words) for words in ("Download report", "Download equation (JSON)"))
         # nothing was run, nobody else was talked to
         assert said(driver) == []

@@ -179,7 +179,7 @@ def test_a_restoring_force_needs_an_equation_of_second_order(lorenz):
     with pytest.raises(InputError, match="no input"):
         figures.frequency_response(eq, record)
     assert figures.pip_bars(eq, target="dz").get_title(loc="left") == "$dz$"
-    assert len(figures.phase_portrait(eq, record, states=("x", "z")).lines) == 3
+    assert len(figures.phase_portrait(eq, record, states=("x", "z")).lines) == 4  # record, its rows, run, start
 
 
 def test_spectra_hold_the_power(eq, record):
@@ -194,6 +194,8 @@ def test_the_frequency_response_is_that_of_the_oscillator():
     record = bq.simulate("linear", n=8000, seed=2, noise=0.01)
     eq = bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", dictionary="x, v, u")
     upper, lower = figures.frequency_response(eq, record)
+    (coherence,) = [ax for ax in upper.figure.axes if ax.get_ylabel() == "coherence"]
+    assert np.nanmin(drawn(coherence, "free run")[1][4:]) > 0.9  # that of a linear system
     f, gain = drawn(upper, "free run")
     law = eq[0].shown_coef
     omega = 2j * np.pi * f
@@ -201,6 +203,17 @@ def test_the_frequency_response_is_that_of_the_oscillator():
     above = (f > 15.0) & (f < 60.0)  # where segments resolve it: the natural frequency is 5 Hz
     np.testing.assert_allclose(gain[above], np.abs(exact[above]), rtol=0.1)
     np.testing.assert_allclose(drawn(lower, "free run")[1][above], -180.0, atol=10.0)
+
+
+def test_what_no_sensor_gave_is_not_called_measured(record):
+    alone = bq.Record({name: record[name] for name in "xu"}, record.time)
+    eq = bq.discover(alone, chains="x::", inputs="u", dictionary="x, dx, x**3, u")
+    assert figures.measured_against_predicted(eq, alone).get_ylabel().startswith("estimated")
+    for name in ("one_step", "restoring_force_curve", "restoring_force_surface"):
+        ax = np.ravel(np.array(getattr(figures, name)(eq, alone), dtype=object))[0]
+        labels = ax.get_legend_handles_labels()[1]
+        assert any(label.startswith("estimated") for label in labels)
+        assert not any("measured" in label for label in labels)
 
 
 def test_correlation_of_candidates(eq, record):

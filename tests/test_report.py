@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import warnings
 from html.parser import HTMLParser
 
 import numpy as np
@@ -128,9 +129,53 @@ def test_without_a_record_there_are_fewer_pictures_and_no_samples(eq, tmp_path):
     eq.save(tmp_path / "eq.json")
     bq.load(tmp_path / "eq.json").report(tmp_path / "out.html")
     page = Page((tmp_path / "out.html").read_text(encoding="utf-8"))
-    assert len(page.all("figure")) == 2
+    assert len(page.all("figure")) == 1  # coefficients; no probability is in doubt
     assert "SHA-256" not in page.text
     assert "Verdict: found" in page.text
+
+
+def test_physical_parameters_and_the_verdict_once(page, eq):
+    text = page.text
+    assert text.count("Verdict:") == 1
+    assert text.index("m*a + c*v + k*x + k3*x**3 = u") < text.index(eq[0].text)
+    for q in eq.physical():
+        if q.symbol != "omega_n":
+            assert f"{q.symbol} " in text
+            assert q.meaning in text
+    assert "natural frequency" in text
+    assert "N/m³" in text
+    assert f"Checked on {eq[0].held_out.n} rows that were not used" in text
+    assert f"{eq.data.n_held_out} held out" in text
+    assert "* over all equations" not in text  # no interval is marked
+
+
+def test_no_pictures_of_no_equation(tmp_path):
+    rng = np.random.default_rng(0)
+    walk = rng.standard_normal((3, 500)).cumsum(axis=1)
+    record = bq.Record(dict(zip("xau", walk, strict=True)), np.arange(500) / 100)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        eq = bq.discover(record, chains="x::a", inputs="u", dictionary="x, x**2, u")
+    assert eq.verdict.kind == "none"
+    eq.report(tmp_path / "out.html", record)
+    page = Page((tmp_path / "out.html").read_text(encoding="utf-8"))
+    assert not page.all("figure")
+    assert "Physical parameters" not in page.text
+    assert "No equation of a was found" in page.text
+    assert page.text.index("bayeq info") < page.text.index("Equation")
+
+
+def test_an_interval_over_models_is_explained_where_it_stands(tmp_path):
+    record = bq.simulate("duffing", n=1000, noise=0.1, seed=2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        eq = bq.discover(record, **ROLES)
+    assert eq[0].printed_over_models.any()
+    eq.report(tmp_path / "out.html")
+    page = Page((tmp_path / "out.html").read_text(encoding="utf-8"))
+    assert page.text.count("* over all equations that hold the term") == 1
+    assert sum(piece.endswith(" *") for piece in page.texts) >= eq[0].printed_over_models.sum()
+    assert len(page.all("figure")) == 2  # a probability is in doubt
 
 
 def test_several_equations_and_records(tmp_path):

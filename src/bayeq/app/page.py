@@ -363,9 +363,8 @@ def bullets(texts: Sequence[str]) -> None:
 
 def text_field(label: str, hint: str, target: Any, name: str) -> Any:
     """A labelled field for a text, bound to an attribute or a key."""
-    made = ui.input(label).props(
-        "outlined dense spellcheck=false autocomplete=off" + (f' hint="{hint}"' if hint else "")
-    )
+    said = f'hint="{hint}"' if hint else ""
+    made = ui.input(label).props(f"outlined dense spellcheck=false autocomplete=off {said}")
     return made.bind_value(target, name).on_value_change(command_step.refresh)
 
 

@@ -111,7 +111,7 @@ def _residual(ax: Axes, time: Floats, measured: Floats, curve: Curve, label: str
     ax.set_xlim(float(time[0]), float(time[-1]))
     ax.axhline(0.0, color=BLACK, linewidth=0.5)
     _band(ax, time[every], [None if end is None else end - mean for end in ends], every)
-    ax.plot(time[every], residual[every], color=ORANGE, linewidth=0.7, label=f"residual: {of} less {label}")
+    ax.plot(time[every], residual[every], color=ORANGE, linewidth=0.9, label=f"residual: {of} less {label}")
 
 
 def _curve(run: Run, name: str) -> Curve:
