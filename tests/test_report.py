@@ -162,7 +162,7 @@ def test_no_pictures_of_no_equation(tmp_path):
     assert not page.all("figure")
     assert "Physical parameters" not in page.text
     assert "No equation of a was found" in page.text
-    assert page.text.index("bayeq info") < page.text.index("Equation")
+    assert page.text.index("bayeq info") < page.text.index("Warnings")
 
 
 def test_an_interval_over_models_is_explained_where_it_stands(tmp_path):

@@ -64,7 +64,7 @@ def as_bokeh(axes: Sequence[Any]) -> Any:
 
 
 def _plot(ax: Any, x_range: Any) -> Any:
-    from bokeh.models import Legend, Range1d
+    from bokeh.models import BasicTickFormatter, Legend, Range1d
     from bokeh.plotting import figure
 
     inches = ax.figure.get_size_inches()[1] * ax.get_position().height
@@ -85,6 +85,8 @@ def _plot(ax: Any, x_range: Any) -> Any:
     for axis, model in ((ax.xaxis, plot.xaxis[0]), (ax.yaxis, plot.yaxis[0])):
         _ticks(axis, model)
         model.axis_label_text_font_style, model.axis_label_standoff = "normal", 4
+        if isinstance(model.formatter, BasicTickFormatter):
+            model.formatter.power_limit_low = -5  # 0.0004, not 4.000e-4
     shown = [*_images(plot, ax), *_bands(plot, ax), *_bars(plot, ax), *_lines(plot, ax)]
     labels = [(without_maths(label), [glyph]) for label, glyph in shown if label and not label.startswith("_")]
     if labels and ax.get_legend() is not None:
