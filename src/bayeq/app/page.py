@@ -75,9 +75,9 @@ ul { padding-left: 1.2rem; margin: .4rem 0; }
   padding: 1rem; }
 .drop-words span:first-child { flex: 1 1 16rem; }
 .drop .q-uploader__dnd { outline: none; }
-.channels { display: grid; grid-template-columns: minmax(5rem, max-content) minmax(9rem, 1fr) 14.5rem 5.7rem 5.7rem;
+.channels { display: grid; grid-template-columns: minmax(5rem, max-content) minmax(9rem, 1fr) 16rem 5.7rem 5.7rem;
   gap: .2rem .8rem; align-items: center; }
-.channels.several { grid-template-columns: minmax(5rem, max-content) minmax(7rem, 1fr) 14.5rem 5.7rem 5.7rem 6.5rem; }
+.channels.several { grid-template-columns: minmax(5rem, max-content) minmax(7rem, 1fr) 16rem 5.7rem 5.7rem 6.5rem; }
 .channels > * { min-width: 0; }
 .channel-name { font-weight: 600; }
 .channel-about { font-size: .9rem; color: #444; }
