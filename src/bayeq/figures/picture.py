@@ -202,7 +202,7 @@ def bracketed(unit: str) -> str:
     return unit if unit.isalpha() else f"({unit_text(unit)})"
 
 
-def given_as(eq: Answer, name: str) -> str:
+def given_as(eq: Any, name: str) -> str:
     """What a channel is called in a picture: a derivative that no sensor gave is not called measured."""
     return "estimated" if name in eq.data.estimated else "measured"
 
