@@ -8,7 +8,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, PALE, add_axes, new_figure, save, style
+from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, new_panels, save, style
 from perf.peers import CONTESTANTS
 from perf.problems import CASES, SYSTEMS
 from perf.rows import Row, read_rows
@@ -36,10 +36,8 @@ LINES: dict[str, dict[str, Any]] = {
 BY_ROWS = ("p36", "n20000", "n200000", "n2000000")
 BY_COLUMNS = ("p36", "p200", "p2000", "p10000")
 
-# Places in mm: the panel of all contestants, and the two of sizes.
-TOP, HEIGHT = 7.0, 76.0
-LEFT, WIDTH = 44.0, 50.0
-SECOND, THIRD, NARROW, LOW = 117.0, 156.0, 32.0, 52.0
+# Height [mm].
+HEIGHT = 105.0
 
 # Several triangles at one place are set side by side.
 APART = 1.15
@@ -96,10 +94,10 @@ def _curves(axes: Axes, rows: Sequence[Row], cases: Sequence[str], size: Mapping
 
 def draw(rows: Sequence[Row]) -> Figure:
     """Times of all on the oscillators, and of some from size to size."""
-    figure = new_figure(FULL_WIDTH, TOP + HEIGHT + 10.0)
-    _dots(add_axes(figure, LEFT, TOP, WIDTH, HEIGHT), rows)
-    tall = add_axes(figure, SECOND, TOP, NARROW, LOW)
-    wide = add_axes(figure, THIRD, TOP, NARROW, LOW, sharey=tall)
+    figure, axes = new_panels(1, 3, height=HEIGHT, width_ratios=(1.5, 1.0, 1.0))
+    every, tall, wide = axes[0]
+    wide.sharey(tall)
+    _dots(every, rows)
     _curves(tall, rows, BY_ROWS, {name: CASES[name].rows for name in BY_ROWS})
     _curves(wide, rows, BY_COLUMNS, {name: CASES[name].columns for name in BY_COLUMNS})
     tall.set_title("P = 36")
@@ -112,8 +110,7 @@ def draw(rows: Sequence[Row]) -> Figure:
     if not math.isnan(_limit(rows)):
         note += f"; empty triangles: over {_limit(rows):g} s"
     handles, labels = tall.get_legend_handles_labels()
-    look = {"fontsize": 7, "title_fontsize": 7, "alignment": "left", "borderaxespad": 0.0, "columnspacing": 1.0}
-    figure.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.58, 0.01), ncols=2, title=note, **look)
+    figure.legend(handles, labels, loc="outside lower right", ncols=4, title=note, alignment="left")
     return figure
 
 

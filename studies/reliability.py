@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
-from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, add_axes, new_figure, save, style
+from bayeq.figures.style import BLACK, BLUE, ORANGE, new_panels, save, style
 from bayeq.gram import Gram
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.prior import Prior
@@ -47,6 +47,9 @@ BATCH = 10
 
 # Bins with fewer terms are not drawn.
 LEAST_DRAWN = 10
+
+# Height of the figure [mm].
+HEIGHT = 138.0
 
 # Room about the unit square of a panel, and its upper end, which leaves room for words.
 MARGIN, CEILING = 0.05, 1.42
@@ -177,21 +180,18 @@ def table(curves: Curves) -> list[dict[str, object]]:
 
 def draw_reliability(curves: Curves) -> Figure:
     """Share of true terms against the stated probability, systems across, raw and clean states down."""
-    side, left, top, gap, drop = 40.5, 15.0, 12.0, 3.5, 8.5
-    height = side * (CEILING + MARGIN) / (1.0 + 2.0 * MARGIN)
-    figure = new_figure(FULL_WIDTH, top + 2 * height + drop + 9.0)
+    figure, axes = new_panels(2, len(STUDY_SYSTEMS), height=HEIGHT, sharex=True, sharey=True)
     handles: list[Any] = []
     for row, (states, label) in enumerate((("raw", "noise on all channels"), ("clean", "clean states"))):
         for column, system in enumerate(STUDY_SYSTEMS):
-            ax = add_axes(figure, left + column * (side + gap), top + row * (height + drop), side, height)
+            ax = axes[row, column]
             handles = _panel(ax, {method: curves[states, system, method] for method in METHODS})
             ax.set_title(f"({chr(97 + len(STUDY_SYSTEMS) * row + column)}) {TITLES[system]}")
-            ax.tick_params(labelbottom=row == 1, labelleft=column == 0)
             if column == 0:
                 ax.set_ylabel(f"{label}\nshare of true terms", linespacing=1.5)
             if row == 1:
                 ax.set_xlabel("stated probability")
-    figure.legend(handles=handles, loc="upper center", ncols=len(handles))
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return figure
 
 

@@ -35,7 +35,6 @@ __all__ = [
     "RED",
     "SINGLE_COLUMN",
     "UNSIGNED",
-    "add_axes",
     "labelled",
     "log_ticks",
     "mathtext",
@@ -187,21 +186,6 @@ def new_panels(
     """A figure of a size in mm, and its (rows, columns) panels, placed so that all labels fit."""
     figure = new_figure(width, height, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
-
-
-def add_axes(
-    figure: Figure,
-    left: float,
-    top: float,
-    width: float,
-    height: float,
-    sharex: Axes | None = None,
-    sharey: Axes | None = None,
-) -> Axes:
-    """Axes at a place in mm, counted from the upper left corner of the figure."""
-    across, down = (MM_PER_INCH * float(inches) for inches in figure.get_size_inches())
-    place = (left / across, 1.0 - (top + height) / down, width / across, height / down)
-    return figure.add_axes(place, sharex=sharex, sharey=sharey)
 
 
 def labelled(axes: Iterable[Axes]) -> list[Any]:

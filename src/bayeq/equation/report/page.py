@@ -27,7 +27,6 @@ from bayeq.errors import BayeqWarning, InputError
 from bayeq.expressions.mathml import mathml, number_mathml, symbol_mathml
 from bayeq.figures.picture import unit_text
 from bayeq.figures.style import require_matplotlib
-from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.records import Record
 from bayeq.records.files import replacing
@@ -253,8 +252,6 @@ def _data(eq: Answer) -> dict[str, str]:
         "constraints": "; ".join(eq.constraints),
         "refined": "" if eq.refined is None else str(eq.refined),
         "left out": "; ".join(f"{term.name}: {term.reason}" for term in eq.dropped),
-        "one step": "" if eq.scores is None else f"normalised RMS error {percentages(eq.scores.one_step)}",
-        "free run": "" if eq.scores is None else f"normalised RMS error {percentages(eq.scores.free_run)}",
     }
 
 
