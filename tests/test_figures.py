@@ -81,7 +81,7 @@ def test_the_settings_of_the_caller_are_left_alone():
     matplotlib = pytest.importorskip("matplotlib")
     with matplotlib.rc_context({"font.size": 31.0}):
         with style():
-            assert matplotlib.rcParams["font.size"] == 8.0
+            assert matplotlib.rcParams["font.size"] == 7.5
         assert matplotlib.rcParams["font.size"] == 31.0
 
 
