@@ -437,8 +437,9 @@ def test_scores_without_held_out_rows(record):
 def test_figure(record, found):
     run = found.simulate(record, draws=20)
     axes = run.plot().axes
-    assert [ax.get_ylabel() for ax in axes] == ["x [m]", "v [m/s]"]
-    assert axes[1].get_xlabel() == "time [s]"
+    assert [ax.get_ylabel() for ax in axes] == ["x [m]", "residual", "v [m/s]", "residual"]
+    assert axes[3].get_xlabel() == "time [s]"
+    np.testing.assert_allclose(axes[1].lines[-1].get_ydata(), run.measured["x"] - run.mean["x"])
     # band, measured, run
     assert len(axes[0].collections) == 1
     assert len(axes[0].lines) == 2
