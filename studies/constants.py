@@ -35,6 +35,9 @@ FORCE = BandLimitedForce(1.0, (0.2, 4.0))
 BESIDE = "x, v, u, x**2, x**3, v**3, v*abs(v), sign(v)"
 FORMS = ("tanh(v/{v0})", "v/sqrt(v**2+{v1}**2)", "atan(v/{v2})", "v/({v3}+abs(v))")
 
+# Of cases that are not measured both with and without velocity and acceleration.
+CHAINS = {"kinetics": ("x",), "forms": ("x:v:a",)}
+
 Parameters = Mapping[str, float]
 
 
@@ -213,11 +216,15 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and write the table to standard output."""
     cells = [
-        Cell({"kind": kind, "chain": chain, "noise_percent": f"{100 * noise:g}"}, RECORDS, partial(_measure, kind, chain, noise))
+        Cell(
+            {"kind": kind, "chain": chain, "noise_percent": f"{100 * noise:g}"},
+            RECORDS,
+            partial(_measure, kind, chain, noise),
+        )
         for kind in (*CASES, "kinetics")
-        for chain in (("x",) if kind == "kinetics" else ("x:v:a",) if kind == "forms" else ("x:v:a", "x::"))
+        for chain in CHAINS.get(kind, ("x:v:a", "x::"))
         for noise in (0.02, 0.05)
-    ]  # fmt: skip
+    ]
     run_study("constants", "Terms with unknown constants: which are found, and how well.", cells, _summary, arguments)
 
 

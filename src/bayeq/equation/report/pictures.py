@@ -15,10 +15,10 @@ import numpy as np
 from bayeq import figures
 from bayeq.equation.answer import Answer
 from bayeq.equation.report.interactive import as_bokeh
-from bayeq.equation.text import NOTEWORTHY_PIP
 from bayeq.errors import BayeqError
 from bayeq.figures.picture import given_as
 from bayeq.figures.style import UNSIGNED, style
+from bayeq.inference.engines import NOTEWORTHY_PIP
 from bayeq.records import Record
 
 __all__ = ["Picture", "pictures"]
