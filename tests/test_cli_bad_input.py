@@ -399,7 +399,7 @@ def test_terms_that_are_no_terms(run: Run, folder: Path, template: str, term: st
         ("neighbours", ["two coordinates or more"]),
         ("a: oscillator; b: x", ["no equation named 'b'"]),
         ("b: x; v", ["'v': write the target of its equation in front"]),
-        ("a,x", ["no channel named 'a'"]),
+        ("a,x", ["a would stand on both sides"]),
         ("1,2", ["no usable term", "1: constant on the data"]),
         ("1/0", ["no usable term", "not finite"]),
         ("9**9**9**9**9", ["no usable term", "not finite"]),
