@@ -36,7 +36,7 @@ class Variables:
     @property
     def coordinates(self) -> tuple[str, ...]:
         """The lowest state of each chain; all states where chains are not known."""
-        return tuple(chain[0] for chain in self.chains) if self.chains else self.states
+        return tuple(chain[0] for chain in self.chains if chain) if self.chains else self.states
 
     @property
     def names(self) -> tuple[str, ...]:

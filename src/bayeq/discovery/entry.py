@@ -58,6 +58,7 @@ def discover(
     acceleration: str | None = None,
     force: str | None = None,
     inputs: Sequence[str] = (),
+    target: str | Sequence[str] | None = None,
     dictionary: Specification | Any = "oscillator",
     method: str = "auto",
     smooth: Smooth = "auto",
@@ -95,6 +96,10 @@ def discover(
         Channel of its force.
     inputs : sequence of str
         Channels of further inputs.
+    target : str or sequence of str, optional
+        Channels that are no derivatives: F of a damper as a function of x and v, ``target="F", inputs=["x", "v"]``.
+        The law of each is static: it is not integrated. ``"F1,F2"`` are two. Beside chains, that of F may use their
+        states. Without chains families of terms, as ``"polynomial:3"``, are made of the inputs.
     dictionary : str, sequence of str, mapping of str to these, or feature library of PySINDy
         ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, ``"fourier:2"``, ``"neighbours"``, a file of terms, or terms;
         ``"oscillator + sin(x) - x**5"`` joins families and terms, and leaves some out. With a mapping,
@@ -209,6 +214,7 @@ def question_of(
     acceleration: str | None,
     force: str | None,
     inputs: Sequence[str],
+    target: str | Sequence[str] | None,
     dictionary: Specification | Any,
     method: str,
     smooth: Smooth,
@@ -231,7 +237,7 @@ def question_of(
     rules = Rules(max_terms, tolerance)
     rules.check(method)
     _check_shares(holdout, coarsen)
-    roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs)
+    roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs, target)
     noise, gain_sd = {} if noise is None else noise, {} if gain_sd is None else gain_sd
     check_sensors(noise, gain_sd, roles)
     smooth = current(smooth)
@@ -239,6 +245,8 @@ def question_of(
     _check_band(band, smooth)
     chained = tuple(chain.states for chain in roles.chains)
     variables = Variables(roles.states, roles.inputs, chained, targets=roles.targets)
+    if not roles.states:  # static laws alone
+        variables = Variables(roles.inputs)
     if is_library(dictionary):
         dictionary = terms_of(dictionary, variables.names)
     terms, allowed = build_dictionaries(dictionary, roles.targets, variables)

@@ -311,7 +311,7 @@ class Answer:
         -------
         (d,) array
             In the unit of each state per second, also where the channels of a chain have units that do not belong
-            together (see `Equation.unit_gains`).
+            together (see `Equation.unit_gains`). Where there are static laws alone: their targets.
         """
         values = _numbers(state, "the state")
         if values.shape != (len(self.states),):
@@ -325,7 +325,8 @@ class Answer:
         out: list[float] = []
         for equation in self.equations:
             above = [*(columns[name] for name in equation.chain.states[1:]), float(equation.evaluate(columns))]
-            out.extend(np.multiply(rates(equation.chain, equation.unit_gains), above).tolist())
+            factors = rates(equation.chain, equation.unit_gains) or (1.0,) * (not self.states)
+            out.extend(np.multiply(factors, above[: len(factors)]).tolist())
         return np.array(out)
 
     def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics:

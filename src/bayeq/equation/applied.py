@@ -240,7 +240,8 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)  # what was left out has been said
         scores = along.scores(equations, pieces, start=0)
-        runs = tuple((piece.name, along.free_run(equations, piece, draws=draws, seed=seed)) for piece in pieces)
+        driven = pieces if equations.states else []
+        runs = tuple((piece.name, along.free_run(equations, piece, draws=draws, seed=seed)) for piece in driven)
         one_step = {
             target: _single_step(equations, k, pieces, error)
             for k, (target, error) in enumerate(scores.one_step.items())
@@ -250,7 +251,7 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     noise = state_noise(motion)
     forecasts = [run for _, run in runs]
     free_run = {name: _free_run(name, forecasts, noise.get(name, 0.0), e) for name, e in scores.free_run.items()}
-    by_target = {one.target: error for one, (error, _) in zip(equations, windows or [], strict=windows is not None)}
+    by_target = {one.target: found[0] for one, found in zip(equations, windows, strict=True) if found is not None}
     kind, reason = _verdict(one_step, free_run, by_target)
     timed = not equations.data.rows_as_time
     return Prediction(

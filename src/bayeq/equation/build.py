@@ -63,9 +63,8 @@ def build_equations(
     design = selections[0].fit.regression.design
     motion = design.motion
     dynamics = Dynamics.on(motion, design.terms, [one.reported for one in selections])
-    windows: Sequence[tuple[float, str] | None] = window_errors(dynamics, motion) or [None] * len(selections)
     equations = []
-    for k, (selection, window) in enumerate(zip(selections, windows, strict=True)):
+    for k, (selection, window) in enumerate(zip(selections, window_errors(dynamics, motion), strict=True)):
         equation = replace(build_equation(selection, window), units=units)
         if scored:
             former = scored[k]

@@ -286,7 +286,7 @@ def state_noise(motion: Motion) -> dict[str, float]:
     return out
 
 
-def window_errors(dynamics: Dynamics, motion: Motion) -> list[tuple[float, str]] | None:
+def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, str] | None]:
     """Errors of free runs over windows, in units of the spread and noise of the states over the whole motion.
 
     Each is the median over windows of the rows held out, or of the training rows if none are. A window is one period
@@ -294,11 +294,13 @@ def window_errors(dynamics: Dynamics, motion: Motion) -> list[tuple[float, str]]
 
     Returns
     -------
-    list of (float, str) or None
-        Infinite where most runs blow up; how long the windows are. None without time, or with too few rows.
+    sequence of (float, str) or None
+        Of each equation: infinite where most runs blow up; how long the windows are. None without time, with too few
+        rows, and of static laws.
     """
-    if not motion.timed:
-        return None
+    none = [None] * len(dynamics.laws)
+    if not (motion.timed and dynamics.states):
+        return none
     whole = rows_of(motion, "a free run")
     states = np.concatenate([rows.stack(dynamics.states) for rows in whole])
     unit = np.hypot(states.std(axis=0), [state_noise(motion).get(name, 0.0) for name in dynamics.states])
@@ -311,13 +313,17 @@ def window_errors(dynamics: Dynamics, motion: Motion) -> list[tuple[float, str]]
             windows = window_runs(dynamics, pieces, min(period, shorter), unit=unit)
             if windows:
                 length = "one correlation time" if shorter < period else "one period"
-                return [(error, length) for error in _errors_by_chain(dynamics, windows)]
-    return None
+                errors = _errors_by_chain(dynamics, windows)
+                return [None if error is None else (error, length) for error in errors]
+    return none
 
 
-def _errors_by_chain(dynamics: Dynamics, windows: Sequence[tuple[Floats, Floats]]) -> list[float]:
-    out, first = [], 0
+def _errors_by_chain(dynamics: Dynamics, windows: Sequence[tuple[Floats, Floats]]) -> list[float | None]:
+    out, first = list[float | None](), 0
     for chain in dynamics.chains:
+        if chain.static:
+            out.append(None)
+            continue
         part = slice(first, first + len(chain.states))
         squares = [float(np.mean((run[:, part] - states[:, part]) ** 2)) for run, states in windows]
         out.append(math.sqrt(np.median([s if math.isfinite(s) else math.inf for s in squares])))

@@ -42,19 +42,22 @@ def to_callable(laws: Sequence[Law], inputs: Sequence[str], timed: bool, module:
         if timed:
             columns[TIME] = array.asarray(t)
         evaluate = Evaluator(columns) if module == "numpy" else lambda term: _value(term.tree, columns, array)
-        rows = [row for law in laws for row in _derivatives(law, columns, evaluate)]
+        rows = [row for law in laws for row in _derivatives(law, columns, evaluate, not states)]
         return array.stack(array.broadcast_arrays(*rows))
 
     return rhs
 
 
-def _derivatives(law: Law, columns: Mapping[str, Any], evaluate: Callable[[Expression], Any]) -> list[Any]:
-    """Of the states of a chain."""
+def _derivatives(
+    law: Law, columns: Mapping[str, Any], evaluate: Callable[[Expression], Any], static: bool
+) -> list[Any]:
+    """Of the states of a chain; the target of a law where there are only `static` ones."""
     total: Any = law.posterior.intercept
     for j in np.flatnonzero(law.posterior.support).tolist():
         total = total + float(law.posterior.coef[j]) * evaluate(law.terms[j])
     above = [*(columns[name] for name in law.chain.states[1:]), total]
-    return [factor * row for factor, row in zip(rates(law.chain, law.unit_gains), above, strict=True)]
+    factors = rates(law.chain, law.unit_gains) or (1.0,) * static
+    return [factor * row for factor, row in zip(factors, above, strict=False)]
 
 
 def _value(node: Node, columns: Mapping[str, Any], array: Any) -> Any:

@@ -112,15 +112,15 @@ def to_code(laws: Sequence[Law], inputs: Sequence[str], timed: bool, language: s
 
     states = [name for law in laws for name in law.chain.states]
     places = {name: ("y", k) for k, name in enumerate(states)} | {name: ("u", k) for k, name in enumerate(inputs)}
-    called = _names(list(places), row, len(states))
+    called = _names(list(places), row, len(states) or len(laws))
     renamed = {sympy.Symbol(name): sympy.Symbol(new) for name, new in called.items()}
-    slopes = [slope.xreplace(renamed) for law in solved_laws(laws) for slope in _slopes(law)]
+    slopes = [slope.xreplace(renamed) for law in solved_laws(laws) for slope in _slopes(law, not states)]
     used = {str(symbol) for slope in slopes for symbol in slope.free_symbols}
     results = [f"dy{row.first + k}" for k in range(len(slopes))]
     about = {
-        "states": ", ".join(map(_ascii, states)),
+        "states": ", ".join(map(_ascii, states)) or f"none, dy: {', '.join(_ascii(law.chain.target) for law in laws)}",
         "inputs": ", ".join(map(_ascii, inputs)) or "none",
-        "size": len(states),
+        "size": len(slopes),
         "results": ", ".join(results),
     }
     lines = [
@@ -151,8 +151,11 @@ def _ascii(name: str) -> str:
     return "".join(c if re.fullmatch(r"[A-Za-z0-9_]", c) else f"u{ord(c):04x}" for c in name)
 
 
-def _slopes(law: Law) -> list[Any]:
-    """Derivatives of the states of a chain in SymPy, of functions that every printer knows."""
+def _slopes(law: Law, static: bool) -> list[Any]:
+    """Derivatives of the states of a chain in SymPy, of functions that every printer knows.
+
+    Where there are only `static` laws: the target.
+    """
     import sympy
 
     p = law.posterior
@@ -161,10 +164,10 @@ def _slopes(law: Law) -> list[Any]:
         if kept:
             total += sympy.Float(value, DIGITS) * _plain(to_sympy(term))
     above = [*map(sympy.Symbol, law.chain.states[1:]), total]
-    factors = rates(law.chain, law.unit_gains)
+    factors = rates(law.chain, law.unit_gains) or (1.0,) * static
     return [
         node if factor == 1.0 else sympy.Float(factor, DIGITS) * node
-        for factor, node in zip(factors, above, strict=True)
+        for factor, node in zip(factors, above, strict=False)
     ]
 
 

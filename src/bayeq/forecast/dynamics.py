@@ -154,7 +154,7 @@ class Dynamics:
             targets.append(Expression(side))
             above = [*map(Symbol, law.chain.states[1:]), side]
             factors = rates(law.chain, law.unit_gains)
-            for factor, node in zip(factors, above, strict=True):
+            for factor, node in zip(factors, above, strict=False):  # a static law gives no derivative
                 slopes.append(Expression(node if factor == 1.0 else Binary("*", number(factor), node)))
         states = [name for law in laws for name in law.chain.states]
         drivers = Roles((), tuple(inputs), timed).drivers

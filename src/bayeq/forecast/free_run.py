@@ -118,6 +118,8 @@ def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
     """Shortest of the chains' periods [s]: 2 pi times the spread of the coordinate over that of its derivative."""
     periods = []
     for law in dynamics.laws:
+        if law.chain.static:
+            continue
         low, above = (np.concatenate([rows.columns[name] for rows in pieces]) for name in law.chain.names[:2])
         spread = abs(rates(law.chain, law.unit_gains)[0]) * float(above.std())
         periods.append(2.0 * math.pi * float(low.std()) / spread if spread > 0 else math.inf)

@@ -96,8 +96,9 @@ def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], m
         What tells how far states may go, if it is more than these: a body may be at rest in them.
     """
     runs, blew_up_at = [], None
+    moving = pieces if dynamics.states else []
     limits = state_range(np.concatenate([rows.stack(dynamics.states) for rows in motion or pieces]))
-    for rows in pieces:
+    for rows in moving:
         first = fitted_start(dynamics, parameters, rows, *limits)
         run, stopped, _ = mean_run(dynamics, parameters, first, rows.drive(*limits))
         runs.append(run)

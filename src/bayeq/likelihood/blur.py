@@ -174,6 +174,8 @@ def blur_of(
             ends, slopes = rows + 1, gradient[:, : layout.motion]
             offset = values[ends] - np.einsum("ki,ki->k", slopes[ends], path[ends, : layout.motion])
             wide = (np.abs(values).max() + width[:, j].max()) / LEAST
+            if not len(rows):
+                continue
             holds.append(Hold(j, rows, half[rows], slopes[ends], offset, wide))
     for hold in holds:
         left_out[hold.rows] = 0.0
@@ -203,6 +205,8 @@ def _held(
         target[:, c] += value * (middle_of_jump(layout.terms[t], jump, evaluate) if t < len(layout.terms) else 1.0)
     rest, pull = np.zeros(len(path)), np.zeros(len(path))
     for c, (last, rates) in enumerate(zip(layout.last, layout.rates, strict=True)):
+        if not rates:  # a static law moves nothing
+            continue
         first = last + 1 - len(rates)
         below = np.column_stack([path[:, first + 1 : last + 1], target[:, c]]) * rates
         rest += np.einsum("ni,ni->n", gradient[:, first : last + 1], below)

@@ -150,7 +150,7 @@ class Layout:
 
     @cached_property
     def last(self) -> Ints:
-        """The state below the highest derivative of each chain, (C,)."""
+        """The state below the highest derivative of each chain, (C,); of a static law that of the chain before it."""
         return np.cumsum([chain.order for chain in self.roles.chains], dtype=np.int64) - 1
 
     @cached_property
@@ -220,6 +220,11 @@ class Layout:
     def rates(self) -> tuple[tuple[float, ...], ...]:
         """Of each chain, the factors between each derivative's channel and the rate of the one below."""
         return tuple(tuple(rates(c, g.tolist())) for c, g in zip(self.roles.chains, self.gains, strict=True))
+
+    @cached_property
+    def factors(self) -> Floats:
+        """Rate of the state below the highest derivative of each chain for a target of 1, (C,); 0 of static laws."""
+        return np.array([rates[-1] if rates else 0.0 for rates in self.rates])
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -302,7 +307,7 @@ class Layout:
                 targets[c] = Binary("+", targets[c], Binary("*", Symbol(name), term))
         out: list[Node] = []
         for chain, factors, target in zip(self.roles.chains, self.rates, targets, strict=True):
-            for factor, node in zip(factors, [*map(Symbol, chain.states[1:]), target], strict=True):
+            for factor, node in zip(factors, [*map(Symbol, chain.states[1:]), target][: chain.order], strict=True):
                 out.append(node if factor == 1.0 else Binary("*", number(factor), node))
         out += [Number(0)] * (self.before_inputs - self.motion)
         for name, width in zip(self.roles.inputs, self.widths, strict=True):

@@ -143,13 +143,22 @@ class Levels:
 
     @property
     def longest(self) -> Floats:
-        """Longest memory of each discrepancy, (C,); the own time is a coordinate's spread over that of its rate."""
+        """Longest memory of each discrepancy, (C,); the own time is a coordinate's spread over that of its rate.
+
+        That of a static law is the shortest of the inputs and of other chains.
+        """
         layout, times = self.layout, []
         for c, chain in enumerate(layout.roles.chains):
+            if chain.static:
+                times.append(np.inf)
+                continue
             first = int(layout.last[c]) + 1 - chain.order
             spreads = np.sqrt([*self.scales.variance[first : first + chain.order], self.target[c]])
             k = min(chain.lowest, chain.order - 1)
             times.append(spreads[k] / (abs(layout.rates[c][k]) * spreads[k + 1]))
+        if np.inf in times:
+            variance, i = self.scales.variance, layout.driven
+            times = np.minimum(times, np.min([*times, *np.sqrt(variance[i] / variance[i + 1])])).tolist()
         return np.clip(np.exp(-self.scales.interval / (OWN_TIME * np.array(times))), 2.0 * MEMORY[0], MEMORY[1])
 
     @property

@@ -136,7 +136,7 @@ def linearise(
         series.intervals,
         np.where(jumping, max(substeps, JUMP_STEPS), substeps),
         layout.last,
-        np.array([rates[-1] for rates in layout.rates]),
+        layout.factors,
         layout.motion,
         layout.rising,
         layout.straight,
@@ -214,7 +214,7 @@ def _bends(path: Floats) -> Floats:
 def _hold_targets(layout: Layout, hold: Hold, path: Floats, target: Floats, gradient: Floats, open_to: Floats) -> None:
     """The targets while a jump holds its argument, with as much of the jump as keeps the argument from changing."""
     rows = hold.rows
-    by_force = hold.gradient[:, layout.last] * np.array([rates[-1] for rates in layout.rates])
+    by_force = hold.gradient[:, layout.last] * layout.factors
     change, slopes = np.einsum("kc,kc->k", by_force, target[rows]), np.einsum("kc,kcs->ks", by_force, gradient[rows])
     for last, rates in zip(layout.last, layout.rates, strict=True):
         for i, rate in enumerate(rates[:-1], last + 1 - len(rates)):

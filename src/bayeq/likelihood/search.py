@@ -406,7 +406,7 @@ def steady(task: Task, state: State) -> bool:
         few = linear.transition[:: max(1, len(missed) // CHECKED)]
         if not (np.isfinite(missed).all() and np.isfinite(few).all()):
             return False
-        if missed.max() > GROWTH or np.abs(np.linalg.eigvals(few)).max() > GROWTH:
+        if missed.max(initial=0.0) > GROWTH or np.abs(np.linalg.eigvals(few)).max() > GROWTH:
             return False
     return True
 
@@ -460,7 +460,7 @@ def all_together(task: Task, empty: State) -> State | None:
 def finer(task: Task, state: State) -> Task:
     """The task with as many Runge-Kutta steps between samples as its motion, and the columns of its terms, need."""
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
-    while task.substeps < MOST_SUBSTEPS:
+    while task.substeps < MOST_SUBSTEPS and task.layout.motion:
         twice = replace(task, substeps=2 * task.substeps)
         pairs = list(zip(task.linearised(state), twice.linearised(state), strict=True))
         ends = [np.abs(a.end - b.end)[:, : task.layout.motion] for a, b in pairs]

@@ -166,7 +166,7 @@ def hidden_terms(layout: Layout, fewest: int) -> tuple[Expression, ...]:
     """Monomials of the states that a function may need where a dictionary has few terms."""
     if fewest >= FEW:
         return ()
-    states, own = layout.roles.states, {term.text for term in layout.terms}
+    states, own = layout.roles.variables, {term.text for term in layout.terms}
     degree = next(d for d in range(1, MOST_DEGREE + 1) if count(len(states), d) > FEW or d == MOST_DEGREE)
     return tuple(parse(text, states) for text in monomials(states, degree) if text not in own)
 
@@ -222,7 +222,7 @@ class Soft:
             whole = information(layout, linears, state, curved).raised(fitted.power)
         # the determinant falls by no more than the motion's start is known better for: of J = exp(-a t) over a time T
         # its part of the likelihood, -ln(mean J^2)/2, is a T - (a T)^2/6 per state
-        bend, about = np.outer(curved, curved) / (3.0 * layout.motion), coefficients(layout, state)
+        bend, about = np.outer(curved, curved) / (3.0 * max(layout.motion, 1)), coefficients(layout, state)
         whole = replace(whole, information=whole.information + bend, slope=whole.slope + bend @ about)
         step = max(1, sum(map(len, state.paths)) // max(ROWS, ROWS_PER_TERM * width))
         columns = np.concatenate(candidates(layout, task.series, state, step))

@@ -45,7 +45,7 @@ class Steps(NamedTuple):
     last : (C,) int array
         See `Layout.last`.
     factors : (C,) array
-        Rate of that state for a target of 1.
+        Rate of that state for a target of 1; 0 of static laws, whose targets are not integrated.
     motion : int
         Number of states that are derivatives of chains: the first ones, which alone depend on coefficients.
     rising : (S,) bool array
@@ -155,7 +155,7 @@ def _rates(
             for c in range(chains):
                 basis.registers[size + steps.inputs.shape[1] + c] = registers[program.outputs[free + c]]
         run_tape(basis, None)
-    for j in range(r):
+    for j in range(r if motion else 0):
         c = chosen.chain[j]
         term = registers[program.outputs[first + j]] if own else basis.registers[basis.outputs[chosen.term[j]]]
         if steps.implicit:

@@ -186,7 +186,8 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
     rules : Rules
         Limits.
     motion : Motion
-        Its training rows are what free runs are compared on; without time no smaller model is shown.
+        Its training rows are what free runs are compared on; without time no smaller model is shown, nor of a static
+        law, whose terms no run depends on.
 
     Raises
     ------
@@ -197,9 +198,14 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
     compared = rules.tolerance != 0.0 and all(ENGINES[fit.posterior.method].spike_slab for fit in fits)
     tolerance = rules.tolerance or TOLERANCE
     if compared:
-        chosen = _decided(chosen, tolerance, FreeRuns(motion, fits) if motion.timed else None)
+        moves = motion.timed and bool(motion.roles.states)
+        chosen = _decided(chosen, tolerance, FreeRuns(motion, fits) if moves else None)
     chosen = _refitted([_limited(one, rules.max_terms) for one in chosen])
-    nearly = [k for k, fit in enumerate(fits) if rules.tolerance or fit.regression.exact < IMPROBABLE]
+    nearly = [
+        k
+        for k, fit in enumerate(fits)
+        if (rules.tolerance or fit.regression.exact < IMPROBABLE) and not fit.regression.chain.static
+    ]
     return _simplified(chosen, nearly, tolerance, motion) if compared and motion.timed else chosen
 
 

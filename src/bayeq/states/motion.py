@@ -261,6 +261,9 @@ def _rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
     assert record.time is not None
     columns = {name: filled_in(np.asarray(record.time), samples[name]) for name in roles.inputs}
     for chain, values in zip(roles.chains, means, strict=True):
+        if chain.static:  # no motion: it may jump
+            columns[chain.target] = filled_in(np.asarray(record.time), samples[chain.target])
+            continue
         columns.update((name, np.ascontiguousarray(own)) for name, own in zip(chain.names, values.T, strict=True))
     columns.update(_time(record, roles))
     observed = {

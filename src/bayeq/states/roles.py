@@ -19,6 +19,9 @@ MAX_ORDER = 4
 LONGEST = 1000
 
 
+# What stands before the target of a static law.
+STATIC = "="
+
 # Name of a coordinate that is not measured; where that name is taken, with the first measured channel: x_a1, x_a2.
 COORDINATE = "x"
 
@@ -45,6 +48,11 @@ class Chain:
     ('x', 'dx', 'a')
     >>> parse_chain("x:~v:~a").names, parse_chain("~q::a").names
     (('x', 'v', 'a'), ('q', 'dq', 'a'))
+
+    A quantity that is no derivative, of which a static law tells, is a chain of order 0:
+
+    >>> parse_chain("=F").order, parse_chain("=F").target, parse_chain("=F").states
+    (0, 'F', ())
     """
 
     measured: tuple[str | None, ...]
@@ -54,6 +62,11 @@ class Chain:
     def order(self) -> int:
         """The highest derivative, the one that the equation gives."""
         return len(self.measured) - 1
+
+    @property
+    def static(self) -> bool:
+        """Whether the equation is a static law: its target is measured, and no derivative of anything."""
+        return self.order == 0
 
     @property
     def lowest(self) -> int:
@@ -84,6 +97,8 @@ class Chain:
         return self.names[-1]
 
     def __str__(self) -> str:
+        if self.static:
+            return f"{STATIC}{self.measured[0]}"
         if self.order == 1 and self.measured[1] is None:
             return str(self.measured[0])
         return ":".join(m or (f"~{self.own_name(k)}" if self.own_name(k) else "") for k, m in enumerate(self.measured))
@@ -94,7 +109,7 @@ def parse_chain(text: str) -> Chain:
     ``x:xdot`` (first order).
 
     ``x:~v:~a`` is ``x::`` with names for what is not measured, instead of dx and ddx; ``~q::a`` is ``::a`` with the
-    coordinate q instead of x.
+    coordinate q instead of x. ``=F`` is the target of a static law.
 
     Raises
     ------
@@ -107,8 +122,11 @@ def parse_chain(text: str) -> Chain:
     )
     if not isinstance(text, str):
         raise ChainError(f"a chain is a text, got {type(text).__name__}; {form}")
-    parts = [_named(part) for part in text.split(":")]
-    if len(parts) == 1:
+    static = text.strip().startswith(STATIC)
+    parts = [_named(part) for part in text.strip().removeprefix(STATIC).split(":")]
+    if static and (len(parts) > 1 or parts[0][:1] in ("", "~")):
+        raise ChainError(f"chain {text[:60]!r}: a static law has one measured target, as in =F")
+    if len(parts) == 1 and not static:
         parts.append("")
     if len(parts) - 1 > MAX_ORDER:
         raise ChainError(f"chain {text[:60]!r} has order {len(parts) - 1}; at most {MAX_ORDER} is allowed; {form}")
@@ -212,13 +230,14 @@ class Roles:
         acceleration: str | None = None,
         force: str | None = None,
         inputs: Sequence[str] = (),
+        target: str | Sequence[str] | None = None,
     ) -> Roles:
         """Read the roles as a user writes them.
 
         Raises
         ------
         ChainError
-            No coordinate, chains beside single channels, or text that is not a chain.
+            No coordinate or target, chains beside single channels, or text that is not a chain.
         InputError
             An input that is named twice.
         """
@@ -232,12 +251,21 @@ class Roles:
         named = tuple(map(channel_name, ([] if force is None else [force]) + list(inputs)))
         if len(set(named)) < len(named):
             raise InputError(f"an input is named twice: {', '.join(named)}")
-        if chains is None:
+        static = _static(target, named)
+        single = displacement is not None or velocity is not None or acceleration is not None
+        if chains is None and (single or not static):
             parsed = _oscillator(displacement, velocity, acceleration, named)
+            parsed = parse_chains([*map(str, parsed), *static], named) if static else parsed
         elif displacement or velocity or acceleration:
             raise ChainError("give either chains or displacement, velocity and acceleration, not both")
         else:
-            parsed = parse_chains([chains] if isinstance(chains, str) else list(chains), named)
+            given = [chains] if isinstance(chains, str) else list(chains or ())
+            parsed = parse_chains([*given, *static], named)
+        if not named and all(chain.static for chain in parsed):
+            raise ChainError(
+                f"{parsed[0].target!r} is to follow from nothing: name the channels that it is a function of (inputs=,"
+                " --input)"
+            )
         roles = cls(parsed, named)
         for name in named:
             if name in roles.measured:
@@ -270,6 +298,11 @@ class Roles:
         return (*self.states, *self.targets, *self.inputs)
 
     @property
+    def variables(self) -> tuple[str, ...]:
+        """What laws are functions of: the states, or the inputs where there are only static laws."""
+        return self.states or self.inputs
+
+    @property
     def drivers(self) -> tuple[str, ...]:
         """What terms may use beside the states: the inputs, and t where it is used."""
         return (*self.inputs, TIME) if self.timed else self.inputs
@@ -281,6 +314,21 @@ class Roles:
     def with_chains(self, chains: Sequence[Chain]) -> Roles:
         """The same inputs with other chains."""
         return replace(self, chains=tuple(chains))
+
+
+def _static(target: str | Sequence[str] | None, inputs: Sequence[str]) -> list[str]:
+    """Static laws of some targets, several of them in one text divided by commas."""
+    if target is None:
+        return []
+    require_texts(target, "target")
+    texts = target.split(",") if isinstance(target, str) else target
+    names = [channel_name(text.strip()) for text in texts]
+    for name in names:
+        if not name or ":" in name or name.startswith((STATIC, "~")):
+            raise ChainError(f"target {name[:60]!r} is not a channel's name; name what the law gives, as in target='F'")
+        if name in inputs:
+            raise ChainError(f"channel {name!r} is both a target and an input; leave it out of the inputs")
+    return [f"{STATIC}{name}" for name in names]
 
 
 def _oscillator(
