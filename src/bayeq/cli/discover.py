@@ -54,6 +54,12 @@ Examples:
     " x:xdot. Once per coordinate.",
 )
 @opt.measured("--input", "inputs", multiple=True, help="Input channel; once per input.")
+@opt.measured(
+    "--target",
+    multiple=True,
+    help="Channel that is no derivative, as the force of a damper, of which the law is static: a function of inputs."
+    " Once per equation, or F1,F2.",
+)
 @reading_options
 @opt.in_terms(
     "--dictionary",
@@ -183,7 +189,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
     read = {file: state_of(file) for file in plain_files(files)}
     with opt.cluster_client(dask) as client, Progress(verbose) as progress:
         records, source = source_of(reading, files, used_channels(options), paths, outputs.refine, progress)
-        if not options["chains"]:  # which may be badly written
+        if not options["chains"] and not options["target"]:  # which may be badly written
             _require_channels(records, used_channels(options))
         outputs.check_records(records)
         from bayeq.discovery import discover as run  # once the files are known to be readable
@@ -217,6 +223,7 @@ def cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
     out = {name: value for name, value in options.items() if value is not None}
     out["inputs"] = list(filter(None, out["inputs"]))
     out["chains"] = list(out["chains"]) or None
+    out["target"] = list(out["target"]) or None
     dictionaries = out.pop("dictionaries") or ("oscillator",)
     if len(dictionaries) > 1 and not all(":" in text for text in dictionaries):
         raise InputError(
@@ -236,7 +243,7 @@ def cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
 def used_channels(options: Mapping[str, Any]) -> list[str]:
     """Channels that the options name."""
     single = (options.get(role, "") for role in opt.ROLES)
-    texts = (*(options["chains"] or ()), *single, *options["inputs"])
+    texts = (*(options["chains"] or ()), *single, *options["inputs"], *(options["target"] or ()))
     return [name for text in texts for name in text.split(":") if name and not name.startswith("~")]
 
 

@@ -390,6 +390,8 @@ def _whole_streams(streams: Iterable[Stream]) -> tuple[Extent, ...]:
 
 
 def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, folder: Any) -> Whole:
+    if any(chain.static for chain in question.roles.chains):
+        raise NotStreamed("static laws need the record in memory; choose some rows (--rows)")
     if question.roles.timed:
         raise NotStreamed("a term uses t, the time, which is not known from row to row of long records; use some rows")
     if question.band is not None or question.tails == "student":

@@ -129,7 +129,7 @@ class Question:
             log.extend(copies, DataWarning)
         if because is not None:
             log.warn(because, DataWarning)
-        if any(map(counts_rows, measured)):
+        if self.roles.states and any(map(counts_rows, measured)):
             log.warn(UNKNOWN_TIME, DataWarning)
         _require_unambiguous(self.terms, measured, self.roles)
         step("states", 0, 1)

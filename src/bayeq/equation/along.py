@@ -49,6 +49,7 @@ def prepared(
     DataWarning
         Samples that are missing or left out, and gaps.
     """
+    roles = _without_targets(roles, records)
     found, messages = cleaned(records, roles, smooth)
     if divide:
         found, more = divided_at_gaps(found, roles, smooth)
@@ -60,9 +61,15 @@ def prepared(
     return found
 
 
+def _without_targets(roles: Roles, records: Sequence[Record]) -> Roles:
+    """The roles without static laws whose target a record lacks: nothing but the law depends on it."""
+    lacking = [c for c in roles.chains if c.static and not all(c.target in record.channels for record in records)]
+    return roles.with_chains([chain for chain in roles.chains if chain not in lacking]) if lacking else roles
+
+
 def rows_of_record(record: Record, roles: Roles, smooth: Smooth, sensors: Sensors) -> dict[str, Floats]:
     """States and inputs at every row of a record (n,), with straight lines where `estimate_motion` has no row."""
-    rows = estimate_motion([record], roles, smooth, sensors=sensors).records[0]
+    rows = estimate_motion([record], _without_targets(roles, [record]), smooth, sensors=sensors).records[0]
     if rows.n == record.n:
         return dict(rows.columns)
     if record.time is None or rows.time is None:
@@ -95,6 +102,8 @@ def free_run(
     interpolation: Interpolation | None = None,
 ) -> Forecast:
     """See `Equations.simulate`."""
+    if not eq.states:
+        raise InputError(f"{_static_laws(eq)}: nothing is integrated; predict(record) gives them row by row")
     return forecast(
         eq.dynamics(),
         record,
@@ -131,6 +140,10 @@ def scores(
     )
 
 
+def _static_laws(eq: Answer) -> str:
+    return f"{', '.join(chain.target for chain in eq.chains if chain.static)}: static laws"
+
+
 def _between(eq: Answer, interpolation: Interpolation | None) -> Interpolation:
     return interpolation or (eq.refined.interpolation if eq.refined else "cubic")
 
@@ -141,6 +154,8 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
     from bayeq.refine.refine import refine
 
     check_interpolation(interpolation)
+    if any(chain.static for chain in eq.chains):
+        raise InputError(f"{_static_laws(eq)}: output error is of free runs, which such laws do not have")
     if not 0 <= holdout < 1:
         raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
     for equation in eq.equations:

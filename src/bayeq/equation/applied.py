@@ -170,11 +170,12 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
         A unit that cannot be converted; a time that is known where that of the equations is not, or the reverse.
     """
     where = record.name or "record"
-    if counts_rows(record) and not equations.data.rows_as_time:
+    moving = bool(equations.states)
+    if moving and counts_rows(record) and not equations.data.rows_as_time:
         raise InputError(
             f"{where}: time is not known, and the equations are per second; give --fs or --time (fs=, time=)"
         )
-    if record.time is not None and not counts_rows(record) and equations.data.rows_as_time:
+    if moving and record.time is not None and not counts_rows(record) and equations.data.rows_as_time:
         raise InputError(
             f"{where}: the equations are per sample, for their record had no time; find them again with the sampling"
             " rate (--fs, fs=)"

@@ -98,7 +98,7 @@ class Equations(Answer):
         Parameters
         ----------
         record : Record
-            With the channels that the equations were found from.
+            With the channels that the equations were found from; the targets of static laws are not needed.
         return_std : bool
             Also return the predictive standard deviation.
 
@@ -379,6 +379,8 @@ class Equations(Answer):
 
         if not self.inputs:
             raise InputError("the equations have no input: there is nothing to excite")
+        if any(chain.static for chain in self.chains):
+            raise InputError("a measurement is planned for equations of motion, not for static laws: vary the inputs")
         if self.roles.timed:
             raise InputError("terms use t, the time: a measurement is planned for equations that do not depend on it")
         if not all(equation.models for equation in self.equations):

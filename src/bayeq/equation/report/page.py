@@ -298,7 +298,7 @@ def repeat_command(eq: Answer) -> str:
     """A command that finds the equations again, from what they know of how they were found."""
     words = ["bayeq", "discover", *(name or "FILE" for name in eq.data.files)]
     for chain in eq.chains:
-        words += ["--chain", str(chain)]
+        words += ["--target", chain.target] if chain.static else ["--chain", str(chain)]
     for name in eq.inputs:
         words += ["--input", name]
     words += ["--dictionary", eq.dictionary, "--method", eq.method, "--smooth", eq.smooth]
