@@ -27,7 +27,7 @@ from studies.adverse import VERDICTS
 from studies.judge import judged, timed
 from studies.resumable import Cell, Outcome, percent, run_study
 
-__all__ = ["CASES", "Case", "draw_record", "main"]
+__all__ = ["CASES", "Case", "draw_record", "judged_with_constants", "main", "summary"]
 
 RECORDS = 20
 ROWS, RATE, FINER = 2000, 100.0, 10
@@ -163,7 +163,8 @@ def kinetics(noise: float, seed: int) -> tuple[Record, dict[str, float], Paramet
     return record, {"u": 1.0, "x/({K}+x)": -parameters["V"]}, parameters
 
 
-def _judged(truth: Mapping[str, float], constants: Mapping[str, float], eqs: Equations) -> dict[str, Any]:
+def judged_with_constants(truth: Mapping[str, float], constants: Mapping[str, float], eqs: Equations) -> dict[str, Any]:
+    """`judged` of one equation, with the errors of its constants, the verdict, and whether an either-or is open."""
     eq = eqs.equations[0]
     found = judged(eqs, {eq.target: truth})
     found["terms"] = {name: one for name, one in found["terms"].items() if one[0] == one[0]}
@@ -190,10 +191,11 @@ def _measure(kind: str, chain: str, noise: float, seed: int) -> Outcome:
             dictionary = dictionary.replace("v", "dx").replace("{dx", "{v")
             truth = {name.replace("v", "dx").replace("{dx", "{v"): value for name, value in truth.items()}
         ask = partial(discover, record, chains=chain, inputs=["u"], dictionary=dictionary)
-    return timed(ask, partial(_judged, truth, constants))
+    return timed(ask, partial(judged_with_constants, truth, constants))
 
 
-def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
+def summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
+    """A line of the table."""
     answered = [one for one in outcomes if one["cpu"] is not None]
     covers = [bool(term[2]) for one in answered if one["exact"] for term in one["terms"].values()]
     inside = [bool(v[2]) for one in answered if one["exact"] for name, v in one["terms"].items() if name[0] == "{"]
@@ -225,7 +227,7 @@ def main(arguments: list[str] | None = None) -> None:
         for chain in CHAINS.get(kind, ("x:v:a", "x::"))
         for noise in (0.02, 0.05)
     ]
-    run_study("constants", "Terms with unknown constants: which are found, and how well.", cells, _summary, arguments)
+    run_study("constants", "Terms with unknown constants: which are found, and how well.", cells, summary, arguments)
 
 
 if __name__ == "__main__":

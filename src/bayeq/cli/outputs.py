@@ -61,6 +61,8 @@ class Outputs:
         """
         if self.explain and as_json:
             raise InputError("--explain explains the text, and --json prints none; leave one of them out")
+        if self.refine and options.get("target"):
+            raise InputError("--refine: output error is of free runs, which static laws (--target) do not have")
         seen: dict[Path, str] = {}
         for name, purpose in PURPOSES.items():
             output: Path | None = getattr(self, name)

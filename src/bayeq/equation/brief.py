@@ -199,7 +199,7 @@ def checks(eq: Answer) -> str:
 def failed(equation: Equation) -> Iterator[str]:
     """Diagnostics that fail, and what to do."""
     found = equation.residuals
-    # a static law is judged at its inputs as they were measured, whose noise it carries on unevenly
+    # of a static law the noise of its inputs is in what is left, here more and there less
     if found.normality < DOUBTFUL and found.kurtosis > 0.0 and not equation.chain.static:
         yield "what is left has heavy tails: try --tails student"
     if found.driver is not None and found.driver.p_value < DOUBTFUL:

@@ -114,7 +114,8 @@ def source_of(eq: Answer, short: bool = False) -> str:
         used = "all used" if eq.data.refitted else used
         used += f"; {judged}, free runs and verdict are those of {eq.data.stretches} stretches of them"
     elif eq.data.refitted:
-        used = f"all used; fits{' and free runs' if eq.states else ''} on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
+        runs = " and free runs" if eq.states else ""
+        used = f"all used; fits{runs} on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
     if short and eq.data.refitted and not eq.data.stretches:
         used = f"all used; checks are of the first {eq.data.n_train}"
     return f"{eq.data.n} rows{_rate(eq)}{source}, {used}"

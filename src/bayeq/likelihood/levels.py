@@ -156,7 +156,7 @@ class Levels:
             spreads = np.sqrt([*self.scales.variance[first : first + chain.order], self.target[c]])
             k = min(chain.lowest, chain.order - 1)
             times.append(spreads[k] / (abs(layout.rates[c][k]) * spreads[k + 1]))
-        if np.inf in times:
+        if any(chain.static for chain in layout.roles.chains):
             variance, i = self.scales.variance, layout.driven
             times = np.minimum(times, np.min([*times, *np.sqrt(variance[i] / variance[i + 1])])).tolist()
         return np.clip(np.exp(-self.scales.interval / (OWN_TIME * np.array(times))), 2.0 * MEMORY[0], MEMORY[1])
