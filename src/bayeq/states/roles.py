@@ -324,8 +324,8 @@ def _static(target: str | Sequence[str] | None, inputs: Sequence[str]) -> list[s
     texts = target.split(",") if isinstance(target, str) else target
     names = [channel_name(text.strip()) for text in texts]
     for name in names:
-        if not name or ":" in name or name.startswith((STATIC, "~")):
-            raise ChainError(f"target {name[:60]!r} is not a channel's name; name what the law gives, as in target='F'")
+        if not name:
+            raise ChainError("target '' is not a channel's name; name what the law gives, as in target='F'")
         if name in inputs:
             raise ChainError(f"channel {name!r} is both a target and an input; leave it out of the inputs")
     return [f"{STATIC}{name}" for name in names]
