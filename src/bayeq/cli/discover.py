@@ -106,6 +106,13 @@ Examples:
     help="Uncertainty of a sensor's calibration, which intervals take in: x=0.01 for 1 %. Once per channel.",
 )
 @opt.sure(
+    "--lag-sd",
+    "lag_sd",
+    multiple=True,
+    help="Channel that may be late, with the standard deviation of its lag [s], which is learned: u=0.002. Once per"
+    " channel.",
+)
+@opt.sure(
     "--tails",
     type=click.Choice(["gauss", "student"]),
     default="gauss",
@@ -231,7 +238,7 @@ def cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
             " target of each equation in front, as in --dictionary 'a1: oscillator'"
         )
     out["dictionary"] = "; ".join(dictionaries)
-    for name in ("noise", "gain_sd"):
+    for name in ("noise", "gain_sd", "lag_sd"):
         flag = f"--{name.replace('_', '-')}"
         known = opt.by_name(flag, out[name], "write a channel and a value, such as u=0.01", str.rpartition)
         out[name] = {opt.channel_name(channel): value for channel, value in known.items()}

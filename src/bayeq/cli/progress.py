@@ -21,6 +21,7 @@ STAGES = {
     "reading": "reading the file",
     "states": "smoothing the motion",
     "dictionary": "evaluating the candidate terms",
+    "lags": "learning the lags of channels",
     "likelihood": "learning path and noise of the record",
     "inference": "weighing the terms",
 }

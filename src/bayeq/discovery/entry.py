@@ -71,6 +71,7 @@ def discover(
     differs: str | Sequence[str] = (),
     noise: Mapping[str, float | str] | None = None,
     gain_sd: Mapping[str, float | str] | None = None,
+    lag_sd: Mapping[str, float | str] | None = None,
     tails: Tails = "gauss",
     band: tuple[float, float] | None = None,
     seed: int = 0,
@@ -148,6 +149,11 @@ def discover(
         then not learned from the record. 0 is a channel without noise.
     gain_sd : mapping of str to float, optional
         Uncertainty of the calibration of sensors, 0.01 for a factor known to 1 %: the intervals take it in.
+    lag_sd : mapping of str to float, optional
+        Channels that may be late or early, with the standard deviation of their lag [s], which has mean 0: a sample at
+        time t is of time t - lag, so that a late channel has a positive one. Lags are learned from the record, taken
+        out of the channels, and widen the intervals as far as they are not known. Needs the likelihood of the record,
+        and even sampling.
     tails : "gauss" or "student"
         Distribution of the channels' noise: normal, or Student's t with degrees of freedom that are estimated per
         channel, for noise of many outliers. Needs the likelihood of the record. Single spikes are left out in any case.
@@ -227,6 +233,7 @@ def question_of(
     differs: str | Sequence[str],
     noise: Mapping[str, float | str] | None,
     gain_sd: Mapping[str, float | str] | None,
+    lag_sd: Mapping[str, float | str] | None,
     tails: Tails,
     band: tuple[float, float] | None,
     seed: int,
@@ -239,7 +246,8 @@ def question_of(
     _check_shares(holdout, coarsen)
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs, target)
     noise, gain_sd = {} if noise is None else noise, {} if gain_sd is None else gain_sd
-    check_sensors(noise, gain_sd, roles)
+    lag_sd = {} if lag_sd is None else lag_sd
+    check_sensors(noise, gain_sd, roles, lag_sd)
     smooth = current(smooth)
     _check_tails(tails, smooth)
     _check_band(band, smooth)
@@ -268,6 +276,7 @@ def question_of(
         differs=differs,
         noise=noise,
         gain_sd=gain_sd,
+        lag_sd=lag_sd,
         tails=tails,
         band=band,
         seed=seed,

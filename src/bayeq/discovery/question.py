@@ -21,6 +21,7 @@ from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.prior import SIGNED, Prior
+from bayeq.likelihood.lags import first_lags
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import MOST_CANDIDATES, RecordFit, refit_record
 from bayeq.likelihood.unknowns import first_values
@@ -28,7 +29,7 @@ from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, wit
 from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
-from bayeq.regression.joint import fit_equations, record_of
+from bayeq.regression.joint import fit_equations, lags_of_design, record_of
 from bayeq.resumable import Progress
 from bayeq.selection.select import TOLERANCE, Rules, Selection, select
 from bayeq.states import (
@@ -43,6 +44,7 @@ from bayeq.states import (
     require_in_range,
     require_steps,
     require_varying,
+    without_lags,
 )
 from bayeq.states.bad_samples import Learned
 from bayeq.states.believed import without_hum
@@ -66,6 +68,8 @@ LEAST_TRAINING_ROWS = 3
 
 # Ties are contradicted by a record that is likelier without them by more nats.
 CONTRADICTED = 5.0
+# Lags are learned in rounds, until none moves by more than this share of its standard deviation.
+LAG_ROUNDS, LAG_FOUND = 8, 0.1
 
 # Channels are checked against each other with straight lines over missing samples if these are a smaller share.
 MOST_BRIDGED = 0.05
@@ -93,6 +97,7 @@ class Question:
     differs: str | Sequence[str]
     noise: Mapping[str, float | str]
     gain_sd: Mapping[str, float | str]
+    lag_sd: Mapping[str, float | str]
     tails: Tails
     band: tuple[float, float] | None
     seed: int
@@ -169,6 +174,9 @@ class Question:
             _warn_of_other_terms(equations, scored, first)
         log.collected += first.collected
         step("inference", len(equations), len(equations))
+        likelihood = record if found is None else found[1]
+        if likelihood is not None and motion.sensors.lags:
+            motion = replace(motion, sensors=replace(motion.sensors, lags=likelihood.lags))
         data = DataSummary.of(pieces, motion, found is not None)
         answer = Equations(
             equations=EquationTuple(with_doubts(equations, selections, self.rules.tolerance or TOLERANCE)),
@@ -227,15 +235,39 @@ class Question:
             if whole is None:
                 raise
             raise RecordError(f"{error} (found in stretches of a long record: choose its rows, --rows)") from None
-        sensors = known_sensors(self.noise, self.gain_sd, roles, pieces, self.tails)
+        sensors = known_sensors(self.noise, self.gain_sd, roles, pieces, self.tails, self.lag_sd)
         if self.band is not None:
             pieces, messages = without_hum(pieces, [*roles.measured, *roles.inputs], *self.band)
             log.extend(messages, DataWarning)
         motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
-        _warn_of_sensors(motion, {*self.noise, *self.gain_sd}, log)
+        _warn_of_sensors(motion, {*self.noise, *self.gain_sd, *self.lag_sd}, log)
         _warn_of_blows(pieces, roles.inputs, sensors.noise, log)
-        _inspect(motion, pieces, self.holdout, log)
+        if self.lag_sd:
+            motion = self._without_lags(motion, pieces, whole)
+        _inspect(motion, [without_lags(piece, motion.sensors.lags) for piece in pieces], self.holdout, log)
         return motion, pieces
+
+    def _without_lags(self, motion: Motion, pieces: Sequence[Record], whole: Whole | None) -> Motion:
+        """The motion of channels whose lags are taken out, as the likelihood of the record finds them."""
+        if whole is not None:
+            raise InputError("lag_sd: lags are learned from a record in memory: choose some rows, --rows")
+        if self.smooth != "auto" or not motion.smoothing or any(map(counts_rows, pieces)):
+            raise InputError(
+                "lag_sd: lags are learned by the likelihood of the record: use smooth='auto', time and more rows, or"
+                " shift the channel (bayeq.correct_delay)"
+            )
+        if motion.sensors.lags.keys() >= {*motion.roles.measured, *motion.roles.inputs}:
+            raise InputError("lag_sd: only lags against other channels show: leave out a channel that is the clock")
+        lags, moved = first_lags(motion, self._with_values(motion, whole)), math.inf
+        for k in range(LAG_ROUNDS):
+            self.step("lags", k, LAG_ROUNDS)
+            sensors = replace(motion.sensors, lags=lags)
+            motion = estimate_motion(pieces, motion.roles, self.smooth, motion.holdout, sensors, self.band)
+            if moved < LAG_FOUND:
+                break
+            design = build_design(self._with_values(motion, whole), motion, allowed=self.allowed)
+            lags, moved = lags_of_design(design, self.dictionary, self.prior)
+        return motion
 
     def _design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, whole: Whole | None) -> Design:
         """The dictionary on the rows: of all of them, where motion is not smoothed."""

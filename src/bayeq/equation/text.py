@@ -97,6 +97,7 @@ def given_of(eq: Answer) -> list[str]:
     if known.gain_sd:
         listed = ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items())
         out.append(f"intervals {'do not include' if eq.refined else 'include'} the calibration: {listed}")
+    out += [f"lag of {name}: {lag} (learned)" for name, lag in known.lags.items()]
     if eq.refined:
         out.append(str(eq.refined))
     if eq.constraints:

@@ -50,7 +50,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             **_attributes(eq, "inputs", "dictionary", "smooth"),
             **_attributes(eq.data, "band", "estimated", "smoothed", "holdout", "refitted", "stretches"),
             "measured": asdict(eq.data.measured),
-            **asdict(eq.data.sensors),
+            **{name: value for name, value in asdict(eq.data.sensors).items() if name != "lags" or value},
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],

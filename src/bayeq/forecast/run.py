@@ -35,7 +35,7 @@ from bayeq.forecast.rows import (
 )
 from bayeq.ode.rk4 import Drive, Interpolation
 from bayeq.records import Record
-from bayeq.states import Sensors, Smooth, estimate_motion
+from bayeq.states import Sensors, Smooth, estimate_motion, without_lags
 from bayeq.states.prepare import inputs_filled
 
 if TYPE_CHECKING:
@@ -141,13 +141,16 @@ def forecast(
     """Free run over rows of a record; see `bayeq.Equations.simulate`."""
     check_interpolation(interpolation)
     time = require_time(record, "a free run")
+    raw = record
+    if sensors is not None and sensors.lags:
+        record = without_lags(record, sensors.lags, whole=True)
     window = window_of(record, start, rows)
     draws = whole_number("draws", draws, 0)
     part = inputs_filled(record.slice(window.start, window.stop), dynamics.inputs)
     part.require_finite(dynamics.inputs)
     time = time[window]
     inputs = _inputs(dynamics, record, part, window, interpolation)
-    first, low, high = _beginning(dynamics, record, (smooth, sensors), window, initial)
+    first, low, high = _beginning(dynamics, raw, (smooth, sensors), window, initial)
     mean, stopped, drive = mean_run(dynamics, dynamics.mean, first, Drive.over(time, inputs, low, high))
     bottom: Mapping[str, Floats] = {}
     top: Mapping[str, Floats] = {}

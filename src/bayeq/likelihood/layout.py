@@ -1,8 +1,8 @@
 """`Layout`: the state vector of a system, and its equations as a tape; `Series`: samples of its channels.
 
 The states are, in this order: the derivatives of every chain but its highest; a discrepancy d of every equation; the
-drift of every channel, where they drift; every input with its derivatives. Between samples discrepancies, drifts and
-the highest derivatives of inputs are constant.
+drift of every channel, where they drift; the lag of every channel that may be late; every input with its derivatives.
+Between samples discrepancies, drifts and the highest derivatives of inputs are constant, and lags always.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bayeq.expressions.functions import TIME
 from bayeq.expressions.implicit import inverse, multiplied, product, solved, substituted_targets, total
 from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import jumps_of, mean_of_jumps
-from bayeq.states import Roles, rates
+from bayeq.states import Lag, Roles, rates
 
 __all__ = ["HELD", "NOTHING", "SMOOTH", "STRAIGHT", "Candidates", "Course", "Layout", "Series", "Stated"]
 
@@ -121,6 +121,8 @@ class Layout:
         What is left after a sample of the drift of every channel; 0 where there is none.
     stated : tuple of Stated
         What is known of coefficients before.
+    late : tuple of (int, Lag)
+        Channels that may be late, and what of their lags has been taken out of their samples.
     """
 
     roles: Roles
@@ -132,6 +134,7 @@ class Layout:
     courses: tuple[Course, ...] = ()
     drift: float = 0.0
     stated: tuple[Stated, ...] = ()
+    late: tuple[tuple[int, Lag], ...] = ()
 
     @cached_property
     def chains(self) -> int:
@@ -167,9 +170,14 @@ class Layout:
         return np.arange(count, dtype=np.int64) + self.motion + self.chains
 
     @cached_property
+    def lags(self) -> Ints:
+        """The lag of each channel of `late`, what has been taken out of its samples left out."""
+        return np.arange(len(self.late), dtype=np.int64) + self.motion + self.chains + len(self.drifts)
+
+    @cached_property
     def before_inputs(self) -> int:
         """Number of states before those of the inputs."""
-        return self.motion + self.chains + len(self.drifts)
+        return self.motion + self.chains + len(self.drifts) + len(self.late)
 
     @cached_property
     def widths(self) -> Ints:
@@ -230,6 +238,7 @@ class Layout:
     def names(self) -> tuple[str, ...]:
         """Names of the states; those that are no channels have names that no channel can have."""
         extra = [f"d[{c}]" for c in range(self.chains)] + [f"b[{i}]" for i in range(len(self.drifts))]
+        extra += [f"l[{i}]" for i in range(len(self.late))]
         for name, width in zip(self.roles.inputs, self.widths, strict=True):
             extra += [name, *(f"{name}[{k}]" for k in range(1, width))]
         return (*self.roles.states, *extra)

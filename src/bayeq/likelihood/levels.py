@@ -117,6 +117,7 @@ class Levels:
         steps[layout.drifts] = self.drifts * (1.0 - layout.drift**2)
         start[layout.drifts] = self.drifts
         steps[layout.slope] = self.slope
+        start[layout.lags] = self.scales.variance[layout.lags]
         return Noise(self.channels, memory, steps, self.scales.mean, start, self.courses)
 
     def with_noise(self, i: int, variance: float) -> Levels:

@@ -12,6 +12,7 @@ from bayeq.expressions import Evaluator, Expression
 from bayeq.likelihood.blur import Blur, Hold, crossings, first_blur
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.steps import Steps, add_derivatives, arrays, integrate
+from bayeq.numerics.spline import spline_slopes
 
 __all__ = ["Linear", "derivatives_along", "linearise", "sources_of", "targets_along", "terms_at"]
 
@@ -164,6 +165,8 @@ def linearise(
     if layout.drift:
         seen += path[:, layout.drifts]
         kinds, gradient = _with_drifts(layout, gradient)
+    if layout.late:
+        kinds, gradient = _with_lags(layout, series.intervals, path, seen, kinds.copy(), gradient)
     related = (transition != 0.0).any(axis=0)
     free, coupling = targets_along(layout, path, inputs, chosen, theta)
     return Linear(
@@ -202,6 +205,25 @@ def _with_drifts(layout: Layout, gradient: Floats) -> tuple[Ints, Floats]:
             kinds[i] = -layout.chains - len(rows)
             rows.append(row)
     return kinds, np.concatenate(rows, axis=1)
+
+
+def _with_lags(
+    layout: Layout, intervals: Floats, path: Floats, seen: Floats, kinds: Ints, gradient: Floats
+) -> tuple[Ints, Floats]:
+    """Kinds and gradients of channels that may be late: these see x(t - lag), about x less the lag times its rate."""
+    time, rows = np.append(0.0, np.cumsum(intervals)), [gradient]
+    for i, _ in layout.late:
+        if kinds[i] >= 0:
+            row = np.zeros((len(path), 1, layout.size))
+            row[:, :, kinds[i]] = 1.0
+            kinds[i] = -gradient.shape[1] - len(rows)
+            rows.append(row)
+    gradient = np.concatenate(rows, axis=1)
+    for (i, _), lag in zip(layout.late, layout.lags, strict=True):
+        rate = spline_slopes(time, seen[:, [i]])[:, 0]
+        gradient[:, -1 - kinds[i], lag] = -rate
+        seen[:, i] -= path[:, lag] * rate
+    return kinds, gradient
 
 
 def _bends(path: Floats) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -18,6 +18,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.block import Block, at_its_path
 from bayeq.likelihood.fit import Quadratic, State, candidates, solved
+from bayeq.likelihood.lags import lags_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.power import power_of
@@ -33,15 +34,16 @@ from bayeq.likelihood.search import (
     of_motion,
     resumed,
     search,
+    settle,
     with_model,
 )
 from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, among_fitted, averaged, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from, with_courses
 from bayeq.likelihood.student import with_heavy_tails
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms, first_members, joint_covariance, with_constants
-from bayeq.states import Motion
+from bayeq.states import Lag, Motion
 
-__all__ = ["MOST_CANDIDATES", "RecordFit", "fit_record", "refit_record"]
+__all__ = ["MOST_CANDIDATES", "RecordFit", "fit_record", "learned_lags", "refit_record"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -229,6 +231,13 @@ class RecordFit:
                     state = self.fitted.state
             return replace(state, theta=theta), covariance
 
+    @cached_property
+    def lags(self) -> Mapping[str, Lag]:
+        """Of channels that may be late, what was taken out of the samples included."""
+        task = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[])
+        with np.errstate(all="ignore"):
+            return lags_of(task, self._unshrunk[0], self.fitted.power)
+
     def projectable(self, c: int, model: Bools) -> bool:
         """Whether the smoothed right-hand side of equation c is known with the terms of a model, (P,) bool."""
         about = self.fitted.model if self.more is None else self.more[0]
@@ -395,6 +404,42 @@ def fit_record(
             return _checked(replace(RecordFit.of(task, fitted), forms=forms))
     except np.linalg.LinAlgError:
         return None
+
+
+def learned_lags(
+    motion: Motion, terms: Sequence[Expression], log_odds: Floats, grams: Sequence[Gram]
+) -> tuple[Mapping[str, Lag], float] | None:
+    """Lags of channels, as a first fit of a dictionary to the training rows of some motion finds them.
+
+    Parameters
+    ----------
+    motion, terms, log_odds, grams
+        As for `fit_record`.
+
+    Returns
+    -------
+    (mapping of str to Lag, float) or None
+        The lags; and how far the farthest is from what has been taken out, in standard deviations. None where the
+        likelihood cannot be evaluated.
+    """
+    with np.errstate(all="ignore"):
+        some, _ = _stretches(motion)
+        log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
+        task, states = start_from(some, terms, grams, first_members(some, terms, log_odds), None)
+        settled: list[tuple[Task, Fitted]] = []
+        for state in states:
+            try:
+                settled.append(settle(task, state))
+            except np.linalg.LinAlgError:
+                continue
+            if settled[-1][1].state.levels.kappa.max() < ADEQUATE:
+                break
+        if not settled:
+            return None
+        task, fitted = max(settled, key=lambda pair: pair[1].evidence)
+        lags = lags_of(task, fitted.state)
+    before = motion.sensors.lags
+    return lags, max((abs(one.value - before[name].value) / one.sd for name, one in lags.items()), default=0.0)
 
 
 def refit_record(

@@ -491,7 +491,11 @@ def noisier(task: Task, state: State, k: int) -> State:
 
 
 def with_other_inputs(task: Task, best: Fitted, others: Alternatives) -> tuple[Task, Fitted]:
-    """The fit, or one with other courses of inputs between samples where the motion is then likelier."""
+    """The fit, or one with other courses of inputs between samples where the motion is then likelier.
+
+    Clearly so where channels may be late: an input that is held is half a sample late.
+    """
+    margin = CLEARLY if task.layout.late else 0.0
     for k in range(len(task.layout.roles.inputs)):
         tried = [(task, best)]
         for group in others(task, best, k):
@@ -501,7 +505,7 @@ def with_other_inputs(task: Task, best: Fitted, others: Alternatives) -> tuple[T
             except np.linalg.LinAlgError:
                 continue
         likeliest = max(tried, key=lambda pair: of_motion(*pair))
-        if likeliest[1] is not best:
+        if likeliest[1] is not best and (margin == 0.0 or of_motion(*likeliest) > of_motion(task, best) + margin):
             try:
                 found = settle(likeliest[0], likeliest[1].state)
             except np.linalg.LinAlgError:

@@ -105,6 +105,8 @@ def start_from(
     known = _known_noise(motion)
     inputs = [_input(name, pieces, known.get(name), SMOOTHNESS) for name in roles.inputs]
     layout = _with_inputs(Layout(roles, tuple(terms), motion.unit_gains, drift=_drift(motion)), inputs)
+    lags = motion.sensors.lags
+    layout = replace(layout, late=tuple((i, lags[name]) for i, (name, _) in enumerate(layout.channels) if name in lags))
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
     targets = _targets(roles, pieces)
@@ -340,6 +342,8 @@ def _scales(
     mean[layout.motion :] = 0.0
     mean[layout.driven] = whole[:, layout.driven].mean(axis=0)
     variance[layout.discrepancy] = targets
+    mean[layout.lags] = [-lag.value for _, lag in layout.late]
+    variance[layout.lags] = [lag.prior_sd**2 for _, lag in layout.late]
     rounding = np.array([_rounding(column) for column in samples.T])
     rounding[layout.first_input :] = 0.0  # a force may be switched
     return Scales(mean, np.maximum(variance, 1e-300), np.nanvar(samples, axis=0), interval, rounding)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bayeq.dictionary import Specification, of_equations
 from bayeq.dictionary.polynomial import degree
+from bayeq.errors import InputError
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.engines import ENGINES
@@ -18,14 +19,15 @@ from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.likelihood.layout import Stated
-from bayeq.likelihood.record_fit import RecordFit, fit_record
+from bayeq.likelihood.record_fit import RecordFit, fit_record, learned_lags
 from bayeq.regression.by_likelihood import RecordRegression
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design
 from bayeq.regression.fit import RegressionFit, fit_regression
 from bayeq.regression.regression import Regression
+from bayeq.states import Lag
 
-__all__ = ["fit_equations", "fit_jointly", "record_of", "refitted"]
+__all__ = ["fit_equations", "fit_jointly", "lags_of_design", "record_of", "refitted"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -64,6 +66,23 @@ def record_of(
     stated = [Stated(((c, j, 1.0),), mean, sd) for c, own in enumerate(constraints) for j, mean, sd in own.stated]
     log_odds = _log_odds(design, dictionary, prior)
     return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, (*stated, *ties))
+
+
+def lags_of_design(design: Design, dictionary: Specification, prior: Prior | None) -> tuple[Mapping[str, Lag], float]:
+    """Lags of channels, see `bayeq.likelihood.record_fit.learned_lags`.
+
+    Raises
+    ------
+    InputError
+        The likelihood cannot be evaluated.
+    """
+    found = learned_lags(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train)
+    if found is None:
+        raise InputError(
+            "lag_sd: lags are learned by the likelihood of the record, which could not be evaluated near its motion:"
+            " give fewer terms, or smaller lags"
+        )
+    return found
 
 
 def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:

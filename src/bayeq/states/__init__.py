@@ -3,15 +3,17 @@
 from bayeq.states.derive import Smooth, derive_states, require_in_range, require_steps, require_varying
 from bayeq.states.derived_channels import measured_apart
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing
+from bayeq.states.lags import without_lags
 from bayeq.states.motion import FEW_ROWS, Motion, MotionRows, estimate_motion
 from bayeq.states.roles import Chain, Roles, parse_chain, parse_chains
-from bayeq.states.sensors import Sensors, Tails, check_sensors, force_of_blows, known_sensors
+from bayeq.states.sensors import Lag, Sensors, Tails, check_sensors, force_of_blows, known_sensors
 from bayeq.states.unit_gains import rates, unit_gains
 
 __all__ = [
     "FEW_ROWS",
     "Chain",
     "ChainSmoothing",
+    "Lag",
     "Motion",
     "MotionRows",
     "Roles",
@@ -31,4 +33,5 @@ __all__ = [
     "require_steps",
     "require_varying",
     "unit_gains",
+    "without_lags",
 ]

@@ -14,6 +14,7 @@ from bayeq.expressions.functions import TIME
 from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
+from bayeq.states.lags import without_lags
 from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid
 from bayeq.states.roles import Chain, Roles
 from bayeq.states.sensors import Sensors
@@ -183,7 +184,7 @@ def estimate_motion(
     share : float
         Of the rows, the last of each record, to hold out.
     sensors : Sensors, optional
-        Noise levels that are known are not learned.
+        Noise levels that are known are not learned; lags are taken out.
     band : (float, float), optional
         Frequencies [Hz] in which the records are believed.
 
@@ -193,6 +194,7 @@ def estimate_motion(
         Channels that are missing or cannot be used.
     """
     whole, sensors = smooth == "none", sensors or Sensors()
+    records = [without_lags(record, sensors.lags) for record in records] if sensors.lags else records
     if all(record.time is not None for record in records) and sum(record.n for record in records) < FEW_ROWS:
         smooth = "none"
         records = records if whole else [complete_rows(record, roles) for record in records]

@@ -14,7 +14,11 @@ from bayeq.errors import InputError, UnknownNameError, require_mapping
 from bayeq.records import Record
 from bayeq.states.roles import Chain, Roles
 
+<<<<<<< HEAD
 __all__ = ["LEAST_SHARE", "Sensors", "Tails", "check_sensors", "force_of_blows", "known_sensors", "scaled_with"]
+=======
+__all__ = ["LEAST_SHARE", "Lag", "Sensors", "Tails", "check_sensors", "known_sensors", "scaled_with"]
+>>>>>>> c68a5d6 (Lags of channels: states that nothing moves in the likelihood, learned and taken out of the samples; a study of them)
 
 Floats = NDArray[np.float64]
 Tails = Literal["gauss", "student"]
@@ -22,8 +26,37 @@ Tails = Literal["gauss", "student"]
 # Noise of nothing, as a share of the standard deviation of a channel: the smoother divides by it.
 LEAST_SHARE = 1e-5
 
+<<<<<<< HEAD
 # Of a force that a window has made zero between blows the blows are less than this share of the samples.
 MOST_IN_BLOWS = 0.5
+=======
+_FORMS = {
+    "noise": "a number in its unit, or a share of its standard deviation such as '2%', not negative",
+    "gain_sd": "a relative standard deviation, such as 0.01 for 1 %, not negative",
+    "lag_sd": "a standard deviation in seconds, such as 0.002, above 0",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """How late a channel is: its sample at time t is of time t less the lag.
+
+    Attributes
+    ----------
+    value, sd : float
+        The likeliest lag [s], negative of a channel that is early, and its standard deviation.
+    prior_sd : float
+        What was given: the standard deviation of its normal prior of mean 0.
+    """
+
+    value: float
+    sd: float
+    prior_sd: float
+
+    def __str__(self) -> str:
+        digits = max(0, 1 - math.floor(math.log10(self.sd))) if self.sd > 0.0 else 6
+        return f"{self.value:.{digits}f} +- {self.sd:.{digits}f} s"
+>>>>>>> c68a5d6 (Lags of channels: states that nothing moves in the likelihood, learned and taken out of the samples; a study of them)
 
 
 @dataclass(frozen=True)
@@ -38,18 +71,26 @@ class Sensors:
         Standard deviation of the factor by which a sensor may be wrong, 0.01 for 1 %.
     tails : "gauss" or "student"
         Distribution of the noise: normal, or Student's t, whose tails are heavier.
+    lags : mapping of str to Lag
+        Of channels that may be late.
     """
 
     noise: Mapping[str, float] = field(default_factory=dict)
     gain_sd: Mapping[str, float] = field(default_factory=dict)
     tails: Tails = "gauss"
+    lags: Mapping[str, Lag] = field(default_factory=dict)
 
     def noisy(self, name: str) -> bool:
         """Whether noise was given that is not zero."""
         return self.noise.get(name, 0.0) > 0.0
 
 
-def check_sensors(noise: Mapping[str, float | str], gain_sd: Mapping[str, float | str], roles: Roles) -> None:
+def check_sensors(
+    noise: Mapping[str, float | str],
+    gain_sd: Mapping[str, float | str],
+    roles: Roles,
+    lag_sd: Mapping[str, float | str] | None = None,
+) -> None:
     """Refuse what cannot be used, before any work.
 
     Raises
@@ -60,7 +101,7 @@ def check_sensors(noise: Mapping[str, float | str], gain_sd: Mapping[str, float 
         A value that is no number, negative or infinite.
     """
     known = roles.channels
-    for what, given in (("noise", noise), ("gain_sd", gain_sd)):
+    for what, given in (("noise", noise), ("gain_sd", gain_sd), ("lag_sd", {} if lag_sd is None else lag_sd)):
         require_mapping(given, what)
         for name, value in given.items():
             if name not in known:
@@ -74,6 +115,7 @@ def known_sensors(
     roles: Roles,
     records: Sequence[Record],
     tails: Tails = "gauss",
+    lag_sd: Mapping[str, float | str] | None = None,
 ) -> Sensors:
     """What was given of the channels of some records, in their units.
 
@@ -98,12 +140,18 @@ def known_sensors(
                 f"noise: the noise of {name!r} is given as {levels[name]:g}, and the standard deviation of the channel"
                 f" is {spread:g}: nothing else would be in it; check the unit"
             )
+<<<<<<< HEAD
         blows = force_of_blows(name, records) if name in roles.inputs else None
         if blows is not None and levels[name]:
             # noise of a few rows acts as a factor of the force, and between blows there is none
             gains[name] = math.hypot(gains.get(name, 0.0), levels[name] / math.sqrt(float(blows @ blows)))
             levels[name] = 0.0
     return Sensors(levels, gains, tails)
+=======
+    gains = {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used}
+    late = {name: _amount("lag_sd", name, v)[0] for name, v in (lag_sd or {}).items() if name in used}
+    return Sensors(levels, gains, tails, {name: Lag(0.0, sd, sd) for name, sd in late.items()})
+>>>>>>> c68a5d6 (Lags of channels: states that nothing moves in the likelihood, learned and taken out of the samples; a study of them)
 
 
 def force_of_blows(name: str, records: Sequence[Record]) -> Floats | None:
@@ -129,10 +177,8 @@ def _amount(what: str, name: str, value: float | str) -> tuple[float, bool]:
         number = float(text[:-1]) / 100.0 if isinstance(text, str) and share else float(text)
     except (TypeError, ValueError):
         number = math.nan
-    if not 0.0 <= number < math.inf:
-        form = "a number in its unit, or a share of its standard deviation such as '2%'"
-        form = form if what == "noise" else "a relative standard deviation, such as 0.01 for 1 %"
-        raise InputError(f"{what}: {name!r} needs {form}, not negative; got {value!r}")
+    if not 0.0 <= number < math.inf or (what == "lag_sd" and (share or number == 0.0)):
+        raise InputError(f"{what}: {name!r} needs {_FORMS[what]}; got {value!r}")
     return number, share
 
 

@@ -248,6 +248,7 @@ def _data(eq: Answer) -> dict[str, str]:
         "estimated": ", ".join(source.estimated),
         "noise given": ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items()),
         "calibration": ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items()),
+        "lags": ", ".join(f"{name} {lag}" for name, lag in known.lags.items()),
         "tails": "" if known.tails == "gauss" else known.tails,
         "constraints": "; ".join(eq.constraints),
         "refined": "" if eq.refined is None else str(eq.refined),
@@ -308,6 +309,8 @@ def repeat_command(eq: Answer) -> str:
         words += ["--noise", f"{name}={sd:.6g}"]
     for name, sd in eq.data.sensors.gain_sd.items():
         words += ["--gain-sd", f"{name}={sd:.6g}"]
+    for name, lag in eq.data.sensors.lags.items():
+        words += ["--lag-sd", f"{name}={lag.prior_sd:.6g}"]
     if eq.data.sensors.tails != "gauss":
         words += ["--tails", eq.data.sensors.tails]
     if eq.data.band is not None:
