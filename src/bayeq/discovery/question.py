@@ -68,6 +68,7 @@ LEAST_TRAINING_ROWS = 3
 
 # Ties are contradicted by a record that is likelier without them by more nats.
 CONTRADICTED = 5.0
+
 # Lags are learned in rounds, until none moves by more than this share of its standard deviation.
 LAG_ROUNDS, LAG_FOUND = 8, 0.1
 
