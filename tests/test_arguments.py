@@ -23,7 +23,7 @@ NAMED = pytest.mark.parametrize("odd", ODD, ids=lambda odd: f"{type(odd).__name_
 ROLES = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 OPTIONS = ["displacement", "velocity", "acceleration", "force", "chains", "inputs", "dictionary", "method", "smooth"]
 OPTIONS += ["holdout", "max_terms", "tolerance", "coarsen", "prior", "constraints", "noise", "gain_sd", "tails", "band"]
-OPTIONS += ["seed", "progress", "t"]
+OPTIONS += ["lag_sd", "seed", "progress", "t"]
 
 
 @pytest.fixture(scope="module")

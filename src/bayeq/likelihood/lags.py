@@ -42,7 +42,8 @@ def first_lags(motion: Motion, terms: Sequence[Expression]) -> Mapping[str, Lag]
         columns = {other: values[inside] for other, values in rows.columns.items()}
         scores = {}
         for late in range(-reach, reach + 1, -(-reach // EACH_WAY) or 1):
-            D = evaluate_terms(terms, {**columns, name: np.roll(u, -late)[inside]})
+            with np.errstate(all="ignore"):
+                D = evaluate_terms(terms, {**columns, name: np.roll(u, -late)[inside]})
             D = np.column_stack([D[:, np.isfinite(D).all(axis=0)], np.ones(len(D))])
             D /= np.maximum(np.abs(D).max(axis=0), 1e-300)
             left = targets - D @ np.linalg.lstsq(D, targets, rcond=1e-10)[0]
