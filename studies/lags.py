@@ -1,7 +1,7 @@
 """Lags of channels: are the terms right where a channel is late, and do the intervals of lag and coefficients cover?
 
-A driven oscillator with a cubic spring, 1500 rows at 100 Hz, 50 samples a period or more, parameters of its own in each
-record; noise is a share of each channel's standard deviation. One channel is late or early by 0.5 to 3 samples: the
+A driven oscillator with a cubic spring, 1500 rows at 100 Hz, 50 samples a period or more, parameters and noise of its own in
+each record; noise is a share of each channel's standard deviation. One channel is late or early by 0.5 to 3 samples: the
 force (`force`) or a channel of the motion (`motion`), or none is (`none`); then the lag of the force is asked for all
 the same. `told` is whether ``lag_sd`` was given, 3 samples.
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 
@@ -36,7 +37,8 @@ LAG_SD = 3.0 / RATE
 
 def draw_record(kind: str, chain: str, noise: float, seed: int) -> tuple[Record, dict[str, float], str, float]:
     """A noisy record, its true coefficients, the channel whose lag is asked for, and that lag [s]."""
-    rng = np.random.default_rng([seed, 1])
+    own = crc32(f"{kind} {chain} {noise:g}".encode())  # cells have draws of their own
+    rng = np.random.default_rng([seed, own, 1])
     k, m = np.exp(rng.uniform(np.log([60.0, 0.5]), np.log([160.0, 2.0]))).tolist()
     parameters = {"k": k, "m": m, "c": float(rng.uniform(0.3, 1.5)), "q": float(rng.uniform(50.0, 300.0))}
     system = System(
@@ -57,10 +59,10 @@ def draw_record(kind: str, chain: str, noise: float, seed: int) -> tuple[Record,
     clean = simulate(system, force=band_limited_noise(FORCE, system.n, system.fs, rng)[:, None])
     late = "u" if kind != "motion" else "x" if chain == "x::" else str(rng.choice(["x", "v", "a"]))
     steps = 0 if kind == "none" else round(float(rng.uniform(0.5, 3.0) * rng.choice([-1.0, 1.0])) * FINER)
-    own, channels = np.random.default_rng([seed, 2]), {}
+    errors, channels = np.random.default_rng([seed, own, 2]), {}
     for name in "xvau":
         rows = (np.arange(ROWS) + MARGIN) * FINER - (steps if name == late else 0)
-        channels[name] = clean[name][rows] + noise * clean[name].std() * own.standard_normal(ROWS)
+        channels[name] = clean[name][rows] + noise * clean[name].std() * errors.standard_normal(ROWS)
     v = "dx" if chain == "x::" else "v"
     truth = {"x": -k, v: -parameters["c"], "x**3": -parameters["q"], "u": m}
     return Record.from_arrays(channels, fs=RATE), truth, late, steps / (RATE * FINER)

@@ -14,11 +14,7 @@ from bayeq.errors import InputError, UnknownNameError, require_mapping
 from bayeq.records import Record
 from bayeq.states.roles import Chain, Roles
 
-<<<<<<< HEAD
-__all__ = ["LEAST_SHARE", "Sensors", "Tails", "check_sensors", "force_of_blows", "known_sensors", "scaled_with"]
-=======
-__all__ = ["LEAST_SHARE", "Lag", "Sensors", "Tails", "check_sensors", "known_sensors", "scaled_with"]
->>>>>>> c68a5d6 (Lags of channels: states that nothing moves in the likelihood, learned and taken out of the samples; a study of them)
+__all__ = ["LEAST_SHARE", "Lag", "Sensors", "Tails", "check_sensors", "force_of_blows", "known_sensors", "scaled_with"]
 
 Floats = NDArray[np.float64]
 Tails = Literal["gauss", "student"]
@@ -26,10 +22,9 @@ Tails = Literal["gauss", "student"]
 # Noise of nothing, as a share of the standard deviation of a channel: the smoother divides by it.
 LEAST_SHARE = 1e-5
 
-<<<<<<< HEAD
 # Of a force that a window has made zero between blows the blows are less than this share of the samples.
 MOST_IN_BLOWS = 0.5
-=======
+
 _FORMS = {
     "noise": "a number in its unit, or a share of its standard deviation such as '2%', not negative",
     "gain_sd": "a relative standard deviation, such as 0.01 for 1 %, not negative",
@@ -56,7 +51,6 @@ class Lag:
     def __str__(self) -> str:
         digits = max(0, 1 - math.floor(math.log10(self.sd))) if self.sd > 0.0 else 6
         return f"{self.value:.{digits}f} +- {self.sd:.{digits}f} s"
->>>>>>> c68a5d6 (Lags of channels: states that nothing moves in the likelihood, learned and taken out of the samples; a study of them)
 
 
 @dataclass(frozen=True)
@@ -140,18 +134,13 @@ def known_sensors(
                 f"noise: the noise of {name!r} is given as {levels[name]:g}, and the standard deviation of the channel"
                 f" is {spread:g}: nothing else would be in it; check the unit"
             )
-<<<<<<< HEAD
         blows = force_of_blows(name, records) if name in roles.inputs else None
         if blows is not None and levels[name]:
             # noise of a few rows acts as a factor of the force, and between blows there is none
             gains[name] = math.hypot(gains.get(name, 0.0), levels[name] / math.sqrt(float(blows @ blows)))
             levels[name] = 0.0
-    return Sensors(levels, gains, tails)
-=======
-    gains = {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used}
     late = {name: _amount("lag_sd", name, v)[0] for name, v in (lag_sd or {}).items() if name in used}
     return Sensors(levels, gains, tails, {name: Lag(0.0, sd, sd) for name, sd in late.items()})
->>>>>>> c68a5d6 (Lags of channels: states that nothing moves in the likelihood, learned and taken out of the samples; a study of them)
 
 
 def force_of_blows(name: str, records: Sequence[Record]) -> Floats | None:
