@@ -1,9 +1,9 @@
 """Lags of channels: are the terms right where a channel is late, and do the intervals of lag and coefficients cover?
 
-A driven oscillator with a cubic spring, 1500 rows at 100 Hz, 50 samples a period or more, parameters and noise of its own in
-each record; noise is a share of each channel's standard deviation. One channel is late or early by 0.5 to 3 samples: the
-force (`force`) or a channel of the motion (`motion`), or none is (`none`); then the lag of the force is asked for all
-the same. `told` is whether ``lag_sd`` was given, 3 samples.
+A driven oscillator with a cubic spring, 1500 rows at 100 Hz, 50 samples a period or more, parameters and noise of its
+own in each record; noise is a share of each channel's standard deviation. One channel is late or early by 0.5 to 3
+samples: the force (`force`) or a channel of the motion (`motion`), or none is (`none`); then the lag of the force is
+asked for all the same. `told` is whether ``lag_sd`` was given, 3 samples; records of both are the same.
 
     python -m studies.lags > docs/tables/lags.csv
 """

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from studies.lags import draw_record
 
 import bayeq as bq
 from bayeq.cli.app import main
@@ -19,7 +20,6 @@ from bayeq.likelihood.linear import linearise
 from bayeq.likelihood.start import start_from
 from bayeq.regression.design import build_design
 from bayeq.states import Lag, Roles, estimate_motion, known_sensors, without_lags
-from studies.lags import draw_record
 
 SD = 0.03
 ASKED = {"chains": ["x:v:a"], "inputs": ["u"], "dictionary": ["x", "v", "u", "x**2", "x**3", "v**3", "v*abs(v)"]}

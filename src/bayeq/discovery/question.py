@@ -259,14 +259,19 @@ class Question:
             )
         if motion.sensors.lags.keys() >= {*motion.roles.measured, *motion.roles.inputs}:
             raise InputError("lag_sd: only lags against other channels show: leave out a channel that is the clock")
-        lags, moved = first_lags(motion, self._with_values(motion, whole)), math.inf
+        terms, known = _in_radians(self.terms, self.known, _units(pieces, motion.roles, WarningLog()), WarningLog())
+        most, allowed = MOST_CANDIDATES // len(motion.roles.chains) - 1, self.allowed
+        if len(terms) > most:
+            constrained = parse_constraints(known, terms, motion.roles.targets)
+            terms, allowed = _screened(terms, motion, allowed, constrained, most, WarningLog())
+        lags, moved = first_lags(motion, self._with_values(terms, motion, whole)), math.inf
         for k in range(LAG_ROUNDS):
             self.step("lags", k, LAG_ROUNDS)
             sensors = replace(motion.sensors, lags=lags)
             motion = estimate_motion(pieces, motion.roles, self.smooth, motion.holdout, sensors, self.band)
             if moved < LAG_FOUND:
                 break
-            design = build_design(self._with_values(motion, whole), motion, allowed=self.allowed)
+            design = build_design(self._with_values(terms, motion, whole), motion, allowed=allowed)
             lags, moved = lags_of_design(design, self.dictionary, self.prior)
         return motion
 
