@@ -34,7 +34,9 @@ def duffing():
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("figures") / "new"
-    return write_figures(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bayeq.study.figures.StudyConfig", partial(StudyConfig, samples=600, burn_in=100))
+        return write_figures(folder)
 
 
 def width_in_mm(path):

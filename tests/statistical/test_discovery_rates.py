@@ -15,7 +15,7 @@ from tests.statistical.limits import assert_coverage, fewest
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 
 
-@pytest.mark.statistical(short=3, full=50)
+@pytest.mark.statistical(short=2, full=50)
 @pytest.mark.parametrize(
     ("system", "rate"), [("linear", 0.99), ("duffing", 0.96), ("quadratic", 0.99), ("coulomb", 0.99)]
 )
@@ -30,7 +30,7 @@ def test_the_paper_s_oscillators_at_five_per_cent_noise(system, rate, number):
     assert exact >= fewest(number, rate)
 
 
-@pytest.mark.statistical(short=4, full=40)
+@pytest.mark.statistical(short=2, full=40)
 @pytest.mark.parametrize("noise", [0.05, 0.01, 0.001])
 def test_clean_states_at_any_noise_of_the_acceleration(noise, number):
     # All of 80 seeds are exact. With v_s fixed at 10 the rate is 0.9 at 1 % noise and 0.58 at 0.1 %.
@@ -64,7 +64,7 @@ def test_smoothing_restores_what_noise_takes_in_the_paper_s_protocol(number):
     assert exact["none"] < number
 
 
-@pytest.mark.statistical(short=2, full=20)
+@pytest.mark.statistical(short=1, full=20)
 def test_products_of_states_are_filtered_as_the_target_is(number):
     # at 100 Hz the third harmonic is near the edge of the band: exact in 19 of 20; unfiltered columns lost 6 of 10
     exact = 0
