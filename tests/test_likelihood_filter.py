@@ -89,7 +89,7 @@ def some(chosen, seed):
     return chosen.take(order)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), 2])
 @pytest.mark.parametrize("which", ["chosen", "mixed", "every", "none"])
 def test_is_the_joint_gaussian_of_all_samples(seed, which):
     layout, series, state = system(12, seed, drift=0.9 * (seed == 2))
@@ -363,14 +363,15 @@ def centred(scores):
     return (np.abs(scores.mean(axis=0)) < 4.0 * error).all()
 
 
-def test_scores_at_the_truth_are_those_of_draws_from_the_linear_model():
+@pytest.mark.statistical(short=100, full=200)
+def test_scores_at_the_truth_are_those_of_draws_from_the_linear_model(number):
     layout, series, state = system(50)
     [linear] = linearised(layout, [series], state)
     linear = linear._replace(force=np.random.default_rng(6).exponential(0.3, linear.force.shape))
     noise, r, rng = state.levels.noise, len(state.theta), np.random.default_rng(7)
     delta = 0.1 * rng.normal(size=r)
     slopes, scores = [], []
-    for _ in range(200):
+    for _ in range(number):
         one = drawn(linear, state.chosen, noise, delta, rng)
         found = run_filter(one, state.chosen, noise)
         q = quadratic([found])
@@ -379,7 +380,7 @@ def test_scores_at_the_truth_are_those_of_draws_from_the_linear_model():
     assert centred(np.array(scores))
     assert centred(np.array(slopes))
     distance = sum(s @ np.linalg.solve(q.information, s) for s in scores)  # the information is that of every draw
-    low, high = stats.chi2.ppf([1e-4, 1.0 - 1e-4], 200 * r)
+    low, high = stats.chi2.ppf([1e-4, 1.0 - 1e-4], number * r)
     assert low < distance < high
 
 
@@ -403,13 +404,14 @@ def solutions(layout, series, state, draws, rng):
     return paths[:draws], np.where(np.isnan(series.samples), np.nan, samples[:draws])
 
 
-def test_scores_at_the_truth_are_those_of_draws_from_the_model_itself():
+@pytest.mark.statistical(short=70, full=200)
+def test_scores_at_the_truth_are_those_of_draws_from_the_model_itself(number):
     layout, series, state = system(50, step=0.05)
     start = np.where(np.isin(np.arange(layout.size), layout.discrepancy), 1.0, 1e-4)
     scales = replace(state.levels.scales, variance=start)
     state = replace(state, levels=replace(state.levels, scales=scales, courses=np.full(2, 1e-12)))
     scores, informations, without = [], [], []
-    for path, samples in zip(*solutions(layout, series, state, 200, np.random.default_rng(8)), strict=True):
+    for path, samples in zip(*solutions(layout, series, state, number, np.random.default_rng(8)), strict=True):
         one = series._replace(samples=samples)
         _, linear, found, adj = settled(layout, one, replace(state, paths=(path,)), 4)
         q, curved = quadratic([found]), corrections(layout, [linear], [adj])

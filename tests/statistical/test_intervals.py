@@ -19,7 +19,7 @@ def standardised(eq, truth):
     return error / eq.posterior.sd, error @ np.linalg.solve(eq.posterior.covariance, error)
 
 
-@pytest.mark.statistical(short=8, full=200)
+@pytest.mark.statistical(short=4, full=200)
 @pytest.mark.parametrize("system", ["linear", "duffing"])
 def test_errors_over_records_are_those_stated(system, number):
     # By the stationary formula the sd of the linear oscillator's damping is 1.3 times too large, that of x**3 1.15
