@@ -35,13 +35,14 @@ types: $(VENV)/.dev
 tests: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-# What takes long: the page in a browser, clusters, kills and interrupts, all blocks of the documents.
+# What takes long: the page in a browser, clusters, kills and interrupts, all blocks of the documents, further cases of
+# what `make tests` tries once; and all draws of hypothesis, of which `make tests` has a share.
 slow: $(VENV)/.dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --slow -m slow
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --slow -m "slow or hypothesis"
 
 # Rates, coverage and calibration over the full number of records; `make tests` draws fewer.
 statistics: $(VENV)/.dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto tests/statistical tests/test_saved_files.py --full-statistics
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m statistical --ignore tests/reliability --full-statistics
 
 # Faults at many random moments: 200 kills, which go on from kills.jsonl after a stop, and the long form of the tests.
 reliability: $(VENV)/.dev

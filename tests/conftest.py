@@ -1,8 +1,9 @@
 """Options of the tests.
 
-Continuous integration draws the same examples every time; at a desk hypothesis looks for new ones. Statistical tests
-run on few records unless `--full-statistics` asks for all, and those marked `slow`, in browsers, on clusters and under
-kills, only with `--slow`.
+Continuous integration draws the same examples every time; at a desk hypothesis looks for new ones. It draws all that a
+test asks for with `--slow` or `--full-statistics`, and else a share of them. Statistical tests run on few records
+unless `--full-statistics` asks for all, and those marked `slow`, in browsers, on clusters and under kills, only with
+`--slow`.
 """
 
 from __future__ import annotations
@@ -19,10 +20,6 @@ from bayeq.kernels import Kernel
 # The tests start Python some hundred times: without bytecode on disk each process compiles the sources again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-settings.register_profile("ci", derandomize=True, deadline=None)
-if os.environ.get("CI"):
-    settings.load_profile("ci")
-
 # Imports selenium, which those who skip the tests in a browser need not have.
 collect_ignore = [] if find_spec("selenium") else ["app_driver.py"]
 
@@ -32,6 +29,13 @@ RAN_AT_COLLECTION = pytest.StashKey[list[str]]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--full-statistics", action="store_true", help="statistical tests with the full number of records")
     parser.addoption("--slow", action="store_true", help="also the tests that take long: browsers, clusters, kills")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Draw fewer examples, of tests without a number of their own 30 of 100, unless all tests are asked for."""
+    share = 1.0 if config.getoption("--slow") or config.getoption("--full-statistics") else 0.3
+    settings.register_profile("share", max_examples=round(100 * share), derandomize="CI" in os.environ, deadline=None)
+    settings.load_profile("share")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

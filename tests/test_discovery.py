@@ -21,6 +21,7 @@ from bayeq.errors import (
 )
 from bayeq.regression.residuals import inspect_residuals
 from tests.data import measured, pendulum_record
+from tests.draws import draws
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 TRUE = {"linear": {"x", "v", "u"}, "duffing": {"x", "v", "x**3", "u"}}
@@ -47,13 +48,13 @@ def in_plain_units(noisy, smooth):
     return rec, quietly(rec, **OSCILLATOR, smooth=smooth)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=draws(40), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(exponents=st.lists(st.floats(-9, 9), min_size=4, max_size=4))
 def test_units_of_the_channels_do_not_matter(exponents):
     assert_same_in_units(False, exponents, smooth="none")
 
 
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=draws(10), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(exponents=st.lists(st.integers(-9, 9), min_size=4, max_size=4))
 def test_decimal_units_of_smoothed_channels_do_not_matter(exponents):
     # the smoother relates channels to each other, whose units need not belong together: mm beside m/s

@@ -34,6 +34,7 @@ from bayeq.expressions import (
     to_sympy,
 )
 from bayeq.expressions.functions import ALIASES, COMPARISONS, CONSTANTS
+from tests.draws import draws
 
 UNARY = [name for name, function in FUNCTIONS.items() if function.arguments == (1, 1)]
 
@@ -141,7 +142,7 @@ def assert_agree(a: np.ndarray, b: np.ndarray, error: np.ndarray) -> None:
     assert np.all(close | ~(np.isfinite(a) | np.isfinite(b)) | np.isinf(error)), (a, b, error)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=draws(200), deadline=None)
 @given(trees, points)
 def test_values_are_those_of_python(expression: Expression, columns: dict[str, list[float]]) -> None:
     with np.errstate(all="ignore"):
@@ -151,7 +152,7 @@ def test_values_are_those_of_python(expression: Expression, columns: dict[str, l
     assert_agree(evaluated, python_value(expression, columns), error)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=draws(200), deadline=None)
 @given(st.lists(trees, min_size=1, max_size=3), points)
 def test_the_tape_agrees_with_the_evaluator(expressions: list[Expression], columns: dict[str, list[float]]) -> None:
     tape = Tape.compile(expressions, ["x", "v", "u"])
@@ -271,7 +272,7 @@ tame = st.recursive(
 places = st.tuples(*(st.floats(-3, 3).map(lambda f, beside=b: round(f, 2) + beside) for b in (0.0037, 0.0012, 0.0059)))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=draws(300), deadline=None)
 @given(tame, places)
 def test_tangents_are_central_differences(expression: Expression, point: tuple[float, float, float]) -> None:
     """Away from jumps and kinks, which are where differences of several steps disagree."""
@@ -299,7 +300,7 @@ def differences(tape: Tape, point: np.ndarray, step: np.ndarray) -> float:
         return float((8 * (b - a) - (d - c)) / 12)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=draws(100), deadline=None)
 @given(tame, points)
 def test_sympy_has_the_same_values(expression: Expression, columns: dict[str, list[float]]) -> None:
     import sympy
@@ -535,7 +536,7 @@ def test_sympy_and_latex() -> None:
     assert latex(parse("x**2*abs(v)")) == r"x^{2} \left|{v}\right|"
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=draws(30), deadline=None)
 @given(arithmetic)
 def test_canonical_text_is_sympys_own_syntax(expression: Expression) -> None:
     import sympy

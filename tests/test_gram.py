@@ -11,6 +11,7 @@ from bayeq.errors import InputError
 from bayeq.gram.gram import BLOCK_ROWS, SMALL, Gram, dense, grams_from_blocks, grams_from_data
 from bayeq.gram.products import add_products, block_for, shifted_products
 from bayeq.inference.posterior import Posterior
+from tests.draws import draws
 from tests.reference import centred
 
 
@@ -105,7 +106,7 @@ def test_means_1e8_times_the_standard_deviation():
     close(sum(parts[1:], parts[0]), D, y, 1e-8)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 @given(seed=st.integers(0, 10_000), cuts=st.lists(st.integers(1, 199), min_size=1, max_size=6, unique=True))
 def test_merge_order_does_not_matter(seed, cuts):
     D, y = data(seed)

@@ -16,6 +16,7 @@ from bayeq.errors import InputError
 from bayeq.states.kinematic.fit import _Likelihood, _pieces, _stretches, fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel, sizes_of
 from bayeq.states.kinematic.smoother import filtered, leave_one_out, one_sided, prepare, smooth_kinematic
+from tests.draws import draws
 
 
 def log_likelihood(series, model):
@@ -188,7 +189,7 @@ def test_equals_a_dense_gaussian_process(noise_sd, extra):
     )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(data=st.data())
 def test_any_pattern_of_samples_equals_a_dense_gaussian_process(data):
     noise_sd = data.draw(st.sampled_from(SUBSETS))

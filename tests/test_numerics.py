@@ -13,6 +13,7 @@ from scipy.optimize import minimize, rosen, rosen_der
 
 from bayeq.numerics.minimise import minimise
 from bayeq.numerics.spline import spline_slopes
+from tests.draws import draws
 
 
 def box(rng, n):
@@ -34,7 +35,7 @@ def by_scipy(fun, start, lower, upper):
 
 
 @given(seed=st.integers(0, 10**6), n=st.integers(1, 10))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 def test_a_convex_function_has_the_minimum_of_scipy_within_bounds(seed, n):
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(2 * n, n)) * 10 ** rng.uniform(-1, 1, size=n)
@@ -105,7 +106,7 @@ def test_where_the_value_is_not_finite_steps_are_cut():
 
 
 @given(seed=st.integers(0, 10**6), n=st.integers(1, 8))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=draws(30), deadline=None)
 def test_with_its_hessian_a_quadratic_function_takes_one_step(seed, n):
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(2 * n, n))
@@ -157,7 +158,7 @@ def test_nothing_to_minimise_over():
 
 
 @given(seed=st.integers(0, 10**6), n=st.integers(2, 40), m=st.integers(1, 3))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 def test_slopes_of_splines_are_those_of_scipy(seed, n, m):
     rng = np.random.default_rng(seed)
     time = np.cumsum(10 ** rng.uniform(-1, 1, size=n))

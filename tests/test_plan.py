@@ -20,6 +20,7 @@ from bayeq.plan.information import coefficient_gain, seconds_to_halve, seconds_u
 from bayeq.plan.models import CandidateModel
 from bayeq.plan.plan import plan_excitation
 from bayeq.states import Chain, parse_chain
+from tests.draws import draws
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 
@@ -131,7 +132,7 @@ def test_the_expected_log_bayes_factor_is_the_mean_over_noise(true, other):
     assert log_bf.mean() == pytest.approx(expected, abs=4 * log_bf.std() / math.sqrt(2000))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=draws(100), deadline=None)
 @given(needed=st.floats(-5, 50), rate=st.floats(0.001, 100), occam=st.integers(-5, 5), fs=st.sampled_from([1.0, 100.0]))
 def test_the_time_is_the_one_from_which_on_enough_is_known(needed, rate, occam, fs):
     def value(t):

@@ -24,6 +24,7 @@ import bayeq as bq
 from bayeq.adapters.pysindy.library import terms_of
 from bayeq.adapters.pysindy.series import pieces_of
 from bayeq.errors import DataWarning, InputError, MissingExtraError
+from tests.draws import draws
 
 ps = pytest.importorskip("pysindy", reason="PySINDy is not installed: pip install 'bayeq[pysindy]'")
 
@@ -111,7 +112,7 @@ def test_nothing_is_centred_where_there_is_no_constant():
     assert found.posteriors_[0].intercept == 0.0
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=draws(12), deadline=None)
 @given(powers=st.lists(st.integers(-6, 6), min_size=10, max_size=10), target=st.integers(-6, 6))
 def test_units_of_columns_and_target_do_not_matter(library, powers, target):
     D, y = library

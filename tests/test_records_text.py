@@ -19,6 +19,7 @@ from bayeq.records.columns import Headers
 from bayeq.records.formats import parquet
 from bayeq.records.formats.layout import sniff
 from bayeq.records.formats.text import _Lines, read_columns
+from tests.draws import draws
 
 DATA = Path(os.environ.get("BAYEQ_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured records in {DATA}; set BAYEQ_DATA")
@@ -177,7 +178,7 @@ def test_suffixes(tmp_path: Path) -> None:
 cells = st.one_of(st.floats().map(repr), st.integers(-(10**20), 10**20).map(str), st.sampled_from(["1.", ".5", "inf"]))
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=draws(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.tuples(cells, cells, cells), min_size=1, max_size=8), st.sampled_from([",", ";", "\t", " "]))
 def test_both_paths_agree(tmp_path: Path, rows: list[tuple[str, str, str]], mark: str) -> None:
     """NumPy's reader and the thorough one give the same numbers, bit by bit."""
@@ -200,7 +201,7 @@ printable = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max
 tabular = st.text(st.sampled_from("0123456789.,;-+eEdDx#%\"'[]() \t\n\r"), max_size=80)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=draws(300), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.one_of(printable, tabular))
 def test_any_text_is_read_or_refused_in_one_line(tmp_path: Path, content: str) -> None:
     try:

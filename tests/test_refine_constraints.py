@@ -20,6 +20,7 @@ from bayeq.inference.prior import Prior
 from bayeq.inference.signs.orthant import truncated
 from bayeq.refine.output_error import Known, _bounded
 from bayeq.regression.constraints import parse_constraints
+from tests.draws import draws
 from tests.simulated import coarse
 
 NOISE = {"x": 0.05, "v": 0.05, "a": 0.05}
@@ -141,7 +142,7 @@ def test_nothing_left_to_refine(record):
         eq.refine(record)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 @given(
     numbers=st.lists(st.floats(-5.0, 5.0).filter(lambda x: abs(x) > 1e-3), min_size=4, max_size=4),
     seed=st.integers(0, 2**16),
@@ -214,7 +215,7 @@ def test_truncated_moments_are_those_of_draws():
     np.testing.assert_allclose(covariance / np.outer(sd, sd), np.cov(kept.T) / np.outer(sd, sd), atol=0.02)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=draws(100), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), size=st.integers(1, 6))
 def test_bounded_steps_are_those_of_least_squares(seed, size):
     rng = np.random.default_rng(seed)

@@ -20,6 +20,7 @@ from bayeq.errors import FileFormatError, InputError, RecordError, UnknownNameEr
 from bayeq.records import FORMATS, Record, as_record, as_records, join, read
 from bayeq.records.formats import limits
 from tests.data import measured
+from tests.draws import draws
 
 FS = 100.0
 N = 200
@@ -182,7 +183,7 @@ def test_faults_below_a_preamble_keep_their_place(tmp_path: Path) -> None:
 words = st.sampled_from(["oops", "run 7", "", "NA", "5", "a,b", "1,2,3"])
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=draws(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     width=st.integers(2, 4), count=st.integers(3, 8), header=st.booleans(), faults=st.lists(
         st.tuples(st.integers(0, 7), words), max_size=2, unique_by=lambda fault: fault[0]
@@ -289,7 +290,7 @@ def test_join_on_the_time_of_the_first() -> None:
     assert np.array_equal(both["x"], np.sin(5 * both.time))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(shift=st.integers(-50, 50))
 def test_samples_at_the_same_time_stay_as_they_are(shift: int) -> None:
     rng = np.random.default_rng(shift + 50)

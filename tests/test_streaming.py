@@ -23,6 +23,7 @@ from bayeq.regression.residuals import inspect_residuals
 from bayeq.streaming.checkpoint import Checkpoint
 from bayeq.streaming.units import Extent, Threads, fold, stretches, units_of
 from bayeq.streaming.work import LAGS, Folded, Lagged, OfRows, fold_columns
+from tests.draws import draws
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 TERMS = [
@@ -141,7 +142,7 @@ def test_a_file_that_changes_while_it_is_read_is_refused(record, tmp_path):
 # --- sums ------------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(st.integers(1, 9000), st.integers(0, 10**6), st.sampled_from([1e-6, 1.0, 1e8]))
 def test_moments_of_blocks_are_those_of_all_rows(n, seed, offset):
     rng = np.random.default_rng(seed)
@@ -166,7 +167,7 @@ def test_values_without_a_square_are_counted_and_taken_as_zero():
     assert found.moments.mean[0] == pytest.approx(0.5)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=draws(20), deadline=None)
 @given(st.lists(st.integers(1, 9000), min_size=1, max_size=5), st.integers(0, 10**6))
 def test_autocorrelation_of_units_is_that_of_all_rows(lengths, seed):
     rng = np.random.default_rng(seed)
@@ -182,7 +183,7 @@ def test_autocorrelation_of_units_is_that_of_all_rows(lengths, seed):
     assert len(total.products) == LAGS
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=draws(50), deadline=None)
 @given(st.integers(1, 100), st.integers(1, 40), st.data())
 def test_units_cover_every_row_once(n, unit, data):
     start = data.draw(st.integers(0, n))

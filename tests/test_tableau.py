@@ -33,6 +33,7 @@ from bayeq.inference.collapsed.tableau import (
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 from tests import reference
+from tests.draws import draws
 
 
 def problem(seed, prior=None, **options):
@@ -69,7 +70,7 @@ def assert_same(T, M, **tolerance):
         np.testing.assert_allclose(got, expected, **tolerance)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=draws(50), deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_log_evidence_is_eq_34(seed):
     D, y, p = problem(seed, Prior(slab_variance=3.0, prior_inclusion=0.3, noise_shape=0.5, noise_rate=0.2))
@@ -78,7 +79,7 @@ def test_log_evidence_is_eq_34(seed):
     assert log_evidence(p, z) == pytest.approx(expected, rel=1e-10, abs=1e-8)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=draws(50), deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_entries_are_those_of_the_dense_tableau(seed):
     D, _, p = problem(seed)
@@ -105,7 +106,7 @@ def test_rows_that_are_computed_when_needed_are_those_of_the_whole():
     np.testing.assert_allclose(p._replace(columns=lazy).DtD, p.DtD, rtol=1e-10, atol=1e-9)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=draws(50), deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_gains_of_flips_and_swaps_are_differences_of_evidence(seed):
     D, _, p = problem(seed)
@@ -154,7 +155,7 @@ def test_flip_returns_the_change_of_the_log_determinant():
     assert total == pytest.approx(math.log(p.DtD[4, 4] + 1 / p.slab_variance), rel=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=draws(40), deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_a_climb_ends_where_no_flip_or_swap_improves_and_counts_its_gain(seed):
     D, _, p = problem(seed)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import bayeq as bq
 from bayeq.errors import BayeqError, DataWarning, InputError
 from bayeq.expressions import Evaluator, parse
+from tests.draws import draws
 
 ROLES = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 TERMS = ["x", "v", "x**3", "u"]
@@ -191,7 +192,7 @@ class Tortured:
 
 
 @quiet
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=draws(25), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     record=Tortured.record(),
     chain=st.sampled_from(["x:v:a", "x::", "x:v:", "x:v", "::a"]),

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from bayeq.errors import InputError
 from bayeq.plan.excitations import EXCITATIONS
+from tests.draws import draws
 
 pytestmark = pytest.mark.parametrize("kind", EXCITATIONS.values(), ids=list(EXCITATIONS))
 
@@ -22,7 +23,7 @@ def settings_of(draw):
     return n, fs, (low * fs, (low + width) * fs)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=draws(60), deadline=None)
 @given(given=settings_of(), seed=st.integers(0, 1000))
 def test_amplitude_length_and_band_are_kept(kind, given, seed):
     n, fs, (low, high) = given

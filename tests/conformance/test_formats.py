@@ -18,8 +18,9 @@ from bayeq.records.assemble import RATE_NAMES, STEP_NAMES
 from bayeq.records.formats import suffixes, writers
 from bayeq.records.names import is_time_name
 from bayeq.records.validate import SECONDS
+from tests.draws import draws
 
-QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+QUICK = settings(max_examples=draws(40), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 channel_names = (
     st.text(min_size=1, max_size=6)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from bayeq.expressions import Evaluator, parse
 from bayeq.systems import SYSTEMS, System, get_system, simulate
+from tests.draws import draws
 
 pytestmark = pytest.mark.parametrize("system", SYSTEMS.values(), ids=list(SYSTEMS))
 
@@ -47,7 +48,7 @@ def test_terms_are_canonical_and_known(system: System) -> None:
         assert parse(text, [*system.states, *system.inputs, *system.parameters]).text == text
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=draws(50), deadline=None)
 @given(data=st.data())
 def test_the_law_is_the_sum_of_the_true_terms(system: System, data: st.DataObject) -> None:
     number = st.floats(-3, 3)
