@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -16,6 +17,12 @@ from bayeq.inspection.contents import RecordInfo
 from bayeq.records.names import clean_names
 
 Signals = dict[str, np.ndarray]
+
+
+@cache
+def simulated(data: Callable[[], Signals]) -> Signals:
+    """What a simulator gives, of which a file with and one without names are made."""
+    return data()
 
 
 @dataclass(frozen=True)
@@ -30,7 +37,7 @@ class Headers:
 
     def text(self) -> str:
         """The file, with semicolons."""
-        signals = self.data()
+        signals = simulated(self.data)
         table = np.column_stack([signals[key] for key in self.columns.values()])
         rows = "\n".join(";".join(f"{value:.7g}" for value in row) for row in table)
         return ";".join(self.columns) + "\n" + rows + "\n"

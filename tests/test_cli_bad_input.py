@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from bayeq.cli.app import main
 from bayeq.cli.progress import COMPILING, PROGRESS
+from tests.draws import draws
 
 HEADER = ("t", "x", "v", "a", "u", "note")
 CHANNELS = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
@@ -481,7 +482,7 @@ def test_bad_simulations(run: Run, folder: Path, arguments: list[str], parts: li
 # --- what is allowed -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("n", [20, 30])
+@pytest.mark.parametrize("n", [pytest.param(20, marks=pytest.mark.slow), 30])
 def test_few_rows_are_answered_with_warnings(run: Run, folder: Path, n: int) -> None:
     put(folder / "few.csv", rows(n))
     outcome = run("discover", "few.csv", *CHANNELS)
@@ -506,7 +507,7 @@ def test_files_of_one_column(run: Run, folder: Path) -> None:
     x = [[row[1]] for row in rows()]
     put(folder / "one.csv", x, ["x [m]"])
     for options in (["--chain", "x"], ["--disp", "x"], ["--chain", "x::", "--smooth", "none"]):
-        assert_answered(run("discover", "one.csv", *options, "--fs", "10"))
+        assert_answered(run("discover", "one.csv", *options, "--fs", "10", "--dictionary", "x"))
     (folder / "bare.txt").write_text("".join(f"{value}\n" for [value] in x))
     assert_answered(run("discover", "bare.txt", "--chain", "y", "--names", "y", "--fs", "10", *AS_MEASURED))
     assert_answered(run("discover", "bare.txt", "--chain", "c1", "--fs", "10", *AS_MEASURED))
@@ -543,7 +544,7 @@ def command(*arguments: str | bytes, **options: str) -> Outcome:
 
 def test_the_command_itself() -> None:
     assert_refused(command("discover", "rnu.csv", *CHANNELS), "did you mean 'run.csv'?")
-    answer = command("discover", "run.csv", *CHANNELS, "--json")
+    answer = command("discover", "run.csv", *CHANNELS, *AS_MEASURED, "--json")
     assert json.loads(assert_answered(answer))["equations"][0]["target"] == "a"
 
 
@@ -573,14 +574,16 @@ def test_names_that_the_terminal_cannot_show(folder: Path) -> None:
     with open(odd, "w", encoding="utf-8") as file:
         file.write("\n".join(table) + "\n")
     channels = ["--disp", "μ", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "μ,v,u"]
-    assert_answered(command("discover", odd, *channels, PYTHONIOENCODING="ascii"))
+    assert_answered(command("discover", odd, *channels, *AS_MEASURED, PYTHONIOENCODING="ascii"))
     assert_refused(command("discover", odd, "--disp", "ü", PYTHONIOENCODING="ascii"), r"no channel named '\xfc'")
 
 
 # --- fuzz ------------------------------------------------------------------------------------------------------------
 
 BRIEF = settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=draws(25),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 cells = st.sampled_from(
     ["0", "1", "-2.5", "1e9", "1e150", "1e308", "1e-300", "5e-324", "-0.0", "nan", "inf", "", "abc", '"', '"a"', "1,5"]

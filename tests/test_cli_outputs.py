@@ -58,7 +58,7 @@ def test_scores_of_the_held_out_rows_are_shown(record, capsys):
     eq = bq.discover(bq.read(record), chains=["x:v:a"], inputs=["u"], dictionary=["x", "v", "x**3", "u"])
     assert scores["one_step"]["a"] == pytest.approx(eq[0].held_out.nrmse, rel=1e-6)
     assert scores["free_run"] == dict(eq.scores.free_run)
-    code, out, _ = run(capsys, record, *OSCILLATOR, "--holdout", "0")
+    code, out, _ = run(capsys, record, *OSCILLATOR, "--smooth", "none", "--holdout", "0")
     assert "free run over" not in out
 
 
@@ -110,7 +110,7 @@ def test_physical(record, capsys):
 def test_physical_needs_a_force_of_an_oscillator(record, capsys):
     # the order is right, no force of an oscillator is there: the equation is printed, and why there is no more
     terms = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x*v, u"]
-    code, out, err = run(capsys, record, *terms, "--physical")
+    code, out, err = run(capsys, record, *terms, "--smooth", "none", "--physical")
     assert code == 2
     assert "\na = " in out
     assert "neither a restoring term" in err
@@ -127,15 +127,16 @@ def test_forecast_table(record, tmp_path, capsys):
     eq = bq.discover(source, chains=["x:v:a"], inputs=["u"], dictionary=["x", "v", "x**3", "u"])
     np.testing.assert_allclose(table["x_low"], eq.simulate(source, start=800).low["x"])
     # without rows held out, the whole record
-    assert run(capsys, record, *OSCILLATOR, "--forecast", file, "--holdout", "0")[0] == 0
+    assert run(capsys, record, *OSCILLATOR, "--smooth", "none", "--forecast", file, "--holdout", "0")[0] == 0
     assert len(pd.read_csv(file)) == 1000
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
 def test_forecast_figure(record, tmp_path, capsys, suffix):
     first, second = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+    options = ["--refine"] if suffix == "svg" else ["--smooth", "none"]
     for file in (first, second):
-        assert run(capsys, record, *OSCILLATOR, "--refine", "--forecast", file)[0] == 0
+        assert run(capsys, record, *OSCILLATOR, *options, "--forecast", file)[0] == 0
     assert first.read_bytes() == second.read_bytes()
     assert len(first.read_bytes()) > 5000
 
@@ -143,10 +144,11 @@ def test_forecast_figure(record, tmp_path, capsys, suffix):
 def test_forecasts_of_several_records(record, tmp_path, capsys):
     other = tmp_path / "other.csv"
     bq.write(bq.simulate("duffing", n=500, seed=2), other)
-    assert run(capsys, record, other, *OSCILLATOR, "--forecast", tmp_path / "run.csv")[0] == 0
+    given = [record, other, *OSCILLATOR, "--smooth", "none"]
+    assert run(capsys, *given, "--forecast", tmp_path / "run.csv")[0] == 0
     table = pd.read_csv(tmp_path / "run.csv")
     assert table["record"].value_counts().to_dict() == {"duffing.csv": 200, "other.csv": 100}
-    assert run(capsys, record, other, *OSCILLATOR, "--forecast", tmp_path / "run.svg")[0] == 0
+    assert run(capsys, *given, "--forecast", tmp_path / "run.svg")[0] == 0
     # two panels for each record, of two lines and a band
     assert (tmp_path / "run.svg").read_text().count('id="axes_') == 4
 

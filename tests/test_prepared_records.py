@@ -51,6 +51,12 @@ def eq(record):
 
 
 @pytest.fixture(scope="module")
+def told(record):
+    """What is found where the noise of x is given."""
+    return discover(record, noise={"x": 0.05 * record["x"].std()})
+
+
+@pytest.fixture(scope="module")
 def spiked(record):
     return changed(record, x={300: record["x"][300] + 100.0 * record["x"].std()})
 
@@ -164,22 +170,21 @@ def test_long_gaps(eq, record):
 # --- given noise -----------------------------------------------------------------------------------------------------
 
 
-def test_given_noise_weighs_channels_of_a_refinement(record):
-    noise = {"x": 0.05 * record["x"].std()}
-    free, known = discover(record).refine(record), discover(record, noise=noise).refine(record)
-    assert known.refined.noise_sd["x"] == noise["x"]
+def test_given_noise_weighs_channels_of_a_refinement(record, eq, told):
+    free, known = eq.refine(record), told.refine(record)
+    assert known.refined.noise_sd["x"] == 0.05 * record["x"].std()
     assert known.refined.noise_sd["v"] == pytest.approx(free.refined.noise_sd["v"], rel=0.01)
     assert known[0].coef["x"] == pytest.approx(free[0].coef["x"], abs=0.5 * free[0].posterior.sd[0])
 
 
-def test_noise_that_is_given_far_too_small_is_not_believed(record):
+def test_noise_that_is_given_far_too_small_is_not_believed(record, eq):
     found = discover(record, noise={"x": 0.01 * record["x"].std()})
     with pytest.warns(
         DataWarning, match=r"x: free runs leave [45]\S* times the noise that was given: .*check"
     ) as caught:
         after = found.refine(record)
     assert after.warnings[-1] == str(caught[0].message)
-    free = discover(record).refine(record)
+    free = eq.refine(record)
     np.testing.assert_allclose(after[0].posterior.sd, free[0].posterior.sd, rtol=0.01)
 
 
@@ -196,10 +201,9 @@ def test_given_noise_reaches_the_states_of_predictions():
 
 
 @pytest.mark.parametrize("noise", [{"x": -1.0}, {"x": "2%"}, {"w": 0.1}, {"x": float("nan")}])
-def test_files_with_impossible_noise_are_damaged(noise, record, tmp_path):
-    found = discover(record, noise={"x": 0.002})
-    found.save(tmp_path / "eq.json")
-    assert bq.load(tmp_path / "eq.json").data.sensors.noise == {"x": 0.002}
+def test_files_with_impossible_noise_are_damaged(noise, record, told, tmp_path):
+    told.save(tmp_path / "eq.json")
+    assert bq.load(tmp_path / "eq.json").data.sensors.noise == {"x": 0.05 * record["x"].std()}
     content = json.loads((tmp_path / "eq.json").read_text())
     content["data"]["noise"] = noise
     (tmp_path / "bad.json").write_text(json.dumps(content))
@@ -207,10 +211,9 @@ def test_files_with_impossible_noise_are_damaged(noise, record, tmp_path):
         bq.load(tmp_path / "bad.json")
 
 
-def test_loaded_equations_refine_with_the_noise_given(record, tmp_path):
-    found = discover(record, noise={"x": 0.05 * record["x"].std()})
-    found.save(tmp_path / "eq.json")
+def test_loaded_equations_refine_with_the_noise_given(record, told, tmp_path):
+    told.save(tmp_path / "eq.json")
     with warnings.catch_warnings():
         warnings.simplefilter("error", ConvergenceWarning)
-        after, again = found.refine(record), bq.load(tmp_path / "eq.json").refine(record)
+        after, again = told.refine(record), bq.load(tmp_path / "eq.json").refine(record)
     assert again.refined == after.refined

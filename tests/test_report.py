@@ -179,7 +179,7 @@ def test_an_interval_over_models_is_explained_where_it_stands(tmp_path):
 
 
 def test_several_equations_and_records(tmp_path):
-    records = [bq.simulate("lorenz", n=500, seed=seed) for seed in (0, 1)]
+    records = [bq.simulate("lorenz", n=300, seed=seed) for seed in (0, 1)]
     eq = bq.discover(records, chains=["x", "y", "z"], dictionary="polynomial:2")
     eq.report(tmp_path / "out.html", records)
     text = Page((tmp_path / "out.html").read_text(encoding="utf-8")).text

@@ -24,7 +24,7 @@ COMMANDS = {
 }
 
 
-@pytest.mark.statistical(short=3, full=40)
+@pytest.mark.statistical(short=2, full=40)
 @pytest.mark.parametrize("name", ["discover", "study", pytest.param("report", marks=pytest.mark.slow)])
 def test_an_interrupt_at_any_moment_is_one_line(name, folder, number):
     command = COMMANDS[name]
@@ -50,7 +50,7 @@ def test_an_interrupt_at_any_moment_is_one_line(name, folder, number):
     assert [path.name for path in folder.iterdir() if ".part" in path.name] == []
 
 
-@pytest.mark.statistical(short=3, full=40)
+@pytest.mark.statistical(short=2, full=40)
 @pytest.mark.parametrize(
     "name",
     ["discover --checkpoint", *(pytest.param(name, marks=pytest.mark.slow) for name in ("study", "batch"))],
