@@ -19,6 +19,7 @@ from bayeq.numerics.beta import incomplete_beta
 from bayeq.selection.alternatives import Alternatives, alternatives_to
 from bayeq.selection.excitation import Repeating
 from bayeq.states import Roles
+from tests.draws import draws
 
 NOTHING = Discrepancy(1e-4, 0.0, np.inf, 0.6, (1.0, 2.0))
 
@@ -47,7 +48,7 @@ def quietly(*arguments, **options):
         return bq.discover(*arguments, **options)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=draws(200), deadline=None)
 @given(st.floats(0.5, 5000.0), st.floats(0.5, 5000.0), st.floats(0.0, 1.0))
 def test_the_incomplete_beta_function(a, b, x):
     assert incomplete_beta(a, b, x) == pytest.approx(betainc(a, b, x), abs=1e-10)
@@ -129,7 +130,7 @@ def test_an_equation_that_few_rows_leave_open():
     record = bq.simulate("duffing", n=4000, seed=1).take(np.arange(80))
     eq = quietly(record, chains="x:v:a", inputs=["u"])
     assert eq.verdict.kind == "not determined"
-    whole = quietly(bq.simulate("duffing", n=4000, seed=1), chains="x:v:a", inputs=["u"])
+    whole = quietly(bq.simulate("duffing", n=1500, seed=1), chains="x:v:a", inputs=["u"])
     assert whole.verdict.kind == "found"
     assert alternatives_to(whole[0].fit, whole[0].shown_posterior).probability < 0.01
 

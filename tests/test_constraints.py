@@ -23,6 +23,7 @@ from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.prior import Prior
 from bayeq.regression.constraints import parse_constraints
 from bayeq.regression.equalities import Equalities
+from tests.draws import draws
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 TERMS = tuple(parse(text) for text in ("x", "v", "x*v", "x**3", "abs(x)/v", "u"))
@@ -67,7 +68,7 @@ def test_an_equation_is_read_as_the_linear_one_that_it_is(text, slopes, value):
     assert NAMES[equalities.eliminated[0]] == next(iter(slopes))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=draws(100), deadline=None)
 @given(
     rows=st.lists(
         st.tuples(*[st.integers(-3, 3) for _ in NAMES], st.floats(-5, 5).map(lambda q: round(q, 3))),
@@ -396,7 +397,7 @@ def test_equations_of_a_system_share_constraints_or_have_their_own():
 @pytest.fixture(scope="module")
 def duffing(tmp_path_factory):
     path = tmp_path_factory.mktemp("run") / "duffing.csv"
-    assert main(["simulate", "duffing", "-o", str(path), "--seed", "1"]) == 0
+    assert main(["simulate", "duffing", "-o", str(path), "--n", "1500", "--seed", "1"]) == 0
     return path
 
 

@@ -18,7 +18,12 @@ from bayeq.states import Roles, estimate_motion
 
 @pytest.mark.parametrize(
     ("kind", "noise", "course"),
-    [("straight", 0.003, "linear"), ("held", 0.003, "hold"), ("taps", 0.02, None), ("blows", 0.0, None)],
+    [
+        ("straight", 0.003, "linear"),
+        ("held", 0.003, "hold"),
+        ("taps", 0.02, None),
+        pytest.param("blows", 0.0, None, marks=pytest.mark.slow),
+    ],
 )
 def test_an_exact_law_is_found_whatever_its_force_does(kind, noise, course):
     record, truth = draw_record(kind, (noise, noise), 21)

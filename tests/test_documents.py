@@ -24,10 +24,16 @@ ELSEWHERE = {
     "docs/pysindy.md": "test_pysindy.py",
 }
 
+# Pages of many discoveries, whose questions other tests ask of shorter records.
+LONG = {"docs/faq.md", "docs/tutorials/channels.md", "docs/tutorials/engines.md"}
+
 HAVE_CODE = [name for name, page in PAGES.items() if RUN & {block.language for block in blocks(page)}]
 
 
-@pytest.mark.parametrize("name", [name for name in HAVE_CODE if name not in ELSEWHERE])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in HAVE_CODE if name not in ELSEWHERE],
+)
 def test_a_page_does_what_it_says(name, tmp_path, monkeypatch):
     pytest.importorskip("matplotlib", reason="pages draw with the extra plot")
     if "import pysindy" in PAGES[name].read_text(encoding="utf-8"):

@@ -69,9 +69,11 @@ def test_of_free_decay_nothing_repeats_itself():
 
 
 @pytest.mark.filterwarnings("ignore")  # of terms that the record cannot tell apart
-def test_the_verdict_says_what_to_do():
+@pytest.mark.parametrize("dictionary", ["polynomial:3 + v*abs(v)", pytest.param("oscillator", marks=pytest.mark.slow)])
+def test_the_verdict_says_what_to_do(dictionary):
     # the posterior is sure of one law, since it has few terms
-    verdict = bq.discover(draw_record(CASES["steady sine"], 4000, 30011), chains="x:v:a", inputs=["u"]).verdict
+    record = draw_record(CASES["steady sine"], 4000, 30011)
+    verdict = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary=dictionary).verdict
     assert verdict.kind == "not determined"
     assert "repeats itself" in verdict.reason
     assert "multisine" in verdict.advice

@@ -17,6 +17,7 @@ from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.posterior import Posterior
 from bayeq.states import parse_chain
+from tests.draws import draws
 
 TERMS = ("x", "v", "x**3", "u")
 DUFFING = {"x": -500.0, "v": -1.0, "x**3": -5e4, "u": 0.5}  # m = 2 kg, c = 2 N s/m, k = 1000 N/m, k3 = 1e5 N/m^3
@@ -112,11 +113,12 @@ def test_a_stand_off_of_the_displacement_leaves_the_stiffness():
     assert there.units["x"] == "m"
 
 
-def test_far_from_zero_nothing_is_made_up():
+@pytest.mark.parametrize("dictionary", ["x, v, x**2, x**3, u", pytest.param("oscillator", marks=pytest.mark.slow)])
+def test_far_from_zero_nothing_is_made_up(dictionary):
     record = bq.simulate("duffing", n=800, seed=5)
     displaced = record.with_channels({"x": record["x"] + 10.0})
     with pytest.warns():
-        eq = bq.discover(displaced, displacement="x", velocity="v", acceleration="a", force="u")
+        eq = bq.discover(displaced, displacement="x", velocity="v", acceleration="a", force="u", dictionary=dictionary)
     assert eq.verdict.kind == "not determined"
     with pytest.raises(InputError, match=r"cannot be told.*remove_offset"):
         eq.physical()
@@ -146,7 +148,7 @@ def test_spreads_are_those_of_the_delta_method():
         assert q.high == pytest.approx(f(mean) + 1.96 * sd, abs=0.05 * sd)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=draws(25), deadline=None)
 @given(
     st.sampled_from([("m", 1.0), ("mm", 1e-3), ("cm", 1e-2), ("in", 0.0254)]),
     st.sampled_from([("m/s", 1.0), ("mm/s", 1e-3)]),

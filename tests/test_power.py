@@ -10,6 +10,7 @@ import pytest
 import bayeq as bq
 from bayeq.likelihood.fit import marginal
 from bayeq.likelihood.power import CLEARLY, _scores, excess_of
+from tests.statistical.limits import fewest
 
 
 def test_scores_of_independent_samples_have_no_excess():
@@ -51,9 +52,10 @@ def quietly(record):
         return bq.discover(record, chains="x:v:a", inputs=["u"], holdout=0.0)[0]
 
 
-def test_narrow_noise_widens_intervals_until_they_hold():
+@pytest.mark.statistical(short=2, full=3)
+def test_narrow_noise_widens_intervals_until_they_hold(number):
     truth, covered, total = {"x": -1000.0, "v": -2.0, "u": 1.0}, 0, 0
-    for seed in range(3):
+    for seed in range(number):
         clean, rng = bq.simulate("linear", n=2000, seed=seed, noise=0.0), np.random.default_rng([seed, 9])
         noisy = {name: y + 0.02 * y.std() * narrow(2000, 4.2, 6.0, clean.fs, rng) for name, y in clean.channels.items()}
         eq = quietly(bq.Record.from_arrays(noisy, fs=clean.fs))
@@ -64,8 +66,8 @@ def test_narrow_noise_widens_intervals_until_they_hold():
         for term, value in truth.items():
             low, high = eq.shown_ci95[[one.text for one in eq.terms].index(term)]
             covered, total = covered + (low <= value <= high), total + 1
-    assert total == 9
-    assert covered >= 6  # of 95 % intervals fewer hold once in a thousand
+    assert total == 3 * number
+    assert covered >= fewest(total, 0.95)
 
 
 def test_scores_are_the_derivatives_of_the_likelihood():

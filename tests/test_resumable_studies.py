@@ -16,7 +16,7 @@ from studies.resumable import Cell, Store, code_state, run_study
 import bayeq as bq
 from bayeq.expressions import Evaluator, parse
 
-# Cells that take about a second of each study.
+# Cells that take some seconds of each study.
 QUICK = {
     "states_only": "lotka-volterra 20.0 20.0",
     "known_terms": "lotka-volterra 1.0",
@@ -34,7 +34,9 @@ def table(text: str) -> tuple[str, list[dict[str, str]]]:
     return comment, list(csv.DictReader(lines))
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("circuit", "servo"))) for name in QUICK]
+)
 def test_a_command_with_one_record_writes_its_table(name, tmp_path, capsys):
     main = importlib.import_module(f"studies.{name}").main
     words = ["--records", "1", "--first-seed", "77", "--only", QUICK[name], "--store", str(tmp_path / "store.jsonl")]

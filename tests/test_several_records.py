@@ -21,10 +21,11 @@ def forced_and_decay(seed):
     return whole.slice(0, 800).renamed("forced"), decay.renamed("decay")
 
 
-def test_a_free_decay_joins_a_forced_record():
+@pytest.mark.statistical(short=3, full=6)
+def test_a_free_decay_joins_a_forced_record(number):
     true = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}
     errors = []
-    for seed in range(6):
+    for seed in range(number):
         forced, decay = forced_and_decay(seed)
         # of the coefficients of all rows; alone, those of the true terms are what the second answer is compared with
         alone = bq.discover(forced, **SETTINGS, dictionary=list(true), holdout=0.0)[0]
@@ -50,13 +51,16 @@ def test_what_was_found_predicts_a_free_decay(smooth):
 @pytest.mark.filterwarnings("ignore::bayeq.errors.AmbiguityWarning")
 @pytest.mark.filterwarnings("ignore::bayeq.errors.CorrelatedResidualsWarning")
 @pytest.mark.parametrize("level", [0.0, 0.05])
-def test_a_record_at_rest_joins_others(level):
+@pytest.mark.parametrize(
+    "dictionary", ["x, dx, x**2, x**3, dx**3, u", pytest.param("oscillator", marks=pytest.mark.slow)]
+)
+def test_a_record_at_rest_joins_others(dictionary, level):
     # in balance: the force that holds the spring at a level
     forced, _ = forced_and_decay(1)
     held = {"x": np.full(300, level), "u": np.full(300, 1000.0 * level + 1e5 * level**3)}
     rest = bq.Record(held, np.arange(300) / 1000.0)
     for records in ([forced, rest], [rest, forced]):
-        eq = bq.discover(records, chains="x::", inputs=["u"])
+        eq = bq.discover(records, chains="x::", inputs=["u"], dictionary=dictionary)
         assert eq[0].included == ("x", "dx", "x**3", "u")
 
 

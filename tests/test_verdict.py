@@ -131,7 +131,7 @@ def noisy(states, share, seed):
     return [x + share * x.std() * rng.normal(size=len(x)) for x in states]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_an_epidemic_that_is_over_is_found(seed):
     t, states = solved(lambda x: [-1.5 * x[0] * x[1], 1.5 * x[0] * x[1] - 0.4 * x[1]], [0.99, 0.01], 30.0, 300)
     s, i = noisy(states, 0.02, seed)
@@ -207,7 +207,7 @@ def relaxing(x):
 def test_only_chaotic_motion_is_followed_for_less_than_a_period(rate, start, seconds, chains, low, high):
     t, states = solved(rate, start, seconds, 4000)
     record = bq.Record.from_arrays(dict(zip("xyz", states, strict=False)), time=t)
-    eq = quietly(record, chains=chains, dictionary=["x", "y"])
+    eq = quietly(record, chains=chains, dictionary=["x", "y"], smooth="none")
     rows = rows_of(estimate_motion([record], eq.roles), "a free run")
     dynamics = eq.dynamics()
     assert low <= correlation_time(dynamics, rows, typical_period(dynamics, rows)) <= high
@@ -275,7 +275,7 @@ def with_unmeasured_force(n, share, seed=3):
     return rec.with_channels({"u": rec["u"] - share * np.std(rec["u"]) * other / other.std()})
 
 
-@pytest.mark.parametrize("n", [4000, 30_000])
+@pytest.mark.parametrize("n", [4000, pytest.param(30_000, marks=pytest.mark.slow)])
 def test_an_unmeasured_force_is_told_at_any_length(n):
     eq = bq.discover(with_unmeasured_force(n, 0.3), **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
     assert eq.verdict.kind == "nearly true"
