@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bayeq.dictionary import fourier, neighbours, oscillator, polynomial
 from bayeq.dictionary.family import Variables
+from bayeq.dictionary.ranges import with_ranges
 from bayeq.dictionary.specification import (
     Member,
     Specification,
@@ -26,7 +27,7 @@ from bayeq.dictionary.specification import (
 )
 from bayeq.errors import ExpressionError, FileFormatError, InputError, UnknownNameError, require_kind
 from bayeq.expressions import Binary, Evaluator, Expression, Negate, Node, Unknown, parse
-from bayeq.expressions.functions import FUNCTIONS
+from bayeq.expressions.functions import CONSTANTS, FUNCTIONS, TIME
 from bayeq.expressions.implicit import MOST_COUPLED, multiplied
 from bayeq.expressions.nodes import arguments_of
 from bayeq.records.io import near_files
@@ -141,8 +142,17 @@ def build_dictionaries(
             if given is None:
                 raise
             raise InputError(f"equation {target}: {error}") from error
-    whole = tuple(dict.fromkeys(term for terms in own for term in terms))
-    allowed = np.array([[term in terms for term in whole] for terms in map(set, own)], dtype=np.bool_)
+    whole = tuple(dict.fromkeys(with_ranges([term for terms in own for term in terms])))
+    choices = {term.text: term.choice for term in whole}
+    for target, terms in zip(targets, own, strict=True):
+        for term in terms:
+            if term.choice != choices[term.text]:
+                raise InputError(
+                    f"equation {target}: {term.text} stands in {term.choice or 'no either-or'} here, and in"
+                    f" {choices[term.text] or 'none'} in another equation: write the same in both"
+                )
+    texts = [{term.text for term in terms} for terms in own]
+    allowed = np.array([[term.text in one for term in whole] for one in texts], dtype=np.bool_)
     return whole, _apart(whole, targets, allowed)
 
 
@@ -202,7 +212,7 @@ def _union(union: Sequence[Member], where: str, variables: Variables) -> tuple[E
             near = UnknownNameError("term", text, [term.text for term in terms], where)
             raise InputError(f"{near}: there is nothing to leave out")
     left_out = {term for _, found in gone for term in found}
-    kept = tuple(term for term in terms if term not in left_out)
+    kept = tuple(dict.fromkeys(with_ranges([term for term in terms if term not in left_out])))
     if not kept:
         raise InputError(f"{where}: no terms are left")
     if len(kept) > MAX_TERMS:
@@ -275,17 +285,21 @@ def _parse_terms(texts: Sequence[tuple[str, str]], variables: Variables) -> tupl
         raise InputError("the dictionary has no terms; give at least one")
     if len(texts) > MAX_TERMS:
         raise InputError(f"the dictionary has {len(texts)} terms; at most {MAX_TERMS} are allowed")
-    terms: dict[Expression, str] = {}
+    terms: dict[str, Expression] = {}
+    places: dict[str, str] = {}
     for text, where in texts:
         if not text.strip():
             raise ExpressionError(f"{where}: empty; write a term there, or leave out the comma before or after")
         members = [_parsed(one, where, variables) for one in split_at(text, "|")]
         choice = " | ".join(term.text for term in members) if len(members) > 1 else ""
+        for k, term in enumerate(members):
+            if term in members[:k]:
+                raise InputError(f"{where}: {term.text!r} stands on both sides of '|', which is between different terms")
+            if term.text in terms:
+                raise InputError(f"{where}: term {term.text!r} was already given ({places[term.text]})")
         for term in members:
-            if term in terms:
-                raise InputError(f"{where}: term {term.text!r} was already given ({terms[term]})")
-            terms[Expression(term.tree, choice)] = where
-    return tuple(terms)
+            terms[term.text], places[term.text] = Expression(term.tree, choice), where
+    return with_ranges(tuple(terms.values()))
 
 
 def _parsed(text: str, where: str, variables: Variables) -> Expression:
@@ -298,23 +312,36 @@ def _parsed(text: str, where: str, variables: Variables) -> Expression:
         raise InputError(f"{where}: {error}{unknown}") from error
     except ExpressionError as error:
         raise ExpressionError(f"{where}: {error}") from error
-    _require_inside(term, where)
+    _require_inside(term, where, variables)
     return term
 
 
-def _require_inside(term: Expression, where: str) -> None:
-    """Refuse unknown constants that are coefficients, or too many of them."""
+def _require_inside(term: Expression, where: str, variables: Variables) -> None:
+    """Refuse unknown constants that are coefficients, that have the name of something else, or too many of them."""
     if not term.unknowns:
         return
     if len(term.unknowns) > MOST_UNKNOWN:
         raise InputError(f"{where}: {term.text} has {len(term.unknowns)} unknown constants; at most {MOST_UNKNOWN}")
+    for name in term.unknowns:
+        if name in (*variables.names, TIME) or name in FUNCTIONS or name in CONSTANTS:
+            what = "a channel" if name in variables.names else "the time" if name == TIME else "a name with a meaning"
+            raise InputError(
+                f"{where}: {name} is {what}; braces are for unknown constants: leave them out, or write another name"
+            )
     outside = [node.name for node in factors_of(term.tree) if isinstance(node, Unknown)]
     if outside:
         raise InputError(f"{where}: {outside[0]} multiplies {term.text}: it is its coefficient; leave it out")
     if not term.names:
         raise InputError(f"{where}: {term.text} is a constant; every equation has one beside its terms")
-    if isinstance(term.tree, Binary) and term.tree.op in "+-" and any(map(is_scaled, arguments_of(term.tree))):
-        raise InputError(f"{where}: write the parts of {term.text} as terms of their own, without {{}}")
+    for factor in factors_of(term.tree):
+        if isinstance(factor, Binary) and factor.op in "+-" and any(map(is_scaled, arguments_of(factor))):
+            raise InputError(f"{where}: write the parts of {term.text} as two terms, without {{}}")
+    for node in nodes_of(term.tree):
+        together = [one.name for one in factors_of(node) if isinstance(one, Unknown)]
+        if len(together) > 1:
+            raise InputError(
+                f"{where}: {' and '.join(together)} of {term.text} stand for one constant, their product: leave one out"
+            )
 
 
 def factors_of(node: Node) -> Iterator[Node]:
@@ -331,6 +358,13 @@ def factors_of(node: Node) -> Iterator[Node]:
                 yield right
         case _:
             yield node
+
+
+def nodes_of(node: Node) -> Iterator[Node]:
+    """A node and all that it is made of."""
+    yield node
+    for part in arguments_of(node):
+        yield from nodes_of(part)
 
 
 def is_scaled(node: Node) -> bool:

@@ -12,16 +12,17 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import InputError
-from bayeq.expressions import Binary, Call, Evaluator, Expression, Negate, Node, Unknown
-from bayeq.expressions.functions import COMPARISONS, TIME
-from bayeq.expressions.nodes import arguments_of
+from bayeq.expressions import Binary, Call, Evaluator, Expression, Negate, Node, Number, Unknown
+from bayeq.expressions.functions import COMPARISONS
+from bayeq.expressions.nodes import arguments_of, unknowns_of
 
-__all__ = ["NODES", "beside", "families", "grids", "is_scale", "located", "to_plain", "to_scale"]
+__all__ = ["NODES", "beside", "families", "grids", "is_scale", "located", "to_plain", "to_scale", "with_ranges"]
 
 Floats = NDArray[np.float64]
 Columns = Sequence[Mapping[str, Floats]]
@@ -33,15 +34,19 @@ RESOLVED, BEYOND = 0.2, 3.0
 # A range whose ends are further apart by this factor is divided on a logarithmic scale.
 WIDE = 10.0
 
+# A sum that must not be zero begins this many times further than it could be.
+CLEAR = 1.1
+
 # Powers, where nothing is written.
 POWERS = 0.25, 4.0
 
 # Waves over the range of what they are waves of, at least and, where that is not time, at most.
 FEWEST_WAVES, MOST_WAVES = 0.5, 20.0
 
-# Nodes of a scale, a place or a power; of a phase, those of half a turn, for the coefficient has either sign.
+# Nodes of a scale, a place or a power; of a phase, those about its middle that reach half a turn, for the
+# coefficient has either sign.
 NODES = 13
-PHASES = 0.0, 0.5 * math.pi
+PHASES = -0.25 * math.pi, 0.25 * math.pi
 
 # Frequencies are this share of what the record resolves apart.
 APART = 0.8
@@ -50,6 +55,7 @@ APART = 0.8
 MOST_NODES = 20_000
 
 _WAVES = ("sin", "cos")
+_POSITIVE = ("sqrt", "log", "log10", "log1p")
 
 
 def is_scale(constant: Unknown) -> bool:
@@ -81,32 +87,90 @@ def families(terms: Sequence[Expression]) -> list[list[int]]:
     return [sorted(own) for _, own in sorted(found, key=lambda one: one[1])]
 
 
+def with_ranges(terms: Sequence[Expression]) -> tuple[Expression, ...]:
+    """The terms with the range of a constant wherever it stands, if it is written anywhere.
+
+    Raises
+    ------
+    InputError
+        A constant with two ranges.
+    """
+    written: dict[str, Unknown] = {}
+    for term in terms:
+        for one in unknowns_of(term.tree):
+            other = written.setdefault(one.name, one)
+            if math.isnan(other.low):
+                written[one.name] = one
+            elif not math.isnan(one.low) and (one.low, one.high) != (other.low, other.high):
+                raise InputError(
+                    f"{term.text}: {{{one.name}}} has two ranges, {other.low:g}..{other.high:g} and"
+                    f" {one.low:g}..{one.high:g}: it is one constant; write one range, or two names"
+                )
+    return tuple(term.with_unknowns(written) for term in terms)
+
+
 def located(terms: Sequence[Expression], columns: Columns) -> dict[str, Unknown]:
     """The constants of some terms, by name, with the ranges in which they may be.
 
     Parameters
     ----------
     terms : sequence of Expression
-        Candidates.
+        Candidates, with the ranges that are written.
     columns : sequence of mapping of str to (n,) array
         States, inputs and time of each record.
 
     Raises
     ------
     InputError
-        A range that is not written, and that the record does not give.
+        A range that is not written and that the record does not give, or in which a term is singular.
     """
-    out: dict[str, Unknown] = {}
+    out = {name: one for term in terms for name, one in term.unknowns.items()}
+    places = {name: next(path for term in terms for path in _paths(term.tree, name)) for name in out}
+    missing = [name for name, one in out.items() if math.isnan(one.low)]
+    while missing:
+        found = {name: _range(places[name], out, columns) for name in missing}
+        left = [name for name in missing if found[name] is None]
+        if left == missing:
+            raise InputError(
+                f"the record does not tell where {{{left[0]}}} may be: give its range, as in {{{left[0]}: 0.01..3}}"
+            )
+        for name, ends in found.items():
+            if ends is not None:
+                out[name] = replace(out[name], low=ends[0], high=ends[1])
+        missing = left
     for term in terms:
-        for name, constant in term.unknowns.items():
-            if name not in out or math.isnan(out[name].low):
-                out[name] = constant
-    for name, constant in out.items():
-        if math.isnan(constant.low):
-            paths = [path for term in terms for path in _paths(term.tree, name)]
-            low, high = _range(paths[0], out, columns, name)
-            out[name] = replace(constant, low=low, high=high)
+        _require_regular(term, out, columns)
     return out
+
+
+def _require_regular(term: Expression, constants: Mapping[str, Unknown], columns: Columns) -> None:
+    """Refuse a term that is divided by something that is zero for some values of its constants."""
+    for below in _denominators(term.tree):
+        own = Expression(below)
+        if not own.unknowns:
+            continue
+        signs = set()
+        for ends in itertools.product(*((constants[name].low, constants[name].high) for name in own.unknowns)):
+            at = own.with_unknowns(
+                {name: replace(constants[name], value=end) for name, end in zip(own.unknowns, ends, strict=True)}
+            )
+            for one in columns:
+                with np.errstate(all="ignore"):
+                    signs.update(np.sign(Evaluator(one)(at)).ravel().tolist())
+        if {-1.0, 1.0} <= signs or 0.0 in signs:
+            name = next(iter(own.unknowns))
+            low, high = constants[name].low, constants[name].high
+            raise InputError(
+                f"term {term.text}: {own.text}, which divides, is zero for some {name} of {low:.3g} .. {high:.3g} in this"
+                f" record: give a range where it is not, as in {{{name}: 0.01..3}}"
+            )
+
+
+def _denominators(node: Node) -> Iterator[Node]:
+    if isinstance(node, Binary) and node.op == "/":
+        yield node.right
+    for part in arguments_of(node):
+        yield from _denominators(part)
 
 
 def grids(
@@ -128,9 +192,9 @@ def grids(
         yield dict(zip(names, values, strict=True))
 
 
-def beside(term: Expression, name: str) -> tuple[str, Node | None]:
-    """The operation or function that a constant stands in, ``"below"`` where it divides, and what stands beside it."""
-    return _beside(next(_paths(term.tree, name)))
+def beside(term: Expression, name: str) -> Place:
+    """Where a constant first stands in a term."""
+    return _place(next(_paths(term.tree, name)))
 
 
 def _paths(node: Node, name: str) -> Iterator[tuple[Node, ...]]:
@@ -148,89 +212,170 @@ def _wave(path: tuple[Node, ...]) -> bool:
     return any(isinstance(node, Call) and node.function in _WAVES for node in path)
 
 
-def _beside(path: tuple[Node, ...]) -> tuple[str, Node | None]:
-    """The operation that a constant stands in, and what stands beside it."""
-    child: Node = path[-1]
+class Place(NamedTuple):
+    """Where a constant stands.
+
+    Attributes
+    ----------
+    operation : str
+        The operation or function that it stands in: ``"*"`` or, where it divides, ``"below"``, of a whole product.
+    other : Node or None
+        What stands beside it, all other factors of a product.
+    power : Node or None
+        The exponent, where it is the base of a power there.
+    path : tuple of Node
+        From the root to the operation.
+    """
+
+    operation: str
+    other: Node | None
+    power: Node | None
+    path: tuple[Node, ...]
+
+
+def _place(path: tuple[Node, ...]) -> Place:
+    k, power = len(path) - 1, None
+    while k:
+        match path[k - 1]:
+            case Negate():
+                pass
+            case Binary("**", left, right) if left is path[k] and power is None:
+                power = right
+            case _:
+                break
+        k -= 1
+    other: Node | None = None
+    below, first = False, k
+    while k:
+        match path[k - 1]:
+            case Negate() if k < first:
+                pass
+            case Binary("*" | "/" as op, left, right):
+                divides = op == "/" and right is path[k]
+                factor = left if right is path[k] else right
+                if other is None:
+                    other = Binary("/", Number(1), right) if op == "/" and not divides else factor
+                else:
+                    other = Binary(op, factor, other) if divides else Binary(op, other, factor)
+                below ^= divides
+            case Binary(op, left, right) if other is None:
+                return Place(op, left if right is path[k] else right, power, path[:k])
+            case Call(function, arguments) if other is None:
+                rest = [one for one in arguments if one is not path[k]]
+                return Place(function, rest[0] if rest else None, power, path[:k])
+            case _:
+                break
+        k -= 1
+    return Place("below" if below else "*" if other is not None else "", other, power, path[: k + 1])
+
+
+def _is_positive(path: tuple[Node, ...]) -> bool:
+    """Whether a sum, the last of a path, divides or is under a root or a logarithm."""
+    child = path[-1]
     for parent in reversed(path[:-1]):
         match parent:
-            case Negate():
-                child = parent
-                continue
-            case Binary(op, left, right):
-                return ("below" if op == "/" and right is child else op), (left if right is child else right)
-            case Call(function, arguments):
-                rest = [one for one in arguments if one is not child]
-                return function, rest[0] if rest else None
-        break
-    return "", None
+            case Binary("/", _, right) if right is child:
+                return True
+            case Binary("**", left, right) if left is child and not isinstance(right, Number):
+                return True
+            case Call(function):
+                return function in _POSITIVE
+        child = parent
+    return False
 
 
 def _range(
-    path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Columns, name: str
-) -> tuple[float, float]:
-    """The range of a constant, by its place in a term."""
-    operation, other = _beside(path)
+    path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Columns
+) -> tuple[float, float] | None:
+    """The range of a constant, by its place in a term; None where the record does not tell."""
+    place = _place(path)
+    operation = place.operation
     if operation == "**":
         return POWERS
     if _wave(path) and operation in ("+", "-"):
         return -math.pi, math.pi
-    values = None if other is None else _values(other, constants, columns)
-    if values is not None:
-        largest = float(np.abs(values).max(initial=0.0))
-        steps = np.abs(np.diff(values))
-        least = max(RESOLVED * float(np.median(steps)) if len(steps) else 0.0, 1e-3 * largest)
-        if _wave(path) and operation in ("*", "below"):
-            low, high = _waves(values, other, columns)
-            return (low, high) if operation == "*" else (1.0 / high, 1.0 / low)
-        if largest > 0.0 and operation in ("below", "+"):
-            return least, largest if operation == "below" else BEYOND * largest
-        if largest > 0.0 and operation == "*":
-            return 1.0 / (BEYOND * largest), 1.0 / least
-        if operation in ("-", "max", "min", *COMPARISONS) and values.max() > values.min():
-            return float(values.min()), float(values.max())
-    raise InputError(f"the record does not tell where {{{name}}} may be: give its range, as in {{{name}: 0.01..3}}")
+    values = None if place.other is None else _values(place.other, constants, columns)
+    if values is None:
+        return None
+    ends = _beside(operation, values, place.path, _wave(path))
+    if ends is None or place.power is None:
+        return ends
+    power = _values(place.power, constants, columns)
+    if ends[0] <= 0.0 or power is None or not power[0].ravel()[0] > 0.0:
+        return None
+    root = 1.0 / float(power[0].ravel()[0])
+    return ends[0] ** root, ends[1] ** root
 
 
-def _waves(values: Floats, other: Node | None, columns: Columns) -> tuple[float, float]:
+def _beside(
+    operation: str, values: Sequence[Floats], path: tuple[Node, ...], wave: bool
+) -> tuple[float, float] | None:
+    """The range of a constant beside some values."""
+    largest = max(float(np.abs(one).max(initial=0.0)) for one in values)
+    lowest, highest = min(float(one.min()) for one in values), max(float(one.max()) for one in values)
+    steps = np.concatenate([np.abs(np.diff(one)) for one in values])
+    if not largest > 0.0 or not len(steps):
+        return None
+    if wave and operation in ("*", "below"):
+        low, high = _waves(values, steps)
+        return (low, high) if operation == "*" else (1.0 / high, 1.0 / low)
+    least = max(RESOLVED * float(np.median(steps)), 1e-3 * largest)
+    if operation == "below":
+        return least, largest
+    if operation == "*":
+        return 1.0 / (BEYOND * largest), 1.0 / least
+    if operation == "+" and _is_positive(path):
+        least += CLEAR * max(0.0, -lowest)
+        return (least, BEYOND * largest) if least < largest else None
+    if operation == "-" and _is_positive(path):
+        return None
+    if highest > lowest:
+        if operation == "+":
+            return -highest, -lowest
+        if operation in ("-", "max", "min", *COMPARISONS):
+            return lowest, highest
+    return None
+
+
+def _waves(values: Sequence[Floats], steps: Floats) -> tuple[float, float]:
     """Angular frequencies of waves over some values: over time up to a quarter of the sampling rate."""
-    span = _span(values, other, columns)
-    high = 2.0 * math.pi * MOST_WAVES / span
-    if _times(other):
-        steps = np.concatenate([np.diff(one[TIME]) for one in columns])
-        high = 0.5 * math.pi / float(np.median(steps))
-    return 2.0 * math.pi * FEWEST_WAVES / span, high
+    span, step = _span(values), float(np.median(steps))
+    even = step > 0.0 and bool(np.all(np.abs(steps - step) < 0.5 * step))
+    return 2.0 * math.pi * FEWEST_WAVES / span, 0.5 * math.pi / step if even else 2.0 * math.pi * MOST_WAVES / span
 
 
-def _times(node: Node | None) -> bool:
-    return node is not None and Expression(node).names == {TIME}
+def _span(values: Sequence[Floats]) -> float:
+    return max(float(np.ptp(one)) for one in values) or 1.0
 
 
-def _span(values: Floats, other: Node | None, columns: Columns) -> float:
-    if _times(other):
-        return max(float(np.ptp(one[TIME])) for one in columns)
-    return float(np.ptp(values)) or 1.0
+def _values(node: Node, constants: Mapping[str, Unknown], columns: Columns) -> list[Floats] | None:
+    """What stands beside a constant in each record, other constants in the middle of their ranges.
 
-
-def _values(node: Node, constants: Mapping[str, Unknown], columns: Columns) -> Floats | None:
-    """What stands beside a constant, other constants in the middle of their ranges; None where that is not known."""
+    None where these are not known.
+    """
     middle = {
         name: replace(one, value=math.sqrt(one.low * one.high) if is_scale(one) else 0.5 * (one.low + one.high))
         for name, one in constants.items()
     }
     expression = Expression(node).with_unknowns(middle)
-    found = np.concatenate([np.atleast_1d(Evaluator(one)(expression)) for one in columns])
-    return found if np.isfinite(found).all() else None
+    with np.errstate(all="ignore"):
+        found = [np.atleast_1d(Evaluator(one)(expression)) for one in columns]
+    return found if all(np.isfinite(one).all() for one in found) else None
 
 
 def _nodes(
     constant: Unknown, path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Columns
 ) -> list[float]:
-    operation, other = _beside(path)
+    place = _place(path)
     low, high = constant.low, constant.high
-    if _wave(path) and operation in ("+", "-") and high - low > math.pi:
-        return [low + phase for phase in PHASES]
-    values = None if other is None else _values(other, constants, columns)
-    if _wave(path) and values is not None and operation == "*":
-        step = APART * 2.0 * math.pi / _span(values, other, columns)
-        return np.linspace(low, high, max(NODES, math.ceil((high - low) / step) + 1)).tolist()
+    if _wave(path) and place.operation in ("+", "-") and high - low > math.pi:
+        return [0.5 * (low + high) + phase for phase in PHASES]
+    values = None if place.other is None else _values(place.other, constants, columns)
+    if _wave(path) and values is not None and place.operation in ("*", "below") and place.power is None:
+        below = place.operation == "below"
+        if below:
+            low, high = 1.0 / high, 1.0 / low
+        step = APART * 2.0 * math.pi / _span(values)
+        found = np.linspace(low, high, max(NODES, math.ceil((high - low) / step) + 1))
+        return (1.0 / found if below else found).tolist()
     return (np.geomspace if is_scale(constant) else np.linspace)(low, high, NODES).tolist()

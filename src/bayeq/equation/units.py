@@ -44,6 +44,9 @@ RADIANS, DEGREES = (Unit(), parse_unit("rad")), (parse_unit("deg"), parse_unit("
 # Numbers by which a term converts degrees itself.
 CONVERTING = (180.0, math.pi / 180.0, 180.0 / math.pi)
 
+# Functions whose values have the unit of an argument, or of its root.
+_LIKE_ARGUMENTS = ("abs", "cbrt", "max", "min", "mod", "relu", "sqrt", "where")
+
 
 def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
     """Unit of a term; None where a channel's is not known, or where units do not fit together."""
@@ -113,6 +116,8 @@ def quotient_unit(target: str, term: Expression, units: Mapping[str, str]) -> st
 def constant_units(terms: Sequence[Expression], units: Mapping[str, str]) -> dict[str, str]:
     """Units of the constants inside terms: of what they are added to or divide, one over that of what they multiply.
 
+    Those of a product that is no argument of a function are left out, as are exponents.
+
     Examples
     --------
     >>> from bayeq.expressions import parse
@@ -122,10 +127,15 @@ def constant_units(terms: Sequence[Expression], units: Mapping[str, str]) -> dic
     out: dict[str, str] = {}
     for term in terms:
         for name in term.unknowns:
-            operation, other = beside(term, name)
-            unit = None if other is None or name in out else _of(other, units)
-            if unit is not None and operation != "**":
-                out[name] = written_unit(multiply_units({}, unit, -1 if operation == "*" else 1))
+            place, known = beside(term, name), {**units, **{f"{{{one}}}": unit for one, unit in out.items()}}
+            unit = None if place.other is None or name in out or place.operation == "**" else _of(place.other, known)
+            if unit is None or (place.operation in ("*", "below") and not _is_plain(place.path)):
+                continue
+            power = Fraction(-1 if place.operation == "*" else 1)
+            if isinstance(place.power, Number):
+                power /= Fraction(place.power.value)
+            if place.power is None or isinstance(place.power, Number):
+                out[name] = written_unit(multiply_units({}, unit, power))
     return out
 
 
@@ -171,6 +181,24 @@ def arguments_with_units(term: Expression, units: Mapping[str, str]) -> Iterator
             fine = RADIANS + DEGREES if node.function in OF_ANGLES else RADIANS
             if unit is not None and unit not in fine:
                 yield written_unit(unit)
+
+
+def _is_plain(path: Sequence[Node]) -> bool:
+    """Whether a product, the last of a path, has no unit: in a function, or beside a number."""
+    child = path[-1]
+    for parent in reversed(path[:-1]):
+        match parent:
+            case Binary("+" | "-", left, right) if isinstance(left if right is child else right, Number):
+                return True
+            case Negate() | Binary("+" | "-"):
+                child = parent
+            case Binary("**", _, right):
+                return right is child or isinstance(right, Unknown)
+            case Call(function):
+                return function not in _LIKE_ARGUMENTS
+            case _:
+                return False
+    return False
 
 
 def derivative_unit(unit: str, order: int) -> str:

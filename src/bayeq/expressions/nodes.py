@@ -25,6 +25,7 @@ __all__ = [
     "arguments_of",
     "is_comparison",
     "number",
+    "unknowns_of",
     "with_arguments",
 ]
 
@@ -228,11 +229,12 @@ def _named(node: Node, kind: type[Symbol | Constant]) -> frozenset[str]:
     return own.union(*(_named(part, kind) for part in arguments_of(node)))
 
 
-def _unknowns(node: Node) -> Iterator[Unknown]:
+def unknowns_of(node: Node) -> Iterator[Unknown]:
+    """The unknown constants of a tree, wherever they stand."""
     if isinstance(node, Unknown):
         yield node
     for part in arguments_of(node):
-        yield from _unknowns(part)
+        yield from unknowns_of(part)
 
 
 def _with_unknowns(node: Node, found: Mapping[str, Unknown]) -> Node:
@@ -291,7 +293,7 @@ class Expression:
 
     @cached_property
     def unknowns(self) -> dict[str, Unknown]:
-        return {node.name: node for node in _unknowns(self.tree)}
+        return {node.name: node for node in unknowns_of(self.tree)}
 
     @cached_property
     def size(self) -> int:

@@ -58,6 +58,9 @@ _HINTS = {
     "\n": "a term is one line",
     "\r": "a term is one line",
     ".": "there are no attributes",
+    "{": "an unknown constant is {name}, or {name: low..high}, and ends with }",
+    "}": "it ends no unknown constant, {name}",
+    "|": "it stands between whole terms, of which one is in",
 }
 _ALLOWED = "numbers, names, + - * / **, brackets and functions"
 _CONDITION = "comparisons are conditions of where, as in where(x > 0, x, 0)"
