@@ -12,7 +12,8 @@ import sympy
 from scipy.integrate import solve_ivp
 
 import bayeq as bq
-from bayeq.equation.equation import RunnerUp, round_to
+from bayeq.equation.equation import RunnerUp
+from bayeq.equation.written import round_to
 from bayeq.errors import CorrelatedResidualsWarning, FileFormatError, InputError
 
 

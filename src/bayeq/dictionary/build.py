@@ -294,7 +294,7 @@ def _parse_terms(texts: Sequence[tuple[str, str]], variables: Variables) -> tupl
         choice = " | ".join(term.text for term in members) if len(members) > 1 else ""
         for k, term in enumerate(members):
             if term in members[:k]:
-                raise InputError(f"{where}: {term.text!r} stands on both sides of '|', which is between different terms")
+                raise InputError(f"{where}: {term.text!r} stands on both sides of '|': write different terms")
             if term.text in terms:
                 raise InputError(f"{where}: term {term.text!r} was already given ({places[term.text]})")
         for term in members:

@@ -161,8 +161,8 @@ def _require_regular(term: Expression, constants: Mapping[str, Unknown], columns
             name = next(iter(own.unknowns))
             low, high = constants[name].low, constants[name].high
             raise InputError(
-                f"term {term.text}: {own.text}, which divides, is zero for some {name} of {low:.3g} .. {high:.3g} in this"
-                f" record: give a range where it is not, as in {{{name}: 0.01..3}}"
+                f"term {term.text}: {own.text}, which divides, is zero in this record for some {name} of {low:.3g} .."
+                f" {high:.3g}: give a range where it is not, as in {{{name}: 0.01..3}}"
             )
 
 
@@ -284,9 +284,7 @@ def _is_positive(path: tuple[Node, ...]) -> bool:
     return False
 
 
-def _range(
-    path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Columns
-) -> tuple[float, float] | None:
+def _range(path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Columns) -> tuple[float, float] | None:
     """The range of a constant, by its place in a term; None where the record does not tell."""
     place = _place(path)
     operation = place.operation
@@ -307,9 +305,7 @@ def _range(
     return ends[0] ** root, ends[1] ** root
 
 
-def _beside(
-    operation: str, values: Sequence[Floats], path: tuple[Node, ...], wave: bool
-) -> tuple[float, float] | None:
+def _beside(operation: str, values: Sequence[Floats], path: tuple[Node, ...], wave: bool) -> tuple[float, float] | None:
     """The range of a constant beside some values."""
     largest = max(float(np.abs(one).max(initial=0.0)) for one in values)
     lowest, highest = min(float(one.min()) for one in values), max(float(one.max()) for one in values)

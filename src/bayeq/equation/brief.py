@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bayeq.equation.answer import Answer
-from bayeq.equation.equation import Equation, round_to
+from bayeq.equation.equation import Equation
 from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.physical import PhysicalParameters, Quantity, force_of
 from bayeq.equation.short_names import short_names, with_names
@@ -23,6 +23,7 @@ from bayeq.equation.text import (
     source_of,
     unseen,
 )
+from bayeq.equation.written import round_to
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 
@@ -204,6 +205,6 @@ def failed(equation: Equation) -> Iterator[str]:
         yield "what is left has heavy tails: try --tails student"
     if found.driver is not None and found.driver.p_value < DOUBTFUL:
         yield printable(f"what is left follows {found.driver}: a term with it may be missing, or it is delayed")
-    yield from map(printable, forms_of(equation))
+    yield from map(printable, (*forms_of(equation), *equation.at_ends))
     for left in equation.left_out:
         yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import exp, floor, isfinite, log10
+from math import exp
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -17,9 +17,10 @@ from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity, req
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.units import constant_units, quotient_unit
 from bayeq.equation.verdict import Verdict
+from bayeq.equation.written import at_end, factor_of, named, round_to, row_of
 from bayeq.errors import InputError
 from bayeq.export.latex import Uncertainty, sum_in_latex
-from bayeq.expressions import Evaluator, Expression, Unknown, to_sympy
+from bayeq.expressions import Evaluator, Expression, to_sympy
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms
@@ -211,6 +212,13 @@ class Equation:
         return tuple(one for one in self.constants if one.sd is not None and set(one.terms) & set(self.shown))
 
     @property
+    def at_ends(self) -> tuple[str, ...]:
+        """What is to be said of constants at the ends of the ranges in which they were sought."""
+        return tuple(
+            text for one in self.shown_constants for text in at_end(one, self.constant_units.get(one.name, ""))
+        )
+
+    @property
     def shown(self) -> tuple[str, ...]:
         """Names of the terms of the equation that is printed, evaluated and integrated."""
         return self.shown_model.names
@@ -350,14 +358,15 @@ class Equation:
             ``shown``; ``share`` of the target's variance; ``unit`` of the coefficient (None: unknown); ``shown_coef``,
             ``shown_sd``, ``shown_ci_low``, ``shown_ci_high`` given the terms shown; ``averaged_ci_low``,
             ``averaged_ci_high`` over all models (NaN where none are averaged); ``why`` included and shown terms differ
-            ("" if not); ``bound`` of the size of a coefficient that is not included.
+            ("" if not); ``bound`` of the size of a coefficient that is not included. Below the terms a row for each
+            constant inside those shown, ``{name}``: its value, interval and unit; it has no PIP.
         """
         import pandas as pd
 
         p, shown = self.posterior, self.shown_posterior
         ci, shown_ci, averaged = self.ci95, self.shown_ci95, self.averaged_ci95
         averaged = np.full_like(ci, np.nan) if averaged is None else averaged
-        return pd.DataFrame(
+        out = pd.DataFrame(
             {
                 "term": [term.text for term in self.terms],
                 "coef": p.coef,
@@ -380,6 +389,10 @@ class Equation:
                 "bound": np.full(len(self.terms), np.nan) if self.bound is None else self.bound,
             }
         )
+        if not self.shown_constants:
+            return out
+        rows = [row_of(one, self.constant_units.get(one.name)) for one in self.shown_constants]
+        return pd.concat([out, pd.DataFrame(rows).reindex(columns=out.columns)], ignore_index=True)
 
     def _sum(self) -> list[tuple[float, float, Expression | None]]:
         """Coefficients, their standard deviations and the terms shown; last the intercept, where it is written out."""
@@ -394,7 +407,7 @@ class Equation:
         for value, sd, term in self._sum():
             number = round_to(value, sd)
             sign, size = ("-", number[1:]) if number.startswith("-") else ("+", number)
-            body = size if term is None else f"{size}*{_factor(term.text)}"
+            body = size if term is None else f"{size}*{factor_of(term.text)}"
             pieces.append(f"{sign} {body}" if pieces else (f"-{body}" if sign == "-" else body))
         return f"{self.target} = {' '.join(pieces) or '0'}"
 
@@ -433,7 +446,7 @@ class Equation:
         else:
             parts = []
             for value, sd, term in self._sum():
-                factor = sympy.Integer(1) if term is None else to_sympy(_named(term))
+                factor = sympy.Integer(1) if term is None else to_sympy(named(term))
                 text = "" if term is None else sympy.latex(factor, symbol_names=names)
                 parts.append((value, sd, rf"\left({text}\right)" if factor.is_Add else text))
             right = sum_in_latex(parts, uncertainty)
@@ -445,7 +458,7 @@ class Equation:
         total = sympy.Integer(0)
         for value, sd, term in self._sum():
             number = sympy.Float(float(round_to(value, sd)) if rounded else value)
-            total += number if term is None else number * to_sympy(_named(term) if rounded else term)
+            total += number if term is None else number * to_sympy(named(term) if rounded else term)
         return total
 
     def evaluate(self, columns: Mapping[str, ArrayLike]) -> Floats:
@@ -582,27 +595,3 @@ class Equation:
         if self.fit is None:
             raise InputError("a file of equations does not hold what their posterior came from: run discover again")
         return self.fit
-
-
-def _named(term: Expression) -> Expression:
-    """The term with the names of its constants in place of their values."""
-    return term.with_unknowns({name: Unknown(name) for name in term.unknowns})
-
-
-def _factor(term: str) -> str:
-    """A term as the factor of a product: in parentheses if it is a sum or a quotient."""
-    depth = 0
-    for k, character in enumerate(term):
-        depth += (character == "(") - (character == ")")
-        exponent = k > 0 and term[k - 1] in "eE" and k > 1 and term[k - 2].isdigit()
-        if depth == 0 and character in "+-/" and not exponent:
-            return f"({term})"
-    return term
-
-
-def round_to(value: float, sd: float) -> str:
-    """A number with digits down to a tenth of its standard deviation, between 3 and 12 significant ones."""
-    if value == 0 or not isfinite(value):
-        return f"{value:g}"
-    digits = 12 if sd <= 0 else floor(log10(abs(value))) - floor(log10(sd)) + 2
-    return f"{value:.{min(max(digits, 3), 12)}g}"

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from bayeq.equation.answer import Answer
-from bayeq.equation.equation import Equation, round_to
+from bayeq.equation.equation import Equation
+from bayeq.equation.written import round_to
 from bayeq.equation.text import DOUBTFUL, MARK
 from bayeq.equation.verdict import LEAST_SHOWN
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
@@ -109,6 +110,12 @@ def _of_intervals(equation: Equation, conditional: bool) -> Iterator[str]:
         f"95 % interval: where the coefficient lies with 95 % probability, if the terms are right: that of"
         f" {equation.terms[j].text} between {low} and {high}. sd is about a quarter of its width."
     )
+    for one in equation.shown_constants:
+        yield (
+            f"{{{one.name}}}: a constant inside {' and '.join(one.terms)}, found with the coefficients, from values of"
+            f" {one.low:.3g} to {one.high:.3g}; its interval and theirs allow for each other. It has no probability of"
+            " its own: that of the term is for any value in this range."
+        )
     if not conditional and (equation.printed_over_models.any() or equation.intercept_over_models):
         yield (
             f"{MARK}: which other terms are in the law is not certain, and the coefficient depends on it; this interval"

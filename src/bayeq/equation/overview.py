@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.equation.answer import Answer
-from bayeq.equation.equation import Equation, round_to
+from bayeq.equation.equation import Equation
+from bayeq.equation.written import round_to
 from bayeq.figures.picture import above, axes_for
 from bayeq.figures.runs import draw_states
 from bayeq.figures.style import style

@@ -13,10 +13,11 @@ from rich.console import Console
 from rich.table import Table
 
 from bayeq.equation.answer import Answer
-from bayeq.equation.equation import Equation, round_to
+from bayeq.equation.equation import Equation
 from bayeq.equation.short_names import short_names, with_names
 from bayeq.equation.size_path import percent
 from bayeq.equation.verdict import LEAST_SHOWN
+from bayeq.equation.written import plain_sd, round_to
 from bayeq.forecast.score import Scores, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.likelihood.unknowns import ConstantEstimate
@@ -155,7 +156,7 @@ def _render_equation(
         console.print(escape(line))
     for line in _residuals(equation.residuals, equation.error_share):
         console.print(escape(line))
-    for line in forms_of(equation):
+    for line in (*forms_of(equation), *equation.at_ends):
         console.print(escape(line))
     for line in _differences(equation, ENGINES[method].score):
         console.print(escape(line))
@@ -330,7 +331,7 @@ def _extra_columns(equation: Equation) -> dict[str, list[str]]:
 
 def constant_numbers(one: ConstantEstimate) -> tuple[str, float, str, str]:
     """A constant's value, standard deviation and the ends of its interval, as they are printed."""
-    spread = (one.sd or 0.0) * (abs(one.value) if one.logarithmic else 1.0)
+    spread = plain_sd(one)
     return round_to(one.value, spread), spread, round_to(one.ci95[0], spread), round_to(one.ci95[1], spread)
 
 

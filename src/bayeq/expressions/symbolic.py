@@ -55,7 +55,8 @@ def _convert(node: Node) -> Any:
         case Number(value):
             return sympy.Integer(value) if isinstance(value, int) else sympy.Float(value)
         case Unknown(name, value=value):
-            return sympy.Float(value) if math.isfinite(value) else sympy.Symbol(name)
+            # real: another symbol than a channel of this name
+            return sympy.Float(value) if math.isfinite(value) else sympy.Symbol(name, real=True)
         case Constant(name):
             return {"pi": sympy.pi, "e": sympy.E}[name]
         case Symbol(name):

@@ -202,8 +202,7 @@ class RecordFit:
             return None
         task = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[])
         with np.errstate(all="ignore"):
-            covariance, found = joint_covariance(task, self._unshrunk[0])
-        return covariance / self.fitted.power, found
+            return joint_covariance(task, self._unshrunk[0], self.fitted.power)
 
     def constants(self, c: int) -> tuple[ConstantEstimate, ...]:
         """Constants inside the candidates of equation c."""

@@ -389,8 +389,11 @@ def _moved(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
     return task, fit(task, state)
 
 
-def joint_covariance(task: Task, state: State) -> tuple[Floats, tuple[ConstantEstimate, ...]]:
-    """Covariance of the coefficients of a fit whose constants are not known either, and what is known of these."""
+def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floats, tuple[ConstantEstimate, ...]]:
+    """Covariance of the coefficients of a fit whose constants are not known either, and what is known of these.
+
+    Both are of a power of the likelihood.
+    """
     own, wide, tangents, precision = _with_tangents(task, state)
     found = marginal(own.linearised(wide), wide, wide.levels, precision, keep=False)
     count = len(tangents)
@@ -402,12 +405,12 @@ def joint_covariance(task: Task, state: State) -> tuple[Floats, tuple[ConstantEs
         inside = tuple(terms[j].text for j in used if name in terms[j].unknowns)
         sd, ends = None, [low, high]
         if at:
-            sd = float(1.0 / np.sqrt(np.sum(1.0 / np.diagonal(found.covariance)[at])))
+            sd = float(1.0 / np.sqrt(power * np.sum(1.0 / np.diagonal(found.covariance)[at])))
             place = to_scale(constant, constant.value)
             ends = [to_plain(constant, place + way * Z95 * sd) for way in (-1.0, 1.0)]
         ci95 = max(ends[0], low), min(ends[1], high)
         estimates.append(ConstantEstimate(name, constant.value, sd, ci95, low, high, scale, inside))
-    return found.covariance[: len(state.theta), : len(state.theta)], tuple(estimates)
+    return found.covariance[: len(state.theta), : len(state.theta)] / power, tuple(estimates)
 
 
 def _with_odds(task: Task, fitted: Fitted) -> Task:

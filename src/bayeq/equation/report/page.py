@@ -15,7 +15,7 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.brief import DERIVED, checks, failed, in_symbols, quantity_rows, sentence, what_to_try
-from bayeq.equation.equation import Equation, round_to
+from bayeq.equation.equation import Equation
 from bayeq.equation.explain import explanation
 from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.report.interactive import require_bokeh
@@ -23,6 +23,7 @@ from bayeq.equation.report.look import STYLE
 from bayeq.equation.report.pictures import pictures
 from bayeq.equation.size_path import percent
 from bayeq.equation.text import MARK, unseen
+from bayeq.equation.written import plain_sd, round_to
 from bayeq.errors import BayeqWarning, InputError
 from bayeq.expressions.mathml import mathml, number_mathml, symbol_mathml
 from bayeq.figures.picture import unit_text
@@ -172,7 +173,7 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
         },
         "text": one.text,
         "rows": rows,
-        "rest": len(one.terms) - len(rows) + 1,
+        "rest": len(one.terms) - len(rows) + len(one.shown_constants) + 1,
     }
 
 
@@ -211,6 +212,9 @@ def _rows(one: Equation) -> list[tuple[str, ...]]:
             rows.append((term.text, *numbers, pip, part, unit_text(one.coef_units[j] or "")))
         elif p.support[j] or p.pip[j] >= NOTEWORTHY_PIP:
             rows.append((term.text, "not shown" if p.support[j] else "not included", "", "", pip, "", ""))
+    for constant in one.shown_constants:
+        numbers = _numbers(constant.value, plain_sd(constant), constant.ci95)
+        rows.append((f"{{{constant.name}}}", *numbers, "", "", unit_text(one.constant_units.get(constant.name, ""))))
     estimate, sd = one.intercept_estimate
     numbers = _numbers(estimate, sd, one.printed_intercept_ci95, one.intercept_over_models)
     rows.append(("intercept", *numbers, "", "", unit_text(one.units.get(one.target, ""))))

@@ -1,0 +1,67 @@
+"""Numbers, terms and the constants inside them as they are written in answers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from bayeq.expressions import Expression, Unknown
+from bayeq.likelihood.unknowns import ConstantEstimate
+
+__all__ = ["at_end", "factor_of", "named", "plain_sd", "round_to", "row_of"]
+
+# A value is at the end of its range within this share of it.
+AT_END = 0.01
+
+
+def plain_sd(one: ConstantEstimate) -> float:
+    """Standard deviation of a constant itself, not of its logarithm; 0 where it is in no term."""
+    return (one.sd or 0.0) * (abs(one.value) if one.logarithmic else 1.0)
+
+
+def at_end(one: ConstantEstimate, unit: str = "") -> Iterator[str]:
+    """What to say of a constant whose value, or interval, ends with its range; nothing of others."""
+    low, value, high = (math.log(end) if one.logarithmic else end for end in (one.low, one.value, one.high))
+    place = (value - low) / (high - low)
+    shown = f"({one.low:.3g} .. {one.high:.3g}{f' {unit}' if unit not in ('', '1') else ''})"
+    cure = f"give a wider one, {{{one.name}: low..high}}, or the term without it"
+    if min(place, 1.0 - place) < AT_END:
+        yield f"{one.name} is at the {'lower' if place < 0.5 else 'upper'} end of its range {shown}: {cure}"
+        return
+    ends = [end for end, reached in (("lower", one.ci95[0] <= one.low), ("upper", one.ci95[1] >= one.high)) if reached]
+    if ends:
+        yield f"the interval of {one.name} reaches the {' and the '.join(ends)} end of its range {shown}: {cure}"
+
+
+def row_of(one: ConstantEstimate, unit: str | None) -> dict[str, Any]:
+    """The row of a constant in an equation's table."""
+    row: dict[str, Any] = {"term": f"{{{one.name}}}", "included": True, "shown": True, "why": "", "effective": False}
+    for prefix in ("", "shown_"):
+        row |= {f"{prefix}coef": one.value, f"{prefix}sd": plain_sd(one)}
+        row |= {f"{prefix}ci_low": one.ci95[0], f"{prefix}ci_high": one.ci95[1]}
+    return {**row, "unit": unit}
+
+
+def named(term: Expression) -> Expression:
+    """The term with the names of its constants in place of their values."""
+    return term.with_unknowns({name: Unknown(name) for name in term.unknowns})
+
+
+def factor_of(term: str) -> str:
+    """A term as the factor of a product: in parentheses if it is a sum or a quotient."""
+    depth = 0
+    for k, character in enumerate(term):
+        depth += (character == "(") - (character == ")")
+        exponent = k > 0 and term[k - 1] in "eE" and k > 1 and term[k - 2].isdigit()
+        if depth == 0 and character in "+-/" and not exponent:
+            return f"({term})"
+    return term
+
+
+def round_to(value: float, sd: float) -> str:
+    """A number with digits down to a tenth of its standard deviation, between 3 and 12 significant ones."""
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    digits = 12 if sd <= 0 else math.floor(math.log10(abs(value))) - math.floor(math.log10(sd)) + 2
+    return f"{value:.{min(max(digits, 3), 12)}g}"
