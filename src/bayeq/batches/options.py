@@ -93,7 +93,9 @@ def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[s
     InputError
         An equation without terms.
     """
-    terms = {one["target"]: [t["name"] for t in one["terms"] if t["shown"]] for one in common["equations"]}
+    terms = {
+        one["target"]: [_with_ranges(t["name"], one) for t in one["terms"] if t["shown"]] for one in common["equations"]
+    }
     empty = [target for target, names in terms.items() if not names]
     if empty:
         raise InputError(
@@ -110,6 +112,13 @@ def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[s
         "max_terms": None,
         "tolerance": 0.0,
     }
+
+
+def _with_ranges(term: str, equation: Mapping[str, Any]) -> str:
+    """A term with the ranges in which the constants inside it were sought."""
+    for one in equation.get("constants", ()):
+        term = term.replace(f"{{{one['name']}}}", f"{{{one['name']}: {one['low']!r}..{one['high']!r}}}")
+    return term
 
 
 def _texts(constraints: str | Sequence[str]) -> list[str]:

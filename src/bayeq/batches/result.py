@@ -208,7 +208,7 @@ def _equations(content: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
 
 
 def _terms(equation: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Terms of an equation, the constant among them, which is in it where it is written out."""
+    """Terms of an equation, the constants inside them, and the constant, which is in it where it is written out."""
     low, high = sorted(equation["intercept_printed_ci95"])
     pip = equation["intercept_pip"]
     matters = pip > 0.5 if pip is not None else low > 0.0 or high < 0.0
@@ -222,7 +222,22 @@ def _terms(equation: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         "shown": matters,
         "unit": None,
     }
-    return [*equation["terms"], constant]
+    shown = {term["name"] for term in equation["terms"] if term["shown"]}
+    inside = [
+        {
+            "name": f"{{{one['name']}}}",
+            "shown_coef": one["value"],
+            "shown_sd": one["sd"] * (abs(one["value"]) if one["logarithmic"] else 1.0),
+            "printed_ci95": one["ci95"],
+            "pip": None,
+            "included": True,
+            "shown": True,
+            "unit": one.get("unit"),
+        }
+        for one in equation.get("constants", ())
+        if one["sd"] is not None and shown & set(one["terms"])
+    ]
+    return [*equation["terms"], *inside, constant]
 
 
 def _values(term: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

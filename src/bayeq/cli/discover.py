@@ -66,8 +66,9 @@ Examples:
     "dictionaries",
     multiple=True,
     help="Candidate terms: oscillator, polynomial:3, fourier:2, neighbours, a file of terms, or terms separated by"
-    " commas; 'oscillator + sin(x) - x**5' joins and leaves out. 'a1: oscillator' is for equation a1 alone, once per"
-    " equation. By default oscillator.",
+    " commas; 'oscillator + sin(x) - x**5' joins and leaves out. {name} or {name: low..high} is an unknown constant"
+    " inside a term, 'tanh(v/{v0})'; of 'tanh(v/{v0}) | sign(v)' at most one is in. 'a1: oscillator' is for equation a1"
+    " alone, once per equation. By default oscillator.",
 )
 @opt.sure(
     "--method",

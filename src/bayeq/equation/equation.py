@@ -17,7 +17,7 @@ from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity, req
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.units import constant_units, quotient_unit
 from bayeq.equation.verdict import Verdict
-from bayeq.equation.written import at_end, factor_of, named, round_to, row_of
+from bayeq.equation.written import at_end, factor_of, round_to, row_of
 from bayeq.errors import InputError
 from bayeq.export.latex import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
@@ -446,7 +446,7 @@ class Equation:
         else:
             parts = []
             for value, sd, term in self._sum():
-                factor = sympy.Integer(1) if term is None else to_sympy(named(term))
+                factor = sympy.Integer(1) if term is None else to_sympy(term.named())
                 text = "" if term is None else sympy.latex(factor, symbol_names=names)
                 parts.append((value, sd, rf"\left({text}\right)" if factor.is_Add else text))
             right = sum_in_latex(parts, uncertainty)
@@ -458,7 +458,7 @@ class Equation:
         total = sympy.Integer(0)
         for value, sd, term in self._sum():
             number = sympy.Float(float(round_to(value, sd)) if rounded else value)
-            total += number if term is None else number * to_sympy(named(term) if rounded else term)
+            total += number if term is None else number * to_sympy(term.named() if rounded else term)
         return total
 
     def evaluate(self, columns: Mapping[str, ArrayLike]) -> Floats:

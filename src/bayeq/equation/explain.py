@@ -9,9 +9,9 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.equation.written import round_to
 from bayeq.equation.text import DOUBTFUL, MARK
 from bayeq.equation.verdict import LEAST_SHOWN
+from bayeq.equation.written import round_to
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 
 __all__ = ["explanation"]

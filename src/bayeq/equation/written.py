@@ -6,10 +6,9 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from bayeq.expressions import Expression, Unknown
 from bayeq.likelihood.unknowns import ConstantEstimate
 
-__all__ = ["at_end", "factor_of", "named", "plain_sd", "round_to", "row_of"]
+__all__ = ["at_end", "factor_of", "plain_sd", "round_to", "row_of"]
 
 # A value is at the end of its range within this share of it.
 AT_END = 0.01
@@ -41,11 +40,6 @@ def row_of(one: ConstantEstimate, unit: str | None) -> dict[str, Any]:
         row |= {f"{prefix}coef": one.value, f"{prefix}sd": plain_sd(one)}
         row |= {f"{prefix}ci_low": one.ci95[0], f"{prefix}ci_high": one.ci95[1]}
     return {**row, "unit": unit}
-
-
-def named(term: Expression) -> Expression:
-    """The term with the names of its constants in place of their values."""
-    return term.with_unknowns({name: Unknown(name) for name in term.unknowns})
 
 
 def factor_of(term: str) -> str:

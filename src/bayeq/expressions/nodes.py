@@ -299,6 +299,10 @@ class Expression:
     def size(self) -> int:
         return _size(self.tree)
 
+    def named(self) -> Expression:
+        """The expression with the names of its unknown constants alone, without ranges and values."""
+        return self.with_unknowns({name: Unknown(name) for name in self.unknowns})
+
     def with_unknowns(self, found: Mapping[str, Unknown]) -> Expression:
         """The expression with others in place of its unknown constants, by name."""
         return Expression(_with_unknowns(self.tree, found), self.choice) if self.unknowns else self

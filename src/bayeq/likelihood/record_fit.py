@@ -198,17 +198,21 @@ class RecordFit:
     @cached_property
     def _joint(self) -> tuple[Floats, tuple[ConstantEstimate, ...]] | None:
         """Covariance and constants, where terms of the model have any."""
+        return self._jointly(self.fitted.power)
+
+    def _jointly(self, power: float) -> tuple[Floats, tuple[ConstantEstimate, ...]] | None:
         if not any(term.unknowns for term in self.task.layout.terms):
             return None
         task = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[])
         with np.errstate(all="ignore"):
-            return joint_covariance(task, self._unshrunk[0], self.fitted.power)
+            return joint_covariance(task, self._unshrunk[0], power)
 
-    def constants(self, c: int) -> tuple[ConstantEstimate, ...]:
-        """Constants inside the candidates of equation c."""
+    def constants(self, c: int, power: float = 1.0) -> tuple[ConstantEstimate, ...]:
+        """Constants inside the candidates of equation c, with intervals of a power of the likelihood."""
+        joint = self._joint if power == 1.0 else self._jointly(power * self.fitted.power)
         allowed, terms = self.task.log_odds[self.block(c)][:-1] > -np.inf, self.task.layout.terms
         names = {name for term, inside in zip(terms, allowed, strict=True) if inside for name in term.unknowns}
-        return () if self._joint is None else tuple(one for one in self._joint[1] if one.name in names)
+        return () if joint is None else tuple(one for one in joint[1] if one.name in names)
 
     @cached_property
     def _unshrunk(self) -> tuple[State, Floats]:

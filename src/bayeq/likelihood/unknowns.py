@@ -473,8 +473,8 @@ def _ranked(
         now = _with(own, values, constants)
         with np.errstate(all="ignore"):
             columns = np.concatenate([evaluate_terms(now, rows.columns) for rows in parts])
-        size = np.sqrt((columns**2).sum(axis=0))
-        if not np.isfinite(columns).all() or not (size > 0.0).all():
+            size = np.sqrt((columns**2).sum(axis=0))
+        if not np.isfinite(size).all() or not (size > 0.0).all():
             continue
         rest = columns / size
         rest = rest - Q @ (Q.T @ rest)

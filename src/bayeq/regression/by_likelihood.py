@@ -63,7 +63,7 @@ class RecordRegression(Regression):
     @property
     def constants(self) -> tuple[ConstantEstimate, ...]:
         """As of `Regression`."""
-        return self.record.constants(self.k)
+        return self.record.constants(self.k, self.power)
 
     @property
     def forms(self) -> Forms:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
-from bayeq.expressions import FUNCTIONS, Binary, Evaluator, Expression, Negate, Node, parse
+from bayeq.expressions import FUNCTIONS, Binary, Evaluator, Expression, Negate, Node, Unknown, parse
 from bayeq.expressions.functions import CONSTANTS
 from bayeq.gram import Gram
 from bayeq.inference.posterior import Posterior
@@ -278,7 +278,7 @@ def _is_tie(text: str) -> bool:
 def _addressed(text: str, targets: Sequence[str], where: str) -> tuple[str | None, str]:
     """The target in front of the colon, if there is one, and the rest."""
     target, colon, body = text.partition(":")
-    if not colon:
+    if not colon or "{" in target:  # that of a range
         return None, text
     if target.strip() not in targets:
         raise UnknownNameError("equation", target.strip(), targets, where=where)
@@ -329,7 +329,7 @@ class _Reader:
         self.trees: dict[Node, int] = {}
         self.products: dict[frozenset[tuple[Node, float]], int] = {}
         for j, term in enumerate(terms):
-            self._enter(term, j)
+            self._enter(term.named(), j)
         for k, (name, _) in enumerate(self.dropped):
             self._enter(self._parsed(name), -1 - k)
 
@@ -352,10 +352,10 @@ class _Reader:
     def _parsed(self, text: str) -> Expression:
         """A side of a relation; a channel of the terms may have the name of a constant, or of a function."""
         others = {name for name in re.findall(r"[^\W\d]\w*", text) if name not in CONSTANTS and name not in FUNCTIONS}
-        return parse(text, self.channels | others)
+        return parse(text, self.channels | others).named()
 
     def _linear(self, node: Node, where: str) -> Linear:
-        if not Expression(node).names:
+        if _is_number(node):
             return Linear({}, _number(node))
         j = self.trees.get(node)
         if j is not None:
@@ -365,6 +365,11 @@ class _Reader:
         if isinstance(node, Binary) and node.op in "+-":
             right = self._linear(node.right, where)
             return self._linear(node.left, where).plus(right, 1.0 if node.op == "+" else -1.0)
+        if isinstance(node, Unknown):
+            name = node.name
+            raise InputError(
+                f"{where}: {{{name}}} is a constant inside a term: write its range there, {{{name}: low..high}}"
+            )
         number, factors = _product(node)
         j = self.products.get(frozenset(factors.items()))
         if j is not None:
@@ -382,13 +387,17 @@ class _Reader:
         return Linear({j: number} if number != 0.0 else {}, 0.0)
 
 
+def _is_number(node: Node) -> bool:
+    return not Expression(node).names and not Expression(node).unknowns
+
+
 def _number(node: Node) -> float:
     return float(Evaluator({})(Expression(node)))
 
 
 def _product(node: Node) -> tuple[float, dict[Node, float]]:
     """A term as a number times powers of factors: ``v*x/2`` is 0.5 and {v: 1, x: 1}."""
-    if not Expression(node).names:
+    if _is_number(node):
         return _number(node), {}
     if isinstance(node, Negate):
         number, factors = _product(node.operand)
@@ -402,7 +411,7 @@ def _product(node: Node) -> tuple[float, dict[Node, float]]:
         with np.errstate(all="ignore"):
             number = float(np.multiply(number, np.power(other, power)))
         return number, {base: exponent for base, exponent in factors.items() if exponent != 0.0}
-    if isinstance(node, Binary) and node.op == "**" and not Expression(node.right).names:
+    if isinstance(node, Binary) and node.op == "**" and _is_number(node.right):
         power = _number(node.right)
         number, factors = _product(node.left)
         if number == 1.0 and len(factors) == 1 and power.is_integer() and power != 0.0:

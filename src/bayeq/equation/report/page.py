@@ -213,7 +213,7 @@ def _rows(one: Equation) -> list[tuple[str, ...]]:
         elif p.support[j] or p.pip[j] >= NOTEWORTHY_PIP:
             rows.append((term.text, "not shown" if p.support[j] else "not included", "", "", pip, "", ""))
     for constant in one.shown_constants:
-        numbers = _numbers(constant.value, plain_sd(constant), constant.ci95)
+        numbers = _numbers(constant.value, plain_sd(constant), constant.ci95, False)
         rows.append((f"{{{constant.name}}}", *numbers, "", "", unit_text(one.constant_units.get(constant.name, ""))))
     estimate, sd = one.intercept_estimate
     numbers = _numbers(estimate, sd, one.printed_intercept_ci95, one.intercept_over_models)
