@@ -26,6 +26,7 @@ from bayeq.expressions import (
     Node,
     Number,
     Symbol,
+    Unknown,
     Tape,
     latex,
     number,
@@ -42,6 +43,7 @@ numbers = st.one_of(
     st.integers(0, 20), st.floats(0, 1e3, allow_nan=False), st.floats(0, 1.7e308), st.integers(0, 10**20)
 ).map(abs)
 leaves = st.one_of(numbers.map(Number), st.sampled_from("xvu").map(Symbol), st.sampled_from(["pi", "e"]).map(Constant))
+unknowns = st.sampled_from(["w", "v0", "K"]).map(Unknown)
 
 
 def _grow(inner: st.SearchStrategy[Node]) -> st.SearchStrategy[Node]:
@@ -56,6 +58,7 @@ def _grow(inner: st.SearchStrategy[Node]) -> st.SearchStrategy[Node]:
 
 
 trees = st.recursive(leaves, _grow, max_leaves=12).map(Expression)
+with_constants = st.recursive(st.one_of(leaves, unknowns), _grow, max_leaves=12).map(Expression)
 values = st.floats(-10, 10).map(lambda f: round(f, 3))
 points = st.fixed_dictionaries({name: st.lists(values, min_size=3, max_size=3) for name in "xvu"})
 
@@ -71,6 +74,23 @@ def test_the_canonical_text_round_trips(expression: Expression) -> None:
     assert again.names == {n for n in re.findall(r"[a-z]+", expression.text) if n in {"x", "v", "u"}}
     # of 1e+20 the e is part of a number
     assert again.constants == set(re.findall(r"(?<![\w.])(?:pi|e)\b", expression.text))
+
+
+@settings(deadline=None)
+@given(with_constants, st.floats(-9.0, 9.0), st.floats(0.1, 5.0))
+def test_unknown_constants_round_trip(expression: Expression, low: float, width: float) -> None:
+    assert parse(expression.text) == expression == expression.named()
+    found = {name: Unknown(name, low, low + width, low + 0.5 * width) for name in expression.unknowns}
+    located = expression.with_unknowns(found)
+    assert located.unknowns == found
+    assert located.text == expression.text
+    assert located.named() == expression
+    assert parse(located.text).with_unknowns(located.unknowns) == located
+    assert pickle.loads(pickle.dumps(located)) == located  # noqa: S301
+    written = re.sub(r"\{(\w+)\}", lambda m: f"{{{m[1]}: {low!r}..{low + width!r}}}", expression.text)
+    if len(written) <= 1000:
+        assert parse(written).with_unknowns(found) == located
+        assert {(one.low, one.high) for one in parse(written).unknowns.values()} <= {(low, low + width)}
 
 
 @settings(deadline=None)
@@ -385,6 +405,15 @@ HOSTILE = {
     "x # comment": "'#' at column 3",
     "x\0": r"'\\x00' at column 2",
     "x;y": "not allowed",
+    "tanh(v/{v0": "an unknown constant is {name}, or {name: low..high}",
+    "tanh(v/v0})": "ends no unknown constant",
+    "tanh(v/{v0: 3..1})": "the range of {v0} at column 8 is empty",
+    "tanh(v/{v0: 1})": "an unknown constant is {name}, or {name: low..high}",
+    "tanh(v/{v0: 1..1e999})": "range",
+    "tanh(v/{0})": "an unknown constant is {name}",
+    "tanh(v/{__v})": "two underscores",
+    "tanh(v/{})": "an unknown constant is {name}",
+    "tanh(v|x)": "it stands between whole terms",
     "(y:=x)": "':' at column 3",
     "x.real": "no attributes",
     "x.__class__": "no attributes",

@@ -21,7 +21,19 @@ ROWS = {"t": np.arange(4) / 8, "x": np.array([0.0, 1.0, -2.5, 1e-9]), "v": np.ar
 def expressions() -> list[bytes]:
     """Terms."""
     texts = "x*abs(v)**1.5; sign(v)*x**-2; where(x<0, x**3, -v); sin(2*pi*x)/(1 + v**2); atan2(x, u) - e**x; max(x, v)"
+    texts += "; tanh(v/{v0}); abs(x)**{n: 1..3} - {a:-1e-3 .. .5}*t"
     return [text.strip().encode() for text in texts.split(";")]
+
+
+def dictionaries() -> list[bytes]:
+    """Dictionaries, with unknown constants inside terms and either-or."""
+    texts = [
+        "x, v, u, tanh(v/{v0}) | sign(v)",
+        "fourier:2 + sin({w}*t + {p}) - sin(x)",
+        "a: max(x - {gap: 0.1..1}, 0), x/({K}+abs(x))",
+        "abs(v)**{n: 1..3}*sign(v), where(t > {t0}, 1, 0), v/sqrt(v**2+{s}**2)",
+    ]
+    return [text.encode() for text in texts]
 
 
 def tables() -> list[bytes]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import os
 import struct
 import tempfile
+import warnings
 import zipfile
 from collections.abc import Callable
 from functools import cache, partial
@@ -16,7 +18,10 @@ from typing import NamedTuple
 import click
 import numpy as np
 
+from bayeq.dictionary import Variables, build_dictionaries
+from bayeq.dictionary.ranges import families, grids, located
 from bayeq.equation.load import load
+from bayeq.equation.units import constant_units
 from bayeq.errors import BayeqError
 from bayeq.expressions import Evaluator, parse
 from bayeq.records import Record, read, write
@@ -66,9 +71,24 @@ def _expression(data: bytes) -> None:
         expression = parse(text)
     except BayeqError:
         return
-    assert parse(expression.text) == expression, "the canonical text is another expression"
+    assert parse(expression.text) == expression.named(), "the canonical text is another expression"
     with contextlib.suppress(BayeqError):
         Evaluator(COLUMNS)(expression)
+
+
+def _dictionary(data: bytes) -> None:
+    text = data.decode("utf-8", "surrogateescape")
+    with contextlib.suppress(BayeqError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        terms, allowed = build_dictionaries(text, ("a",), Variables(("x", "v"), ("u",)))
+        assert allowed.shape == (1, len(terms))
+        assert len({term.text for term in terms}) == len(terms), "two terms with one text"
+        constants = located(terms, [{**COLUMNS, "t": np.arange(3.0)}])
+        assert all(-math.inf < one.low < one.high < math.inf for one in constants.values()), "a range without ends"
+        constant_units(terms, {"x": "m", "v": "m/s"})
+        for family in families(terms):
+            own = [terms[j].with_unknowns(constants) for j in family]
+            next(grids(own, constants, [{**COLUMNS, "t": np.arange(3.0)}]))
 
 
 def _file(name: str, data: bytes) -> None:
@@ -170,7 +190,7 @@ def _words(text: str) -> tuple[bytes, ...]:
 
 NUMBERS = (*_words("0 -1 1e309 1e-320 nan inf 0x1 1_0 1,5"), b"9" * 30, b"\xff\xfe", b"\0")
 BINARY = (struct.pack("<I", 2**32 - 1), struct.pack("<I", 2**31), struct.pack("<Q", 2**63), bytes(8), b"\xff" * 8)
-SIGNS = _words("( ) ** * / - sign( where( atan2( , < == t pi . e9")
+SIGNS = _words("( ) ** * / - sign( where( atan2( , < == t pi . e9 {a} {b:1..2} { } .. | : tanh( sin(")
 HEADER = (*_words("'descr':'<f8' 'descr':'|O' 'shape':(3,) ( [ { ' True <U9 10**9"), b'"', b"\n")
 JSON = _words('[ { } ] null true "" 1e999 -0 NaN \\ud800 "names" : ,')
 TABLE = (*_words('; " # [m] t 12:30:00 2020-01-01 % 1,5 =1+1'), b",", b"\t", b"\n", b"\r")
@@ -188,6 +208,7 @@ OPTIONS = (
 #: Every parser.
 TARGETS: dict[str, Target] = {
     "expressions": Target(_expression, seeds.expressions, SIGNS + NUMBERS),
+    "dictionaries": Target(_dictionary, seeds.dictionaries, (*SIGNS, *NUMBERS, *_words("oscillator fourier:2 + ; a:"))),
     "text": Target(_text, seeds.tables, TABLE + NUMBERS),
     "npz": Target(_npz, seeds.archives, HEADER + BINARY),
     "npy": Target(_npy, seeds.arrays, HEADER + BINARY),

@@ -129,13 +129,13 @@ def located(terms: Sequence[Expression], columns: Columns) -> dict[str, Unknown]
     missing = [name for name, one in out.items() if math.isnan(one.low)]
     while missing:
         found = {name: _range(places[name], out, columns) for name in missing}
-        left = [name for name in missing if found[name] is None]
+        left = [name for name, ends in found.items() if ends is None or not -math.inf < ends[0] < ends[1] < math.inf]
         if left == missing:
             raise InputError(
                 f"the record does not tell where {{{left[0]}}} may be: give its range, as in {{{left[0]}: 0.01..3}}"
             )
         for name, ends in found.items():
-            if ends is not None:
+            if ends is not None and -math.inf < ends[0] < ends[1] < math.inf:
                 out[name] = replace(out[name], low=ends[0], high=ends[1])
         missing = left
     for term in terms:
