@@ -41,8 +41,8 @@ MOST_COORDINATES = 9
 
 CONSTRAINTS_HINT = "what is known of coefficients, one in a line, by the names of terms: u == 1, v <= 0"
 TERMS_HINT = (
-    "oscillator, polynomial:3, or terms in the names of the channels: x, v, x**3, v*abs(v), sign(v), u; {v0} is an unknown"
-    " constant inside a term, tanh(v/{v0})"
+    "oscillator, polynomial:3, or terms in the names of the channels: x, v, x**3, v*abs(v), sign(v), u;"
+    " {v0} is an unknown constant inside a term, tanh(v/{v0})"
 )
 
 

@@ -322,7 +322,7 @@ def _beside(operation: str, values: Sequence[Floats], path: tuple[Node, ...], wa
         return 1.0 / (BEYOND * largest), 1.0 / least
     if operation == "+" and _is_positive(path):
         least += CLEAR * max(0.0, -lowest)
-        return (least, BEYOND * largest) if least < largest else None
+        return (least, BEYOND * largest) if least < 0.5 * BEYOND * largest else None
     if operation == "-" and _is_positive(path):
         return None
     if highest > lowest:
