@@ -405,6 +405,7 @@ HOSTILE = {
     "x # comment": "'#' at column 3",
     "x\0": r"'\\x00' at column 2",
     "x;y": "not allowed",
+    "\u013f*x": "is not allowed as a name",
     "tanh(v/{v0": "an unknown constant is {name}, or {name: low..high}",
     "tanh(v/v0})": "ends no unknown constant",
     "tanh(v/{v0: 3..1})": "the range of {v0} at column 8 is empty",

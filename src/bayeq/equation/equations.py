@@ -485,7 +485,8 @@ class Equations(Answer):
         """Independent draws of the coefficients over the models, as ArviZ keeps them.
 
         A model is drawn by its probability, coefficients and intercept are normal given the model, with the noise
-        variance of the model; an engine that does not average has the model of the included terms alone.
+        variance of the model; an engine that does not average has the model of the included terms alone. Constants
+        inside terms stay at the values that were found.
 
         Parameters
         ----------

@@ -105,7 +105,7 @@ def _tokens(text: str) -> list[_Token]:
 def _name(text: str, written: str, column: int) -> str:
     """A name in the form in which Python compares them (NFKC)."""
     name = unicodedata.normalize("NFKC", written)
-    if not written.isidentifier():
+    if not written.isidentifier() or not re.fullmatch(_NAME, name):
         raise _error(text, f"{_shown(written)} at column {column} is not allowed as a name")
     if keyword.iskeyword(name):
         raise _error(text, f"the word {name!r} is not allowed: there are {_ALLOWED}")
