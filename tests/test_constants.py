@@ -176,7 +176,7 @@ def test_one_constant_of_several_equations():
     assert [term.text for term in terms] == ["x", "tanh(v/{s})", "y"]
     assert allowed.tolist() == [[True, True, False], [False, True, True]]
     assert terms[1].unknowns["s"].low == 1.0
-    with pytest.raises(InputError, match="equation b: .*in no either-or here"):
+    with pytest.raises(InputError, match=r"equation b: .*in no either-or here"):
         build_dictionaries("a: x, tanh(v/{s}) | sign(v); b: y, sign(v)", ("a", "b"), variables)
 
 
@@ -388,7 +388,7 @@ def test_several_records_and_a_dictionary_by_its_equation():
 def test_constraints_name_terms_with_constants(record):
     eqs = found(record, "x, v, u, tanh(v/{v0})", constraints="a: tanh(v/{v0}) <= 0", holdout=0.0)
     assert set(eqs.equations[0].shown) == set(FRICTION)
-    with pytest.raises(InputError, match="{v0} is a constant inside a term: write its range there"):
+    with pytest.raises(InputError, match=r"\{v0\} is a constant inside a term: write its range there"):
         found(record, "x, v, u, tanh(v/{v0})", constraints="{v0} == 0.1")
 
 

@@ -327,8 +327,8 @@ class Question:
             if unknown is not None:
                 raise InputError(
                     f"term {unknown}: its constants are found by the likelihood of the record, which could not be"
-                    " evaluated near its motion: give narrower ranges, write abs() where a power or a root needs it, or fewer"
-                    " terms"
+                    " evaluated near its motion: give narrower ranges, write abs() where a power or a root needs it, or"
+                    " fewer terms"
                 )
             return design
         if record.task.layout.terms == design.terms:
