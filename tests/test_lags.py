@@ -34,7 +34,7 @@ def quietly(*arguments, **options):
 @pytest.fixture(scope="module")
 def late():
     """A record whose force is late, its true coefficients and the lag."""
-    record, truth, name, lag = draw_record("force", "x:v:a", 0.02, 8)
+    record, truth, name, lag = draw_record("force", "x:v:a", 0.02, 7)  # late by 2.25 samples
     assert name == "u"
     return record, truth, lag
 
@@ -58,7 +58,8 @@ def test_without_it_the_damping_is_wrong(late, answer):
     record, truth, _ = late
     damping = [eq.coefficients()["a"]["v"] for eq in (answer, quietly(record))]
     told, untold = (abs(found / truth["v"] - 1.0) for found in damping)
-    assert told < 0.05 < 0.2 < untold
+    assert told < 0.03
+    assert untold > 0.1
 
 
 @pytest.mark.parametrize("seed", [3, 4])
