@@ -48,6 +48,10 @@ def test_names_families_and_limits():
     assert f"{MAX_LENGTH} characters, {MAX_DEPTH} levels and {MAX_NODES} operations" in PAGE
 
 
+# in a table | has a backslash
+WRITTEN = [cell.strip("`").replace("\\|", "|") for cell, _ in rows("written | is") if ".txt" not in cell]
+
+
 @pytest.mark.parametrize("text", WRITTEN)
 def test_the_dictionaries_written_there_are_read(text):
     if ";" in text:
