@@ -20,9 +20,21 @@ from numpy.typing import NDArray
 from bayeq.errors import InputError
 from bayeq.expressions import Binary, Call, Evaluator, Expression, Negate, Node, Number, Unknown
 from bayeq.expressions.functions import COMPARISONS
-from bayeq.expressions.nodes import arguments_of, unknowns_of
+from bayeq.expressions.nodes import arguments_of, is_comparison, unknowns_of
 
-__all__ = ["NODES", "beside", "families", "grids", "is_scale", "located", "to_plain", "to_scale", "with_ranges"]
+__all__ = [
+    "JUMP_NODES",
+    "NODES",
+    "beside",
+    "families",
+    "grids",
+    "is_scale",
+    "jumps_at",
+    "located",
+    "to_plain",
+    "to_scale",
+    "with_ranges",
+]
 
 Floats = NDArray[np.float64]
 Columns = Sequence[Mapping[str, Floats]]
@@ -46,6 +58,9 @@ FEWEST_WAVES, MOST_WAVES = 0.5, 20.0
 # Nodes of a scale, a place or a power; of a phase, those about its middle that reach half a turn, for the
 # coefficient has either sign.
 NODES = 13
+
+# Nodes of a place where a term jumps; the place is known no better than about one of them.
+JUMP_NODES = 1000
 PHASES = -0.25 * math.pi, 0.25 * math.pi
 
 # Frequencies are this share of what the record resolves apart.
@@ -190,6 +205,11 @@ def grids(
         )
     for values in itertools.product(*each):
         yield dict(zip(names, values, strict=True))
+
+
+def jumps_at(term: Expression, name: str) -> bool:
+    """Whether a term jumps where something passes a constant."""
+    return any(_jumps(path) for path in _paths(term.tree, name))
 
 
 def beside(term: Expression, name: str) -> Place:
@@ -374,4 +394,11 @@ def _nodes(
         step = APART * 2.0 * math.pi / _span(values)
         found = np.linspace(low, high, max(NODES, math.ceil((high - low) / step) + 1))
         return (1.0 / found if below else found).tolist()
-    return (np.geomspace if is_scale(constant) else np.linspace)(low, high, NODES).tolist()
+    count = JUMP_NODES if _jumps(path) else NODES
+    return (np.geomspace if is_scale(constant) else np.linspace)(low, high, count).tolist()
+
+
+def _jumps(path: tuple[Node, ...]) -> bool:
+    """Whether a term jumps where something passes a constant: nothing but a fine grid finds that place."""
+    steps = ("sign", "heaviside", "floor", "ceil")
+    return any(is_comparison(node) or (isinstance(node, Call) and node.function in steps) for node in path)

@@ -174,8 +174,8 @@ class Question:
             equations, _, selections = self._found(*found, constrained, units, first, scored)
             _warn_of_other_terms(equations, scored, first)
         for equation in equations:
-            for message in equation.at_ends:
-                first.warn(f"{equation.target}: {message}", DataWarning)
+            for advice in equation.at_ends:
+                first.warn(f"{equation.target}: {advice}", DataWarning)
         log.collected += first.collected
         step("inference", len(equations), len(equations))
         likelihood = record if found is None else found[1]
@@ -461,7 +461,7 @@ def _in_radians(
     if found:
         text, unit = found[0]
         others = f" ({len(found) - 1} more alike)" if len(found) > 1 else ""
-        log.warn(f"{text}: its argument has the unit {unit}{others}: the equation holds in that unit only", TermWarning)
+        log.warn(f"{text}: its argument has the unit {unit}{others}: leave it, or use a ratio without one", TermWarning)
     return written, tuple(known)
 
 
@@ -489,8 +489,7 @@ def _warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
     unused = [name for name in roles.measured if sensors.noisy(name)]
     if unused and not motion.smoothing:
         log.warn(
-            f"the noise given of {some_of(unused, 30)} is not used: rows are taken as measured here (smooth='auto' uses"
-            " it)",
+            f"the noise given of {some_of(unused, 30)} is not used: rows are taken as measured here; use smooth='auto'",
             DataWarning,
         )
 
@@ -505,7 +504,7 @@ def _warn_of_blows(
             change = float(np.abs(blows).max() / np.sqrt(blows @ blows))
             log.warn(
                 f"{name} is exactly 0 between blows, its noise is not seen: 1 % of the peak would be {change:.1g} % of"
-                f" its coefficient (--noise {name}=SD)",
+                f" its coefficient: give --noise {name}=SD",
                 DataWarning,
             )
 

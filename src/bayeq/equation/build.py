@@ -286,13 +286,12 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
         advice = "add terms or inputs" if regression.motion.smoothing else "use smooth='auto'"
         log.warn(
             f"{target}: the residuals are correlated in time (worth {residuals.n_eff:.0f} of {residuals.n} rows):"
-            f" intervals may be too narrow; {advice}",
+            f" intervals may be too narrow; {advice}, or measure longer",
             CorrelatedResidualsWarning,
         )
     if residuals.driven and residuals.driver is not None:
         log.warn(
-            f"{target}: the residuals follow {residuals.driver}: a term is missing, or it is delayed"
-            " (bayeq.correct_delay)",
+            f"{target}: the residuals follow {residuals.driver}: add a term, or shift it (bayeq.correct_delay)",
             CorrelatedResidualsWarning,
         )
 
@@ -304,7 +303,7 @@ def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: Warni
         term, (change,) = max(changes.items(), key=lambda one: abs(one[1][0]))
         log.warn(
             f"{equation.target}: how noisy {name} is cannot be seen; {100 * NOISE_OF_INPUT:.0f} % of noise would shift"
-            f" that of {term} by {100 * change:+.2g} % (--noise {name}=SD)",
+            f" that of {term} by {100 * change:+.2g} %: give --noise {name}=SD",
             DataWarning,
         )
 

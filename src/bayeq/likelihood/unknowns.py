@@ -19,7 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
-from bayeq.dictionary.ranges import NODES, families, grids, is_scale, located, to_plain, to_scale
+from bayeq.dictionary.ranges import (
+    JUMP_NODES,
+    NODES,
+    families,
+    grids,
+    is_scale,
+    jumps_at,
+    located,
+    to_plain,
+    to_scale,
+)
 from bayeq.expressions import Binary, Expression, Node, Unknown, number
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.search import best_models
@@ -326,6 +336,8 @@ def _derivative(term: Expression, name: str) -> Expression:
     """The derivative of a term by one of its constants, on its scale."""
     constant = term.unknowns[name]
     step = STEP * (1.0 if is_scale(constant) else constant.high - constant.low)
+    if jumps_at(term, name):
+        step = _range(constant) / JUMP_NODES  # between two nodes of the grid
     place = to_scale(constant, constant.value)
     up, down = (
         term.with_unknowns({name: replace(constant, value=to_plain(constant, place + way * step))}).tree
@@ -406,6 +418,8 @@ def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floa
         sd, ends = None, [low, high]
         if at:
             sd = float(1.0 / np.sqrt(power * np.sum(1.0 / np.diagonal(found.covariance)[at])))
+            if any(jumps_at(terms[j], name) for j in used):
+                sd = math.hypot(sd, _range(constant) / JUMP_NODES)  # where the term jumps is known no better
             place = to_scale(constant, constant.value)
             ends = [to_plain(constant, place + way * Z95 * sd) for way in (-1.0, 1.0)]
         ci95 = max(ends[0], low), min(ends[1], high)
