@@ -150,7 +150,7 @@ def test_forecasts_of_several_records(record, tmp_path, capsys):
     assert table["record"].value_counts().to_dict() == {"duffing.csv": 200, "other.csv": 100}
     assert run(capsys, *given, "--forecast", tmp_path / "run.svg")[0] == 0
     # two panels for each record, of two lines and a band
-    assert (tmp_path / "run.svg").read_text().count('id="axes_') == 4
+    assert (tmp_path / "run.svg").read_text().count('id="axes_') == 8  # a run and its residual each
 
 
 def test_what_cannot_be_written_is_refused_before_the_work(record, tmp_path, capsys):

@@ -14,7 +14,7 @@ def test_a_new_row_is_an_engine_that_discover_offers(monkeypatch):
     record = bq.simulate("linear", n=500, seed=0, noise=0.01)
     eq = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary="x, v, u, x*v", method="mine", smooth="none")
     assert eq.method == "mine"
-    assert "a title of mine" in str(eq)
+    assert "method: mine" in str(eq)
     assert "relevance" in str(eq)
 
 

@@ -54,7 +54,7 @@ def parameters(function):
 
 
 def test_signatures():
-    assert parameters(bq.discover)[:10] == [
+    assert parameters(bq.discover)[:11] == [
         "records",
         "chains",
         "displacement",
@@ -62,6 +62,7 @@ def test_signatures():
         "acceleration",
         "force",
         "inputs",
+        "target",
         "dictionary",
         "method",
         "smooth",

@@ -35,7 +35,7 @@ def test_chains(text, names, order):
     assert parse_chain(str(chain)) == chain
 
 
-@pytest.mark.parametrize("text", ["", ":", "::", "::x", "::dx", "x:x", "x:v:a:b:c:d", "lambda"])
+@pytest.mark.parametrize("text", ["", ":", "::", "::dx", "x:x", "x:v:a:b:c:d", "lambda"])
 def test_wrong_chains(text):
     with pytest.raises(ChainError):
         parse_chain(text)

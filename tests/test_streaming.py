@@ -269,8 +269,8 @@ def test_bad_samples_outside_of_the_stretches_are_counted(record, tmp_path, monk
     assert found[0].included == ("x", "v", "x**3", "u")
     said = [line for line in found.warnings if "all 14,000 rows" in line]
     assert said == [
-        "of all 14,000 rows these samples are missing: 2 of u; check the sensors and the acquisition",
-        "of all 14,000 rows these samples were left out as bad: 3 of x; check the sensors and the acquisition",
+        "of all 14,000 rows these samples are missing: 2 of u; check the sensors",
+        "of all 14,000 rows these samples were left out as bad: 3 of x; check the sensors",
     ]
     untouched = quietly(written(record, tmp_path / "o.parquet"), stream=True, dictionary="x, v, x**2, x**3, u")
     assert not any("all 14,000 rows" in line for line in untouched.warnings)

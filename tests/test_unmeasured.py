@@ -64,7 +64,7 @@ def test_why_it_cannot_be_integrated():
     assert refused(noise) == (
         "run: 'a' cannot be integrated: it does not stand out of its noise at any frequency; measure with less noise"
     )
-    assert refused([record, bq.Record({"a": record["a"]}, 2 * t)]) == (
+    assert refused([record, bq.Record({"a": 1.1 * record["a"]}, 2 * t)]) == (
         "run: 'a' cannot be integrated: records are sampled at different rates; resample them at one rate"
     )
     assert refused([record.slice(k, k + 4) for k in (0, 30)]).endswith(

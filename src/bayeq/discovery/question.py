@@ -174,8 +174,8 @@ class Question:
             equations, _, selections = self._found(*found, constrained, units, first, scored)
             _warn_of_other_terms(equations, scored, first)
         for equation in equations:
-            for advice in equation.at_ends:
-                first.warn(f"{equation.target}: {advice}", DataWarning)
+            for message in equation.at_ends:
+                first.extend([f"{equation.target}: {message}"], DataWarning)
         log.collected += first.collected
         step("inference", len(equations), len(equations))
         likelihood = record if found is None else found[1]
