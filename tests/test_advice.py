@@ -19,8 +19,7 @@ CATEGORIES = {name for name in errors.__all__ if name.endswith("Warning")}
 # What a user can do, in the words of the messages.
 DOES = re.compile(
     r"\b(add|check|compare|drop|give|keep|[Ll]eave|look|show|measure|rename|resample|reverse|shift|use)\b"
-    r"|would|taken of radians|--remove-offset|remove_offset|asks for|refine the result|takes (it out|them as they are)"
-    r"|shifts it back|do not rely"
+    r"|would (decide|tell)|asks for|refine the result|takes (it out|them as they are)|shifts it back|do not rely"
 )
 
 

@@ -166,7 +166,9 @@ def test_warnings_in_plain_words():
 def test_an_equation_that_explains_little_is_warned_of():
     rng = np.random.default_rng(0)
     noise = bq.Record.from_arrays(x=rng.normal(size=300), v=rng.normal(size=300))
-    with pytest.warns(DataWarning, match=r"no equation found: the terms explain little of v on the held-out rows"):
+    with pytest.warns(
+        DataWarning, match=r"no equation found: the terms explain little of v on the held-out rows; check the channels"
+    ):
         bq.discover(noise, chains="x:v", dictionary="polynomial:2")
 
 

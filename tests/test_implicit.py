@@ -9,7 +9,7 @@ from studies.implicit import SYSTEMS, cart_pole, double_pendulum
 import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionaries
 from bayeq.errors import InputError
-from bayeq.expressions import Binary, Evaluator, Expression, Number, Symbol, Tape, parse
+from bayeq.expressions import Evaluator, Expression, Number, Symbol, Tape, number, parse
 from bayeq.expressions.implicit import inverse, multiplied, solved
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.states import Roles
@@ -45,9 +45,13 @@ def test_the_symbolic_inverse_is_the_inverse(n: int) -> None:
     computed = np.array([[evaluate(Expression(node))[0] for node in row] for row in found])
     np.testing.assert_allclose(computed, np.linalg.inv(np.eye(n) - A), atol=1e-12)
     b = rng.standard_normal(n)
-    sides = [Binary("*", Symbol("x"), parse(f"{abs(value)}").tree) for value in b]
-    ends = [evaluate(Expression(node))[0] for node in solved(found, sides)]
-    np.testing.assert_allclose(ends, np.linalg.solve(np.eye(n) - A, np.abs(b)), atol=1e-12)
+    names = [f"a{j}" for j in range(n)]
+    equations = [
+        [(number(b[i]), parse("x")), *((nodes[i][j], parse(names[j])) for j in range(n) if A[i, j] != 0.0)]
+        for i in range(n)
+    ]
+    ends = [evaluate(Expression(node))[0] for node in solved(equations, names)[0]]
+    np.testing.assert_allclose(ends, np.linalg.solve(np.eye(n) - A, b), atol=1e-12)
 
 
 def test_targets_of_the_tape_solve_the_equations() -> None:

@@ -22,6 +22,7 @@ from bayeq.systems.system import BandLimitedForce, System
         ("x", ("x", "dx"), 1),
         ("x:xdot", ("x", "xdot"), 1),
         ("::a", ("x", "dx", "a"), 2),
+        ("::x", ("x_x", "dx_x", "x"), 2),
         (":v:a", ("x", "v", "a"), 2),
         ("~q::a", ("q", "dq", "a"), 2),
         (" x : v : a ", ("x", "v", "a"), 2),

@@ -29,7 +29,7 @@ from bayeq.errors import ExpressionError, FileFormatError, InputError, UnknownNa
 from bayeq.expressions import Binary, Evaluator, Expression, Negate, Node, Unknown, parse
 from bayeq.expressions.functions import CONSTANTS, FUNCTIONS, TIME
 from bayeq.expressions.implicit import MOST_COUPLED, multiplied
-from bayeq.expressions.nodes import arguments_of
+from bayeq.expressions.nodes import arguments_of, nodes_of
 from bayeq.records.io import near_files
 
 __all__ = ["FAMILIES", "MAX_TERMS", "Family", "build_dictionaries", "build_dictionary", "evaluate_terms", "read_terms"]
@@ -358,13 +358,6 @@ def factors_of(node: Node) -> Iterator[Node]:
                 yield right
         case _:
             yield node
-
-
-def nodes_of(node: Node) -> Iterator[Node]:
-    """A node and all that it is made of."""
-    yield node
-    for part in arguments_of(node):
-        yield from nodes_of(part)
 
 
 def is_scaled(node: Node) -> bool:

@@ -58,10 +58,10 @@ FEWEST_WAVES, MOST_WAVES = 0.5, 20.0
 # Nodes of a scale, a place or a power; of a phase, those about its middle that reach half a turn, for the
 # coefficient has either sign.
 NODES = 13
+PHASES = -0.25 * math.pi, 0.25 * math.pi
 
 # Nodes of a place where a term jumps; the place is known no better than about one of them.
 JUMP_NODES = 1000
-PHASES = -0.25 * math.pi, 0.25 * math.pi
 
 # Frequencies are this share of what the record resolves apart.
 APART = 0.8

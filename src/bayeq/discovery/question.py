@@ -153,7 +153,7 @@ class Question:
         constrained = _constrained(known, design, self.method)
 
         step("likelihood", 0, 1)
-        record, tied = self._record(design, constrained, log)
+        record, tied = self._record(design, constrained, known, log)
         if (tied or any(one.stated for one in constrained)) and (record is None or whole is not None):
             raise InputError(
                 "constraints: ~, and ties between equations, are taken by the likelihood of the record in memory: use"
@@ -174,8 +174,7 @@ class Question:
             equations, _, selections = self._found(*found, constrained, units, first, scored)
             _warn_of_other_terms(equations, scored, first)
         for equation in equations:
-            for message in equation.at_ends:
-                first.extend([f"{equation.target}: {message}"], DataWarning)
+            first.extend([f"{equation.target}: {message}" for message in equation.at_ends], DataWarning)
         log.collected += first.collected
         step("inference", len(equations), len(equations))
         likelihood = record if found is None else found[1]
@@ -199,13 +198,13 @@ class Question:
         return answer, log
 
     def _record(
-        self, design: Design, constrained: Sequence[Constraints], log: WarningLog
+        self, design: Design, constrained: Sequence[Constraints], known: Sequence[str], log: WarningLog
     ) -> tuple[RecordFit | None, bool]:
         """The likelihood of the records, and whether ties between equations were asked for.
 
         It is compared with that without them, which is taken where the record contradicts them.
         """
-        ties = parse_ties(self.known, design.terms, design.motion.roles.targets)
+        ties = parse_ties(known, design.terms, design.motion.roles.targets)
         asked = partial(record_of, design, self.smooth, self.dictionary, self.prior, self.rules.tolerance, constrained)
         free = asked()
         if not ties or free is None:
@@ -454,7 +453,7 @@ def _in_radians(
     if changed:
         before, after = changed[0]
         others = f" ({len(changed) - 1} more alike)" if len(changed) > 1 else ""
-        log.warn(f"{before} is of an angle in degrees: taken of radians, as {after}{others}", TermWarning)
+        log.warn(f"check units: {before} is of an angle in degrees: taken of radians, as {after}{others}", TermWarning)
     for before, after in changed:
         known = [text.replace(before, after) for text in known]
     found = [(term.text, unit) for term in written for unit in arguments_with_units(term, units)]

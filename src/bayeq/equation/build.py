@@ -50,7 +50,7 @@ RUNNERS_UP = 5
 AMBIGUOUS = math.log(20.0)
 
 # What tells columns apart that are alike over the range of the motion.
-TELL_APART = "other amplitudes would"
+TELL_APART = "other amplitudes would tell"
 
 
 def build_equations(

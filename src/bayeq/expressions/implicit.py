@@ -7,11 +7,11 @@ nothing of it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-from bayeq.expressions.nodes import Binary, Expression, Negate, Node, Number, Symbol, arguments_of, with_arguments
+from bayeq.expressions.nodes import Binary, Expression, Negate, Node, Number, Symbol
 
-__all__ = ["MOST_COUPLED", "inverse", "multiplied", "product", "solved", "substituted_targets", "total"]
+__all__ = ["MOST_COUPLED", "inverse", "multiplied", "product", "solved", "total"]
 
 #: Equations that are solved together, at most: the entries of the inverse grow with each.
 MOST_COUPLED = 4
@@ -102,13 +102,25 @@ def inverse(A: Sequence[Sequence[Node]]) -> list[list[Node]]:
     return right
 
 
-def solved(inverted: Sequence[Sequence[Node]], b: Sequence[Node]) -> list[Node]:
-    """The highest derivatives, (I - A)^-1 b."""
-    return [total([product(g, one) for g, one in zip(row, b, strict=True)]) for row in inverted]
+def solved(
+    equations: Sequence[Sequence[tuple[Node, Expression]]], targets: Sequence[str]
+) -> tuple[list[Node], list[list[Node]]]:
+    """The highest derivatives of equations, (I - A)^-1 b, and (I - A)^-1.
 
-
-def substituted_targets(node: Node, values: Mapping[Node, Node]) -> Node:
-    """A term with what highest derivatives are solved for in their place."""
-    if node in values:
-        return values[node]
-    return with_arguments(node, tuple(substituted_targets(part, values) for part in arguments_of(node)))
+    Parameters
+    ----------
+    equations : sequence of sequences of (Node, Expression)
+        Of each the coefficients and the terms that it sums.
+    targets : sequence of str
+        Names of the highest derivatives.
+    """
+    b: list[list[Node]] = [[] for _ in targets]
+    A: list[list[list[Node]]] = [[[] for _ in targets] for _ in targets]
+    for c, summed in enumerate(equations):
+        for coefficient, term in summed:
+            part = multiplied(term, targets)
+            place = b[c] if part is None else A[c][part[0]]
+            place.append(product(coefficient, term.tree if part is None else part[1].tree))
+    inverted = inverse([[total(one) for one in row] for row in A])
+    sides = [total(one) for one in b]
+    return [total([product(g, one) for g, one in zip(row, sides, strict=True)]) for row in inverted], inverted

@@ -24,7 +24,9 @@ __all__ = [
     "Unknown",
     "arguments_of",
     "is_comparison",
+    "nodes_of",
     "number",
+    "replaced",
     "unknowns_of",
     "with_arguments",
 ]
@@ -229,18 +231,23 @@ def _named(node: Node, kind: type[Symbol | Constant]) -> frozenset[str]:
     return own.union(*(_named(part, kind) for part in arguments_of(node)))
 
 
+def nodes_of(node: Node) -> Iterator[Node]:
+    """A node and all that it is made of."""
+    yield node
+    for part in arguments_of(node):
+        yield from nodes_of(part)
+
+
 def unknowns_of(node: Node) -> Iterator[Unknown]:
     """The unknown constants of a tree, wherever they stand."""
-    if isinstance(node, Unknown):
-        yield node
-    for part in arguments_of(node):
-        yield from unknowns_of(part)
+    return (one for one in nodes_of(node) if isinstance(one, Unknown))
 
 
-def _with_unknowns(node: Node, found: Mapping[str, Unknown]) -> Node:
-    if isinstance(node, Unknown):
-        return found.get(node.name, node)
-    return with_arguments(node, tuple(_with_unknowns(part, found) for part in arguments_of(node)))
+def replaced(node: Node, values: Mapping[Node, Node]) -> Node:
+    """A tree with others in place of some of its nodes."""
+    if node in values:
+        return values[node]
+    return with_arguments(node, tuple(replaced(part, values) for part in arguments_of(node)))
 
 
 def _size(node: Node) -> int:
@@ -305,7 +312,10 @@ class Expression:
 
     def with_unknowns(self, found: Mapping[str, Unknown]) -> Expression:
         """The expression with others in place of its unknown constants, by name."""
-        return Expression(_with_unknowns(self.tree, found), self.choice) if self.unknowns else self
+        if not self.unknowns:
+            return self
+        values: dict[Node, Node] = {one: found[one.name] for one in unknowns_of(self.tree) if one.name in found}
+        return Expression(replaced(self.tree, values), self.choice)
 
     def __str__(self) -> str:
         return self.text

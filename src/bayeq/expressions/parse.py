@@ -31,7 +31,7 @@ from bayeq.expressions.nodes import (
     argument_count,
     arguments_of,
     is_comparison,
-    with_arguments,
+    replaced,
 )
 
 __all__ = ["MAX_DEPTH", "MAX_LENGTH", "MAX_NODES", "parse", "substituted", "template"]
@@ -363,14 +363,8 @@ def parse(text: str, names: Iterable[str] | None = None) -> Expression:
             place = f"expression {_shown(text)}, column {_column(text, name)}"
             raise UnknownNameError("channel", name, list(known), where=place)
     constants = expression.names.intersection(CONSTANTS).difference(known)
-    return Expression(_with_constants(expression.tree, constants)) if constants else expression
-
-
-def _with_constants(node: Node, names: frozenset[str]) -> Node:
-    """A tree with constants for the symbols of their names."""
-    if isinstance(node, Symbol):
-        return Constant(node.name) if node.name in names else node
-    return with_arguments(node, tuple(_with_constants(part, names) for part in arguments_of(node)))
+    named: dict[Node, Node] = {Symbol(name): Constant(name) for name in constants}
+    return Expression(replaced(expression.tree, named)) if named else expression
 
 
 def _column(text: str, name: str) -> int:
@@ -396,6 +390,5 @@ def substituted(node: Node, arguments: Sequence[Node]) -> Node:
     >>> Expression(substituted(template("(1+sign(a))/2"), [parse("x-v").tree])).text
     '(1+sign(x-v))/2'
     """
-    if isinstance(node, Symbol):
-        return arguments[_PLACES.index(node.name)]
-    return with_arguments(node, tuple(substituted(part, arguments) for part in arguments_of(node)))
+    places = (Symbol(name) for name in _PLACES)
+    return replaced(node, dict(zip(places, arguments, strict=False)))

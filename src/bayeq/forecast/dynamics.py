@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
-from bayeq.expressions.implicit import inverse, multiplied, product, solved, total
+from bayeq.expressions.implicit import solved
 from bayeq.expressions.tape import Program
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Drive, local_errors
@@ -52,27 +52,21 @@ class Law(NamedTuple):
 def solved_laws(laws: Sequence[Law]) -> list[Law]:
     """The same laws, or, where terms hold highest derivatives, each with one term that is solved for them."""
     heads = [law.chain.target for law in laws]
-    parts = [[multiplied(term, heads) for term in compress(law.terms, law.posterior.support)] for law in laws]
-    if not any(part for row in parts for part in row):
+    if not any(term.names.intersection(heads) for law in laws for term in compress(law.terms, law.posterior.support)):
         return list(laws)
-    sides: list[Node] = []
-    multipliers: list[list[list[Node]]] = [[[] for _ in laws] for _ in laws]
-    for k, (law, own) in enumerate(zip(laws, parts, strict=True)):
-        p = law.posterior
-        side: list[Node] = [number(p.intercept)]
-        members = compress(law.terms, p.support)
-        for term, part, value in zip(members, own, p.coef[p.support].tolist(), strict=True):
-            place = side if part is None else multipliers[k][part[0]]
-            place.append(product(number(value), term.tree if part is None else part[1].tree))
-        sides.append(total(side))
-    inverted = inverse([[total(one) for one in row] for row in multipliers])
+    summed = []
+    for law in laws:
+        p, one = law.posterior, Expression(number(1))
+        members = zip(p.coef[p.support].tolist(), compress(law.terms, p.support), strict=True)
+        summed.append([(number(value), term) for value, term in [(p.intercept, one), *members]])
+    sides, _ = solved(summed, heads)
     alone = np.ones(1, dtype=np.bool_)
     return [
         law._replace(
             terms=(Expression(side),),
             posterior=replace(law.posterior, support=alone, coef=np.ones(1), center=np.zeros(1), target_mean=0.0),
         )
-        for law, side in zip(laws, solved(inverted, sides), strict=True)
+        for law, side in zip(laws, sides, strict=True)
     ]
 
 
@@ -130,26 +124,18 @@ class Dynamics:
         targets: list[Expression] = []
         parameters: list[str] = []
         forces: list[str] = []
-        sides: list[Node] = []
-        heads = [law.chain.target for law in laws]
-        multipliers: list[list[list[Node]]] = [[[] for _ in laws] for _ in laws]
+        one = Expression(Number(1))
+        summed: list[list[tuple[Node, Expression]]] = []
         for k, (law, members) in enumerate(zip(laws, kept, strict=True)):
             # names that no channel can have
             names = [f"theta[{k},{j}]" for j in range(len(members) + 1)]
-            side: Node = Symbol(names[0]) if constant[k] else Number(0)
-            for name, term in zip(names[1:], members, strict=True):
-                part = multiplied(term, heads)
-                if part is None:
-                    side = Binary("+", side, Binary("*", Symbol(name), term.tree))
-                else:
-                    multipliers[k][part[0]].append(product(Symbol(name), part[1].tree))
+            own = list(zip(names, [one, *members], strict=True))[not constant[k] :]
             parameters += names[not constant[k] :]
             if forced and law.posterior.error_lines:
                 forces.append(f"force[{k}]")
-                side = Binary("+", side, Symbol(forces[-1]))
-            sides.append(side)
-        if any(any(row) for row in multipliers):
-            sides = solved(inverse([[total(one) for one in row] for row in multipliers]), sides)
+                own.append((forces[-1], one))
+            summed.append([(Symbol(name), term) for name, term in own])
+        sides, _ = solved(summed, [law.chain.target for law in laws])
         for law, side in zip(laws, sides, strict=True):
             targets.append(Expression(side))
             above = [*map(Symbol, law.chain.states[1:]), side]

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from bayeq.expressions import Binary, Call, Expression, Node, Number, Symbol, Tape, number
 from bayeq.expressions.functions import TIME
-from bayeq.expressions.implicit import inverse, multiplied, product, solved, substituted_targets, total
+from bayeq.expressions.implicit import solved
+from bayeq.expressions.nodes import replaced
 from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import jumps_of, mean_of_jumps
 from bayeq.states import Lag, Roles, rates
@@ -279,22 +280,17 @@ class Layout:
         return tuple(Expression(mean_of_jumps(term.tree, widths)) for term in self.terms)
 
     @cached_property
-    def implicit(self) -> tuple[tuple[int, Expression] | None, ...]:
-        """Of every term the target that it is proportional to, and the rest; empty where no term holds any."""
-        parts = tuple(multiplied(term, self.roles.targets) for term in self.terms)
-        return parts if any(parts) else ()
+    def implicit(self) -> bool:
+        """Whether terms hold targets (`bayeq.expressions.implicit`)."""
+        return any(term.names.intersection(self.roles.targets) for term in self.terms)
 
     def solved(self, chosen: Candidates) -> tuple[list[Node], list[list[Node]]]:
-        """The targets without their discrepancies, and (I - A)^-1 of the mass matrix I - A (`expressions.implicit`)."""
-        b: list[list[Node]] = [[] for _ in range(self.chains)]
-        A: list[list[list[Node]]] = [[[] for _ in range(self.chains)] for _ in range(self.chains)]
+        """The targets without their discrepancies, and (I - A)^-1 of the mass matrix I - A."""
+        summed: list[list[tuple[Node, Expression]]] = [[] for _ in range(self.chains)]
         for k, (c, j) in enumerate(zip(chosen.chain.tolist(), chosen.term.tolist(), strict=True)):
-            part = self.implicit[j] if j < len(self.terms) else None
-            whole = self.blurred[j].tree if j < len(self.terms) else number(1)
-            place = b[c] if part is None else A[c][part[0]]
-            place.append(product(Symbol(f"theta[{k}]"), whole if part is None else part[1].tree))
-        inverted = inverse([[total(one) for one in row] for row in A])
-        return solved(inverted, [total(one) for one in b]), inverted
+            term = self.blurred[j] if j < len(self.terms) else Expression(number(1))
+            summed[c].append((Symbol(f"theta[{k}]"), term))
+        return solved(summed, self.roles.targets)
 
     def tape(self, chosen: Candidates) -> Tape:
         """Rates of the states, targets, chosen terms, in states, t, widths and the terms' coefficients.
@@ -309,7 +305,7 @@ class Layout:
             free, inverted = self.solved(chosen)
             targets = [Binary("+", one, d) for one, d in zip(free, targets, strict=True)]
             values: dict[Node, Node] = dict(zip(map(Symbol, self.roles.targets), free, strict=True))
-            terms = [substituted_targets(term, values) for term in terms]
+            terms = [replaced(term, values) for term in terms]
             further = [*free, *(entry for row in inverted for entry in row)]
         else:
             for name, c, term in zip(parameters, chosen.chain, terms, strict=True):

@@ -141,7 +141,7 @@ def linearise(
         layout.motion,
         layout.rising,
         layout.straight,
-        bool(layout.implicit),
+        layout.implicit,
     )
     end, transition, sources, target, gradient = arrays(
         (n - 1, size), (n - 1, size, size), (n - 1, layout.motion, len(theta)), (n, chains), (n, chains, size)

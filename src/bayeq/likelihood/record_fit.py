@@ -31,10 +31,10 @@ from bayeq.likelihood.search import (
     among_neighbours,
     fit,
     from_all_levels,
+    from_starts,
     of_motion,
     resumed,
     search,
-    settle,
     with_model,
 )
 from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, among_fitted, averaged, soft_of
@@ -429,17 +429,10 @@ def learned_lags(
         some, _ = _stretches(motion)
         log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
         task, states = start_from(some, terms, grams, first_members(some, terms, log_odds), None)
-        settled: list[tuple[Task, Fitted]] = []
-        for state in states:
-            try:
-                settled.append(settle(task, state))
-            except np.linalg.LinAlgError:
-                continue
-            if settled[-1][1].state.levels.kappa.max() < ADEQUATE:
-                break
-        if not settled:
+        try:
+            task, fitted = from_starts(task, states)
+        except np.linalg.LinAlgError:
             return None
-        task, fitted = max(settled, key=lambda pair: pair[1].evidence)
         lags = lags_of(task, fitted.state)
     before = motion.sensors.lags
     return lags, max((abs(one.value - before[name].value) / one.sd for name, one in lags.items()), default=0.0)

@@ -49,6 +49,7 @@ __all__ = [
     "finer",
     "fit",
     "from_all_levels",
+    "from_starts",
     "of_motion",
     "resumed",
     "search",
@@ -514,6 +515,31 @@ def with_other_inputs(task: Task, best: Fitted, others: Alternatives) -> tuple[T
     return task, best
 
 
+def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]) -> tuple[Task, Fitted]:
+    """The likeliest fit that starts lead to, from the next one too where those before left a discrepancy.
+
+    A start may be what gives it, or None, when it is needed.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        No start leads to a likelihood that can be evaluated.
+    """
+    settled: list[tuple[Task, Fitted]] = []
+    for one in starts:
+        try:
+            start = one if isinstance(one, State) else one()
+            if start is not None:
+                settled.append(settle(task, start))
+        except np.linalg.LinAlgError:
+            continue
+        if settled and settled[-1][1].state.levels.kappa.max() < ADEQUATE:
+            break
+    if not settled:
+        raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
+    return max(settled, key=lambda pair: pair[1].evidence)
+
+
 def search(task: Task, starts: Sequence[State], others: Alternatives) -> tuple[Task, Fitted]:
     """The best model that rounds of selection lead to.
 
@@ -532,19 +558,7 @@ def search(task: Task, starts: Sequence[State], others: Alternatives) -> tuple[T
     (Task, Fitted)
         The task with the steps of integration that were used.
     """
-    settled: list[tuple[Task, Fitted]] = []
-    for state in (*starts, None):
-        try:
-            start = all_together(task, starts[-1]) if state is None else state
-            if start is not None:
-                settled.append(settle(task, start))
-        except np.linalg.LinAlgError:
-            continue
-        if settled and settled[-1][1].state.levels.kappa.max() < ADEQUATE:
-            break
-    if not settled:
-        raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
-    task, best = max(settled, key=lambda pair: pair[1].evidence)
+    task, best = from_starts(task, (*starts, partial(all_together, task, starts[-1])))
     task, best = with_other_inputs(task, best, others)
     task.recent.clear()
     return task, best

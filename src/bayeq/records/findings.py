@@ -327,14 +327,15 @@ def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: 
     if abs(shift.offset_t) > significant and abs(shift.offset) > LEAST_OFFSET * spread:
         message = (
             f"{q} has an offset of {shift.offset:.3g}{unit} against {what}"
-            f" ({100.0 * abs(shift.offset) / spread:.2g} % of its deviation): --remove-offset {q}={shift.offset:.4g}"
+            f" ({100.0 * abs(shift.offset) / spread:.2g} % of its deviation):"
+            f" use --remove-offset {q}={shift.offset:.4g}"
         )
         found.append(Finding("offset", (q, p), message, shift.offset))
     if abs(shift.drift_t) > significant and abs(shift.drift) * span > 2.0 * LEAST_OFFSET * spread:
         message = (
             f"{q} drifts by {shift.drift * span:.3g}{unit} over the record against {what}"
             f" ({100.0 * abs(shift.drift) * span / spread:.2g} %):"
-            f" bayeq.remove_offset(record, {q!r}, {shift.offset:.4g}, drift={shift.drift:.4g})"
+            f" use bayeq.remove_offset(record, {q!r}, {shift.offset:.4g}, drift={shift.drift:.4g})"
         )
         found.append(Finding("drift", (q, p), message, shift.drift))
     return found
