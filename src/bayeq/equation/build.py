@@ -284,9 +284,11 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
         return
     if residuals.correlated:
         advice = "add terms or inputs" if regression.motion.smoothing else "use smooth='auto'"
+        counted = regression.gram.n < equation.train.n
+        so = ", which is what the rows count for" if counted else ": intervals may be too narrow"
         log.warn(
-            f"{target}: the residuals are correlated in time (worth {residuals.n_eff:.0f} of {residuals.n} rows):"
-            f" intervals may be too narrow; {advice}, or measure longer",
+            f"{target}: the residuals are correlated in time, worth {residuals.n_eff:.0f} of {residuals.n} rows{so};"
+            f" {advice}, or measure longer",
             CorrelatedResidualsWarning,
         )
     if residuals.driven and residuals.driver is not None:
