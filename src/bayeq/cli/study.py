@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import click
 
 from bayeq.cli.environment import say
-from bayeq.cli.options import FILE, Command, cluster_client, json_option, option
+from bayeq.cli.options import FILE, Command, cluster_client, json_option, number, option
 from bayeq.errors import InputError, InterruptedRun
 
 __all__ = ["study"]
@@ -128,6 +129,105 @@ def figures(folder: Path, seed: int, systems: str) -> None:
 
     for path in write_figures(folder, seed=seed, systems=_names(systems)):
         click.echo(str(path))
+
+
+Run = Callable[..., None]
+
+
+def _of_others(command: Run) -> Run:
+    """The options of the benchmarks that others have set."""
+    for one in reversed(
+        (
+            option("--systems", help="Systems, separated by commas; by default all."),
+            option("--seeds", type=int, default=1, help="Records of each system and noise."),
+            option("--seed", type=int, default=0, help="Seed of the first record."),
+            option("--jobs", type=int, default=2, help="Worker processes; the results do not depend on it."),
+            option(
+                "--store",
+                type=FILE,
+                default=Path("benchmark.db"),
+                help="File of results; a benchmark that was stopped continues in it.",
+            ),
+            option("--each", is_flag=True, help="A line for every system, failures first, instead of all together."),
+            option(
+                "--format",
+                "form",
+                type=click.Choice(["text", "csv"]),
+                default="text",
+                help="How to write the table.",
+            ),
+        )
+    ):
+        command = one(command)
+    return command
+
+
+@study.command(cls=Command)
+@_of_others
+@option("--noise", default="0,0.1,1,10,25,50", help="Noise in per cent, separated by commas.")
+@option("--methods", default="bayeq", help="Of bayeq, bayeq told, stlsq, weak; the last two need PySINDy.")
+def dysts(noise: str, methods: str, **how: Any) -> None:
+    """Find 70 chaotic systems in noisy states (Kaptanoglu et al. 2023)."""
+    from bayeq.study import dysts as benchmark
+
+    given = {"noises": [number("--noise", one) for one in _names(noise)], "methods": _names(methods)}
+    _run_of_others(benchmark.run_dysts, benchmark.summary, benchmark.by_system, given, **how)
+
+
+@study.command(cls=Command)
+@_of_others
+@option(
+    "--noise", default="none 0,multiplied 1,multiplied 5,added 1,added 5", help="Kinds and per cent, between commas."
+)
+@option("--points", default="1,0.5", help="Shares of the 512 points that are kept.")
+@option("--dictionaries", default="blind,informed", help="Monomials to degree 3, or the system's own functions.")
+@option("--methods", default="bayeq", help="Of bayeq, proportional, stlsq; the last one needs PySINDy.")
+def odebench(noise: str, points: str, dictionaries: str, methods: str, **how: Any) -> None:
+    """Find the 63 systems of ODEBench in one noisy trajectory each (d'Ascoli et al. 2024)."""
+    from bayeq.study import odebench as benchmark
+
+    given = {
+        "noises": _names(noise),
+        "points": [number("--points", one) for one in _names(points)],
+        "dictionaries": _names(dictionaries),
+        "methods": _names(methods),
+    }
+    _run_of_others(benchmark.run_odebench, benchmark.summary, benchmark.by_record, given, **how)
+
+
+def _run_of_others(
+    run: Callable[..., Any],
+    summary: Callable[[Any], Iterable[Mapping[str, object]]],
+    by_system: Callable[[Any], Iterable[Mapping[str, object]]],
+    given: dict[str, Any],
+    *,
+    systems: str | None,
+    seeds: int,
+    seed: int,
+    jobs: int,
+    store: Path,
+    each: bool,
+    form: str,
+) -> None:
+    """Run a benchmark, and print its table."""
+    from bayeq.study.progress import StudyProgress
+
+    progress = StudyProgress("records")
+    names = None if systems is None else _names(systems)
+    try:
+        done = run(store, names=names, records=seeds, first_seed=seed, jobs=jobs, progress=progress, **given)
+    except KeyboardInterrupt:
+        progress.close()
+        raise InterruptedRun(f"interrupted: what was done is in {store}; the same command continues") from None
+    finally:
+        progress.close()
+    import pandas as pd
+
+    table = pd.DataFrame(list((by_system if each else summary)(done)))
+    if form == "csv":
+        click.echo(table.to_csv(index=False, lineterminator="\n").rstrip("\n"))
+    else:
+        click.echo(table.to_string(index=False))
 
 
 def _names(text: str) -> list[str]:

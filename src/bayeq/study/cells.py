@@ -1,0 +1,201 @@
+"""Benchmarks that others have set: cells of records, whose outcomes an SQLite file keeps as they are made."""
+
+from __future__ import annotations
+
+import json
+import time
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
+from functools import lru_cache, partial
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayeq.errors import BayeqError, BayeqWarning
+from bayeq.expressions import parse
+from bayeq.resumable.store import Key, ResultStore
+from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
+from bayeq.study.config import whole
+
+__all__ = ["CONSTANT", "MOST_RECORDS", "Cell", "Measure", "Outcome", "facts", "judged", "percent", "run_cells", "timed"]
+
+Floats = NDArray[np.float64]
+
+# The name under which a law holds the constant of an equation.
+CONSTANT = "1"
+
+#: More records of a cell are a mistake of typing.
+MOST_RECORDS = 10_000
+
+Cell = tuple[str | float, ...]
+Outcome = dict[str, Any]
+Measure = Callable[[Cell, int], Outcome]
+Law = Mapping[str, float]
+
+
+class _Outcomes(ResultStore):
+    """A file of outcomes, by cell and seed."""
+
+    application, noun = 0x62797163, "a benchmark"  # "byqc"
+    schema = (
+        "CREATE TABLE results (cell TEXT NOT NULL, seed INTEGER NOT NULL, outcome TEXT NOT NULL,"
+        " PRIMARY KEY (cell, seed)) WITHOUT ROWID",
+    )
+    table, key, again = "results", {"cell": "TEXT", "seed": "INTEGER"}, "IGNORE"
+
+    def missing(self, cells: Sequence[str], seeds: Sequence[int]) -> list[list[Key]]:
+        """Keys without an outcome: all cells with the first seed, then all with the next."""
+        there = set(self._read("SELECT cell, seed FROM results"))
+        return [[(cell, seed)] for seed in seeds for cell in cells if (cell, seed) not in there]
+
+    def outcomes(self, cell: str, seeds: Sequence[int]) -> list[Outcome]:
+        """What is there of a cell, in the order of the seeds."""
+        there = dict(self._read("SELECT seed, outcome FROM results WHERE cell = ?", (cell,)))
+        return [json.loads(there[seed]) for seed in seeds if seed in there]
+
+
+class Cells(NamedTuple):
+    """What was asked for: cells and their outcomes, side by side."""
+
+    cells: Sequence[Cell]
+    outcomes: Sequence[list[Outcome]]
+
+
+def run_cells(
+    store: str | Path,
+    name: str,
+    cells: Sequence[Cell],
+    measure: Measure,
+    *,
+    records: int,
+    first_seed: int = 0,
+    jobs: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Cells:
+    """Measure what a file does not hold of some cells.
+
+    Parameters
+    ----------
+    store : path
+        SQLite file; made if it is not there. Outcomes of several benchmarks may be in one.
+    name : str
+        Of the benchmark.
+    cells : sequence of tuple
+        Text and numbers that say what is measured.
+    measure : callable
+        From a cell and a seed to the outcome, as JSON can hold it; of a module, so that processes can be sent it.
+    records : int
+        Of each cell, with consecutive seeds.
+    first_seed : int
+        Not negative.
+    jobs : int
+        Worker processes.
+    progress : callable, optional
+        Called with (outcomes there, these and the missing ones).
+    """
+    whole("seeds", records, 1, MOST_RECORDS)
+    whole("seed", first_seed, 0)
+    whole("jobs", jobs, 1, MAX_JOBS)
+    seeds = range(first_seed, first_seed + records)
+    keys = [json.dumps([name, *cell]) for cell in cells]
+    with _Outcomes(store, make=True) as file, one_thread():
+        work = partial(_work, measure)
+        with closing(fill(file, partial(file.missing, keys, seeds), work, jobs)) as answers:
+            for rows, done, total in answers:
+                file.put(rows)
+                if progress is not None:
+                    progress(done, total)
+        return Cells(cells, [file.outcomes(key, seeds) for key in keys])
+
+
+def _work(measure: Measure, keys: Sequence[Key]) -> list[tuple[str, int, str]]:
+    return [(cell, seed, json.dumps(measure(tuple(json.loads(cell)[1:]), seed))) for cell, seed in keys]
+
+
+@lru_cache(maxsize=1)
+def facts() -> Mapping[str, Any]:
+    """Equations, initial states and published figures of the systems of both benchmarks, with their sources."""
+    return dict(json.loads(files("bayeq.study").joinpath("ode_systems.json").read_text(encoding="utf-8")))
+
+
+def timed(discover: Callable[[], Any], judge: Callable[[Any], Outcome]) -> Outcome:
+    """The judgement of an answer, and the seconds of CPU that it took; an error is an answer without a term."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BayeqWarning)
+        start = time.process_time()
+        try:
+            answer = discover()
+        except (BayeqError, np.linalg.LinAlgError) as error:
+            return {"error": f"{type(error).__name__}: {error}", "cpu": time.process_time() - start}
+        return {"cpu": time.process_time() - start, **judge(answer)}
+
+
+def judged(eqs: Any, laws: Sequence[Law] | None) -> Outcome:
+    """An answer beside the true laws.
+
+    Parameters
+    ----------
+    eqs : Equations
+        The answer.
+    laws : sequence of mapping of str to float or None
+        Of each equation the coefficients by term, the constant under `CONSTANT`; None where no dictionary holds them.
+
+    Returns
+    -------
+    dict
+        ``verdicts``; with laws also: ``E``, the error of the coefficient matrix in the spectral norm, relative to the
+        true one; ``exact``, whether the included terms of all equations are the true ones; ``wrong``, terms too many
+        and missed; ``false_found``, equations called found that show a false term, or miss a true one that is above its
+        stated bound; ``covered`` of ``intervals``, 95 % intervals of the true terms that are included.
+    """
+    verdicts = [eq.verdict.kind for eq in eqs]
+    if laws is None:
+        return {"verdicts": verdicts}
+    laws = [{parse(name).text: value for name, value in law.items()} for law in laws]
+    found = [_coefficients(eq) for eq in eqs]
+    names = list(dict.fromkeys(name for law in (*laws, *found) for name in law))
+    true, here = (np.array([[law.get(name, 0.0) for name in names] for law in some]) for some in (laws, found))
+    out: Outcome = {"verdicts": verdicts, "E": float(np.linalg.norm(here - true, 2) / np.linalg.norm(true, 2))}
+    wrong, false, covers = [], 0, []
+    for eq, law, own in zip(eqs, laws, found, strict=True):
+        wrong += [f"{eq.target}: +{name}" for name in own if name not in law]
+        wrong += [f"{eq.target}: -{name}" for name in law if name not in own]
+        false += eq.verdict.kind == "found" and not _right(eq, law)
+        intervals = dict(zip((term.text for term in eq.terms), eq.ci95.tolist(), strict=True))
+        intervals[CONSTANT] = list(eq.intercept_ci95)
+        covers += [intervals[name][0] <= law[name] <= intervals[name][1] for name in own if name in law]
+    out |= {"exact": not wrong, "wrong": wrong, "false_found": false}
+    return out | {"covered": sum(covers), "intervals": len(covers)}
+
+
+def _coefficients(eq: Any) -> dict[str, float]:
+    posterior = eq.posterior
+    zipped = zip(eq.terms, posterior.coef.tolist(), posterior.support.tolist(), strict=True)
+    found = {term.text: value for term, value, kept in zipped if kept}
+    if eq.intercept_matters:
+        found[CONSTANT] = eq.intercept_estimate[0]
+    return found
+
+
+def _right(eq: Any, law: Law) -> bool:
+    """No false term is shown, and every true one is, or is below its stated bound."""
+    shown = set(eq.shown) | ({CONSTANT} if eq.intercept_matters else set())
+    limits = np.full(len(eq.terms), np.nan) if eq.bound is None else eq.bound
+    bound = dict(zip((term.text for term in eq.terms), np.nan_to_num(limits).tolist(), strict=True))
+    return shown <= set(law) and all(abs(law[name]) <= bound.get(name, 0.0) for name in set(law) - shown)
+
+
+def percent(part: Iterable[bool]) -> str:
+    """A share in per cent; of nothing nothing.
+
+    Examples
+    --------
+    >>> percent([True, False, True, True]), percent([])
+    ('75.0', '')
+    """
+    values = list(part)
+    return f"{100 * sum(values) / len(values):.1f}" if values else ""

@@ -1,0 +1,287 @@
+"""The 70 polynomial chaotic systems of Kaptanoglu et al. (arXiv 2302.10787) from noisy states, all monomials offered.
+
+Their protocol: five trajectories of a system from random places on its attractor, 1000 points each, 100 to a period;
+white noise whose standard deviation is a share of the root mean square of all states together; monomials to degree 4.
+E is the error of the coefficient matrix in the spectral norm, relative to the true one. Methods: ``bayeq``, told
+nothing but the states; ``bayeq told``, which knows the true terms, as a lower bound of E; PySINDy's ``stlsq``, from
+smoothed differences and in ``weak`` form, with the threshold that is best by AICc of clean derivatives of further
+trajectories, the paper's rule, or by E itself, the oracle. MIOSR needs a solver that is sold: its published figures
+stand beside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayeq.records import Record
+from bayeq.study.cells import (
+    CONSTANT,
+    Cell,
+    Cells,
+    Floats,
+    Law,
+    Outcome,
+    facts,
+    judged,
+    percent,
+    run_cells,
+    timed,
+)
+from bayeq.study.config import choose
+from bayeq.systems import System, simulate
+
+__all__ = ["METHODS", "NOISES", "by_system", "draw", "run_dysts", "summary", "systems"]
+
+#: In per cent.
+NOISES = (0.0, 0.1, 1.0, 10.0, 25.0, 50.0)
+METHODS = ("bayeq", "bayeq told", "stlsq", "weak")
+
+RUNS, ROWS, PER_PERIOD, DEGREE = 5, 1000, 100, 4
+
+# Steps of integration to a period; periods that are left out, and that starts are drawn from.
+STEPS, TRANSIENT, LONG = 5000, 10, 30
+
+# Of the published figures, in the order of NOISES.
+PUBLISHED = {"stlsq": "stlsq_differences", "weak": "stlsq_weak"}
+BEST_PUBLISHED = "miosr_weak"
+
+
+def systems() -> list[str]:
+    """Names of the systems."""
+    return list(facts()["dysts"])
+
+
+@lru_cache(maxsize=128)
+def _system(name: str) -> tuple[System, Sequence[Law]]:
+    """A system, and its laws."""
+    known = facts()["dysts"][name]
+    states, laws = known["states"], known["terms"]
+    system = System(
+        name=name,
+        title=name,
+        chains=tuple(states),
+        rhs={
+            state: "+".join(f"({c!r})*{term}" for term, c in law.items())
+            for state, law in zip(states, laws, strict=True)
+        },
+        terms={
+            f"d{state}": {term: repr(c) for term, c in law.items()} for state, law in zip(states, laws, strict=True)
+        },
+        parameters={},
+        initial=dict(zip(states, known["initial"], strict=True)),
+        n=ROWS,
+        fs=PER_PERIOD / known["period"],
+        noise=0.0,
+        substeps=STEPS // PER_PERIOD,
+        citation=facts()["dysts_source"],
+    )
+    return system, laws
+
+
+@lru_cache(maxsize=8)
+def _clean(name: str, seed: int) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
+    """Trajectories without noise, and further ones."""
+    system, _ = _system(name)
+    long = simulate(system, n=(TRANSIENT + LONG) * PER_PERIOD)
+    rng = np.random.default_rng([seed, systems().index(name)])
+    rows = rng.choice(np.arange(TRANSIENT * PER_PERIOD, (TRANSIENT + LONG) * PER_PERIOD), 2 * RUNS, replace=False)
+    runs = [simulate(replace(system, initial={s: float(long[s][row]) for s in system.states})) for row in rows]
+    return tuple(runs[:RUNS]), tuple(runs[RUNS:])
+
+
+def draw(name: str, noise: float, seed: int) -> list[Record]:
+    """Noisy trajectories of a system.
+
+    Parameters
+    ----------
+    name : str
+        Of the system.
+    noise : float
+        In per cent.
+    seed : int
+        Draws starts, and noise.
+    """
+    clean, _ = _clean(name, seed)
+    states = clean[0].channels
+    size = np.sqrt(np.mean([np.square(one[state]) for one in clean for state in states]))
+    rng = np.random.default_rng([seed, systems().index(name), 1])
+    out = []
+    for one in clean:
+        noisy = {state: one[state] + 0.01 * noise * size * rng.standard_normal(ROWS) for state in states}
+        out.append(Record.from_arrays(noisy, time=one.time))
+    return out
+
+
+def measure(cell: Cell, seed: int) -> Outcome:
+    """The outcome of a cell (system, noise in per cent, method) for a seed."""
+    name, noise, method = str(cell[0]), float(cell[1]), str(cell[2])
+    if method.startswith("bayeq"):
+        return _bayeq(name, noise, seed, told=method.endswith("told"))
+    from bayeq.study.peers import fits
+
+    _, laws = _system(name)
+    clean, test = _clean(name, seed)
+    states = list(clean[0].channels)
+    records = draw(name, noise, seed)
+    out = fits(method, records, states, DEGREE, seed)
+    errors, scores = [], []
+    rates = np.concatenate([_rates(laws, one, states) for one in test])
+    columns = np.concatenate([out.columns(np.column_stack([one[s] for s in states])) for one in test])
+    true = np.array([[law.get(t, 0.0) for t in out.terms] for law in laws])
+    for coef in out.coefficients:
+        errors.append(float(np.linalg.norm(coef - true, 2) / np.linalg.norm(true, 2)))
+        scores.append(_aicc(rates - columns @ coef.T, int(np.count_nonzero(coef))))
+    rule, oracle = int(np.argmin(scores)), int(np.argmin(errors))
+    exact = [bool(np.array_equal(coef != 0.0, true != 0.0)) for coef in out.coefficients]
+    return {
+        "cpu": out.cpu,
+        "E": errors[rule],
+        "exact": exact[rule],
+        "E_oracle": errors[oracle],
+        "any_exact": any(exact),
+    }
+
+
+def _bayeq(name: str, noise: float, seed: int, told: bool) -> Outcome:
+    from bayeq.discovery import discover
+
+    system, laws = _system(name)
+    records = draw(name, noise, seed)
+    how: dict[str, Any] = {"dictionary": f"polynomial:{DEGREE}"}
+    if told:
+        own = {f"d{s}": [t for t in law if t != CONSTANT] for s, law in zip(system.states, laws, strict=True)}
+        # an equation without candidates beside its constant is offered one
+        how["dictionary"] = {target: terms or [system.states[0]] for target, terms in own.items()}
+    return timed(
+        lambda: discover(records, chains=list(system.states), holdout=0.0, **how), lambda eqs: judged(eqs, laws)
+    )
+
+
+def _rates(laws: Sequence[Law], record: Record, states: Sequence[str]) -> Floats:
+    from bayeq.expressions import Evaluator, parse
+
+    evaluate = Evaluator({state: record[state] for state in states})
+    rates = [
+        sum(value * np.asarray(evaluate(parse(term, states))) for term, value in law.items()) + np.zeros(ROWS)
+        for law in laws
+    ]
+    return np.column_stack(rates)
+
+
+def _aicc(residuals: Floats, terms: int) -> float:
+    rows = len(residuals)
+    level = rows * np.log(max(float(np.mean(residuals**2)), np.finfo(np.float64).tiny))
+    return float(level + 2 * terms + 2 * terms * (terms + 1) / (rows - terms - 1))
+
+
+def run_dysts(
+    store: str | Path,
+    *,
+    names: Sequence[str] | None = None,
+    noises: Sequence[float] = NOISES,
+    methods: Sequence[str] = ("bayeq",),
+    records: int = 5,
+    first_seed: int = 0,
+    jobs: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Cells:
+    """Run the benchmark, or what is missing of it; see `bayeq.study.cells.run_cells`.
+
+    Parameters
+    ----------
+    store : path
+        SQLite file.
+    names, noises, methods : sequence
+        Of `systems`, in per cent, and of `METHODS`.
+    records, first_seed, jobs, progress
+        Seeds of every system and noise, the first one, worker processes, and whom to tell.
+
+    Raises
+    ------
+    InputError
+        A name or number that cannot be used.
+    """
+    chosen = choose("system", systems() if names is None else names, systems())
+    cells = [
+        (name, float(noise), method)
+        for name in chosen
+        for noise in noises
+        for method in choose("method", methods, METHODS)
+    ]
+    return run_cells(
+        store, "dysts", cells, measure, records=records, first_seed=first_seed, jobs=jobs, progress=progress
+    )
+
+
+def summary(done: Cells) -> Iterator[dict[str, object]]:
+    """A line for every noise and method: all systems together."""
+    groups: dict[tuple[float, str], list[tuple[str, Outcome]]] = {}
+    for (name, noise, method), outcomes in zip(done.cells, done.outcomes, strict=True):
+        groups.setdefault((float(noise), str(method)), []).extend((str(name), one) for one in outcomes)
+    for (noise, method), found in sorted(groups.items(), key=lambda group: (group[0][0], METHODS.index(group[0][1]))):
+        if not found:
+            continue
+        yield {
+            "noise_percent": f"{noise:g}",
+            "method": method,
+            "records": len(found),
+            **_rates_of([o for _, o in found]),
+        } | {
+            "published_E": _published(PUBLISHED.get(method), noise, [name for name, _ in found]),
+            "published_E_miosr_weak": _published(BEST_PUBLISHED, noise, [name for name, _ in found]),
+        }
+
+
+def by_system(done: Cells) -> Iterator[dict[str, object]]:
+    """A line for every cell, failures first: fewest exact answers, largest E."""
+    lines: list[dict[str, object]] = []
+    for (name, noise, method), outcomes in zip(done.cells, done.outcomes, strict=True):
+        if outcomes:
+            head = {"system": name, "noise_percent": f"{float(noise):g}", "method": method, "records": len(outcomes)}
+            beside = {
+                "published_E": _published(PUBLISHED.get(str(method)), float(noise), [str(name)]),
+                "published_E_miosr_weak": _published(BEST_PUBLISHED, float(noise), [str(name)]),
+            }
+            lines.append({**head, **_rates_of(outcomes), **beside, "wrong": _wrong(outcomes)})
+    yield from sorted(lines, key=lambda line: (float(str(line["exact_percent"])), -float(str(line["median_E"]))))
+
+
+def _wrong(outcomes: Sequence[Outcome]) -> str:
+    """What was too much or missed in any of the records."""
+    return "; ".join(
+        dict.fromkeys(text for one in outcomes for text in [one.get("error", ""), *one.get("wrong", [])] if text)
+    )
+
+
+def _published(kind: str | None, noise: float, names: Sequence[str]) -> str:
+    """The published E of a method, the median over systems."""
+    if kind is None or noise not in NOISES[:3]:
+        return ""
+    values = [facts()["dysts"][name]["published"][kind][NOISES.index(noise)] for name in dict.fromkeys(names)]
+    return f"{np.median(values):.2e}"
+
+
+def _rates_of(outcomes: Sequence[Outcome]) -> dict[str, object]:
+    """Errors, exact answers, verdicts and coverage; an error is an answer of E = 1."""
+    errors = np.array([one.get("E", 1.0) for one in outcomes])
+    oracle = [one["E_oracle"] for one in outcomes if "E_oracle" in one]
+    verdicts = [one["verdicts"] for one in outcomes if "verdicts" in one]
+    intervals = sum(one.get("intervals", 0) for one in outcomes)
+    return {
+        "median_E": f"{np.median(errors):.2e}",
+        "median_E_oracle": f"{np.median(oracle):.2e}" if oracle else "",
+        "E_below_1_percent": percent(errors < 0.01),
+        "E_below_10_percent": percent(errors < 0.1),
+        "exact_percent": percent(one.get("exact", False) for one in outcomes),
+        "any_exact_percent": percent(one["any_exact"] for one in outcomes) if oracle else "",
+        "found_percent": percent(set(kinds) == {"found"} for kinds in verdicts),
+        "found_and_wrong": sum(one["false_found"] > 0 for one in outcomes if "false_found" in one) if verdicts else "",
+        "coverage_percent": f"{100 * sum(o.get('covered', 0) for o in outcomes) / intervals:.1f}" if intervals else "",
+        "median_cpu_seconds": f"{np.median([one['cpu'] for one in outcomes]):.2f}",
+    }

@@ -1,0 +1,289 @@
+"""ODEBench, the 63 systems of d'Ascoli et al. (arXiv 2310.05573): one noisy trajectory each, from two initial states.
+
+Their protocol: t = 0 to 10 at 512 points, or a share of them dropped at random; noise in proportion to every value, or
+("added") white of the same share of each state's standard deviation. An equation is scored by its free run from the
+clean first state, R2 > 0.9 against the clean trajectory (states weighted by their variance), and by the one from the
+initial state that it has not seen. An answer of which an equation is ``none`` has failed. Dictionaries: "blind", all
+monomials to degree 3; "informed", monomials to the system's own degree, at least 2, and its other functions, constants
+inside them unknown where they are. Methods: ``bayeq``; ``proportional``, told that the noise is a share of the reading;
+and PySINDy's ``stlsq`` with the authors' grid, of which the last 30 % of the trajectory choose.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayeq.errors import BayeqError, BayeqWarning
+from bayeq.records import Record
+from bayeq.study.cells import CONSTANT, Cell, Cells, Floats, Outcome, facts, judged, percent, run_cells, timed
+from bayeq.study.config import choose
+from bayeq.systems import System, simulate
+
+__all__ = ["DICTIONARIES", "METHODS", "NOISES", "by_record", "draw", "run_odebench", "summary", "systems"]
+
+#: Kind and per cent.
+NOISES = ("none 0", "multiplied 1", "multiplied 5", "added 1", "added 5")
+DICTIONARIES = ("blind", "informed")
+METHODS = ("bayeq", "proportional", "stlsq")
+
+ROWS, SECONDS = 512, 10.0
+SUBSTEPS = 50
+
+# A free run that explains more of the variance follows the trajectory.
+FOLLOWS = 0.9
+
+# Terms with constants inside, of the systems whose laws no fixed terms hold.
+WITH_CONSTANTS = {
+    4: "polynomial:2; 1/(1+exp({a: -3..3}-x0*{b: 0.1..10}))",
+    10: "polynomial:2; (1-x0)*x0**{a: 1.05..3}; x0*(1-x0)**{b: 1.05..3}",
+    14: "polynomial:2; x0**2/({a: 10..10000}+x0**2)",
+    18: "polynomial:2; x0/({a: 5..500}+x0)",
+    19: "polynomial:2; x0/({a: 0.08..8}+x0)",
+    22: "polynomial:2; x0**5/({a: 10..1000}+x0**5)",
+    47: "polynomial:2; 1/(1+exp({a: 0.5..50}*x1-{b: 0.1..10})); 1/(1+exp({c: 0.5..50}*x0-{d: 0.1..10}))",
+    48: "polynomial:2; x0*x1/(1+{a: 0.05..5}*x0**2)",
+    53: "polynomial:2; x0*x1/({a: 0.01..1}+x0); x1/({b: 0.01..1}+x1); x0*x1/({c: 0.2..20}+x1)",
+    62: "polynomial:2; 1/(1+exp({a: 0.1..10}*x2+{b: 0.1..10}*x1-{c: 0.1..10}))"
+    "; 1/(1+exp({d: 0.1..10}*x0+{e: 0.1..10}*x3-{f: 0.1..10}))",
+}
+
+
+def systems() -> list[str]:
+    """Numbers of the systems, as text."""
+    return [str(one["id"]) for one in facts()["odebench"]]
+
+
+@lru_cache(maxsize=1)
+def _known() -> Mapping[str, Any]:
+    return {str(one["id"]): one for one in facts()["odebench"]}
+
+
+@lru_cache(maxsize=256)
+def _clean(name: str, start: int) -> Record:
+    """The trajectory from one of the two initial states."""
+    known = _known()[name]
+    states = known["states"]
+    system = System(
+        name=f"odebench-{name}",
+        title=known["name"],
+        chains=tuple(states),
+        rhs=dict(zip(states, known["rhs"], strict=True)),
+        terms={f"d{state}": {} for state in states},
+        parameters={},
+        initial=dict(zip(states, known["initial"][start], strict=True)),
+        n=ROWS,
+        fs=(ROWS - 1) / SECONDS,
+        noise=0.0,
+        substeps=SUBSTEPS,
+        citation=facts()["odebench_source"],
+    )
+    return simulate(system)
+
+
+def draw(name: str, start: int, noise: str, points: float, seed: int) -> Record:
+    """A noisy trajectory.
+
+    Parameters
+    ----------
+    name : str
+        Of the system.
+    start : 0 or 1
+        Which of its initial states.
+    noise : str
+        Of `NOISES`.
+    points : float
+        Share of the points that are kept, the first one always.
+    seed : int
+        Draws noise, and the points.
+    """
+    clean = _clean(name, start)
+    kind, size = noise.split()
+    rng = np.random.default_rng([seed, int(name), start])
+    keep = np.ones(ROWS, dtype=np.bool_)
+    if points < 1.0:
+        keep[rng.choice(np.arange(1, ROWS), round((1.0 - points) * ROWS), replace=False)] = False
+    noisy = {}
+    for state in clean.channels:
+        values = clean[state]
+        scale = values if kind == "multiplied" else np.std(values)
+        noisy[state] = (values + 0.01 * float(size) * scale * rng.standard_normal(ROWS))[keep]
+    assert clean.time is not None
+    return Record.from_arrays(noisy, time=clean.time[keep])
+
+
+def measure(cell: Cell, seed: int) -> Outcome:
+    """The outcome of a cell (system, start, noise, share of points, dictionary, method) for a seed."""
+    name, start, noise, points = str(cell[0]), int(cell[1]), str(cell[2]), float(cell[3])
+    dictionary, method = str(cell[4]), str(cell[5])
+    record = draw(name, start, noise, points, seed)
+    truth = (_clean(name, start), _clean(name, 1 - start))
+    if method == "stlsq":
+        return _stlsq(record, truth, dictionary == "informed" and _known()[name]["class"] != "P")
+    from bayeq.discovery import discover
+
+    known = _known()[name]
+    laws = known["terms"] if dictionary == "informed" or known["class"] == "P" else None
+    how: dict[str, Any] = {"dictionary": "polynomial:3" if dictionary == "blind" else informed(name)}
+    if method == "proportional":
+        how["noise"] = dict.fromkeys(known["states"], "% of reading")
+
+    def judge(eqs: Any) -> Outcome:
+        failed = any(eq.verdict.kind == "none" for eq in eqs)
+        scores = [0.0 if failed else _explained(eqs, clean) for clean in truth]
+        return {**judged(eqs, laws), "R2": scores}
+
+    return timed(lambda: discover(record, chains=known["states"], holdout=0.0, **how), judge)
+
+
+def informed(name: str) -> list[str]:
+    """The informed dictionary of a system."""
+    known = _known()[name]
+    if int(name) in WITH_CONSTANTS:
+        return WITH_CONSTANTS[int(name)].split("; ")
+    names = list(dict.fromkeys(term for law in known["terms"] for term in law if term != CONSTANT))
+    degrees = {term: _degree(term, known["states"]) for term in names}
+    degree = max([2, *(d for d in degrees.values() if d is not None)])
+    return [f"polynomial:{degree}", *(term for term in names if degrees[term] is None)]
+
+
+def _degree(term: str, states: Sequence[str]) -> int | None:
+    """Of a monomial; None of another term."""
+    power = rf"({'|'.join(states)})(\*\*(\d))?"
+    if not re.fullmatch(rf"{power}(\*{power})*", term):
+        return None
+    return sum(int(found[3] or 1) for found in re.finditer(power, term))
+
+
+def _explained(eqs: Any, clean: Record) -> float:
+    """R2 of the free run from the first state of a clean trajectory."""
+    initial = {state: float(clean[state][0]) for state in clean.channels}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BayeqWarning)
+        try:
+            run = eqs.simulate(clean, initial=initial, draws=0)
+        except BayeqError:
+            return 0.0
+    return _r2(np.column_stack([run.mean[state] for state in clean.channels]), clean)
+
+
+def _r2(run: Floats, clean: Record) -> float:
+    """Share of the variance of all states together; 0 of runs that are not finite."""
+    true = np.column_stack([clean[state] for state in clean.channels])
+    if run.shape != true.shape or not np.isfinite(run).all():
+        return 0.0
+    return float(max(1.0 - np.square(run - true).sum() / np.square(true - true.mean(axis=0)).sum(), 0.0))
+
+
+def _stlsq(record: Record, truth: Sequence[Record], functions: bool) -> Outcome:
+    """PySINDy by the authors' grid; `functions` beside the monomials are among its choices."""
+    from bayeq.study.peers import of_grid
+
+    run, cpu = of_grid(record, functions)
+    if run is None:
+        return {"error": "no model", "cpu": cpu}
+    runs = [run(np.array([one[s][0] for s in one.channels]), np.asarray(one.time)) for one in truth]
+    return {"cpu": cpu, "R2": [_r2(values, clean) for values, clean in zip(runs, truth, strict=True)]}
+
+
+def run_odebench(
+    store: str | Path,
+    *,
+    names: Sequence[str] | None = None,
+    noises: Sequence[str] = NOISES,
+    points: Sequence[float] = (1.0, 0.5),
+    dictionaries: Sequence[str] = DICTIONARIES,
+    methods: Sequence[str] = ("bayeq",),
+    records: int = 1,
+    first_seed: int = 0,
+    jobs: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Cells:
+    """Run the benchmark, or what is missing of it; see `bayeq.study.cells.run_cells`.
+
+    Parameters
+    ----------
+    store : path
+        SQLite file.
+    names, noises, points, dictionaries, methods : sequence
+        Of `systems`, `NOISES`, shares of the points, `DICTIONARIES`, and `METHODS`.
+    records, first_seed, jobs, progress
+        Seeds of every cell, the first one, worker processes, and whom to tell.
+
+    Raises
+    ------
+    InputError
+        A name or number that cannot be used.
+    """
+    cells = [
+        (name, start, noise, float(share), dictionary, method)
+        for name in choose("system", systems() if names is None else names, systems())
+        for start in (0, 1)
+        for noise in choose("noise", noises, NOISES)
+        for share in points
+        for dictionary in choose("dictionary", dictionaries, DICTIONARIES)
+        for method in choose("method", methods, METHODS)
+    ]
+    return run_cells(
+        store, "odebench", cells, measure, records=records, first_seed=first_seed, jobs=jobs, progress=progress
+    )
+
+
+def summary(done: Cells) -> Iterator[dict[str, object]]:
+    """A line for every noise, share of points, dictionary and method, of records that come to rest and others."""
+    groups: dict[tuple[Any, ...], list[Outcome]] = {}
+    for (name, start, *rest), outcomes in zip(done.cells, done.outcomes, strict=True):
+        groups.setdefault((*rest, bool(_known()[str(name)]["rest"][int(start)])), []).extend(outcomes)
+    for (noise, points, dictionary, method, rests), outcomes in groups.items():
+        if outcomes:
+            head = {"noise": noise, "points": f"{100 * points:g} %", "dictionary": dictionary, "method": method}
+            yield {**head, "comes_to_rest": "yes" if rests else "no", "records": len(outcomes), **_rates_of(outcomes)}
+
+
+def by_record(done: Cells) -> Iterator[dict[str, object]]:
+    """A line for every cell, failures first."""
+    lines = []
+    for (name, start, noise, points, dictionary, method), outcomes in zip(done.cells, done.outcomes, strict=True):
+        for one in outcomes:
+            scores = one.get("R2", [0.0, 0.0])
+            line = {
+                "system": name,
+                "start": start,
+                "noise": noise,
+                "points": f"{100 * float(points):g} %",
+                "dictionary": dictionary,
+                "method": method,
+                "comes_to_rest": "yes" if _known()[str(name)]["rest"][int(start)] else "no",
+                "R2": f"{scores[0]:.4f}",
+                "R2_other_start": f"{scores[1]:.4f}",
+                "verdicts": ", ".join(one.get("verdicts", [])),
+                "wrong": "; ".join(filter(None, [one.get("error", ""), *one.get("wrong", [])])),
+                "cpu_seconds": f"{one['cpu']:.2f}",
+            }
+            lines.append((scores[0] > FOLLOWS, scores[1] > FOLLOWS, line))
+    yield from (line for *_, line in sorted(lines, key=lambda entry: entry[:2]))
+
+
+def _rates_of(outcomes: Sequence[Outcome]) -> dict[str, object]:
+    scores = np.array([one.get("R2", [0.0, 0.0]) for one in outcomes])
+    known = [one for one in outcomes if "exact" in one]
+    verdicts = [one["verdicts"] for one in outcomes if "verdicts" in one]
+    intervals = sum(one["intervals"] for one in known if one["exact"])
+    covered = sum(one["covered"] for one in known if one["exact"])
+    return {
+        "reconstructed_percent": percent(scores[:, 0] > FOLLOWS),
+        "other_start_percent": percent(scores[:, 1] > FOLLOWS),
+        "with_known_terms": len(known),
+        "exact_percent": percent(one["exact"] for one in known),
+        "found_percent": percent(set(kinds) == {"found"} for kinds in verdicts),
+        "none_percent": percent("none" in kinds for kinds in verdicts),
+        "found_and_wrong": sum(one["false_found"] > 0 for one in known) if verdicts else "",
+        "coverage_percent": f"{100 * covered / intervals:.1f}" if intervals else "",
+        "median_cpu_seconds": f"{np.median([one['cpu'] for one in outcomes]):.2f}",
+    }
