@@ -7,7 +7,7 @@ from scipy import stats
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import DataWarning, InputError
-from bayeq.likelihood.student import tails_of
+from bayeq.likelihood.unequal import tails_of
 
 ROLES = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 

@@ -97,8 +97,8 @@ Examples:
 @opt.sure(
     "--noise",
     multiple=True,
-    help="Known noise of a channel: standard deviation in its unit (u=0.1) or share of the channel's (u=2%). Once per"
-    " channel.",
+    help="Known noise of a channel: standard deviation in its unit (u=0.1), share of the channel's (u=2%), or of every"
+    " reading ('u=5% of reading'; 'u=% of reading': learned). Once per channel.",
 )
 @opt.sure(
     "--gain-sd",

@@ -146,7 +146,8 @@ def discover(
         ``x*run2`` in every record but the first, with a probability of its own.
     noise : mapping of str to float or str, optional
         Known noise of channels: standard deviations in the channel's unit, or shares of its own such as ``"2%"``. It is
-        then not learned from the record. 0 is a channel without noise.
+        then not learned from the record. 0 is a channel without noise. ``"5% of reading"`` is noise in proportion to
+        what is measured, sample by sample; with ``"% of reading"`` its share is learned, and a constant part beside it.
     gain_sd : mapping of str to float, optional
         Uncertainty of the calibration of sensors, 0.01 for a factor known to 1 %: the intervals take it in.
     lag_sd : mapping of str to float, optional
@@ -403,9 +404,10 @@ def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, 
         raise NotStreamed("static laws need the record in memory; choose some rows (--rows)")
     if question.roles.timed:
         raise NotStreamed("a term uses t, the time, which is not known from row to row of long records; use some rows")
-    if question.band is not None or question.tails == "student":
+    proportional = any("reading" in str(amount) for amount in question.noise.values())
+    if question.band is not None or question.tails == "student" or proportional:
         raise NotStreamed(
-            "records that are read some rows at a time are fitted with tails='gauss' and in no band; use some rows"
+            "records that are read some rows at a time have noise of equal variance, and no band; use some rows"
             " (--rows), or leave these options out"
         )
     place = cache_folder() if folder is None else Path(folder)

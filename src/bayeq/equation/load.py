@@ -147,7 +147,7 @@ def _restore(content: Saved) -> Equations:
     files = [data["file"]] if isinstance(data["file"], str) else data["file"]
     summary = DataSummary(**_fields(DataSummary, {**data, "files": files, "sensors": data}))
     late = {name: lag.prior_sd for name, lag in summary.sensors.lags.items()}
-    check_sensors(summary.sensors.noise, summary.sensors.gain_sd, roles, late)
+    check_sensors({**summary.sensors.noise, **summary.sensors.of_reading}, summary.sensors.gain_sd, roles, late)
     if summary.band is not None and not summary.band[0] < summary.band[1]:
         raise ValueError("a band of {!r} to {!r} Hz".format(*summary.band))
     found = Equations(

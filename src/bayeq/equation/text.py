@@ -90,9 +90,11 @@ def given_of(eq: Answer) -> list[str]:
     if eq.data.band is not None:
         low, high = eq.data.band
         out.append(f"band: the record is believed between {low:g} and {high:g} Hz")
-    if known.noise:
-        listed = ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items())
+    listed = ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items() if name not in known.of_reading)
+    if listed:
         out.append(f"noise given, standard deviation: {listed}")
+    for name, share in known.of_reading.items():
+        out.append(f"noise of {name}: in proportion to the reading, {f'{100 * share:.3g} %' if share else 'learned'}")
     if known.tails == "student":
         out.append("noise: Student's t, with degrees of freedom estimated per channel")
     if known.gain_sd:

@@ -50,7 +50,11 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             **_attributes(eq, "inputs", "dictionary", "smooth"),
             **_attributes(eq.data, "band", "estimated", "smoothed", "holdout", "refitted", "stretches"),
             "measured": asdict(eq.data.measured),
-            **{name: value for name, value in asdict(eq.data.sensors).items() if name != "lags" or value},
+            **{
+                name: value
+                for name, value in asdict(eq.data.sensors).items()
+                if name not in ("lags", "of_reading") or value
+            },
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],

@@ -39,7 +39,7 @@ from bayeq.likelihood.search import (
 )
 from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, among_fitted, averaged, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from, with_courses
-from bayeq.likelihood.student import with_heavy_tails
+from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms, first_members, joint_covariance, with_constants
 from bayeq.states import Lag, Motion
 
@@ -401,9 +401,9 @@ def fit_record(
             task, fitted, forms = with_constants(some, task, fitted)
             if some is not motion:
                 return _resumed(motion, task, fitted, places)
-            if motion.sensors.tails == "student":
-                task, state = with_heavy_tails(task, fitted.state)
-                fitted = resumed(task, state)
+            unequal, state = with_unequal_noise(task, fitted.state, motion.sensors)
+            if unequal is not task:
+                task, fitted = unequal, resumed(unequal, state)
             return _checked(replace(RecordFit.of(task, fitted), forms=forms))
     except np.linalg.LinAlgError:
         return None
@@ -476,8 +476,7 @@ def refit_record(
 
 def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> RecordFit:
     task, state = carried_over(motion, task, fitted, places)
-    if motion.sensors.tails == "student":
-        task, state = with_heavy_tails(task, state)
+    task, state = with_unequal_noise(task, state, motion.sensors)
     task, fitted, forms = with_constants(motion, task, resumed(task, state))
     return _checked(replace(RecordFit.of(task, fitted), forms=forms))
 

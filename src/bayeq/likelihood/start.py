@@ -23,6 +23,7 @@ from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout, Series,
 from bayeq.likelihood.levels import COURSES, LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
 from bayeq.likelihood.search import INPUT_NOISE, Fitted, Task
+from bayeq.likelihood.unequal import in_proportion
 from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
@@ -109,6 +110,7 @@ def start_from(
     layout = replace(layout, late=tuple((i, lags[name]) for i, (name, _) in enumerate(layout.channels) if name in lags))
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
+    series = in_proportion(layout, motion.sensors, series, _readings(layout, pieces))
     targets = _targets(roles, pieces)
     scales = _scales(layout, paths, targets.var(axis=0), series, _interval([one.intervals for one in series]))
     noise = FIRST_NOISE * scales.channels
@@ -274,7 +276,9 @@ def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Inp
     """The task and the fit with other inputs."""
     layout, levels = _with_inputs(task.layout, inputs), state.levels
     first = layout.before_inputs
-    series = tuple(_series(layout, rows) for rows in motion.train)
+    series = tuple(
+        _series(layout, rows)._replace(spread=one.spread) for rows, one in zip(motion.train, task.series, strict=True)
+    )
     paths = tuple(np.hstack([path[:, :first], *(one.paths[i] for one in inputs)]) for i, path in enumerate(state.paths))
     scales = _scales(layout, paths, levels.target, series, levels.scales.interval)
     scales.mean[:first], scales.variance[:first] = levels.scales.mean[:first], levels.scales.variance[:first]
@@ -308,6 +312,11 @@ def series_and_paths(layout: Layout, pieces: Sequence[MotionRows]) -> tuple[tupl
     """Samples of some rows, and the smoothed motion as their paths."""
     paths = tuple(_path(layout, rows, [rows.columns[name][:, None] for name in layout.roles.inputs]) for rows in pieces)
     return tuple(_series(layout, rows) for rows in pieces), paths
+
+
+def _readings(layout: Layout, pieces: Sequence[MotionRows]) -> list[Floats]:
+    """What the channels measure by the smoothed motion, (n, M) of every record."""
+    return [np.column_stack([rows.columns[name] for name, _ in layout.channels]) for rows in pieces]
 
 
 def _series(layout: Layout, rows: MotionRows) -> Series:

@@ -26,7 +26,8 @@ LEAST_SHARE = 1e-5
 MOST_IN_BLOWS = 0.5
 
 _FORMS = {
-    "noise": "a number in its unit, or a share of its standard deviation such as '2%', not negative",
+    "noise": "a number in its unit, a share of its standard deviation such as '2%', or of every reading such as"
+    " '5% of reading' ('% of reading': learned), not negative",
     "gain_sd": "a relative standard deviation, such as 0.01 for 1 %, not negative",
     "lag_sd": "a standard deviation in seconds, such as 0.002, above 0",
 }
@@ -60,7 +61,10 @@ class Sensors:
     Attributes
     ----------
     noise : mapping of str to float
-        Standard deviation of the noise of a channel, in its unit; only of channels where it was given.
+        Standard deviation of the noise of a channel, in its unit; only of channels where it was given. Of noise in
+        proportion to the reading its root mean square.
+    of_reading : mapping of str to float
+        Channels whose noise is in proportion to what is measured, and its share of that; 0 where it is to be learned.
     gain_sd : mapping of str to float
         Standard deviation of the factor by which a sensor may be wrong, 0.01 for 1 %.
     tails : "gauss" or "student"
@@ -73,10 +77,11 @@ class Sensors:
     gain_sd: Mapping[str, float] = field(default_factory=dict)
     tails: Tails = "gauss"
     lags: Mapping[str, Lag] = field(default_factory=dict)
+    of_reading: Mapping[str, float] = field(default_factory=dict)
 
     def noisy(self, name: str) -> bool:
         """Whether noise was given that is not zero."""
-        return self.noise.get(name, 0.0) > 0.0
+        return self.noise.get(name, 0.0) > 0.0 or name in self.of_reading
 
 
 def check_sensors(
@@ -100,7 +105,7 @@ def check_sensors(
         for name, value in given.items():
             if name not in known:
                 raise UnknownNameError("channel", name, known, where=what)
-            _amount(what, name, value)
+            _amount(what, name, _share_of_reading(value) or value)
 
 
 def known_sensors(
@@ -121,13 +126,22 @@ def known_sensors(
         Noise that exceeds what was measured.
     """
     used = roles.channels
-    levels = {}
+    levels, readings = dict[str, float](), dict[str, float]()
     gains = {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used}
     for name, value in noise.items():
         if name not in used:
             continue
+        values = np.concatenate([np.asarray(record[name]) for record in records])
+        text = _share_of_reading(value)
+        if text is not None:
+            readings[name] = _amount("noise", name, text)[0]
+            if readings[name] >= 1.0:
+                raise InputError(f"noise: {name!r} needs less than 100 % of reading; got {value!r}")
+            if readings[name]:
+                levels[name] = readings[name] * float(np.sqrt(np.nanmean(values**2)))
+            continue
         amount, share = _amount("noise", name, value)
-        spread = float(np.nanstd(np.concatenate([np.asarray(record[name]) for record in records])))
+        spread = float(np.nanstd(values))
         levels[name] = amount * spread if share else amount
         if levels[name] >= spread:
             raise InputError(
@@ -140,7 +154,7 @@ def known_sensors(
             gains[name] = math.hypot(gains.get(name, 0.0), levels[name] / math.sqrt(float(blows @ blows)))
             levels[name] = 0.0
     late = {name: _amount("lag_sd", name, v)[0] for name, v in (lag_sd or {}).items() if name in used}
-    return Sensors(levels, gains, tails, {name: Lag(0.0, sd, sd) for name, sd in late.items()})
+    return Sensors(levels, gains, tails, {name: Lag(0.0, sd, sd) for name, sd in late.items()}, readings)
 
 
 def force_of_blows(name: str, records: Sequence[Record]) -> Floats | None:
@@ -154,6 +168,14 @@ def force_of_blows(name: str, records: Sequence[Record]) -> Floats | None:
     if not 0 < len(blows) < MOST_IN_BLOWS * len(values) or len(np.unique(blows)) < 0.5 * len(blows):
         return None
     return blows
+
+
+def _share_of_reading(value: float | str) -> str | None:
+    """The share of ``"5% of reading"``, 0 where none is given; None of other amounts."""
+    share, words, rest = value.partition("of reading") if isinstance(value, str) else ("", "", "")
+    if not words or rest.strip():
+        return None
+    return "0%" if share.strip() == "%" else share
 
 
 def _amount(what: str, name: str, value: float | str) -> tuple[float, bool]:

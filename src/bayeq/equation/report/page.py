@@ -309,8 +309,12 @@ def repeat_command(eq: Answer) -> str:
     words += ["--dictionary", eq.dictionary, "--method", eq.method, "--smooth", eq.smooth]
     for constraint in eq.constraints:
         words += ["--constraint", constraint]
+    readings = eq.data.sensors.of_reading
+    for name, share in readings.items():
+        words += ["--noise", f"{name}={f'{100 * share:.6g}' if share else ''}% of reading"]
     for name, sd in eq.data.sensors.noise.items():
-        words += ["--noise", f"{name}={sd:.6g}"]
+        if name not in readings:
+            words += ["--noise", f"{name}={sd:.6g}"]
     for name, sd in eq.data.sensors.gain_sd.items():
         words += ["--gain-sd", f"{name}={sd:.6g}"]
     for name, lag in eq.data.sensors.lags.items():

@@ -1,0 +1,206 @@
+"""Noise whose variance is another for every sample, found in turn with the fit.
+
+Heavy tails: Student's t is such noise (Lange, Little and Taylor 1989); degrees of freedom are estimated per channel,
+and of Gaussian noise nothing changes. In proportion to the reading: variance a + b x^2 of a channel that measures x,
+both learned, or b x^2 where the share sqrt(b) is given.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from bayeq.likelihood.filter import run_filter
+from bayeq.likelihood.fit import State
+from bayeq.likelihood.layout import Layout, Series
+from bayeq.likelihood.search import Task, fit
+from bayeq.states import Sensors
+
+__all__ = ["Tails", "in_proportion", "proportion_of", "tails_of", "with_unequal_noise"]
+
+Floats = NDArray[np.float64]
+
+# Degrees of freedom that are compared; infinitely many are Gaussian noise.
+FREEDOM = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 20.0, np.inf)
+
+# Least share of the mean variance that does not depend on the reading.
+CONSTANT = 1e-12
+
+# The first weights are those of the smoothed motion, with this share for what it errs by.
+AT_FIRST = 1e-2
+
+# Rounds of fit and variances, and steps to the scale of a channel; both end where a variance of half of the samples
+# or a scale changes by less than a share.
+ROUNDS, STEPS, SETTLED = 8, 50, 1e-3
+
+
+class Tails(NamedTuple):
+    """A t distribution.
+
+    Attributes
+    ----------
+    freedom : float
+        Degrees of freedom; infinite of Gaussian noise.
+    variance : float
+        Square of its scale.
+    """
+
+    freedom: float
+    variance: float
+
+    def spread(self, squares: Floats) -> Floats:
+        """Variance of each sample as a multiple of `variance`, given the squares of the errors."""
+        if np.isinf(self.freedom):
+            return np.ones(len(squares))
+        return np.asarray((self.freedom + squares / self.variance) / (self.freedom + 1.0))
+
+
+def tails_of(squares: Floats) -> Tails:
+    """The likeliest t distribution of some errors, given their squares, by expectation and maximisation.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> tails_of(rng.standard_t(3, 4000) ** 2).freedom
+    3.0
+    >>> tails_of(rng.standard_normal(4000) ** 2).freedom
+    inf
+    """
+    found = []
+    for freedom in FREEDOM:
+        tails = Tails(freedom, float(np.mean(squares)) if np.isinf(freedom) else float(np.median(squares)))
+        for _ in range(STEPS):
+            variance = float(np.mean(squares / tails.spread(squares)))
+            done = abs(variance - tails.variance) < SETTLED * variance
+            tails = tails._replace(variance=variance)
+            if done:
+                break
+        found.append((_log_likelihood(tails, squares), tails))
+    return max(found, key=lambda one: one[0])[1]
+
+
+def _log_likelihood(tails: Tails, squares: Floats) -> float:
+    v, s = tails
+    level = -0.5 * len(squares) * np.log(s)
+    if np.isinf(v):
+        return float(level - 0.5 * len(squares) * np.log(2.0 * np.pi) - 0.5 * squares.sum() / s)
+    unit = math.lgamma(0.5 * (v + 1.0)) - math.lgamma(0.5 * v) - 0.5 * np.log(v * np.pi)
+    return float(level + len(squares) * unit - 0.5 * (v + 1.0) * np.log1p(squares / (v * s)).sum())
+
+
+def proportion_of(squares: Floats, readings: Floats) -> tuple[Floats, float]:
+    """The likeliest variances a + b x^2 of some errors, as multiples of their mean, and that mean.
+
+    Parameters
+    ----------
+    squares, readings : (n,) arrays
+        Squares of the errors, and of what is measured.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> x = np.sin(np.linspace(0.0, 40.0, 4000))
+    >>> spread, variance = proportion_of((0.05 * x * rng.standard_normal(4000)) ** 2 + 1e-16, x**2 + 1e-12)
+    >>> round(float(np.sqrt(variance / np.mean(x**2))), 3)
+    0.05
+    """
+    own = readings / readings.mean()
+
+    def spread(log_constant: float) -> Floats:
+        constant = np.exp(log_constant)
+        return np.asarray(constant + (1.0 - constant) * own)
+
+    def loss(log_constant: float) -> float:
+        found = spread(log_constant)
+        return float(len(own) * np.log(np.mean(squares / found)) + np.log(found).sum())
+
+    best = spread(float(minimize_scalar(loss, bounds=(np.log(CONSTANT), 0.0), method="bounded").x))
+    return best, float(np.mean(squares / best))
+
+
+def in_proportion(
+    layout: Layout, sensors: Sensors, series: tuple[Series, ...], readings: list[Floats]
+) -> tuple[Series, ...]:
+    """Samples with variances in proportion to the square of smoothed readings, (n, M) of every record, where that is
+    known. A share that is learned begins with equal ones: near zero heavy weights would hold the path to the noise."""
+    out = [one.spread.copy() for one in series]
+    for i, (name, _) in enumerate(layout.channels):
+        if sensors.of_reading.get(name, 0.0) > 0.0:
+            mean = float(np.mean(np.concatenate([one[:, i] ** 2 for one in readings])))
+            for own, one in zip(out, readings, strict=True):
+                own[:, i] = AT_FIRST + (1.0 - AT_FIRST) * one[:, i] ** 2 / mean
+    return tuple(one._replace(spread=own) for one, own in zip(series, out, strict=True))
+
+
+def with_unequal_noise(task: Task, state: State, sensors: Sensors) -> tuple[Task, State]:
+    """The task with a variance of each sample where sensors ask for it, and the fit of the same model to it.
+
+    Channels whose noise is known keep it.
+    """
+    if sensors.tails != "student" and not sensors.of_reading:
+        return task, state
+    before = [one.spread for one in task.series]
+    for _ in range(ROUNDS):
+        task, state = _spread(task, state, sensors)
+        state = fit(task, state).state
+        now = [one.spread for one in task.series]
+        change = np.concatenate([np.abs(a / b - 1.0).ravel() for a, b in zip(now, before, strict=True)])
+        if np.median(change) < SETTLED:
+            break
+        before = now
+    return task, state
+
+
+def _spread(task: Task, state: State, sensors: Sensors) -> tuple[Task, State]:
+    """Variances of the samples where a fit stands, and the levels of the channels that go with them."""
+    squares, readings = _squares(task, state)
+    channels = state.levels.channels.copy()
+    spread = [one.spread.copy() for one in task.series]
+    for i, (name, _) in enumerate(task.layout.channels):
+        learned, proportional = bool(state.levels.learned[i]), name in sensors.of_reading
+        if not (proportional or (learned and sensors.tails == "student")):
+            continue
+        there = [np.isfinite(one[:, i]) for one in squares]
+        errors = np.concatenate([one[rows, i] for one, rows in zip(squares, there, strict=True)])
+        if proportional:
+            values = np.concatenate([one[rows, i] for one, rows in zip(readings, there, strict=True)])
+            found, variance = proportion_of(errors, values) if learned else (values / values.mean(), channels[i])
+        else:
+            tails = tails_of(errors)
+            found, variance = tails.spread(errors), tails.variance
+        if learned:
+            channels[i] = max(variance, float(np.exp(state.levels.bounds[0][i])))
+        parts = np.split(found, np.cumsum([rows.sum() for rows in there])[:-1])
+        for own, rows, part in zip(spread, there, parts, strict=True):
+            own[:, i] = 1.0
+            own[rows, i] = part
+    series = tuple(one._replace(spread=own) for one, own in zip(task.series, spread, strict=True))
+    return replace(task, series=series), replace(state, levels=replace(state.levels, channels=channels))
+
+
+def _squares(task: Task, state: State) -> tuple[list[Floats], list[Floats]]:
+    """Expected squares of the errors of all samples, (n, M) of every record, and of what is measured.
+
+    NaN where there is no sample.
+    """
+    out, readings = [], []
+    for linear, one in zip(task.linearised(state), task.series, strict=True):
+        # the future determines a sample as well as the past does
+        covariance = 0.5 * run_filter(linear, state.chosen, state.levels.noise).covariance
+        squares, reading = linear.residual**2, (one.samples - linear.residual) ** 2
+        for i, kind in enumerate(linear.kinds):
+            if kind >= 0:
+                own = covariance[:, kind, kind]
+            else:
+                slope = linear.gradient[:, -1 - kind]
+                own = np.einsum("ni,nij,nj->n", slope, covariance, slope)
+            squares[:, i] += own
+            reading[:, i] += own
+        out.append(squares)
+        readings.append(reading)
+    return out, readings
