@@ -18,6 +18,7 @@ import click
 from click.shell_completion import get_completion_class, shell_complete
 
 from bayeq.cli.batch import batch
+from bayeq.cli.benchmark import benchmark
 from bayeq.cli.discover import discover
 from bayeq.cli.environment import INTERRUPTED, address_space, no_memory, prepare_streams, say
 from bayeq.cli.info import info
@@ -130,7 +131,7 @@ def completion(context: click.Context, shell: str) -> None:
     click.echo(found(context.find_root().command, {}, "bayeq", COMPLETE).source())
 
 
-for command in (info, discover, batch, show, predict, plan, simulate, systems, study, local_page, completion):
+for command in (info, discover, batch, show, predict, plan, simulate, systems, study, benchmark, local_page, completion):
     app.add_command(command)
 
 

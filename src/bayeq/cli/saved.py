@@ -16,7 +16,7 @@ from bayeq.cli.progress import Progress
 from bayeq.cli.reading import Reading, plain_files, reading_options
 from bayeq.errors import DataWarning, InputError, UnknownNameError
 
-__all__ = ["plan", "predict", "show"]
+__all__ = ["paths_of", "plan", "predict", "show"]
 
 EXAMPLES = """
 Examples:
@@ -112,7 +112,7 @@ def predict(
 
     found = load(equations)
     names = found.roles.channels
-    paths = _paths(channels, names)
+    paths = paths_of(channels, names)
     with Progress(verbose) as progress:
         records = reading.records(files, names, paths, progress)
         progress("predicting", 0, 1)
@@ -130,7 +130,7 @@ def predict(
             write_forecasts(forecast, prediction.runs)
 
 
-def _paths(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+def paths_of(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
     """Where every channel is in the files, from ``x=Weg``; empty if nothing is said."""
     given = opt.by_name("--channel", texts, "write a channel of the equations and its name there, x=Weg")
     for name in given:
