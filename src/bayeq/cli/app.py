@@ -131,7 +131,8 @@ def completion(context: click.Context, shell: str) -> None:
     click.echo(found(context.find_root().command, {}, "bayeq", COMPLETE).source())
 
 
-for command in (info, discover, batch, show, predict, plan, simulate, systems, study, benchmark, local_page, completion):
+COMMANDS = (info, discover, batch, show, predict, plan, simulate, systems, study, benchmark, local_page, completion)
+for command in COMMANDS:
     app.add_command(command)
 
 

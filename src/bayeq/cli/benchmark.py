@@ -33,7 +33,7 @@ Example:
 @opt.measured("--chain", "chains", multiple=True, help="As for bayeq discover: x, x::, x:v:a. Once per coordinate.")
 @opt.measured("--input", "inputs", multiple=True, help="Input channel; once per input.")
 @opt.measured(
-    "--channel", "channels", multiple=True, help="Where a channel is in the files of the test: x=xVal. Once per channel."
+    "--channel", "channels", multiple=True, help="Where a channel is in the files of the test, x=xVal. Once per name."
 )
 @opt.measured("--time", help="Time column [s] of all files.")
 @opt.measured("--fs", type=float, help="Sampling frequency [Hz], where there is no time column.")

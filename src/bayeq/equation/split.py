@@ -1,4 +1,4 @@
-"""``bayeq benchmark``: equations of one record scored by a free run over another, as official splits of data ask for."""
+"""Equations of one record scored by a free run over another, as official splits of data ask for."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> l
     InputError
         Fewer rows than that before or after, or a channel is missing.
     """
-    out = []
+    out: list[TestError] = []
     for number, record in enumerate(records):
         name = record.name or f"record {number + 1}"
         if not LEAST_ROWS <= skip <= record.n - 2:
@@ -91,9 +91,7 @@ def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> l
         units = {channel: unit for channel, unit in record.units.items() if channel in inputs}
         driven = Record.from_arrays(inputs or {"t_": np.zeros(record.n)}, time=record.time, units=units, name=name)
         run = equations.simulate(driven, initial=start, draws=0)
-        for state in start:
-            if state in record.channels:
-                out.append(_error(name, state, skip, record, run.mean))
+        out += [_error(name, state, skip, record, run.mean) for state in start if state in record.channels]
     return out
 
 
@@ -103,6 +101,6 @@ def _error(name: str, state: str, skip: int, record: Record, run: Mapping[str, n
     rmse = math.inf
     if len(found) == record.n and np.isfinite(found).all():
         rmse = float(np.sqrt(np.mean((found[skip:] - measured)[there] ** 2)))
-    return TestError(
-        name, state, skip, int(there.sum()), rmse, rmse / float(np.std(measured[there])), record.units.get(state)
-    )
+    sd = float(np.std(measured[there]))
+    nrmse = rmse / sd if sd > 0.0 else math.inf
+    return TestError(name, state, skip, int(there.sum()), rmse, nrmse, record.units.get(state))

@@ -1,0 +1,198 @@
+"""Benchmarks that others have set: facts, records, scores, and going on after a stop."""
+
+import json
+import sqlite3
+
+import numpy as np
+import pytest
+
+import bayeq as bq
+from bayeq.cli.app import main
+from bayeq.errors import InputError
+from bayeq.expressions import Evaluator, parse
+from bayeq.study import cells, dysts, odebench
+
+
+def test_facts_are_those_of_the_sources():
+    """70 systems of 552 terms, and 63 of which 39 trajectories come to rest: counted by those who listed them."""
+    chaotic, strogatz = cells.facts()["dysts"], cells.facts()["odebench"]
+    assert len(chaotic) == 70
+    assert sum(len(law) for one in chaotic.values() for law in one["terms"]) == 552
+    assert len(strogatz) == 63
+    assert sum(map(sum, (one["rest"] for one in strogatz))) == 39
+    assert {one["class"] for one in strogatz} == {"P", "L", "R", "N"}
+
+
+@pytest.mark.parametrize("one", cells.facts()["odebench"], ids=lambda one: str(one["id"]))
+def test_terms_are_the_right_hand_sides(one):
+    states = one["states"]
+    rng = np.random.default_rng(int(one["id"]))
+    columns = {state: rng.uniform(0.2, 0.9, 20) for state in states}
+    evaluate = Evaluator(columns)
+    rates = [np.asarray(evaluate(parse(text, states))) + np.zeros(20) for text in one["rhs"]]
+    assert np.isfinite(rates).all()
+    for rate, law in zip(rates, one["terms"] or (), strict=bool(one["terms"])):
+        summed = sum(value * np.asarray(evaluate(parse(term, states))) for term, value in law.items())
+        # coefficients are listed with ten digits
+        assert np.allclose(rate, summed, rtol=1e-7, atol=1e-7)
+
+
+def test_noise_is_a_share_of_all_states_together():
+    clean, noisy = dysts.draw("Lorenz", 0.0, 3), dysts.draw("Lorenz", 10.0, 3)
+    size = np.sqrt(np.mean([np.square(one[s]) for one in clean for s in "xyz"]))
+    errors = np.concatenate([other[s] - one[s] for one, other in zip(clean, noisy, strict=True) for s in "xyz"])
+    assert len(clean) == 5
+    assert errors.std() == pytest.approx(0.1 * size, rel=0.03)
+
+
+def test_chaotic_systems_are_found_by_one_of_three_states():
+    found = dysts.measure(("Rossler", 1.0, "bayeq"), 7200)
+    assert found["exact"]
+    assert found["E"] < 1e-3
+    assert found["verdicts"] == ["found"] * 3
+    assert found["intervals"] == 7
+    told = dysts.measure(("Rossler", 1.0, "bayeq told"), 7200)
+    assert told["exact"]
+    assert found["E"] < 1.1 * told["E"]
+
+
+@pytest.mark.parametrize("noise", ["multiplied 5", "added 5"])
+def test_noise_of_odebench(noise):
+    clean, noisy = odebench._clean("37", 0), odebench.draw("37", 0, noise, 1.0, 1)
+    x, error = clean["x0"], noisy["x0"] - clean["x0"]
+    size = 0.05 * (np.abs(x) if noise == "multiplied 5" else np.std(x))
+    assert np.sqrt(np.mean((error / size) ** 2)) == pytest.approx(1.0, rel=0.1)
+    assert odebench.draw("37", 0, noise, 0.5, 1).n == 256
+
+
+def test_a_found_system_follows_both_trajectories():
+    found = odebench.measure(("43", 0, "multiplied 1", 1.0, "informed", "proportional"), 5000)
+    assert found["exact"]
+    assert min(found["R2"]) > 0.99
+
+
+@pytest.mark.parametrize(
+    ("name", "terms"),
+    [("24", ["polynomial:2"]), ("43", ["polynomial:2", "sin(x0)"]), ("15", ["polynomial:2", "x0**2/(x0**2 + 1)"])],
+)
+def test_informed_dictionaries(name, terms):
+    assert odebench.informed(name) == terms
+
+
+def test_dictionaries_with_constants_are_readable():
+    for number in odebench.WITH_CONSTANTS:
+        states = cells.facts()["odebench"][number - 1]["states"]
+        clean = odebench._clean(str(number), 0)
+        assert list(clean.channels) == states
+        for text in odebench.informed(str(number))[1:]:
+            assert "{" in text
+
+
+def _square(cell, seed):
+    if cell[0] == "stop" and seed == 2:
+        raise KeyboardInterrupt
+    return {"value": cell[1] ** 2 + seed}
+
+
+def test_what_was_done_before_a_stop_is_kept(tmp_path):
+    store = tmp_path / "b.db"
+    with pytest.raises(KeyboardInterrupt):
+        cells.run_cells(store, "x", [("go", 2), ("stop", 3)], _square, records=3)
+    with sqlite3.connect(store) as file:
+        assert file.execute("SELECT count(*) FROM results").fetchone() == (5,)
+    asked = []
+
+    def counted(cell, seed):
+        asked.append((cell, seed))
+        return {"value": cell[1] ** 2 + seed}
+
+    done = cells.run_cells(store, "x", [("go", 2), ("stop", 3)], counted, records=3)
+    assert asked == [(("stop", 3), 2)]
+    assert [[one["value"] for one in some] for some in done.outcomes] == [[4, 5, 6], [9, 10, 11]]
+    assert cells.run_cells(store, "y", [("go", 2)], counted, records=1).outcomes == [[{"value": 4}]]
+
+
+def test_tables_on_the_command_line(tmp_path, capsys):
+    words = ["study", "odebench", "--systems", "2", "--noise", "none 0", "--points", "1", "--dictionaries", "blind"]
+    assert main([*words, "--store", str(tmp_path / "b.db"), "--jobs", "1", "--format", "csv"]) == 0
+    head, *lines = capsys.readouterr().out.splitlines()
+    row = dict(zip(head.split(","), lines[0].split(","), strict=True))
+    assert (row["records"], row["reconstructed_percent"], row["other_start_percent"]) == ("2", "100.0", "100.0")
+    assert main([*words, "--store", str(tmp_path / "b.db"), "--each"]) == 0
+    assert "R2_other_start" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["odebench", "--systems", "64"],
+        ["dysts", "--systems", "Lorentz"],
+        ["dysts", "--noise", "much"],
+        ["dysts", "--methods", "magic"],
+        ["odebench", "--noise", "added 7"],
+        ["dysts", "--seeds", "0"],
+    ],
+)
+def test_what_there_is_not_is_one_line(words, tmp_path, capsys):
+    assert main(["study", *words, "--store", str(tmp_path / "b.db")]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert len(captured.err.splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_pysindy_beside(tmp_path):
+    pytest.importorskip("pysindy")
+    plain = dysts.measure(("Rossler", 0.0, "stlsq"), 7200)
+    assert plain["E_oracle"] <= plain["E"] < 0.2  # published: 0.019
+    weak = dysts.measure(("Rossler", 0.0, "weak"), 7200)
+    assert weak["any_exact"]
+    assert weak["E_oracle"] < 1e-3
+    grid = odebench.measure(("37", 0, "none 0", 1.0, "blind", "stlsq"), 1)
+    assert min(grid["R2"]) > 0.9
+
+
+@pytest.fixture(scope="module")
+def halves(tmp_path_factory):
+    """Files of training, of the test, and of equations found in the first."""
+    folder = tmp_path_factory.mktemp("halves")
+    for seed, name in ((1, "train.csv"), (2, "test.csv")):
+        bq.write(bq.simulate("duffing", n=800, seed=seed, noise=0.01), folder / name)
+    train = bq.read(folder / "train.csv")
+    bq.discover(train, chains=["x:v:a"], inputs=["u"], holdout=0.0).save(folder / "eq.json")
+    return [str(folder / name) for name in ("train.csv", "test.csv", "eq.json")]
+
+
+def test_a_split_is_scored_after_its_first_rows(halves, capsys):
+    train, test, saved = halves
+    split = ["--test", test, "--skip", "100", "--json"]
+    words = ["benchmark", "--train", train, *split, "--chain", "x:v:a", "--input", "u"]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    answer = json.loads(printed)
+    assert answer["verdict"] == "found"
+    (x, v) = answer["tests"]
+    assert (x["channel"], x["rows"], v["channel"]) == ("x", 700, "v")
+    # the noise of the test channel itself is 1 %
+    assert 0.005 < x["nrmse"] < 0.05
+    sd = np.std(bq.read(test)["x"][100:])
+    assert x["rmse"] == pytest.approx(x["nrmse"] * sd, rel=1e-6)
+    assert main(["benchmark", "--train", saved, *split]) == 0
+    assert capsys.readouterr().out == printed
+
+
+def test_rows_after_those_skipped_are_not_looked_at(halves):
+    from bayeq.equation.split import test_errors as errors_of
+
+    _, test, saved = halves
+    eqs, record = bq.load(saved), bq.read(test)
+    altered = {name: record[name].copy() for name in record.names}
+    for name in "xva":
+        altered[name][100:] = 7.0 + np.arange(700) % 2
+    other = bq.Record.from_arrays(altered, time=record.time)
+    plain, changed = (errors_of(eqs, [one], 100)[0] for one in (record, other))
+    run = eqs.simulate(record.slice(0, 100), draws=0)
+    assert changed.rmse > 6.0 > plain.rmse
+    assert np.isfinite(run.mean["x"]).all()
+    with pytest.raises(InputError, match="skip at least 10"):
+        errors_of(eqs, [record], 3)
