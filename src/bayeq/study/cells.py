@@ -182,11 +182,15 @@ def _coefficients(eq: Any) -> dict[str, float]:
 
 
 def _right(eq: Any, law: Law) -> bool:
-    """No false term is shown, and every true one is, or is below its stated bound."""
+    """No false term is shown, and every true one is, or is below its stated bound; a constant, within its interval."""
     shown = set(eq.shown) | ({CONSTANT} if eq.intercept_matters else set())
     limits = np.full(len(eq.terms), np.nan) if eq.bound is None else eq.bound
     bound = dict(zip((term.text for term in eq.terms), np.nan_to_num(limits).tolist(), strict=True))
-    return shown <= set(law) and all(abs(law[name]) <= bound.get(name, 0.0) for name in set(law) - shown)
+    low, high = eq.intercept_ci95
+    unseen = [abs(law[name]) <= bound.get(name, 0.0) for name in set(law) - shown - {CONSTANT}]
+    if CONSTANT in set(law) - shown:
+        unseen.append(low <= law[CONSTANT] <= high)
+    return shown <= set(law) and all(unseen)
 
 
 def percent(part: Iterable[bool]) -> str:
