@@ -115,6 +115,10 @@ class Statistics:
     ----------
     value : float
         ln p(data | levels), coefficients integrated out.
+    here : float
+        The same by Laplace's approximation about the coefficients as they are, which a converged fit is the mode of:
+        without what moving them by `delta` promises. The linearised model promises too much where determinants change
+        with the coefficients, and where steps go to and fro.
     delta, covariance : (r,) and (r, r) arrays
         Posterior mean of the coefficients' deviations, and their covariance.
     filtered : tuple of Filtered
@@ -122,6 +126,7 @@ class Statistics:
     """
 
     value: float
+    here: float
     delta: Floats
     covariance: Floats
     filtered: tuple[Filtered, ...]
@@ -183,7 +188,7 @@ def marginal(
     filtered = tuple(run_filter(linear, state.chosen, levels.noise, keep) for linear in linears)
     q = quadratic(filtered) + of_stated(levels.layout.stated, state.chosen, state.theta)
     if not len(state.theta):
-        return Statistics(q.level, np.zeros(0), np.zeros((0, 0)), filtered)
+        return Statistics(q.level, q.level, np.zeros(0), np.zeros((0, 0)), filtered)
     if not (np.isfinite(q.level) and np.isfinite(q.information).all()):
         raise np.linalg.LinAlgError("the likelihood is not finite")
     scale = 1.0 / np.sqrt(np.diagonal(q.information) + precision)
@@ -193,9 +198,9 @@ def marginal(
     covariance = (inverse.T @ inverse) * scale[:, None] * scale
     pull = q.slope - precision * state.theta
     delta = covariance @ pull
-    value = q.level + 0.5 * float(pull @ delta) - 0.5 * float(state.theta @ (precision * state.theta))
-    value += 0.5 * float(np.log(precision).sum()) - float(np.log(np.diagonal(root)).sum()) + float(np.log(scale).sum())
-    return Statistics(value, delta, covariance, filtered)
+    here = q.level - 0.5 * float(state.theta @ (precision * state.theta))
+    here += 0.5 * float(np.log(precision).sum()) - float(np.log(np.diagonal(root)).sum()) + float(np.log(scale).sum())
+    return Statistics(here + 0.5 * float(pull @ delta), here, delta, covariance, filtered)
 
 
 def of_inputs(linears: Sequence[Linear], levels: Levels) -> float:

@@ -82,6 +82,9 @@ MOVES = 5
 # With more samples than this the Gram of a fit tells its neighbours apart, and they are not fitted.
 MOST_TO_MOVE = 100_000
 
+# Shares of the candidates that are looked at first, the smallest expressions of them.
+SIMPLEST = (0.25, 0.5)
+
 # A deviation from the path that grows by more than this factor in a sample, tried at CHECKED of them, or a step that
 # ends further from the path in standard deviations of a state: no motion that was measured.
 GROWTH = 3.0
@@ -282,7 +285,7 @@ def fit(
         Equations with the same terms in this fit take its averages over sizes.
     """
     layout, precision = task.layout, task.precision_of(state)
-    before, last, halved = -np.inf, None, 0
+    before, length, last, halved = -np.inf, np.inf, None, 0
     for step in range(STEPS if coarse else MOST_STEPS + calm):
         held = state.levels.optional if step < calm else None
         while True:
@@ -297,10 +300,15 @@ def fit(
                 state = last.halfway(state)
         last = state
         state, curved = improved(layout, task.series, linears, replace(state, levels=levels), found)
+        moved = float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(found.covariance), state.theta - last.theta)))
+        if moved > length:  # to and fro, further each time
+            state = state.halfway(last)
+        length = moved
         if abs(found.value - before) < SETTLED and step >= calm:
             break
         before = found.value
-    value = task.marginal(state, keep=False).value
+    last_found = task.marginal(state, keep=False)
+    value, evidence = last_found.value, last_found.here
     model, averages = task.model(state.chosen), np.zeros(layout.chains)
     if not coarse:
         former = np.full(layout.chains, np.nan)
@@ -311,8 +319,8 @@ def fit(
         likelier = replace(state, levels=met)
         if further and task.marginal(likelier, keep=False).value > value + FLAT:
             return fit(task, likelier, further=False, beside=beside)
-        value += float(averages.sum())
-    return Fitted(model, state, value + task.prior(model), partial(expanded, task, state, curved), averages)
+        evidence += float(averages.sum())
+    return Fitted(model, state, evidence + task.prior(model), partial(expanded, task, state, curved), averages)
 
 
 def expanded(task: Task, state: State, curved: Floats) -> Quadratic:
@@ -458,6 +466,25 @@ def all_together(task: Task, empty: State) -> State | None:
     return fit(task, state).state if steady(task, state) else None
 
 
+def from_the_simplest(task: Task, empty: State) -> State | None:
+    """A start found among the simplest candidates, then among more of them; None where all are as simple.
+
+    Of many candidates that noise hardly tells apart those that fit best together explain nothing but the noise.
+    """
+    sizes = np.array([term.size for term in task.layout.terms])
+    state = None
+    for share in SIMPLEST:
+        simple = np.append(sizes <= np.quantile(sizes, share), True)
+        if simple.all():
+            break
+        log_odds = np.where(np.tile(simple, task.layout.chains), task.log_odds, -np.inf)
+        _, found = settle(replace(task, log_odds=log_odds, recent=[]), empty if state is None else state)
+        state = found.state
+        if state.levels.kappa.max() < ADEQUATE:
+            break
+    return state
+
+
 def finer(task: Task, state: State) -> Task:
     """The task with as many Runge-Kutta steps between samples as its motion, and the columns of its terms, need."""
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
@@ -558,7 +585,9 @@ def search(task: Task, starts: Sequence[State], others: Alternatives) -> tuple[T
     (Task, Fitted)
         The task with the steps of integration that were used.
     """
-    task, best = from_starts(task, (*starts, partial(all_together, task, starts[-1])))
+    task, best = from_starts(
+        task, (*starts, partial(all_together, task, starts[-1]), partial(from_the_simplest, task, starts[-1]))
+    )
     task, best = with_other_inputs(task, best, others)
     task.recent.clear()
     return task, best
