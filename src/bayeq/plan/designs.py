@@ -14,8 +14,7 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import ANYWHERE, mean_run, state_range
 from bayeq.ode.rk4 import Drive, interpolant, slope_at
 from bayeq.plan.conditions import Conditions
-from bayeq.plan.excitations import EXCITATIONS
-from bayeq.plan.excitations.lines import lines_within
+from bayeq.plan.excitations import EXCITATIONS, lines_within
 
 __all__ = ["SHARES", "Design", "Motions", "designs_for", "largest_share", "shapes"]
 
