@@ -13,18 +13,9 @@ from typing import Any
 from bayeq.errors import InputError
 
 __all__ = [
-    "EQUATION",
-    "READING",
-    "REPORT",
-    "ROLES",
-    "Choice",
-    "Choices",
-    "as_typed",
-    "chains_of",
-    "discover_command",
-    "inputs_of",
-    "proposed",
-]
+    "EQUATION", "READING", "REPORT", "ROLES", "Choice", "Choices", "as_typed", "chains_of", "discover_command",
+    "inputs_of", "proposed",
+]  # fmt: skip
 
 #: Names of the files that are written.
 EQUATION, REPORT = "equation.json", "report.html"

@@ -14,8 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bayeq.batches.files import Identity, files_of
-from bayeq.batches.options import Read, digest, fixed_terms, question
+from bayeq.batches.options import Identity, Read, digest, files_of, fixed_terms, question
 from bayeq.batches.result import Batch, BatchFile
 from bayeq.discovery.entry import discover
 from bayeq.equation.to_json import to_saved

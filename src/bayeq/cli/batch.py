@@ -6,14 +6,14 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
 from bayeq.cli import options as opt
 from bayeq.cli.discover import cleaned, discover, source_of, used_channels
-from bayeq.cli.environment import say
-from bayeq.cli.outputs import require_place
+from bayeq.cli.outputs import Kind, require_output
+from bayeq.cli.process import say
 from bayeq.cli.progress import Progress
 from bayeq.cli.reading import STANDARD_INPUT, Reading
 from bayeq.errors import BayeqError, InputError, InterruptedRun
@@ -83,10 +83,12 @@ def batch(
     options = cleaned(options)
     if STANDARD_INPUT in files:
         raise InputError("-: a batch is of files, which it knows again; write standard input to one")
-    from bayeq.batches.files import files_of
+    from bayeq.batches.options import files_of
 
     given = files_of(files)
-    _require_outputs(given, store, table, figure)
+    for path, kind in ((store, "any"), (table, "table"), (figure, "figure")):
+        if path is not None:
+            require_output(path, given, cast(Kind, kind))
     from bayeq.batches.run import FILES, run_batch
 
     if common and reading.stream is None:
@@ -125,21 +127,6 @@ class _FileReading:
 
         _, source = source_of(self.reading, [path], self.used, self.paths, False, silent)
         return source
-
-
-def _require_outputs(files: Sequence[Path], store: Path, table: Path | None, figure: Path | None) -> None:
-    """Refuse, before the work, what cannot be written after it."""
-    for path in (store, table, figure):
-        if path is not None:
-            require_place(path, files)
-    if table is not None and table.suffix.lower() != ".csv":
-        raise InputError(f"{table}: the table is written as text: end it in .csv")
-    if figure is not None:
-        from bayeq.figures.style import require_suffix
-
-        if figure.suffix.lower() == ".csv":
-            raise InputError(f"{figure}: a figure ends in .png, .svg or .pdf; --table writes numbers")
-        require_suffix(figure)
 
 
 def _write(found: Batch, table: Path | None, figure: Path | None) -> None:

@@ -11,8 +11,7 @@ from bayeq.inspection.channels import ChannelInfo, bars
 from bayeq.inspection.links import Link
 from bayeq.inspection.proposal import Proposal, Reading
 from bayeq.inspection.roles import Clue, Guess
-from bayeq.inspection.samples import Bad
-from bayeq.inspection.timing import Experiments, Gap
+from bayeq.inspection.rows import Bad, Experiments, Gap
 from bayeq.markup import code, items, join, paragraph, table
 
 __all__ = ["RecordInfo", "as_text"]
@@ -210,19 +209,11 @@ def title(found: RecordInfo) -> str:
 def _sections(found: RecordInfo) -> list[tuple[str, Sequence[str]]]:
     out: list[tuple[str, Sequence[str]]] = []
     if found.guess.reasons:
-        out.append(("why", [f"{_cut(name)}: {why}" for name, why in _reasons(found)]))
+        roles = ((name, found.guess.role_of(name), found.guess.reasons.get(name)) for name in found.channels)
+        why = [f"{_cut(name)}: {role} ({reason})" for name, role, reason in roles if role and reason]
+        out.append(("why", why))
     if found.findings:
         out.append(("noticed", found.findings))
-    return out
-
-
-def _reasons(found: RecordInfo) -> list[tuple[str, str]]:
-    """Channels with a role, and what says so."""
-    out = []
-    for name in found.channels:
-        role, why = found.guess.role_of(name), found.guess.reasons.get(name)
-        if role and why:
-            out.append((name, f"{role} ({why})"))
     return out
 
 
