@@ -165,19 +165,19 @@ def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None
     if hasattr(signal, "SIGHUP"):  # a terminal that is closed ends it as any other end does
         signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
     address = f"http://{host}/?token={token}"
+
+    def announce() -> None:
+        say(f"{address}\nOpen this address in a browser on this computer; Ctrl-C ends it.")
+        if browser:
+            webbrowser.open(address)
+
     try:
-        _run(session, file, host, token, listening, lambda: _announce(address, browser, say))
+        _run(session, file, host, token, listening, announce)
     except KeyboardInterrupt:
         say("ended")
     finally:
         session.close()
         listening.close()
-
-
-def _announce(address: str, browser: bool, say: Callable[[str], None]) -> None:
-    say(f"{address}\nOpen this address in a browser on this computer; Ctrl-C ends it.")
-    if browser:
-        webbrowser.open(address)
 
 
 def _run(

@@ -34,8 +34,6 @@ from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
 
 __all__ = ["COMMON", "FILES", "BatchStore", "batch", "run_batch"]
 
-# Called with (stage, done, total).
-
 #: Stages of a batch: the equation that files have in common, and the files.
 COMMON, FILES = "common equation", "files"
 

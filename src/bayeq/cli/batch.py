@@ -104,7 +104,10 @@ def batch(
             ) from None
     _show(found, store, as_json)
     if len(found.refused) < len(found):
-        _write(found, table, figure)
+        from bayeq.figures.style import write_output
+
+        for path in filter(None, (table, figure)):
+            write_output(path, found.table, found.plot)
     _name_refused(found.refused, len(found))
 
 
@@ -127,14 +130,6 @@ class _FileReading:
 
         _, source = source_of(self.reading, [path], self.used, self.paths, False, silent)
         return source
-
-
-def _write(found: Batch, table: Path | None, figure: Path | None) -> None:
-    from bayeq.figures.style import write_output
-
-    for path in (table, figure):
-        if path is not None:
-            write_output(path, found.table, found.plot)
 
 
 def _show(found: Batch, store: Path, as_json: bool) -> None:

@@ -244,9 +244,8 @@ def require_output(path: Path, files: Sequence[Path], kind: Kind) -> None:
         from bayeq.figures.style import UNSIGNED, require_suffix
 
         if kind == "figure" and suffix[1:] not in UNSIGNED:
-            raise InputError(
-                f"{path}: is to be written as a figure: end it in .{', .'.join(UNSIGNED)}; tables have options of their own"
-            )
+            endings = ", ".join(f".{name}" for name in UNSIGNED)
+            raise InputError(f"{path}: is to be written as a figure: end it in {endings}; tables have their own option")
         require_suffix(path)
 
 

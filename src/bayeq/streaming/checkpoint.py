@@ -35,7 +35,7 @@ __all__ = ["Checkpoint", "Checkpoints", "cache_folder"]
 EVERY = 10.0
 
 # What is summed has changed so often: sums of another state of the program are not gone on with.
-SUMS = 2
+SUMS = 3
 
 # What a file may hold.
 KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in (OfRows, Folded, Moments, Block, Quadratic, Lagged)}
@@ -175,18 +175,12 @@ def _taken_apart(value: Any, arrays: dict[str, Any]) -> Any:
         name = f"a{len(arrays)}"
         arrays[name] = value
         return {"array": name}
-    if value is None:
-        return None
-    if isinstance(value, (bool, int)):
-        return {"whole": int(value)}
-    return {"number": float(value).hex()}
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _rebuilt(node: Any, arrays: Any) -> Any:
-    if node is None:
-        return None
+    if node is None or isinstance(node, (int, float)):
+        return node
     if "kind" in node:
         return KINDS[node["kind"]](**{name: _rebuilt(part, arrays) for name, part in node["parts"].items()})
-    if "array" in node:
-        return arrays[node["array"]]
-    return int(node["whole"]) if "whole" in node else float.fromhex(node["number"])
+    return arrays[node["array"]]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,20 +12,10 @@ import numpy as np
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record
 from bayeq.records.columns import Columns, Request
+from bayeq.records.formats.protocol import parts_between
 from bayeq.records.names import clean_name, is_time_name
 
-__all__ = ["DaskStream", "Parts", "dask_streams", "is_dask", "parts_between"]
-
-
-def parts_between(bounds: Sequence[int], start: int, stop: int) -> list[int]:
-    """The parts that hold rows `start` to `stop`.
-
-    Examples
-    --------
-    >>> parts_between((0, 4, 8, 10), 3, 8)
-    [0, 1]
-    """
-    return [k for k, (a, b) in enumerate(pairwise(bounds)) if a < stop and b > start]
+__all__ = ["DaskStream", "Parts", "dask_streams", "is_dask"]
 
 
 @dataclass(frozen=True)

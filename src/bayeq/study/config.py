@@ -83,13 +83,9 @@ class StudyConfig:
         if self.smooth not in ("auto", "none"):
             raise InputError(f"smooth must be auto or none, got {self.smooth!r}")
 
-    def to_dict(self) -> dict[str, Any]:
-        """Field -> value, in the order of the fields."""
-        return asdict(self)
-
     def differences(self, other: Mapping[str, Any]) -> list[str]:
         """How a stored configuration differs from this one, a text per key."""
-        mine = self.to_dict()
+        mine = asdict(self)
         keys = [*mine, *(key for key in other if key not in mine)]
         missing = "absent"
         return [

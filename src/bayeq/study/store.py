@@ -6,7 +6,7 @@ import json
 import math
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -193,7 +193,7 @@ class Store(ResultStore):
         super().__init__(path, config is not None, any_thread)
         try:
             if config is not None:
-                rows = [(key, json.dumps(value)) for key, value in config.to_dict().items()]
+                rows = [(key, json.dumps(value)) for key, value in asdict(config).items()]
                 with self._transaction():
                     if not self._one("SELECT count(*) FROM config"):
                         self._connection.executemany("INSERT INTO config VALUES (?, ?)", rows)
@@ -246,7 +246,7 @@ class Store(ResultStore):
             for row in self._connection.execute(
                 f"SELECT {', '.join(COLUMNS)} FROM results ORDER BY system, algorithm, idx"
             ):
-                yield _result(dict(zip(COLUMNS, row, strict=True)))
+                yield _result(row)
 
 
 def _row(result: Result) -> tuple[Any, ...]:
@@ -264,20 +264,20 @@ def _row(result: Result) -> tuple[Any, ...]:
     )
 
 
-def _result(row: dict[str, Any]) -> Result:
+def _result(row: tuple[Any, ...]) -> Result:
+    system, index, algorithm, *values, seconds, selected, converged, extras, failure = row
     metrics = None
-    if row["failure"] is None:
-        values = {name: float(row[name]) for name in METRICS}
-        exact, superset = bool(values.pop("exact")), bool(values.pop("superset"))
-        metrics = Metrics(**values, exact=exact, superset=superset)
+    if failure is None:
+        *errors, exact, superset = map(float, values)
+        metrics = Metrics(*errors, exact=bool(exact), superset=bool(superset))
     return Result(
-        system=str(row["system"]),
-        index=int(row["idx"]),
-        algorithm=str(row["algorithm"]),
+        system=str(system),
+        index=int(index),
+        algorithm=str(algorithm),
         metrics=metrics,
-        seconds=None if row["seconds"] is None else float(row["seconds"]),
-        selected=tuple(json.loads(row["selected"])),
-        converged=None if row["converged"] is None else bool(row["converged"]),
-        extras=json.loads(row["extras"]),
-        failure=row["failure"],
+        seconds=None if seconds is None else float(seconds),
+        selected=tuple(json.loads(selected)),
+        converged=None if converged is None else bool(converged),
+        extras=json.loads(extras),
+        failure=failure,
     )
