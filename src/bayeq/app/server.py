@@ -19,13 +19,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
 
-from bayeq.app.session import Session, Workspace
+from bayeq.app.session import LARGEST, Session, Workspace
 from bayeq.errors import InputError, MissingExtraError
 
-__all__ = ["HOST", "LARGEST", "Guard", "serve"]
-
-#: Largest file that is taken from the browser [bytes]; larger ones are opened where they are.
-LARGEST = 200_000_000
+__all__ = ["HOST", "Guard", "serve"]
 
 # Of an upload, beside the file [bytes].
 AROUND = 100_000

@@ -22,13 +22,16 @@ from typing import Any
 from bayeq.app.choices import EQUATION, REPORT, Choices, discover_command
 from bayeq.errors import InputError
 
-__all__ = ["LOOKING", "READING", "Child", "Opened", "Outcome", "Result", "Session", "Workspace", "safe_name"]
+__all__ = ["LARGEST", "LOOKING", "READING", "Child", "Opened", "Outcome", "Result", "Session", "Workspace", "safe_name"]
 
 # Folders begin so, the number of the process follows.
 _PREFIX = "bayeq-app-"
 
 # The file of the example.
 EXAMPLE = "example.csv"
+
+#: Largest file that is taken from the browser [bytes]; larger ones are opened where they are.
+LARGEST = 200_000_000
 
 # Longest name of a file [characters], with its ending.
 LONGEST_NAME = 80
