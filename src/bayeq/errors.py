@@ -54,6 +54,8 @@ __all__ = [
     "WordsError",
     "WarningLog",
     "as_path",
+    "one_line",
+    "printable",
     "require_kind",
     "require_mapping",
     "require_number",
@@ -285,6 +287,16 @@ def require_kind(value: Any, kinds: type | tuple[type, ...], what: str, words: s
     """
     if not isinstance(value, kinds):
         raise InputError(f"{what} must be {words}, not {_shown(value)}")
+
+
+def printable(text: str) -> str:
+    """Text without what a terminal would obey, which names of files may hold."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def one_line(message: object) -> str:
+    """A message without line breaks."""
+    return " ".join(str(message).split())
 
 
 def whole_number(what: str, value: Any, least: int, most: int | None = None) -> int:

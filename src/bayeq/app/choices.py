@@ -6,7 +6,7 @@ Commands are words for a process, never a line for a shell.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -121,16 +121,12 @@ def _only(of: Mapping[str, str], role: str, number: int) -> str:
     """The channel of a role, empty where there is none."""
     names = [name for name, its in of.items() if its == role]
     if len(names) > 1:
+        *first, last = names
         raise InputError(
-            f"{_and(names)} have both the role {role!r} of coordinate {number}: leave one out, or give them different"
-            " numbers of coordinate"
+            f"{', '.join(first)} and {last} have both the role {role!r} of coordinate {number}: leave one out, or give"
+            " them different numbers of coordinate"
         )
     return names[0] if names else ""
-
-
-def _and(names: Iterable[str]) -> str:
-    *first, last = names
-    return f"{', '.join(first)} and {last}"
 
 
 @dataclass

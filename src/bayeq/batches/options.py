@@ -141,21 +141,11 @@ def _holds(options: Mapping[str, Any], constraint: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What a file was when it was read.
+    """What a file was when it was read."""
 
-    Attributes
-    ----------
-    size : int
-        In bytes.
-    mtime : int
-        Time of its last change [ns].
-    sha256 : str
-        Of its content.
-    """
-
-    size: int
-    mtime: int
-    sha256: str
+    size: int  # in bytes
+    mtime: int  # time of its last change [ns]
+    sha256: str  # of its content
 
     @classmethod
     def of(cls, path: Path) -> Self:

@@ -24,6 +24,7 @@ from bayeq.errors import (
     InputError,
     UnknownNameError,
     as_path,
+    one_line,
     require_kind,
     require_mapping,
 )
@@ -255,14 +256,10 @@ def _work(options: Mapping[str, Any], read: Read, path: Path) -> tuple[BatchFile
     except OSError as error:
         status, message = "refused", f"{path}: {error.strerror or error}"
     except BayeqError as error:
-        status, message = "refused", _one_line(error)
+        status, message = "refused", one_line(error)
     except Exception as error:  # noqa: BLE001 - one file does not stop the others; its row says what went wrong
-        status, message = "failed", f"{path}: {type(error).__name__}: {_one_line(error)}"
+        status, message = "failed", f"{path}: {type(error).__name__}: {one_line(error)}"
     return BatchFile(str(path), status, message, answer), identity
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def _common(
@@ -317,7 +314,7 @@ def _sources(
                 for name in (*roles.measured, *roles.inputs) if isinstance(part, Record) else ():
                     _ = part[name]
         except (BayeqError, OSError) as error:
-            why.append(_one_line(error))  # it is refused again, with its message, where each file is done
+            why.append(one_line(error))  # it is refused again, with its message, where each file is done
             continue
         sources += parts
         used.append(identity)

@@ -26,7 +26,16 @@ from bayeq.cli.options import FILE, Command, Names, json_option, measured, optio
 from bayeq.cli.reading import Reading, reading_options
 from bayeq.cli.saved import plan, predict, show
 from bayeq.cli.study import study
-from bayeq.errors import FULL, BayeqError, BayeqWarning, InputError, InterruptedRun, MissingExtraError
+from bayeq.errors import (
+    FULL,
+    BayeqError,
+    BayeqWarning,
+    InputError,
+    InterruptedRun,
+    MissingExtraError,
+    one_line,
+    printable,
+)
 
 if TYPE_CHECKING:
     from bayeq.inspection.info import RecordInfo
@@ -194,12 +203,7 @@ for command in COMMANDS:
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
     label = "warning" if issubclass(category, BayeqWarning) else category.__name__
-    say(f"bayeq: {label}: {_one_line(str(message))}")
-
-
-def _one_line(text: str) -> str:
-    """A message without line breaks and without what a terminal would obey."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split()))
+    say(f"bayeq: {label}: {printable(one_line(message))}")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -216,7 +220,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, MissingExtraError) as error:
         return _fail(str(error), 2)
     except InterruptedRun as stop:
-        say(f"bayeq: {_one_line(str(stop))}")
+        say(f"bayeq: {printable(one_line(stop))}")
         return INTERRUPTED
     except BayeqError as error:
         return _fail(str(error), 1)
@@ -226,7 +230,7 @@ def main(arguments: list[str] | None = None) -> int:
         return stop.exit_code
     except (KeyboardInterrupt, click.Abort) as stop:
         said = ("interrupted", *getattr(stop, "__notes__", ()))  # what was kept, and where
-        say(f"bayeq: {_one_line(': '.join(said))}")
+        say(f"bayeq: {printable(one_line(': '.join(said)))}")
         return INTERRUPTED
     except BrokenPipeError:
         # The reader of the pipe has gone (`bayeq ... | head`): nothing is left to say to it, now or at the exit.
@@ -250,5 +254,5 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _fail(message: str, code: int) -> int:
     if message:
-        say(f"bayeq: error: {_one_line(message)}")
+        say(f"bayeq: error: {printable(one_line(message))}")
     return code

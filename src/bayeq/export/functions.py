@@ -117,32 +117,18 @@ OWN = {"rhs", "t", "y", "u", "dy"}
 
 
 class Language(NamedTuple):
-    """How a function is written.
+    """How a function is written."""
 
-    Attributes
-    ----------
-    printer : str
-        SymPy's function.
-    head, tail : str
-        Of the text; `{states}` and `{inputs}` are names, `{size}` is the number of states.
-    take, give : str
-        A line for a variable, and one for a derivative: `{name}`, `{of}` ("y" or "u"), `{k}`, `{value}`.
-    first : int
-        Number of the first entry of an array.
-    reserved : set of str
-        Words and functions that no variable may be called.
-    options : mapping
-        Of the printer.
-    """
-
-    printer: str
+    printer: str  # SymPy's function
+    # of the text; `{states}` and `{inputs}` are names, `{size}` is the number of states
     head: str
+    # a line for a variable, and one for a derivative: `{name}`, `{of}` ("y" or "u"), `{k}`, `{value}`
     take: str
     give: str
     tail: str
-    first: int
-    reserved: frozenset[str]
-    options: Mapping[str, Any] = {}
+    first: int  # number of the first entry of an array
+    reserved: frozenset[str]  # words and functions that no variable may be called
+    options: Mapping[str, Any] = {}  # of the printer
 
 
 C_WORDS = """auto break case char const continue default do double else enum extern float for goto if inline int long

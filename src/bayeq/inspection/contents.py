@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from bayeq.errors import printable
 from bayeq.inspection.channels import ChannelInfo, bars
 from bayeq.inspection.links import Link
 from bayeq.inspection.proposal import Proposal, Reading
@@ -175,7 +176,7 @@ def as_text(found: RecordInfo, plain: bool = False) -> str:
         lines += ["", heading, *(f"  {text}" for text in texts)]
     lines += ["", "next", f"  {found.proposal.command or found.proposal.python}"]
     lines += [f"  {note}" for note in found.proposal.notes]
-    return "\n".join(_harmless(line.rstrip()) for line in lines)
+    return "\n".join(printable(line.rstrip()) for line in lines)
 
 
 def as_html(found: RecordInfo) -> str:
@@ -224,11 +225,6 @@ def _row(found: RecordInfo, channel: ChannelInfo, plain: bool) -> tuple[str, ...
     role = found.guess.role_of(channel.name) or ("constant" if channel.constant else "?")
     values = (f"{value:.4g}" if math.isfinite(value) else "" for value in numbers)
     return (_cut(channel.name), _cut(channel.unit), role, *values, str(channel.missing or ""), *spectrum)
-
-
-def _harmless(text: str) -> str:
-    """Text without what a terminal would obey, which names of files may hold."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def _hertz(value: float) -> str:

@@ -29,18 +29,11 @@ INSET = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Excitation:
-    """A row of the table.
+    """A row of the table."""
 
-    Attributes
-    ----------
-    title : str
-        What it is, with its article.
-    samples : callable
-        ``samples(n, fs, band, rng)``: n samples at fs [Hz] with their power within ``(lo, hi)`` [Hz], the largest
-        magnitude 1. What is random in it comes from the generator.
-    """
-
-    title: str
+    title: str  # what it is, with its article
+    # ``samples(n, fs, band, rng)``: n samples at fs [Hz] with their power within ``(lo, hi)`` [Hz], the largest
+    # magnitude 1. What is random in it comes from the generator.
     samples: Callable[[int, float, Band, np.random.Generator], Floats]
 
 

@@ -54,24 +54,12 @@ def cache_folder() -> Path | None:
 
 @dataclass(eq=False)
 class Checkpoint:
-    """One sum.
+    """One sum."""
 
-    Attributes
-    ----------
-    path : Path or None
-        The file; None keeps nothing.
-    every : bool
-        Whether the last sum, or that of a run that is stopped, is kept however short the run was.
-    failed : callable
-        Called with the error where it cannot be kept.
-    saved : float
-        When it was kept last.
-    """
-
-    path: Path | None
-    every: bool = False
-    failed: Callable[[OSError], None] = lambda error: None
-    saved: float = field(default_factory=clock.monotonic)
+    path: Path | None  # the file; None keeps nothing
+    every: bool = False  # whether the last sum, or that of a run that is stopped, is kept however short the run was
+    failed: Callable[[OSError], None] = lambda error: None  # called with the error where it cannot be kept
+    saved: float = field(default_factory=clock.monotonic)  # when it was kept last
 
     def load(self) -> tuple[int, Any]:
         """The number of units done, and their sum; (0, None) where there is nothing, or a damaged file."""
@@ -102,21 +90,11 @@ class Checkpoint:
 
 @dataclass(eq=False)
 class Checkpoints:
-    """The sums of one run.
+    """The sums of one run."""
 
-    Attributes
-    ----------
-    folder : Path or None
-        Where they are kept; None keeps nothing.
-    about : str
-        What tells this run from others: the files, their sizes and times of change.
-    asked : bool
-        Whether the user named the folder: then the first sum that cannot be kept gives a warning.
-    """
-
-    folder: Path | None
-    about: str = ""
-    asked: bool = False
+    folder: Path | None  # where they are kept; None keeps nothing
+    about: str = ""  # what tells this run from others: the files, their sizes and times of change
+    asked: bool = False  # whether the user named the folder: then the first sum that cannot be kept gives a warning
     used: list[Checkpoint] = field(default_factory=list)
     warned: bool = False
 

@@ -49,20 +49,11 @@ OUTLINE = 200
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """MCMC and VB on the same realisation, in original units.
+    """MCMC and VB on the same realisation, in original units."""
 
-    Attributes
-    ----------
-    system : System
-        The system, with nominal parameters.
-    truth : (P,) array
-        True coefficients of the candidate terms.
-    mcmc, vb : Posterior
-        By `spike_slab_gibbs`, with draws, and by `spike_slab_vb`.
-    """
-
-    system: System
-    truth: Floats
+    system: System  # the system, with nominal parameters
+    truth: Floats  # (P,), true coefficients of the candidate terms
+    # by `spike_slab_gibbs`, with draws, and by `spike_slab_vb`
     mcmc: Posterior
     vb: Posterior
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import Variables, build_dictionary
+from bayeq.errors import one_line
 from bayeq.expressions import Expression
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.bma import spike_slab_bma
@@ -52,44 +53,23 @@ LONGEST_MESSAGE = 300
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What an algorithm answers.
+    """What an algorithm answers."""
 
-    Attributes
-    ----------
-    support : (P,) bool array
-        The selected terms.
-    coef : (P,) array
-        Coefficients in original units, 0 for a term that is not selected.
-    converged : bool
-        Whether it says it has converged.
-    extras : mapping of str to plain data
-        What else is worth keeping.
-    """
-
-    support: NDArray[np.bool_]
-    coef: Floats
-    converged: bool = True
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    support: NDArray[np.bool_]  # (P,), the selected terms
+    coef: Floats  # (P,), coefficients in original units, 0 for a term that is not selected
+    converged: bool = True  # whether it says it has converged
+    extras: Mapping[str, Any] = field(default_factory=dict)  # what else is worth keeping
 
 
 @dataclass(frozen=True, slots=True)
 class Realisation:
-    """The data of one realisation.
+    """The data of one realisation."""
 
-    Attributes
-    ----------
-    regression : Regression
-        Of the first rows.
-    train, test : Gram
-        What counts as data of the first rows, and the last rows, in original units.
-    truth : (P,) array
-        True coefficients of the candidate terms.
-    """
-
-    regression: Regression
+    regression: Regression  # of the first rows
+    # what counts as data of the first rows, and the last rows, in original units
     train: Gram
     test: Gram
-    truth: Floats
+    truth: Floats  # (P,), true coefficients of the candidate terms
 
 
 Algorithm = Callable[[Realisation, StudyConfig, tuple[int, ...]], Estimate]
@@ -275,4 +255,4 @@ def _run(config: StudyConfig, task: Task, name: str, data: Realisation) -> Resul
 
 
 def _message(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_MESSAGE]
+    return one_line(f"{type(error).__name__}: {error}")[:LONGEST_MESSAGE]

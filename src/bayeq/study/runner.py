@@ -31,21 +31,11 @@ MAX_REALISATIONS = 100_000
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a run did.
+    """What a run did."""
 
-    Attributes
-    ----------
-    realisations : int
-        How many were computed (or completed by an algorithm) in this run.
-    failures : int
-        Algorithms that failed in this run.
-    seconds : float
-        Wall time.
-    """
-
-    realisations: int
-    failures: int
-    seconds: float
+    realisations: int  # how many were computed (or completed by an algorithm) in this run
+    failures: int  # algorithms that failed in this run
+    seconds: float  # wall time
 
 
 def run_study(

@@ -226,13 +226,10 @@ def show(store: Store, form: Format = "text", table: Literal[2, 3] = 2) -> str:
     if form == "csv":
         return _csv(shown)
     head, lines = (TABLE_2_HEAD, _table_2(rows)) if table == 2 else (TABLE_3_HEAD, _table_3(shown))
-    body = _markdown(head, lines) if form == "markdown" else _text(head, lines)
-    return "\n\n".join([_title(store.config, table), body, *_notes(rows, failures, table, store.config)])
-
-
-def _title(config: Mapping[str, Any], table: int) -> str:
     what = "errors and model selection" if table == 2 else "run times"
-    return f"Table {table}: {what} (seed {config.get('seed')}, smooth {config.get('smooth')})"
+    title = f"Table {table}: {what} (seed {store.config.get('seed')}, smooth {store.config.get('smooth')})"
+    body = _markdown(head, lines) if form == "markdown" else _text(head, lines)
+    return "\n\n".join([title, body, *_notes(rows, failures, table, store.config)])
 
 
 def _table_2(rows: Sequence[Row]) -> list[list[str]]:
