@@ -236,8 +236,9 @@ def _result(row: tuple[Any, ...]) -> Result:
     system, index, algorithm, *values, seconds, selected, converged, extras, failure = row
     metrics = None
     if failure is None:
-        *errors, exact, superset = map(float, values)
-        metrics = Metrics(*errors, exact=bool(exact), superset=bool(superset))
+        errors = dict(zip(METRICS, map(float, values), strict=True))
+        exact, superset = bool(errors.pop("exact")), bool(errors.pop("superset"))
+        metrics = Metrics(**errors, exact=exact, superset=superset)
     return Result(
         system=str(system),
         index=int(index),
