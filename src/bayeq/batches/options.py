@@ -35,12 +35,7 @@ _WIDE = 1e8
 
 
 def question(options: Mapping[str, Any]) -> Question:
-    """The question that is put to each file.
-
-    Parameters
-    ----------
-    options : mapping
-        Of `discover`.
+    """The question that is put to each file, of the options of `discover`.
 
     Raises
     ------
@@ -83,14 +78,7 @@ def _plain(value: object) -> Any:
 
 
 def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
-    """The options for one file with the terms of the common equation, and no others.
-
-    Parameters
-    ----------
-    options : mapping
-        Of `discover`.
-    common : mapping
-        The common equations, as they are saved.
+    """The options of `discover` for one file with the terms of the `common` equation, as it is saved, and no others.
 
     Raises
     ------
