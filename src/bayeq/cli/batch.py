@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -86,9 +86,10 @@ def batch(
     from bayeq.batches.options import files_of
 
     given = files_of(files)
-    for path, kind in ((store, "any"), (table, "table"), (figure, "figure")):
+    written: tuple[tuple[Path | None, Kind], ...] = ((store, "any"), (table, "table"), (figure, "figure"))
+    for path, kind in written:
         if path is not None:
-            require_output(path, given, cast(Kind, kind))
+            require_output(path, given, kind)
     from bayeq.batches.run import FILES, run_batch
 
     if common and reading.stream is None:
