@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.cli.progress import Progress
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.equation.equation import Z95
 from bayeq.gram import Gram
@@ -31,7 +32,6 @@ from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Draws, Posterior
 from bayeq.inference.prior import Prior
-from bayeq.study.progress import StudyProgress
 from bayeq.systems import simulate
 from studies.tally import (
     BINS,
@@ -180,13 +180,13 @@ def run_calibration(
         for start in range(0, number, BATCH)
     ]
     tallies: dict[tuple[str, int], Tally] = {}
-    progress, done = StudyProgress(), 0
+    progress, done = Progress(), 0
     with Parallel(n_jobs=jobs, inner_max_num_threads=1, backend="loky", return_as="generator") as pool:
         for (kind, rows, _, start, stop), part in zip(parts, pool(delayed(_batch)(*p) for p in parts), strict=True):
             cell = kind, rows
             tallies[cell] = tallies[cell] + part if cell in tallies else part
             done += stop - start
-            progress(done, sum(problems.values()))
+            progress("realisations", done, sum(problems.values()))
     progress.close()
     return tallies
 

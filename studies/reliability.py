@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.cli.progress import Progress
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.figures.style import BLACK, BLUE, ORANGE, new_panels, save, style
 from bayeq.gram import Gram
@@ -25,7 +26,6 @@ from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
-from bayeq.study.progress import StudyProgress
 from bayeq.systems import get_system, simulate
 from studies.lines import print_table
 from studies.tally import BINS, bin_of
@@ -144,7 +144,7 @@ def reliability(realisations: int = 1000, seed: int = 0, jobs: int = 2) -> Curve
         for start in range(0, realisations, BATCH)
     ]
     curves: Curves = {}
-    progress, done = StudyProgress(), 0
+    progress, done = Progress(), 0
     with Parallel(n_jobs=jobs, inner_max_num_threads=1, backend="loky", return_as="generator") as pool:
         for part, answer in zip(parts, pool(delayed(_batch)(*p) for p in parts), strict=True):
             for method, curve in answer.items():
@@ -152,7 +152,7 @@ def reliability(realisations: int = 1000, seed: int = 0, jobs: int = 2) -> Curve
                     key = part[1], system, method
                     curves[key] = curves[key] + curve if key in curves else curve
             done += part[4] - part[3]
-            progress(done, len(STATES) * len(STUDY_SYSTEMS) * realisations)
+            progress("realisations", done, len(STATES) * len(STUDY_SYSTEMS) * realisations)
     progress.close()
     return curves
 

@@ -19,10 +19,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import bayeq as bq
-from bayeq.app.child import Child
 from bayeq.app.choices import READING, ROLES, Choice, Choices, chains_of, discover_command, inputs_of, proposed
-from bayeq.app.guard import LARGEST, Guard
-from bayeq.app.session import LONGEST_NAME, Session, Workspace, safe_name
+from bayeq.app.server import Guard
+from bayeq.app.session import LARGEST, LONGEST_NAME, Child, Session, Workspace, safe_name
 from bayeq.cli.app import main
 from bayeq.cli.discover import discover
 from bayeq.errors import InputError

@@ -13,7 +13,7 @@ import bayeq as bq
 pytest.importorskip("nicegui", reason="the extra [app] is not installed")
 pytest.importorskip("selenium", reason="the extra [dev], with selenium, is not installed")
 
-from bayeq.app.guard import LARGEST
+from bayeq.app.session import LARGEST
 from tests.app_driver import Page, browser, missing_browser
 from tests.app_process import running_app
 

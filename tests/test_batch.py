@@ -16,8 +16,7 @@ import pandas as pd
 import pytest
 
 import bayeq as bq
-from bayeq.batches.files import Identity, files_of
-from bayeq.batches.options import digest
+from bayeq.batches.options import Identity, digest, files_of
 from bayeq.cli.app import main
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 from bayeq.figures.drift import draw_drift
@@ -228,7 +227,7 @@ def test_no_file_that_can_be_used(tmp_path, capsys, monkeypatch):
     ("words", "message"),
     [
         ([*WORDS, "--table", "drift.png"], "end it in .csv"),
-        ([*WORDS, "--figure", "drift.csv"], "a figure ends in .png"),
+        ([*WORDS, "--figure", "drift.csv"], "to be written as a figure: end it in .png"),
         ([*WORDS, "--store", "nowhere/batch.db"], "no directory"),
         ([*WORDS, "--store", "run.csv"], "is a file that is read"),
         ([*WORDS, "--jobs", "0"], "jobs is a number of processes"),

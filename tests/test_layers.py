@@ -18,9 +18,9 @@ ORDER = [
     "adapters figures inspection likelihood systems",
     "forecast regression",
     "export plan refine selection streaming",
-    "equation study",
+    "equation",
     "app discovery estimators",
-    "batches",
+    "batches study",
     "cli",
     "__main__",
 ]

@@ -23,13 +23,11 @@ from bayeq.cli.study import study as study_commands
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 from bayeq.resumable.store import Claims
 from bayeq.study import realise as realise_module
-from bayeq.study.algorithms import ALGORITHMS
 from bayeq.study.config import StudyConfig
-from bayeq.study.progress import StudyProgress
-from bayeq.study.realise import Task, draw, realise
+from bayeq.study.realise import ALGORITHMS, Task, draw, realise
 from bayeq.study.runner import run_study
-from bayeq.study.show import show
 from bayeq.study.store import Store
+from bayeq.study.table import show
 
 FAST = ("rvm", "vb")
 
@@ -392,18 +390,6 @@ def test_an_interrupted_command_says_how_to_go_on(tmp_path, capsys, monkeypatch)
     assert err.count("\n") == 1
     assert "7 realisations were added" in err
     assert "the same command continues" in err
-
-
-def test_progress_without_a_terminal_is_a_line_now_and_then(capsys):
-    progress = StudyProgress()
-    progress(1, 10)
-    progress.last -= 100
-    progress(2, 10)
-    progress(3, 10)
-    progress.close()
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("2 of 10 realisations, ")
-    assert line.endswith(" left")
 
 
 def test_a_killed_worker_ends_the_run_with_a_reason(tmp_path):

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import difflib
 import errno
+import operator
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -283,6 +284,35 @@ def require_kind(value: Any, kinds: type | tuple[type, ...], what: str, words: s
     """
     if not isinstance(value, kinds):
         raise InputError(f"{what} must be {words}, not {_shown(value)}")
+
+
+def printable(text: str) -> str:
+    """Text without what a terminal would obey, which names of files may hold."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def one_line(message: object) -> str:
+    """A message without line breaks."""
+    return " ".join(str(message).split())
+
+
+def whole_number(what: str, value: Any, least: int, most: int | None = None) -> int:
+    """`value` as an int; an InputError about `what` unless it is a whole number from `least` to `most`.
+
+    Examples
+    --------
+    >>> whole_number("rows", 3, 2)
+    3
+    """
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise InputError(f"{what} must be a whole number, not {value!r}") from None
+    if number < least:
+        raise InputError(f"{what} must be at least {least}, not {number}")
+    if most is not None and number > most:
+        raise InputError(f"{what} must be at most {most}, not {number}")
+    return number
 
 
 def require_text(value: Any, what: str, optional: bool = False) -> None:

@@ -6,25 +6,16 @@ Commands are words for a process, never a line for a shell.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from bayeq.errors import InputError
 
 __all__ = [
-    "EQUATION",
-    "READING",
-    "REPORT",
-    "ROLES",
-    "Choice",
-    "Choices",
-    "as_typed",
-    "chains_of",
-    "discover_command",
-    "inputs_of",
-    "proposed",
-]
+    "EQUATION", "READING", "REPORT", "ROLES", "Choice", "Choices", "as_typed", "chains_of", "discover_command",
+    "inputs_of", "proposed",
+]  # fmt: skip
 
 #: Names of the files that are written.
 EQUATION, REPORT = "equation.json", "report.html"
@@ -130,16 +121,12 @@ def _only(of: Mapping[str, str], role: str, number: int) -> str:
     """The channel of a role, empty where there is none."""
     names = [name for name, its in of.items() if its == role]
     if len(names) > 1:
+        *first, last = names
         raise InputError(
-            f"{_and(names)} have both the role {role!r} of coordinate {number}: leave one out, or give them different"
-            " numbers of coordinate"
+            f"{', '.join(first)} and {last} have both the role {role!r} of coordinate {number}: leave one out, or give"
+            " them different numbers of coordinate"
         )
     return names[0] if names else ""
-
-
-def _and(names: Iterable[str]) -> str:
-    *first, last = names
-    return f"{', '.join(first)} and {last}"
 
 
 @dataclass

@@ -10,8 +10,7 @@ from typing import Any
 from nicegui import background_tasks, ui
 
 from bayeq.app.choices import INPUT, RATE, READING, ROLES, Choice, as_typed
-from bayeq.app.guard import LARGEST
-from bayeq.app.session import LOOKING, Session, safe_name
+from bayeq.app.session import LARGEST, LOOKING, Session, safe_name
 from bayeq.equation.report.look import STYLE
 from bayeq.errors import InputError
 

@@ -1,24 +1,28 @@
-"""The options of a batch: those of `discover`, checked once, and a digest that tells batches apart."""
+"""What a batch is asked: options of `discover`, checked once, and files; and what tells batches and files apart."""
 
 from __future__ import annotations
 
 import hashlib
 import inspect
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, is_dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from bayeq.discovery.entry import discover, question_of
 from bayeq.discovery.question import Question
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError, UnknownNameError, as_path
 from bayeq.inference.prior import Prior
+from bayeq.records.formats import suffixes
+from bayeq.records.formats.excel import without_sheet
+from bayeq.records.stream import files_in
 
-__all__ = ["Read", "digest", "fixed_terms", "question"]
+__all__ = ["Identity", "Read", "digest", "files_of", "fixed_terms", "question"]
 
 #: From a file to what `discover` takes; its text says how files are read.
 Read = Callable[[Path], Any]
@@ -31,12 +35,7 @@ _WIDE = 1e8
 
 
 def question(options: Mapping[str, Any]) -> Question:
-    """The question that is put to each file.
-
-    Parameters
-    ----------
-    options : mapping
-        Of `discover`.
+    """The question that is put to each file, of the options of `discover`.
 
     Raises
     ------
@@ -79,14 +78,7 @@ def _plain(value: object) -> Any:
 
 
 def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
-    """The options for one file with the terms of the common equation, and no others.
-
-    Parameters
-    ----------
-    options : mapping
-        Of `discover`.
-    common : mapping
-        The common equations, as they are saved.
+    """The options of `discover` for one file with the terms of the `common` equation, as it is saved, and no others.
 
     Raises
     ------
@@ -104,9 +96,11 @@ def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[s
         )
     prior = options.get("prior") or Prior()
     fixed = {**options, "dictionary": terms, "constraints": ()}
+    given = options.get("constraints", ())
+    texts = [given] if isinstance(given, str) else given
     return {
         **fixed,
-        "constraints": [text for text in _texts(options.get("constraints", ())) if _holds(fixed, text)],
+        "constraints": [text for text in texts if _holds(fixed, text)],
         "prior": replace(prior, slab_variance=_WIDE, prior_inclusion=1.0, inclusion_beta=None, signs=None),
         "method": "bma",
         "max_terms": None,
@@ -121,10 +115,6 @@ def _with_ranges(term: str, equation: Mapping[str, Any]) -> str:
     return term
 
 
-def _texts(constraints: str | Sequence[str]) -> list[str]:
-    return [constraints] if isinstance(constraints, str) else list(constraints)
-
-
 def _holds(options: Mapping[str, Any], constraint: str) -> bool:
     """Whether a constraint, which has been checked, is on terms that are left."""
     try:
@@ -132,3 +122,67 @@ def _holds(options: Mapping[str, Any], constraint: str) -> bool:
     except UnknownNameError:
         return False
     return True
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What a file was when it was read."""
+
+    size: int  # in bytes
+    mtime: int  # time of its last change [ns]
+    sha256: str  # of its content
+
+    @classmethod
+    def of(cls, path: Path) -> Self:
+        """That of a file as it is now.
+
+        Raises
+        ------
+        OSError
+            It cannot be read.
+        """
+        with without_sheet(path)[0].open("rb") as file:
+            state = os.fstat(file.fileno())
+            return cls(state.st_size, state.st_mtime_ns, hashlib.file_digest(file, "sha256").hexdigest())
+
+    def holds(self, path: Path) -> bool:
+        """Whether a file is unchanged: its size and time are, or else its content is."""
+        try:
+            state = without_sheet(path)[0].stat()
+            if state.st_size != self.size:
+                return False
+            return state.st_mtime_ns == self.mtime or Identity.of(path).sha256 == self.sha256
+        except OSError:
+            return False
+
+
+def files_of(sources: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
+    """The files, and those of each folder whose suffix is that of a known format, in the order of their numbers.
+
+    Raises
+    ------
+    FileFormatError
+        A folder without such files.
+    InputError
+        No files, or one that is named twice.
+    """
+    paths = [as_path(source, "each of the files") for source in sources]
+    for path in paths:
+        try:
+            os.fsencode(path)
+            path.is_dir()
+        except (OSError, ValueError):
+            raise InputError(f"{str(path)[:60]!r}: is no name of a file") from None
+    out = files_in(paths, suffixes(), "of a known format")
+    if not out:
+        raise InputError("no files are given: name files or folders")
+    seen: set[str] = set()
+    for path in out:
+        place = os.path.realpath(path)
+        if place in seen:
+            raise InputError(f"{path}: named twice; leave one of them out")
+        seen.add(place)
+    return tuple(out)

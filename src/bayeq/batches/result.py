@@ -20,21 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["Batch", "BatchFile"]
 
 COLUMNS = (
-    "order",
-    "file",
-    "target",
-    "term",
-    "coef",
-    "sd",
-    "ci_low",
-    "ci_high",
-    "pip",
-    "included",
-    "shown",
-    "verdict",
-    "unit",
-)
-
+    "order", "file", "target", "term", "coef", "sd", "ci_low", "ci_high", "pip", "included", "shown", "verdict", "unit",
+)  # fmt: skip
 
 # The constant, where an equation has one.
 CONSTANT = "1"

@@ -14,8 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bayeq.batches.files import Identity, files_of
-from bayeq.batches.options import Read, digest, fixed_terms, question
+from bayeq.batches.options import Identity, Read, digest, files_of, fixed_terms, question
 from bayeq.batches.result import Batch, BatchFile
 from bayeq.discovery.entry import discover
 from bayeq.equation.to_json import to_saved
@@ -25,6 +24,7 @@ from bayeq.errors import (
     InputError,
     UnknownNameError,
     as_path,
+    one_line,
     require_kind,
     require_mapping,
 )
@@ -34,8 +34,6 @@ from bayeq.resumable.store import Key, ResultStore
 from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
 
 __all__ = ["COMMON", "FILES", "BatchStore", "batch", "run_batch"]
-
-# Called with (stage, done, total).
 
 #: Stages of a batch: the equation that files have in common, and the files.
 COMMON, FILES = "common equation", "files"
@@ -258,14 +256,10 @@ def _work(options: Mapping[str, Any], read: Read, path: Path) -> tuple[BatchFile
     except OSError as error:
         status, message = "refused", f"{path}: {error.strerror or error}"
     except BayeqError as error:
-        status, message = "refused", _one_line(error)
+        status, message = "refused", one_line(error)
     except Exception as error:  # noqa: BLE001 - one file does not stop the others; its row says what went wrong
-        status, message = "failed", f"{path}: {type(error).__name__}: {_one_line(error)}"
+        status, message = "failed", f"{path}: {type(error).__name__}: {one_line(error)}"
     return BatchFile(str(path), status, message, answer), identity
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def _common(
@@ -320,7 +314,7 @@ def _sources(
                 for name in (*roles.measured, *roles.inputs) if isinstance(part, Record) else ():
                     _ = part[name]
         except (BayeqError, OSError) as error:
-            why.append(_one_line(error))  # it is refused again, with its message, where each file is done
+            why.append(one_line(error))  # it is refused again, with its message, where each file is done
             continue
         sources += parts
         used.append(identity)

@@ -10,9 +10,10 @@ import json
 import os
 import sys
 import warnings
+from functools import partial
 from io import UnsupportedOperation
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import get_completion_class, shell_complete
@@ -21,11 +22,23 @@ from bayeq.cli.batch import batch
 from bayeq.cli.benchmark import benchmark
 from bayeq.cli.discover import discover
 from bayeq.cli.environment import INTERRUPTED, address_space, no_memory, prepare_streams, say
-from bayeq.cli.info import info
-from bayeq.cli.options import FILE, Command, option
+from bayeq.cli.options import FILE, Command, Names, json_option, measured, option
+from bayeq.cli.reading import Reading, reading_options
 from bayeq.cli.saved import plan, predict, show
 from bayeq.cli.study import study
-from bayeq.errors import FULL, BayeqError, BayeqWarning, InputError, InterruptedRun, MissingExtraError
+from bayeq.errors import (
+    FULL,
+    BayeqError,
+    BayeqWarning,
+    InputError,
+    InterruptedRun,
+    MissingExtraError,
+    one_line,
+    printable,
+)
+
+if TYPE_CHECKING:
+    from bayeq.inspection.info import RecordInfo
 
 __all__ = ["app", "main"]
 
@@ -51,6 +64,58 @@ def app(context: click.Context, version: bool, cite: bool) -> None:
         context.exit()
     if context.invoked_subcommand is None:
         raise InputError(f"no command given; there are: {', '.join(app.commands)} (see bayeq --help)")
+
+
+@click.command(cls=Command)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
+@partial(reading_options, of_files=True)
+@measured(
+    "--channel", "channels", multiple=True, help="Channel that is read, x or name=path. Once per channel; else all."
+)
+@json_option()
+def info(files: tuple[Path, ...], as_json: bool, channels: tuple[str, ...], **options: Any) -> None:
+    """Say what is in a file: channels, rate, units, power, bad samples, likely roles, and what to run next.
+
+    FILE... are one or several records: text (CSV ...), MATLAB, HDF5, universal files, TDMS, LabVIEW, Excel, WAV,
+    Parquet, NumPy.
+    """
+    from importlib.metadata import version
+
+    from bayeq.inspection.info import copies_among, proposal_for_all
+    from bayeq.inspection.info import info as describe
+
+    reading, named = Reading.of(options), Names()
+    for text in channels:
+        named.name(text)
+    found: list[RecordInfo] = []
+    for file in files:
+        found.append(describe(file, channels=named.paths or None, rows=reading.rows, **reading.of_file))
+        if not as_json:
+            click.echo(("\n" if len(found) > 1 else "") + _text(found[-1]))
+    together = proposal_for_all(found)
+    if as_json:
+        parts = [one.to_dict() for one in found]
+        whole = parts[0] if len(parts) == 1 else {"files": parts, "next": together and together.to_dict()}
+        click.echo(json.dumps({"version": version("bayeq"), **whole}, allow_nan=False))
+        return
+    for line in copies_among(found):
+        click.echo(f"\n{line}")
+    if together is not None:
+        click.echo(f"\nnext, for all {len(found)} files\n  {together.command}")
+    elif len(found) > 1:
+        click.echo("\nthe files differ in channels or roles: they are not proposed to be used together")
+
+
+def _text(found: RecordInfo) -> str:
+    """The summary in characters that standard output can write."""
+    from bayeq.inspection.contents import as_text
+
+    text = as_text(found)
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except (UnicodeEncodeError, LookupError):
+        return as_text(found, plain=True)
+    return text
 
 
 @click.command(cls=Command)
@@ -138,12 +203,7 @@ for command in COMMANDS:
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
     label = "warning" if issubclass(category, BayeqWarning) else category.__name__
-    say(f"bayeq: {label}: {_one_line(str(message))}")
-
-
-def _one_line(text: str) -> str:
-    """A message without line breaks and without what a terminal would obey."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split()))
+    say(f"bayeq: {label}: {printable(one_line(message))}")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -160,7 +220,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, MissingExtraError) as error:
         return _fail(str(error), 2)
     except InterruptedRun as stop:
-        say(f"bayeq: {_one_line(str(stop))}")
+        say(f"bayeq: {printable(one_line(stop))}")
         return INTERRUPTED
     except BayeqError as error:
         return _fail(str(error), 1)
@@ -170,7 +230,7 @@ def main(arguments: list[str] | None = None) -> int:
         return stop.exit_code
     except (KeyboardInterrupt, click.Abort) as stop:
         said = ("interrupted", *getattr(stop, "__notes__", ()))  # what was kept, and where
-        say(f"bayeq: {_one_line(': '.join(said))}")
+        say(f"bayeq: {printable(one_line(': '.join(said)))}")
         return INTERRUPTED
     except BrokenPipeError:
         # The reader of the pipe has gone (`bayeq ... | head`): nothing is left to say to it, now or at the exit.
@@ -194,5 +254,5 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _fail(message: str, code: int) -> int:
     if message:
-        say(f"bayeq: error: {_one_line(message)}")
+        say(f"bayeq: error: {printable(one_line(message))}")
     return code

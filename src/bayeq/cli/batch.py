@@ -13,7 +13,7 @@ import click
 from bayeq.cli import options as opt
 from bayeq.cli.discover import cleaned, discover, source_of, used_channels
 from bayeq.cli.environment import say
-from bayeq.cli.outputs import require_place
+from bayeq.cli.outputs import Kind, require_output
 from bayeq.cli.progress import Progress
 from bayeq.cli.reading import STANDARD_INPUT, Reading
 from bayeq.errors import BayeqError, InputError, InterruptedRun
@@ -83,10 +83,13 @@ def batch(
     options = cleaned(options)
     if STANDARD_INPUT in files:
         raise InputError("-: a batch is of files, which it knows again; write standard input to one")
-    from bayeq.batches.files import files_of
+    from bayeq.batches.options import files_of
 
     given = files_of(files)
-    _require_outputs(given, store, table, figure)
+    written: tuple[tuple[Path | None, Kind], ...] = ((store, "any"), (table, "table"), (figure, "figure"))
+    for path, kind in written:
+        if path is not None:
+            require_output(path, given, kind)
     from bayeq.batches.run import FILES, run_batch
 
     if common and reading.stream is None:
@@ -102,7 +105,10 @@ def batch(
             ) from None
     _show(found, store, as_json)
     if len(found.refused) < len(found):
-        _write(found, table, figure)
+        from bayeq.figures.style import write_output
+
+        for path in filter(None, (table, figure)):
+            write_output(path, found.table, found.plot)
     _name_refused(found.refused, len(found))
 
 
@@ -125,29 +131,6 @@ class _FileReading:
 
         _, source = source_of(self.reading, [path], self.used, self.paths, False, silent)
         return source
-
-
-def _require_outputs(files: Sequence[Path], store: Path, table: Path | None, figure: Path | None) -> None:
-    """Refuse, before the work, what cannot be written after it."""
-    for path in (store, table, figure):
-        if path is not None:
-            require_place(path, files)
-    if table is not None and table.suffix.lower() != ".csv":
-        raise InputError(f"{table}: the table is written as text: end it in .csv")
-    if figure is not None:
-        from bayeq.figures.style import require_suffix
-
-        if figure.suffix.lower() == ".csv":
-            raise InputError(f"{figure}: a figure ends in .png, .svg or .pdf; --table writes numbers")
-        require_suffix(figure)
-
-
-def _write(found: Batch, table: Path | None, figure: Path | None) -> None:
-    from bayeq.figures.style import write_output
-
-    for path in (table, figure):
-        if path is not None:
-            write_output(path, found.table, found.plot)
 
 
 def _show(found: Batch, store: Path, as_json: bool) -> None:

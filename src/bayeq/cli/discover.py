@@ -198,7 +198,9 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
     with opt.cluster_client(dask) as client, Progress(verbose) as progress:
         records, source = source_of(reading, files, used_channels(options), paths, outputs.refine, progress)
         if not options["chains"] and not options["target"]:  # which may be badly written
-            _require_channels(records, used_channels(options))
+            for name in used_channels(options):  # one that a record lacks is refused before the import below
+                for record in records:
+                    _ = record[name]
         outputs.check_records(records)
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
@@ -253,10 +255,3 @@ def used_channels(options: Mapping[str, Any]) -> list[str]:
     single = (options.get(role, "") for role in opt.ROLES)
     texts = (*(options["chains"] or ()), *single, *options["inputs"], *(options["target"] or ()))
     return [name for text in texts for name in text.split(":") if name and not name.startswith("~")]
-
-
-def _require_channels(records: Sequence[Record], names: Sequence[str]) -> None:
-    """Refuse channels that a record lacks: before the import of what would find it out."""
-    for name in names:
-        for record in records:
-            _ = record[name]

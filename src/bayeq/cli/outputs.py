@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -21,18 +21,20 @@ if TYPE_CHECKING:
     from bayeq.records import Record
     from bayeq.records.files import FileState
 
-__all__ = ["OUTPUTS", "Outputs", "require_place", "show_equations"]
+__all__ = ["OUTPUTS", "Outputs", "require_output", "show_equations"]
+
+Kind = Literal["any", "table", "figure", "table or figure", "page"]
 
 # What parameters of several coordinates together are called.
 MODES = "modes"
 
-# What a file is for, by option.
-PURPOSES = {
-    "save": "to save the equations to",
-    "sensitivity": "for their sensitivity",
-    "path": "for the path of best equations",
-    "forecast": "for the free run",
-    "report": "for the report",
+# What a file is for, and of which kind it is, by option.
+PURPOSES: Mapping[str, tuple[str, Kind]] = {
+    "save": ("to save the equations to", "any"),
+    "sensitivity": ("for their sensitivity", "table or figure"),
+    "path": ("for the path of best equations", "table or figure"),
+    "forecast": ("for the free run", "table or figure"),
+    "report": ("for the report", "page"),
 }
 
 
@@ -64,21 +66,14 @@ class Outputs:
         if self.refine and options.get("target"):
             raise InputError("--refine: output error is of free runs, which static laws (--target) do not have")
         seen: dict[Path, str] = {}
-        for name, purpose in PURPOSES.items():
+        for name, (purpose, kind) in PURPOSES.items():
             output: Path | None = getattr(self, name)
             if output is None:
                 continue
-            require_place(output, [*files, *_files_of_terms(options)])
             if output in seen:
                 raise InputError(f"{output}: named twice, {seen[output]} and {purpose}")
             seen[output] = purpose
-        for file in (self.sensitivity, self.path, self.forecast):
-            if file is not None:
-                from bayeq.figures.style import require_suffix
-
-                require_suffix(file)
-        if self.report is not None:
-            _require_report(self.report)
+            require_output(output, [*files, *_files_of_terms(options)], kind)
         if self.sensitivity is not None:
             from bayeq.equation.sensitivity import require_spike_slab
 
@@ -139,8 +134,8 @@ class Outputs:
         failures = []
         for path, write in (
             (self.save, answer.save),
-            (self.sensitivity, lambda file: _write_sensitivity(file, found)),
-            (self.path, lambda file: _write_path(file, found)),
+            (self.sensitivity, lambda file: _write_curves(file, found, "sensitivity")),
+            (self.path, lambda file: _write_curves(file, found, "path")),
             (self.forecast, lambda file: _write_forecast(file, answer, records, holdout)),
             (self.report, lambda file: _write_report(file, answer, records, files)),
         ):
@@ -168,15 +163,6 @@ def _write_report(
     given = click.get_current_context().obj
     command = None if given is None else shlex.join(["bayeq", *given])
     answer.report(path, records, files=[file for file in files if file.is_file()], command=command)
-
-
-def _require_report(path: Path) -> None:
-    """Refuse a report that could not be made."""
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{path}: a report is an HTML page: end it in .html")
-    from bayeq.equation.report.page import require_report
-
-    require_report()
 
 
 def show_equations(
@@ -211,18 +197,14 @@ def show_equations(
         click.echo(f"\n{explanation(answer, conditional)}")
 
 
-def _write_sensitivity(path: Path, found: Equations) -> None:
+def _write_curves(path: Path, found: Equations, what: Literal["sensitivity", "path"]) -> None:
+    """The sensitivity or the path of each equation."""
     from bayeq.equation.pip_curve import draw_pip_curves
-    from bayeq.figures.style import write_by_target
-
-    write_by_target(path, {equation.target: equation.sensitivity() for equation in found}, draw_pip_curves)
-
-
-def _write_path(path: Path, found: Equations) -> None:
     from bayeq.equation.size_path import draw_paths
     from bayeq.figures.style import write_by_target
 
-    write_by_target(path, {equation.target: equation.path() for equation in found}, draw_paths)
+    draw = draw_pip_curves if what == "sensitivity" else draw_paths
+    write_by_target(path, {equation.target: getattr(equation, what)() for equation in found}, draw)
 
 
 def _write_forecast(path: Path, answer: Equations, records: Sequence[Record], holdout: float) -> None:
@@ -242,7 +224,32 @@ def _write_forecast(path: Path, answer: Equations, records: Sequence[Record], ho
 OUTPUTS = tuple(field.name for field in fields(Outputs))
 
 
-def require_place(path: Path, files: Sequence[Path]) -> None:
+def require_output(path: Path, files: Sequence[Path], kind: Kind) -> None:
+    """Refuse, before the work, a file that could not be written after it.
+
+    It cannot be there, is one of the `files` that are read, or ends otherwise than its kind; or what makes it is not
+    installed.
+    """
+    _require_place(path, files)
+    suffix = path.suffix.lower()
+    if kind == "table" and suffix != ".csv":
+        raise InputError(f"{path}: is to be written as a table: end it in .csv")
+    if kind == "page":
+        if suffix not in (".html", ".htm"):
+            raise InputError(f"{path}: a report is an HTML page: end it in .html")
+        from bayeq.equation.report.page import require_report
+
+        require_report()
+    if "figure" in kind:
+        from bayeq.figures.style import UNSIGNED, require_suffix
+
+        if kind == "figure" and suffix[1:] not in UNSIGNED:
+            endings = ", ".join(f".{name}" for name in UNSIGNED)
+            raise InputError(f"{path}: is to be written as a figure: end it in {endings}; tables have their own option")
+        require_suffix(path)
+
+
+def _require_place(path: Path, files: Sequence[Path]) -> None:
     """Refuse a file to write that cannot be there, or that is read."""
     if path.is_dir():
         raise InputError(f"{path}: is a directory; name a file in it")

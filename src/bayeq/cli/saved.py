@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from bayeq.cli import options as opt
-from bayeq.cli.outputs import require_place
+from bayeq.cli.outputs import require_output
 from bayeq.cli.progress import Progress
 from bayeq.cli.reading import Reading, plain_files, reading_options
 from bayeq.errors import DataWarning, InputError, UnknownNameError
@@ -104,10 +104,7 @@ def predict(
     if seed < 0:
         raise InputError(f"--seed {seed}: a seed is a whole number, 0 or more")
     if forecast is not None:
-        from bayeq.figures.style import require_suffix
-
-        require_place(forecast, [equations, *plain_files(files)])
-        require_suffix(forecast)
+        require_output(forecast, [equations, *plain_files(files)], "table or figure")
     from bayeq.equation.load import load
 
     found = load(equations)
@@ -179,7 +176,10 @@ def plan(
     EQ.json holds equations that `bayeq discover --save` has written. Band-limited noise, sweep and multisine are
     simulated and compared by the information that they are expected to bring by second.
     """
-    _check_outputs(file, figure, output)
+    if figure is not None:
+        require_output(figure, [file], "figure")
+    if output is not None:
+        require_output(output, [file], "table")
     given = {
         "amplitude": _amplitude(amplitudes),
         "band": None if band is None else opt.pair_of_numbers("--band", band),
@@ -198,23 +198,6 @@ def plan(
         write_output(figure, found.table, found.plot)
     if output is not None:
         found.write(output)
-
-
-def _check_outputs(file: Path, figure: Path | None, output: Path | None) -> None:
-    """Refuse, before the work, what could not be written after it."""
-    for path in (figure, output):
-        if path is not None:
-            require_place(path, [file])
-    if figure is not None:
-        from bayeq.figures.style import UNSIGNED, require_matplotlib
-
-        if figure.suffix.lower()[1:] not in UNSIGNED:
-            raise InputError(
-                f"{figure}: is to be written as a figure: end it in {', '.join('.' + s for s in UNSIGNED)}"
-            )
-        require_matplotlib()
-    if output is not None and output.suffix.lower() != ".csv":
-        raise InputError(f"{output}: the excitation is written as a table: end it in .csv")
 
 
 def _numbers(where: str, texts: Sequence[str]) -> dict[str, float]:

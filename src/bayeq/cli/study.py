@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -10,11 +11,13 @@ import click
 
 from bayeq.cli.environment import say
 from bayeq.cli.options import FILE, Command, cluster_client, json_option, number, option
+from bayeq.cli.progress import Progress
 from bayeq.errors import InputError, InterruptedRun
+from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig
 
 __all__ = ["study"]
 
-SYSTEMS = "linear,duffing,quadratic,coulomb"
+SYSTEMS = ",".join(STUDY_SYSTEMS)
 
 
 @click.group(invoke_without_command=True)
@@ -38,7 +41,7 @@ def study(context: click.Context) -> None:
     "--store", type=FILE, default=Path("study.db"), help="File of results; a study that was stopped continues in it."
 )
 @option("--systems", default=SYSTEMS, help="Systems, separated by commas.")
-@option("--algorithms", default="sindy,rvm,gibbs,vb,vb-rvm", help="Algorithms, separated by commas.")
+@option("--algorithms", default=",".join(DEFAULT_ALGORITHMS), help="Algorithms, separated by commas.")
 @option(
     "--smooth",
     type=click.Choice(["none", "auto", "band"]),
@@ -56,34 +59,29 @@ def table2(
     smooth: Literal["none", "auto", "band"],
 ) -> None:
     """Run the Monte Carlo study of the paper's Tables 2 and 3, or what is missing of it."""
-    from bayeq.study.progress import StudyProgress
+    with Progress() as progress:
+        try:
+            from bayeq.states.derive import current
+            from bayeq.study.runner import run_study
 
-    progress = StudyProgress()
-    try:
-        from bayeq.states.derive import current
-        from bayeq.study.config import StudyConfig
-        from bayeq.study.runner import run_study
-        from bayeq.study.show import show as render
-        from bayeq.study.store import Store
+            with cluster_client(dask) as client:
+                outcome = run_study(
+                    store,
+                    systems=_names(systems),
+                    algorithms=_names(algorithms),
+                    realisations=realisations,
+                    jobs=jobs,
+                    config=StudyConfig(seed=seed, smooth=current(smooth)),
+                    progress=partial(progress, "realisations"),
+                    client=client,
+                )
+        except KeyboardInterrupt:
+            raise InterruptedRun(
+                f"interrupted: {progress.done} realisations were added to {store}; the same command continues"
+            ) from None
+    from bayeq.study.store import Store
+    from bayeq.study.table import show as render
 
-        with cluster_client(dask) as client:
-            outcome = run_study(
-                store,
-                systems=_names(systems),
-                algorithms=_names(algorithms),
-                realisations=realisations,
-                jobs=jobs,
-                config=StudyConfig(seed=seed, smooth=current(smooth)),
-                progress=progress,
-                client=client,
-            )
-    except KeyboardInterrupt:
-        progress.close()
-        raise InterruptedRun(
-            f"interrupted: {progress.done} realisations were added to {store}; the same command continues"
-        ) from None
-    finally:
-        progress.close()
     if outcome.realisations:
         rate = outcome.realisations / outcome.seconds
         say(f"{store}: {outcome.realisations} realisations in {outcome.seconds:.1f} s ({rate:.3g}/s)")
@@ -105,8 +103,8 @@ def show(store: Path, form: Literal["text", "markdown", "csv"], as_json: bool, t
 
     STORE is its file of results.
     """
-    from bayeq.study.show import show as render
     from bayeq.study.store import Store
+    from bayeq.study.table import show as render
 
     if table not in (2, 3):
         raise InputError(f"there is no table {table}; choose --table 2 or --table 3")
@@ -210,17 +208,13 @@ def _run_of_others(
     form: str,
 ) -> None:
     """Run a benchmark, and print its table."""
-    from bayeq.study.progress import StudyProgress
-
-    progress = StudyProgress("records")
     names = None if systems is None else _names(systems)
-    try:
-        done = run(store, names=names, records=seeds, first_seed=seed, jobs=jobs, progress=progress, **given)
-    except KeyboardInterrupt:
-        progress.close()
-        raise InterruptedRun(f"interrupted: what was done is in {store}; the same command continues") from None
-    finally:
-        progress.close()
+    with Progress() as progress:
+        shown = partial(progress, "records")
+        try:
+            done = run(store, names=names, records=seeds, first_seed=seed, jobs=jobs, progress=shown, **given)
+        except KeyboardInterrupt:
+            raise InterruptedRun(f"interrupted: what was done is in {store}; the same command continues") from None
     import pandas as pd
 
     table = pd.DataFrame(list((by_system if each else summary)(done)))

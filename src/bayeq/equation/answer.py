@@ -268,7 +268,7 @@ class Answer:
         MissingExtraError
             JAX is not installed.
         """
-        from bayeq.export.callables import to_callable
+        from bayeq.export.functions import to_callable
 
         return to_callable([equation.law for equation in self.equations], self.inputs, self.roles.timed, module)
 
@@ -287,7 +287,7 @@ class Answer:
         InputError
             Terms that the language cannot express.
         """
-        from bayeq.export.languages import to_code
+        from bayeq.export.functions import to_code
 
         return to_code([equation.law for equation in self.equations], self.inputs, self.roles.timed, language)
 

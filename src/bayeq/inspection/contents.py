@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from bayeq.errors import printable
 from bayeq.inspection.channels import ChannelInfo, bars
 from bayeq.inspection.links import Link
 from bayeq.inspection.proposal import Proposal, Reading
 from bayeq.inspection.roles import Clue, Guess
-from bayeq.inspection.samples import Bad
-from bayeq.inspection.timing import Experiments, Gap
+from bayeq.inspection.rows import Bad, Experiments, Gap
 from bayeq.markup import code, items, join, paragraph, table
 
 __all__ = ["RecordInfo", "as_text"]
@@ -176,7 +176,7 @@ def as_text(found: RecordInfo, plain: bool = False) -> str:
         lines += ["", heading, *(f"  {text}" for text in texts)]
     lines += ["", "next", f"  {found.proposal.command or found.proposal.python}"]
     lines += [f"  {note}" for note in found.proposal.notes]
-    return "\n".join(_harmless(line.rstrip()) for line in lines)
+    return "\n".join(printable(line.rstrip()) for line in lines)
 
 
 def as_html(found: RecordInfo) -> str:
@@ -210,19 +210,11 @@ def title(found: RecordInfo) -> str:
 def _sections(found: RecordInfo) -> list[tuple[str, Sequence[str]]]:
     out: list[tuple[str, Sequence[str]]] = []
     if found.guess.reasons:
-        out.append(("why", [f"{_cut(name)}: {why}" for name, why in _reasons(found)]))
+        roles = ((name, found.guess.role_of(name), found.guess.reasons.get(name)) for name in found.channels)
+        why = [f"{_cut(name)}: {role} ({reason})" for name, role, reason in roles if role and reason]
+        out.append(("why", why))
     if found.findings:
         out.append(("noticed", found.findings))
-    return out
-
-
-def _reasons(found: RecordInfo) -> list[tuple[str, str]]:
-    """Channels with a role, and what says so."""
-    out = []
-    for name in found.channels:
-        role, why = found.guess.role_of(name), found.guess.reasons.get(name)
-        if role and why:
-            out.append((name, f"{role} ({why})"))
     return out
 
 
@@ -233,11 +225,6 @@ def _row(found: RecordInfo, channel: ChannelInfo, plain: bool) -> tuple[str, ...
     role = found.guess.role_of(channel.name) or ("constant" if channel.constant else "?")
     values = (f"{value:.4g}" if math.isfinite(value) else "" for value in numbers)
     return (_cut(channel.name), _cut(channel.unit), role, *values, str(channel.missing or ""), *spectrum)
-
-
-def _harmless(text: str) -> str:
-    """Text without what a terminal would obey, which names of files may hold."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def _hertz(value: float) -> str:

@@ -17,8 +17,7 @@ from bayeq.inspection.contents import RecordInfo
 from bayeq.inspection.links import Link, correlations, drivers, find_links, first_order, rough_channels, short_record
 from bayeq.inspection.proposal import Proposal, Reading, propose
 from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clue_of, guess_roles
-from bayeq.inspection.samples import find_bad
-from bayeq.inspection.timing import Experiments, gaps_of, sort_rows, starts_from_rest
+from bayeq.inspection.rows import Experiments, find_bad, gaps_of, sort_rows, starts_from_rest
 from bayeq.records import Record, as_record, check_record, read, without_copies
 from bayeq.records.names import is_time_name
 from bayeq.records.record import with_only
@@ -189,7 +188,8 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
         clues=clues,
         reading=reading,
     )
-    return replace(made, findings=tuple(_remarks(made, _checks(records, guess))))
+    parts = (_on_time, _on_experiments, _on_channels, _on_bad_samples)
+    return replace(made, findings=(*(text for part in parts for text in part(made)), *_checks(records, guess)))
 
 
 def _without_copies(experiments: Experiments) -> tuple[Experiments, dict[str, str]]:
@@ -263,11 +263,6 @@ def copies_among(found: Sequence[RecordInfo]) -> list[str]:
 
 
 # --- what was noticed, a sentence each ------------------------------------------------------------------------------
-
-
-def _remarks(found: RecordInfo, checks: Sequence[str]) -> list[str]:
-    """Sentences about time, experiments, channels and samples, then what channels say of each other."""
-    return [*_on_time(found), *_on_experiments(found), *_on_channels(found), *_on_bad_samples(found), *checks]
 
 
 def _on_time(found: RecordInfo) -> list[str]:

@@ -177,7 +177,10 @@ def _span(
     if amplitude is None:
         if name not in measured.ranges:
             raise InputError(f"the range of {name} is not known from the record: give amplitude")
-        low, high = _evened(*measured.ranges[name])
+        low, high = measured.ranges[name]
+        least, most = sorted((-low, high))
+        if least > SIGNED * most:  # of both signs: as far as both go
+            low, high = -least, least
     elif isinstance(amplitude, (int, float)):
         high = _positive(f"amplitude of {name}", amplitude)
         low = -high
@@ -188,12 +191,6 @@ def _span(
             f"amplitude of {name}: {low:g} to {high:g} is no range; give a positive number, or low and high"
         )
     return low, high
-
-
-def _evened(low: float, high: float) -> tuple[float, float]:
-    """The range of an input in a record; of one of both signs, as far as both go."""
-    least, most = sorted((-low, high))
-    return (-least, least) if least > SIGNED * most else (low, high)
 
 
 def _band(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -14,8 +14,7 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import ANYWHERE, mean_run, state_range
 from bayeq.ode.rk4 import Drive, interpolant, slope_at
 from bayeq.plan.conditions import Conditions
-from bayeq.plan.excitations import EXCITATIONS
-from bayeq.plan.excitations.lines import lines_within
+from bayeq.plan.excitations import EXCITATIONS, lines_within
 
 __all__ = ["SHARES", "Design", "Motions", "designs_for", "largest_share", "shapes"]
 
@@ -46,17 +45,11 @@ def designs_for(conditions: Conditions, parameters: int) -> list[Design]:
     A part of the band is left out if its odd lines are too few to tell the parameters: k sines are persistently
     exciting of order 2 k (Ljung 1999, section 13.2).
     """
-    bands = [conditions.band, *(part for part in _parts(conditions) if _lines(conditions, part) * 2 >= parameters)]
     lines_within(conditions.n, conditions.fs, conditions.band, odd=True)  # raises where there are none
-    return [Design(kind, band) for kind in EXCITATIONS for band in bands]
-
-
-def _parts(conditions: Conditions) -> Iterator[tuple[float, float]]:
     low, high = max(conditions.band[0], 1.0 / conditions.seconds), conditions.band[1]
-    if low >= high:
-        return
-    edges = np.geomspace(low, high, PARTS + 1).tolist()
-    yield from pairwise(edges)
+    parts = pairwise(np.geomspace(low, high, PARTS + 1).tolist()) if low < high else ()
+    bands = [conditions.band, *(part for part in parts if _lines(conditions, part) * 2 >= parameters)]
+    return [Design(kind, band) for kind in EXCITATIONS for band in bands]
 
 
 def _lines(conditions: Conditions, band: tuple[float, float]) -> int:

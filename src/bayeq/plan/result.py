@@ -444,18 +444,7 @@ def _conditions(plan: Plan) -> list[str]:
 
 @picture
 def _drawn(plan: Plan) -> Figure:
-    """Information by second of each design (left), spectrum and first part of the best excitation (right).
-
-    Parameters
-    ----------
-    plan : Plan
-        Designs, the best first.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Of a journal page's width.
-    """
+    """Information by second of each design (left), spectrum and first part of the best excitation (right)."""
     shown = plan.outcomes[:DRAWN]
     figure = new_figure(FULL_WIDTH, AROUND + ROW * max(len(shown), LEAST_ROWS), layout="constrained")
     axes = figure.subplot_mosaic([["rates", "spectrum"], ["rates", "start"]])

@@ -22,16 +22,8 @@ __all__ = ["RATE_NAMES", "STEP_NAMES", "Trial", "assemble", "find_time"]
 #: Names of a single number that is the time step [s], or the sampling rate [Hz].
 STEP_NAMES = ("dt", "Dt", "DT", "Ts", "dT", "delta_t", "time_step", "sampling_time", "sample_time", "wf_increment")
 RATE_NAMES = (
-    "fs",
-    "Fs",
-    "FS",
-    "fsamp",
-    "sample_rate",
-    "sampling_rate",
-    "SampleRate",
-    "samplerate",
-    "sampling_frequency",
-)
+    "fs", "Fs", "FS", "fsamp", "sample_rate", "sampling_rate", "SampleRate", "samplerate", "sampling_frequency",
+)  # fmt: skip
 
 
 class Trial(NamedTuple):

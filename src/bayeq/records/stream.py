@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +19,7 @@ from bayeq.records.formats.protocol import FileRows, grid
 from bayeq.records.record import Record, with_only
 
 __all__ = [
-    "LARGE", "FileStream", "RecordStream", "Stream", "in_order", "open_streams", "streamed_unasked", "units_between",
+    "LARGE", "FileStream", "RecordStream", "Stream", "files_in", "open_streams", "streamed_unasked", "units_between",
 ]  # fmt: skip
 
 #: Files of more bytes together are streamed unasked.
@@ -143,9 +143,11 @@ class FileStream:
         return columns
 
 
-def files_of(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
-    """Files, and those of each folder in the order of the numbers in their names; FileFormatError if it has none."""
-    known = tuple(suffix for row in FORMATS if row.rows is not None for suffix in row.suffixes)
+def files_in(paths: Sequence[str | os.PathLike[str]], known: Collection[str], what: str) -> list[Path]:
+    """Files, and those of each folder with a `known` suffix, in the order of the numbers in their names.
+
+    A FileFormatError names a folder that has none; `what` says for what it was looked through.
+    """
     out: list[Path] = []
     for one in map(Path, paths):
         if not one.is_dir():
@@ -153,7 +155,7 @@ def files_of(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
             continue
         found = [path for path in one.iterdir() if path.is_file() and path.suffix.lower() in known]
         if not found:
-            raise FileFormatError(f"{one}: the folder has no file that can be streamed ({', '.join(known)})")
+            raise FileFormatError(f"{one}: the folder has no file {what} ({', '.join(known)})")
         out.extend(sorted(found, key=in_order))
     return out
 
@@ -191,7 +193,8 @@ def open_streams(
         raise InputError(f"a path with {STAR} is several records; name one of them, files are streamed one by one")
     request = Request(None, dict(channels or {}), time, None, fs)
     streams = []
-    for path in files_of(paths):
+    known = tuple(suffix for row in FORMATS if row.rows is not None for suffix in row.suffixes)
+    for path in files_in(paths, known, "that can be streamed"):
         try:
             state = state_of(path)
             row = format_of(path)

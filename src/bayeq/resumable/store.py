@@ -287,9 +287,8 @@ def _dead(owner: str, until: float) -> bool:
     if host != socket.gethostname() or os.name == "nt":
         return False
     try:
-        os.kill(int(process), 0)
+        with suppress(PermissionError):  # of another user
+            os.kill(int(process), 0)
     except ProcessLookupError:
         return True
-    except PermissionError:  # of another user
-        return False
     return False

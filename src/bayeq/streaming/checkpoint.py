@@ -35,7 +35,7 @@ __all__ = ["Checkpoint", "Checkpoints", "cache_folder"]
 EVERY = 10.0
 
 # What is summed has changed so often: sums of another state of the program are not gone on with.
-SUMS = 2
+SUMS = 3
 
 # What a file may hold.
 KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in (OfRows, Folded, Moments, Block, Quadratic, Lagged)}
@@ -54,24 +54,12 @@ def cache_folder() -> Path | None:
 
 @dataclass(eq=False)
 class Checkpoint:
-    """One sum.
+    """One sum."""
 
-    Attributes
-    ----------
-    path : Path or None
-        The file; None keeps nothing.
-    every : bool
-        Whether the last sum, or that of a run that is stopped, is kept however short the run was.
-    failed : callable
-        Called with the error where it cannot be kept.
-    saved : float
-        When it was kept last.
-    """
-
-    path: Path | None
-    every: bool = False
-    failed: Callable[[OSError], None] = lambda error: None
-    saved: float = field(default_factory=clock.monotonic)
+    path: Path | None  # the file; None keeps nothing
+    every: bool = False  # whether the last sum, or that of a run that is stopped, is kept however short the run was
+    failed: Callable[[OSError], None] = lambda error: None  # called with the error where it cannot be kept
+    saved: float = field(default_factory=clock.monotonic)  # when it was kept last
 
     def load(self) -> tuple[int, Any]:
         """The number of units done, and their sum; (0, None) where there is nothing, or a damaged file."""
@@ -102,21 +90,11 @@ class Checkpoint:
 
 @dataclass(eq=False)
 class Checkpoints:
-    """The sums of one run.
+    """The sums of one run."""
 
-    Attributes
-    ----------
-    folder : Path or None
-        Where they are kept; None keeps nothing.
-    about : str
-        What tells this run from others: the files, their sizes and times of change.
-    asked : bool
-        Whether the user named the folder: then the first sum that cannot be kept gives a warning.
-    """
-
-    folder: Path | None
-    about: str = ""
-    asked: bool = False
+    folder: Path | None  # where they are kept; None keeps nothing
+    about: str = ""  # what tells this run from others: the files, their sizes and times of change
+    asked: bool = False  # whether the user named the folder: then the first sum that cannot be kept gives a warning
     used: list[Checkpoint] = field(default_factory=list)
     warned: bool = False
 
@@ -175,18 +153,12 @@ def _taken_apart(value: Any, arrays: dict[str, Any]) -> Any:
         name = f"a{len(arrays)}"
         arrays[name] = value
         return {"array": name}
-    if value is None:
-        return None
-    if isinstance(value, (bool, int)):
-        return {"whole": int(value)}
-    return {"number": float(value).hex()}
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _rebuilt(node: Any, arrays: Any) -> Any:
-    if node is None:
-        return None
+    if node is None or isinstance(node, (int, float)):
+        return node
     if "kind" in node:
         return KINDS[node["kind"]](**{name: _rebuilt(part, arrays) for name, part in node["parts"].items()})
-    if "array" in node:
-        return arrays[node["array"]]
-    return int(node["whole"]) if "whole" in node else float.fromhex(node["number"])
+    return arrays[node["array"]]

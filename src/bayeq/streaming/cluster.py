@@ -28,8 +28,9 @@ from threadpoolctl import threadpool_limits
 
 from bayeq.errors import BayeqError, InputError, MissingExtraError
 from bayeq.records import Record
+from bayeq.records.formats.protocol import parts_between
 from bayeq.records.stream import FileStream
-from bayeq.streaming.partitions import DaskStream, Parts, parts_between
+from bayeq.streaming.partitions import DaskStream, Parts
 from bayeq.streaming.units import Extent, Unit, Work
 
 __all__ = ["Cluster", "connected"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,39 +12,19 @@ import numpy as np
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record
 from bayeq.records.columns import Columns, Request
+from bayeq.records.formats.protocol import parts_between
 from bayeq.records.names import clean_name, is_time_name
 
-__all__ = ["DaskStream", "Parts", "dask_streams", "is_dask", "parts_between"]
-
-
-def parts_between(bounds: Sequence[int], start: int, stop: int) -> list[int]:
-    """The parts that hold rows `start` to `stop`.
-
-    Examples
-    --------
-    >>> parts_between((0, 4, 8, 10), 3, 8)
-    [0, 1]
-    """
-    return [k for k, (a, b) in enumerate(pairwise(bounds)) if a < stop and b > start]
+__all__ = ["DaskStream", "Parts", "dask_streams", "is_dask"]
 
 
 @dataclass(frozen=True)
 class Parts:
-    """A record of which some parts are at hand.
+    """A record of which some parts are at hand."""
 
-    Attributes
-    ----------
-    name : str
-        Of the record.
-    bounds : tuple of int
-        First rows of all parts, and the number of rows.
-    held : mapping of int to Record
-        The parts at hand, by their numbers.
-    """
-
-    name: str
-    bounds: tuple[int, ...]
-    held: Mapping[int, Record] = field(default_factory=dict)
+    name: str  # of the record
+    bounds: tuple[int, ...]  # first rows of all parts, and the number of rows
+    held: Mapping[int, Record] = field(default_factory=dict)  # the parts at hand, by their numbers
 
     def of(self, channels: Sequence[str]) -> Parts:
         """Itself: what is at hand has the channels that are needed."""
@@ -77,24 +56,12 @@ class Parts:
 
 @dataclass(frozen=True)
 class DaskStream:
-    """A Dask DataFrame; its partitions are read by the workers of a cluster.
+    """A Dask DataFrame; its partitions are read by the workers of a cluster."""
 
-    Attributes
-    ----------
-    name : str
-        Of the record.
-    bounds : tuple of int
-        First rows of the partitions that have any, and the number of rows.
-    partitions : tuple of dask.delayed.Delayed
-        A Record each.
-    client : dask.distributed.Client
-        The cluster.
-    """
-
-    name: str
-    bounds: tuple[int, ...]
-    partitions: tuple[Any, ...]
-    client: Any
+    name: str  # of the record
+    bounds: tuple[int, ...]  # first rows of the partitions that have any, and the number of rows
+    partitions: tuple[Any, ...]  # a Record each
+    client: Any  # the cluster
 
     def of(self, channels: Sequence[str]) -> DaskStream:
         """Itself: the channels were chosen when it was made."""

@@ -105,13 +105,7 @@ def stretches(extents: Sequence[Extent]) -> list[Record]:
 
 @dataclass(frozen=True)
 class Work(ABC, Generic[Of]):
-    """Something that is computed of units of rows, and can be added. It can be sent to other processes.
-
-    Attributes
-    ----------
-    extents : tuple of Extent
-        The rows.
-    """
+    """Something that is computed of units of rows, and can be added. It can be sent to other processes."""
 
     extents: tuple[Extent, ...]
 

@@ -40,27 +40,13 @@ NEAR = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Whole:
-    """All rows.
+    """All rows."""
 
-    Attributes
-    ----------
-    extents : tuple of Extent
-        The rows of each record.
-    executor : Executor
-        Who computes.
-    progress : callable
-        Called with (stage, rows done, rows in all).
-    checkpoints : Checkpoints
-        Where sums are kept on the way.
-    learned : Learned
-        What bad samples of the stretches were judged by, for all rows.
-    """
-
-    extents: tuple[Extent, ...]
-    executor: Executor
-    progress: Progress
-    checkpoints: Checkpoints
-    learned: Learned = field(default_factory=Learned)
+    extents: tuple[Extent, ...]  # the rows of each record
+    executor: Executor  # who computes
+    progress: Progress  # called with (stage, rows done, rows in all)
+    checkpoints: Checkpoints  # where sums are kept on the way
+    learned: Learned = field(default_factory=Learned)  # what bad samples of the stretches were judged by, for all rows
 
     @property
     def names(self) -> tuple[str, ...]:

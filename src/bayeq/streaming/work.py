@@ -18,7 +18,6 @@ from bayeq.kernels import kernel
 from bayeq.likelihood.block import Block, block_of
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.search import Task
-from bayeq.records import Record
 from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion, Roles
 from bayeq.states.bad_samples import Learned
@@ -60,18 +59,11 @@ LAGS = 4096
 
 @dataclass(frozen=True, slots=True)
 class Folded:
-    """What is left of some rows.
+    """What is left of some rows."""
 
-    Attributes
-    ----------
-    moments : Moments or None
-        Count, means and centred products of the columns of the dictionary and the targets; None without rows.
-    bad : (P,) int array
-        Rows in which each term is not finite, or too large to square.
-    """
-
+    # count, means and centred products of the columns of the dictionary and the targets; None without rows
     moments: Moments | None
-    bad: Counts
+    bad: Counts  # (P,), rows in which each term is not finite, or too large to square
 
     def __add__(self, other: Folded) -> Folded:
         if self.moments is None or other.moments is None:
@@ -159,21 +151,13 @@ def _first_means(tape: Tape, outputs: NDArray[np.uint32], registers: Floats, row
 
 @dataclass(frozen=True)
 class OfRows:
-    """Moments of training rows and of rows held out, and the times between which they are.
+    """Moments of training rows and of rows held out, and the times between which they are."""
 
-    Attributes
-    ----------
-    train, held_out : Folded
-        Their moments.
-    extent : int
-        The extent of the last row.
-    first, last : float
-        Times of the first row and of the last one; NaN where they are not known.
-    """
-
+    # their moments
     train: Folded
     held_out: Folded
-    extent: int
+    extent: int  # the extent of the last row
+    # times of the first row and of the last one; NaN where they are not known
     first: float
     last: float
 
@@ -189,23 +173,11 @@ class OfRows:
 
 @dataclass(frozen=True)
 class _Rows(Work[Of]):
-    """Something that is computed of rows as they are, states that are not measured by central differences.
-
-    Attributes
-    ----------
-    extents : tuple of Extent
-        The rows.
-    roles : Roles
-        Chains and inputs.
-    terms : tuple of Expression
-        Terms that are evaluated.
-    share : float
-        Of the rows of each extent, the last, held out.
-    """
+    """Something that is computed of rows as they are, states that are not measured by central differences."""
 
     roles: Roles
-    terms: tuple[Expression, ...]
-    share: float
+    terms: tuple[Expression, ...]  # that are evaluated
+    share: float  # of the rows of each extent, the last, held out
 
     @property
     def reach(self) -> int:
@@ -242,21 +214,13 @@ class AsMeasured(_Rows[OfRows]):
 
 @dataclass(frozen=True)
 class Lagged:
-    """Sums of products of residuals some rows apart.
+    """Sums of products of residuals some rows apart."""
 
-    Attributes
-    ----------
-    products : (LAGS,) array
-        Sum of e(t + k) e(t) over the rows, at lags k.
-    first, last : arrays
-        The first and the last residuals of the rows, up to LAGS - 1 each.
-    extent, n : int
-        The extent of the last row, and the number of rows.
-    """
-
-    products: Floats
+    products: Floats  # (LAGS,), sum of e(t + k) e(t) over the rows, at lags k
+    # the first and the last residuals of the rows, up to LAGS - 1 each
     first: Floats
     last: Floats
+    # the extent of the last row, and the number of rows
     extent: int
     n: int
 
@@ -288,21 +252,11 @@ def _products(a: Floats, b: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class LaggedResiduals(_Rows[Lagged]):
-    """Products of the residuals of the training rows, for which `terms` are those of a model; see `_Rows`.
-
-    Attributes
-    ----------
-    target : str
-        The target.
-    coef : (r,) array
-        Coefficients of the terms.
-    constant : float
-        What is subtracted further, so that the mean is zero.
-    """
+    """Products of the residuals of the training rows, for which `terms` are those of a model; see `_Rows`."""
 
     target: str
-    coef: Floats
-    constant: float
+    coef: Floats  # (r,); coefficients of the terms
+    constant: float  # what is subtracted further, so that the mean is zero
 
     def __call__(self, unit: Unit) -> Lagged:
         columns = self.columns(unit)[0]
@@ -325,24 +279,12 @@ def with_all_rows(found: Residuals, lagged: Lagged) -> Residuals:
 
 @dataclass(frozen=True)
 class ByLikelihood(Work[Block]):
-    """The likelihood of the rows about a fit to some of them.
+    """The likelihood of the rows about a fit to some of them."""
 
-    Attributes
-    ----------
-    extents : tuple of Extent
-        The rows.
-    motion : Motion
-        How rows are smoothed; its own rows are not needed.
-    task, state : Task, State
-        The fit.
-    learned : Learned
-        What bad samples are judged by.
-    """
-
-    motion: Motion
+    motion: Motion  # how rows are smoothed; its own rows are not needed
     task: Task
-    state: State
-    learned: Learned
+    state: State  # with the task the fit
+    learned: Learned  # what bad samples are judged by
 
     @classmethod
     def of(cls, extents: Sequence[Extent], motion: Motion, task: Task, state: State, learned: Learned) -> Self:
@@ -356,11 +298,7 @@ class ByLikelihood(Work[Block]):
         (clean,), _ = cleaned([record], roles, "auto", self.learned.copy())
         pieces, _ = divided_at_gaps([clean], roles, "auto")
         block = block_of(self.task, self.state, [further_rows(piece, self.motion) for piece in pieces if piece.n > 1])
-        return replace(block, absent=_absent(record, clean, roles))
-
-
-def _absent(record: Record, clean: Record, roles: Roles) -> Counts:
-    """Samples of each channel that are missing, and that were left out as bad, (2, C)."""
-    used = (*roles.measured, *roles.inputs)
-    missing, absent = ([int(np.isnan(one[name]).sum()) for name in used] for one in (record, clean))
-    return np.array([missing, np.subtract(absent, missing)])
+        used = (*roles.measured, *roles.inputs)
+        missing, absent = ([int(np.isnan(one[name]).sum()) for name in used] for one in (record, clean))
+        # samples of each channel that are missing, and that were left out as bad
+        return replace(block, absent=np.array([missing, np.subtract(absent, missing)]))

@@ -1,12 +1,10 @@
 """Monte Carlo campaigns: the paper's section 4.1 as a study that can be stopped, continued and shown.
 
 config     what a study is: its numbers and its names
-algorithms the methods compared, a table
-realise    one realisation, reproducible alone from (seed, system, index)
-metrics    what an algorithm gives, and its errors as the paper defines them
-store      results in an SQLite file
+realise    one realisation, reproducible alone from (seed, system, index), and the methods compared, a table
+store      what a method gives and its errors as the paper defines them, in an SQLite file
 runner     all realisations, in parallel
-table      averages beside the paper's
-show       the tables with their notes, as text, Markdown, CSV or JSON
+table      averages beside the paper's, as text, Markdown, CSV or JSON
 figures    the paper's Figs. 4 and 5
+cells      benchmarks that others have set, on the same store; `dysts`, `odebench`, and `peers` that run on them
 """

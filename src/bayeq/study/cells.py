@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import BayeqError, BayeqWarning
+from bayeq.errors import BayeqError, BayeqWarning, whole_number
 from bayeq.expressions import parse
 from bayeq.resumable.store import Key, ResultStore
 from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
-from bayeq.study.config import whole
 
 __all__ = ["CONSTANT", "MOST_RECORDS", "Cell", "Measure", "Outcome", "facts", "judged", "percent", "run_cells", "timed"]
 
@@ -97,9 +96,9 @@ def run_cells(
     progress : callable, optional
         Called with (outcomes there, these and the missing ones).
     """
-    whole("seeds", records, 1, MOST_RECORDS)
-    whole("seed", first_seed, 0)
-    whole("jobs", jobs, 1, MAX_JOBS)
+    whole_number("seeds", records, 1, MOST_RECORDS)
+    whole_number("seed", first_seed, 0)
+    whole_number("jobs", jobs, 1, MAX_JOBS)
     seeds = range(first_seed, first_seed + records)
     keys = [json.dumps([name, *cell]) for cell in cells]
     with _Outcomes(store, make=True) as file, one_thread():

@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayeq.expressions import parse, to_sympy
+from bayeq.equation.units import quotient_unit
+from bayeq.expressions import parse
 from bayeq.figures.paper import Inclusion, JointPosterior, draw_inclusion, draw_joint
 from bayeq.figures.style import mathtext, require_matplotlib, save, style
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
+from bayeq.records.units import multiply_units, parse_unit
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig, choose
 from bayeq.study.realise import ALGORITHM_STREAM, draw
 from bayeq.systems import System, get_system
@@ -46,20 +49,11 @@ OUTLINE = 200
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """MCMC and VB on the same realisation, in original units.
+    """MCMC and VB on the same realisation, in original units."""
 
-    Attributes
-    ----------
-    system : System
-        The system, with nominal parameters.
-    truth : (P,) array
-        True coefficients of the candidate terms.
-    mcmc, vb : Posterior
-        By `spike_slab_gibbs`, with draws, and by `spike_slab_vb`.
-    """
-
-    system: System
-    truth: Floats
+    system: System  # the system, with nominal parameters
+    truth: Floats  # (P,), true coefficients of the candidate terms
+    # by `spike_slab_gibbs`, with draws, and by `spike_slab_vb`
     mcmc: Posterior
     vb: Posterior
 
@@ -197,21 +191,9 @@ def _label(system: System, target: str, term: str, coefficient: str, scale: floa
 
 def _unit(system: System, target: str, term: str) -> str:
     """Unit of a term's coefficient: of the target over that of the term, in SI base units."""
-    import sympy
-
-    # positive, so that SymPy knows that |m/s| is m/s and sgn(m/s) is 1
-    base = {name: sympy.Symbol(name, positive=True) for name in ("kg", "m", "s")}
-    newton = {sympy.Symbol("N"): base["kg"] * base["m"] / base["s"] ** 2}
-    plain = {sympy.Symbol(name): symbol for name, symbol in base.items()}
-
-    def unit(channel: str) -> object:
-        text = system.units[channel].replace("^", "**")
-        return to_sympy(parse(text)).subs(newton).subs(plain)
-
-    channels = {sympy.Symbol(name): unit(name) for name in system.units}
-    powers = (unit(target) / to_sympy(parse(term)).subs(channels)).as_powers_dict()
-    parts = ((str(symbol), int(power)) for symbol, power in powers.items() if symbol != 1)
-    return " ".join(symbol if power == 1 else f"{symbol}$^{{{power}}}$" for symbol, power in sorted(parts))
+    powers = parse_unit(quotient_unit(target, parse(term), system.units) or "")
+    multiply_units(powers, {"kg": Fraction(1), "m": Fraction(1), "s": Fraction(-2)}, powers.pop("N", 0))
+    return " ".join(name if power == 1 else f"{name}$^{{{power}}}$" for name, power in sorted(powers.items()))
 
 
 def write_figures(folder: Path, *, seed: int = 0, systems: Iterable[str] = STUDY_SYSTEMS) -> list[Path]:

@@ -1,22 +1,117 @@
-"""Results of a study in an SQLite file, a row per (system, index, algorithm)."""
+"""Results of a study: the paper's performance metrics, and an SQLite file with a row per (system, index, algorithm)."""
 
 from __future__ import annotations
 
 import json
+import math
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bayeq.errors import InputError
+from bayeq.gram import Gram
 from bayeq.resumable.store import ResultStore
 from bayeq.study.config import StudyConfig
-from bayeq.study.metrics import METRICS, Metrics, Result
 
-__all__ = ["Plan", "Store"]
+__all__ = ["METRICS", "Metrics", "Plan", "Result", "Store", "measure", "prediction_error"]
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 # (system, algorithm) -> how many realisations were asked for.
 Plan = dict[tuple[str, str], int]
+
+
+@dataclass(frozen=True, slots=True)
+class Metrics:
+    """The errors of section 4.1."""
+
+    # ||S_D (theta_hat - theta)|| / ||S_D theta||, S_D the standard deviations of the training columns
+    e_theta_scaled: float
+    e_theta: float  # ||theta_hat - theta|| / ||theta||
+    e_p: float  # ||y* - D* theta_hat|| / ||y*|| on the test rows
+    fdr: float  # false terms among the selected ones; 0 if none is selected
+    exact: bool  # exactly the true terms are selected
+    superset: bool  # all true terms are selected
+
+    @property
+    def finite(self) -> bool:
+        """Whether all of them are finite."""
+        return all(math.isfinite(getattr(self, name)) for name in METRICS)
+
+
+METRICS = tuple(f.name for f in fields(Metrics))
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A row of the store."""
+
+    # which realisation, and what ran on it
+    system: str
+    index: int
+    algorithm: str
+    metrics: Metrics | None = None  # None if it failed
+    seconds: float | None = None  # wall time of the algorithm alone, from the Gram to the estimate
+    selected: tuple[str, ...] = ()  # the selected terms
+    converged: bool | None = None  # what the algorithm says of itself
+    extras: Mapping[str, Any] = field(default_factory=dict)  # what else it says, as plain numbers
+    failure: str | None = None  # type and message of the exception
+
+
+def prediction_error(test: Gram, estimate: Floats) -> float:
+    """e_p = ||y* - D* theta_hat|| / ||y*||, with the test dictionary unscaled, uncentred and without intercept.
+
+    By algebra on the test Gram: an uncentred moment is the centred one plus n times the product of the means.
+    """
+    squares = test.yty + test.n * test.target_mean**2
+    return math.sqrt(test.squared_error(estimate, intercept=0.0) / squares)
+
+
+def measure(train: Gram, test: Gram, truth: Floats, support: Bools, coef: Floats) -> Metrics:
+    """All metrics of an estimate.
+
+    Parameters
+    ----------
+    train, test : Gram
+        Statistics of the training and of the test rows, in original units.
+    truth : (P,) array
+        True coefficients, not all zero.
+    support : (P,) bool array
+        Selected terms.
+    coef : (P,) array
+        Estimated coefficients in original units.
+
+    Raises
+    ------
+    InputError
+        No true term in the dictionary.
+    """
+    true = truth != 0
+    if not true.any():
+        raise InputError("the dictionary holds no true term: weight errors are not defined")
+    scale, chosen = train.standard_deviation, int(np.count_nonzero(support))
+    return Metrics(
+        e_theta_scaled=_relative_error(scale * coef, scale * truth),
+        e_theta=_relative_error(coef, truth),
+        e_p=prediction_error(test, coef),
+        fdr=int(np.count_nonzero(support & ~true)) / chosen if chosen else 0.0,
+        exact=bool(np.array_equal(support, true)),
+        superset=bool(np.all(support[true])),
+    )
+
+
+def _relative_error(estimate: Floats, truth: Floats) -> float:
+    return float(np.linalg.norm(estimate - truth) / np.linalg.norm(truth))
+
+
+# --- the file --------------------------------------------------------------------------------------------------------
+
 
 COLUMNS = ("system", "idx", "algorithm", *METRICS, "seconds", "selected", "converged", "extras", "failure")
 
@@ -66,7 +161,7 @@ class Store(ResultStore):
         super().__init__(path, config is not None, any_thread)
         try:
             if config is not None:
-                rows = [(key, json.dumps(value)) for key, value in config.to_dict().items()]
+                rows = [(key, json.dumps(value)) for key, value in asdict(config).items()]
                 with self._transaction():
                     if not self._one("SELECT count(*) FROM config"):
                         self._connection.executemany("INSERT INTO config VALUES (?, ?)", rows)
@@ -119,7 +214,7 @@ class Store(ResultStore):
             for row in self._connection.execute(
                 f"SELECT {', '.join(COLUMNS)} FROM results ORDER BY system, algorithm, idx"
             ):
-                yield _result(dict(zip(COLUMNS, row, strict=True)))
+                yield _result(row)
 
 
 def _row(result: Result) -> tuple[Any, ...]:
@@ -137,20 +232,21 @@ def _row(result: Result) -> tuple[Any, ...]:
     )
 
 
-def _result(row: dict[str, Any]) -> Result:
+def _result(row: tuple[Any, ...]) -> Result:
+    system, index, algorithm, *values, seconds, selected, converged, extras, failure = row
     metrics = None
-    if row["failure"] is None:
-        values = {name: float(row[name]) for name in METRICS}
-        exact, superset = bool(values.pop("exact")), bool(values.pop("superset"))
-        metrics = Metrics(**values, exact=exact, superset=superset)
+    if failure is None:
+        errors = dict(zip(METRICS, map(float, values), strict=True))
+        exact, superset = bool(errors.pop("exact")), bool(errors.pop("superset"))
+        metrics = Metrics(**errors, exact=exact, superset=superset)
     return Result(
-        system=str(row["system"]),
-        index=int(row["idx"]),
-        algorithm=str(row["algorithm"]),
+        system=str(system),
+        index=int(index),
+        algorithm=str(algorithm),
         metrics=metrics,
-        seconds=None if row["seconds"] is None else float(row["seconds"]),
-        selected=tuple(json.loads(row["selected"])),
-        converged=None if row["converged"] is None else bool(row["converged"]),
-        extras=json.loads(row["extras"]),
-        failure=row["failure"],
+        seconds=None if seconds is None else float(seconds),
+        selected=tuple(json.loads(selected)),
+        converged=None if converged is None else bool(converged),
+        extras=json.loads(extras),
+        failure=failure,
     )

@@ -96,12 +96,12 @@ def unquoted(line: str) -> str:
     return match[1].replace('""', '"') if match else line
 
 
-def is_number(cell: str, comma: bool = True) -> bool:
+def is_number(cell: str) -> bool:
     """Whether a cell is a finite number, perhaps with a decimal comma or an exponent of Fortran's."""
     try:
         float(_with_e(cell))
     except ValueError:
-        return comma and bool(_COMMA_NUMBER.fullmatch(cell))
+        return bool(_COMMA_NUMBER.fullmatch(cell))
     return cell.strip("+-").lower() not in ("nan", "inf", "infinity")
 
 

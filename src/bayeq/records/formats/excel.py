@@ -36,7 +36,9 @@ def read_columns(path: Path, *, names: Names = None, chosen: Select | None = Non
     titles: dict[str, int] = {}  # and how many rows of numbers each has
     with tempfile.TemporaryDirectory() as folder, reading(where, "Excel file"):
         plain, other, best = Path(folder) / "sheet", Path(folder) / "other", ""
-        for title, rows in _sheets(path):
+        with path.open("rb") as file:
+            sheets = _xls if file.read(8) == OLE else _xlsx
+        for title, rows in sheets(path):
             titles[title] = _write_text(rows, other) if sheet in (None, title) else 0
             if titles[title] > titles.get(best, 0):
                 best = title
@@ -68,12 +70,6 @@ def without_sheet(path: Path) -> tuple[Path, str | None]:
     """
     named = _WITH_SHEET.fullmatch(str(path))
     return (path, None) if named is None or path.exists() else (Path(named[1]), named[2])
-
-
-def _sheets(path: Path) -> Iterator[Sheet]:
-    with path.open("rb") as file:
-        old = file.read(8) == OLE
-    yield from _xls(path) if old else _xlsx(path)
 
 
 def _xlsx(path: Path) -> Iterator[Sheet]:

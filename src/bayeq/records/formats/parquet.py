@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from bayeq.errors import FileFormatError
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
 from bayeq.records.formats.limits import check_array, needing, reading, stored_units
-from bayeq.records.formats.protocol import UNIT_ROWS, FileRows
+from bayeq.records.formats.protocol import UNIT_ROWS, FileRows, parts_between
 from bayeq.records.record import Record
 
 __all__ = ["ParquetRows", "headers_of", "read_columns", "values_of", "write"]
@@ -77,10 +78,7 @@ class ParquetRows(FileRows):
         _, pq = library()
         with reading(str(self.path), "Parquet file"), pq.ParquetFile(self.path) as file:
             about = file.metadata
-            out = [0]
-            for k in range(about.num_row_groups):
-                out.append(out[-1] + about.row_group(k).num_rows)
-        return tuple(out)
+            return (0, *accumulate(about.row_group(k).num_rows for k in range(about.num_row_groups)))
 
     @cached_property
     def bounds(self) -> tuple[int, ...]:
@@ -97,14 +95,8 @@ class ParquetRows(FileRows):
         """Rows `start` to `stop`."""
         pa, pq = library()
         where = str(self.path)
-        wanted = [
-            k
-            for k, (first, last) in enumerate(zip(self.groups[:-1], self.groups[1:], strict=True))
-            if first < stop and last > start
-        ]
+        wanted = parts_between(self.groups, start, stop)
         with reading(where, "Parquet file"), pq.ParquetFile(self.path) as file:
-            if file.metadata.num_rows != self.groups[-1]:
-                raise FileFormatError(f"{where}: has changed while it was read; start once more")
             headers = headers_of(file.schema_arrow, where)
             columns = sorted({*request.rows(headers)})
             names = [file.schema_arrow.names[i] for i in columns]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Protocol
 
@@ -11,7 +12,7 @@ from bayeq.records.columns import Columns, Names, Request, Select
 from bayeq.records.formats.nested import Channel
 from bayeq.records.record import Record
 
-__all__ = ["UNIT_ROWS", "FileRows", "Flat", "Nested", "Writer", "grid"]
+__all__ = ["UNIT_ROWS", "FileRows", "Flat", "Nested", "Writer", "grid", "parts_between"]
 
 #: Rows that are read at a time, where the file does not divide them itself.
 UNIT_ROWS = 2**18
@@ -98,3 +99,14 @@ def grid(rows: int, unit: int = UNIT_ROWS) -> tuple[int, ...]:
     (0, 4, 8, 10)
     """
     return (*range(0, rows, unit), rows)
+
+
+def parts_between(bounds: Sequence[int], start: int, stop: int) -> list[int]:
+    """The parts that hold rows `start` to `stop`.
+
+    Examples
+    --------
+    >>> parts_between((0, 4, 8, 10), 3, 8)
+    [0, 1]
+    """
+    return [k for k, (a, b) in enumerate(pairwise(bounds)) if a < stop and b > start]
