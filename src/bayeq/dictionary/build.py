@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import fourier, neighbours, oscillator, polynomial
 from bayeq.dictionary.family import Variables
 from bayeq.dictionary.ranges import with_ranges
@@ -61,9 +61,6 @@ MAX_PATH = 250
 
 # Constants inside one term, at most: they are sought on a grid.
 MOST_UNKNOWN = 3
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 def build_dictionary(specification: str | Sequence[str], variables: Variables) -> tuple[Expression, ...]:

@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.equation.answer import Answer, EquationTuple
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError
 from bayeq.forecast.rows import check_interpolation
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["free_run", "predictions", "prepared", "refinement", "scores"]
 
-Floats = NDArray[np.float64]
 Found = TypeVar("Found", bound=Answer)
 
 # Share of the rows that is scored where none were held out.

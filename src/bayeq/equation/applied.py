@@ -10,7 +10,6 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.equation import along
 from bayeq.equation.equations import Equations
@@ -24,8 +23,6 @@ from bayeq.records.units import conversion
 from bayeq.states import estimate_motion
 
 __all__ = ["Error", "Prediction", "apply_to", "as_equations_have_them"]
-
-Floats = NDArray[np.float64]
 
 # Runs that err by more than this share of the spread follow a record only roughly.
 ROUGHLY = 0.3

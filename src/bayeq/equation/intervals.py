@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.normal import Z95, t95
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.mixture import mixture_of
 
 __all__ = ["Model", "OverModels", "over_models", "unlike"]
-
-Floats = NDArray[np.float64]
 
 # A width or an end that differs by more than this share of the width makes another interval: an end that is this much
 # too near leaves out 12 % in place of 2.5 %. Below, the interval is that of the coefficient and sd beside it.
@@ -63,7 +61,7 @@ class Model:
     """
 
     terms: tuple[str, ...]
-    inside: NDArray[np.bool_]
+    inside: Bools
     coef: Floats
     sd: Floats
     ci95: Floats
@@ -127,7 +125,7 @@ def over_models(
     )
 
 
-def unlike(one: Floats, other: Floats) -> NDArray[np.bool_]:
+def unlike(one: Floats, other: Floats) -> Bools:
     """Where intervals (P, 2) differ in width or at an end by more than 20 % of the width of the other, (P,)."""
     width = other[:, 1] - other[:, 0]
     ends = np.abs(one - other).max(axis=1)

@@ -12,8 +12,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.equation.physical import Mode, PhysicalParameters, Quantity, quantity
 from bayeq.equation.physical_units import OscillatorUnits
@@ -23,7 +23,6 @@ from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
 
 __all__ = ["system_parameters"]
 
-Floats = NDArray[np.float64]
 
 # Draws whose eigenvalues are taken, of one coordinate, and the least share of them that must have as many modes as the
 # mean.

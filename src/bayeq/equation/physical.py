@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.equation.physical_units import OscillatorUnits
 from bayeq.equation.rest import about_rest, is_displaced
 from bayeq.equation.units import quotient_unit
@@ -36,8 +36,6 @@ __all__ = [
     "physical_parameters",
     "quantity",
 ]
-
-Floats = NDArray[np.float64]
 
 # Highest power of the displacement that is a stiffness by a name of its own.
 HIGHEST_POWER = 9

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, log_ticks, new_panels, picture, term_label
 from bayeq.inference.auto import MOST_LEFT_OUT
 
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["PipCurve", "PriorSensitivity", "draw_pip_curves"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # What varies, by its column in tables.
 LABELS = {

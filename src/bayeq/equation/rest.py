@@ -10,8 +10,8 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
@@ -19,7 +19,6 @@ from bayeq.likelihood.signs import jumps_of
 
 __all__ = ["about_rest", "is_displaced"]
 
-Floats = NDArray[np.float64]
 
 # Places at which a zero of the force is looked for, and how far beyond the record's range, as a share of that.
 PLACES, BEYOND = 2001, 0.5

@@ -7,8 +7,9 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from bayeq.arrays import Floats
 from bayeq.equation.pip_curve import PipCurve, PriorSensitivity
 from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.gram import Gram, GramLike
@@ -18,8 +19,6 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 
 __all__ = ["power_sensitivity", "prior_sensitivity", "require_spike_slab"]
-
-Floats = NDArray[np.float64]
 
 # v_s varies over two decades either way. A term costs 1/2 ln v_s, so that its log-odds vary by 2.3 nats either way.
 FACTORS = 10.0 ** np.linspace(-2.0, 2.0, 9)

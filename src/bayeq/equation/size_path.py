@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, labelled, log_ticks, new_panels, picture, term_label
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["ParsimonyPath", "draw_paths", "parsimony_path", "percent"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # Terms added, and terms removed.
 Step = tuple[tuple[str, ...], tuple[str, ...]]
@@ -92,7 +89,7 @@ class ParsimonyPath:
     share: Floats
 
     @property
-    def size(self) -> NDArray[np.int64]:
+    def size(self) -> Ints:
         """Number of terms of each model, (K,)."""
         return self.models.sum(axis=1)
 

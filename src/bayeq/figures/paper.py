@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.figures.style import (
     BLACK,
     BLUE,
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Inclusion", "JointPosterior", "draw_inclusion", "draw_joint"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # Height of the triangle of a system [mm].
 BLOCK = 90.0

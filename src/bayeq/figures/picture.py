@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Expression
 from bayeq.figures.style import new_figure, plain, shortened, term_label
@@ -41,8 +41,6 @@ __all__ = [
     "unit_text",
     "units_of",
 ]
-
-Floats = NDArray[np.float64]
 
 # Terms that are drawn, at most.
 MOST_TERMS = 24

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.figures.picture import (
     Answer,
@@ -54,8 +54,6 @@ __all__ = [
     "one_step",
     "phase_portrait",
 ]
-
-Floats = NDArray[np.float64]
 
 # Mean, low and high; the ends are None where there is no band.
 Curve = tuple[Floats, Floats | None, Floats | None]

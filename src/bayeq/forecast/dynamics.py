@@ -9,8 +9,8 @@ from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
 from bayeq.expressions.implicit import solved
 from bayeq.expressions.tape import Program
@@ -19,8 +19,6 @@ from bayeq.ode.rk4 import Drive, local_errors
 from bayeq.states import Chain, Motion, Roles, rates
 
 __all__ = ["Dynamics", "Law", "finest_step", "normal_draws", "solved_laws"]
-
-Floats = NDArray[np.float64]
 
 # A step is halved until this share (of the intervals) errs by less than TOLERANCE of the states' spread in an interval,
 # at most MOST_SUBSTEPS times. Where a term jumps, no step is short enough: such intervals are the others.

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.rows import Rows
 from bayeq.inference.posterior import Posterior
@@ -28,8 +28,6 @@ __all__ = [
     "typical_period",
     "window_runs",
 ]
-
-Floats = NDArray[np.float64]
 
 # A run has blown up where a state is further from its measured range than this many times the range.
 GENEROUS = 1e3

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError, RecordError, require_kind
 from bayeq.expressions import Expression
@@ -31,8 +31,6 @@ __all__ = [
     "whole_number",
     "window_of",
 ]
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

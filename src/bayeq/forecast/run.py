@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.figures.runs import draw_forecasts
 from bayeq.figures.style import write_output
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Forecast", "forecast", "write_forecasts"]
-
-Floats = NDArray[np.float64]
 
 # More records do not fit on a page.
 MOST_DRAWN = 6

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import fitted_start, mean_run, state_range
@@ -26,8 +26,6 @@ from bayeq.records import Record
 from bayeq.states import Motion, Sensors, Smooth, estimate_motion
 
 __all__ = ["Scores", "held_out_scores", "percentages", "score_records", "score_rows"]
-
-Floats = NDArray[np.float64]
 
 # A free run over fewer rows says nothing.
 LEAST_ROWS = 2

@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.kernels import kernel
 
 __all__ = ["Mixture"]
-
-Floats = NDArray[np.float64]
 
 # Probability below a 95 % interval, and above it.
 TAIL = 0.025

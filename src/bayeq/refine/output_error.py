@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.inference.prior import Prior
@@ -33,10 +33,6 @@ from bayeq.regression.constraints import Constraints
 from bayeq.states import Motion
 
 __all__ = ["Known", "OutputError", "Unrefined", "output_error"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 # Sizes of discrepancies from fit to fit, as shares of the target.
 SIZES = (1e-2, 1e-3, LEAST_DISCREPANCY**0.5)

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
@@ -24,8 +24,6 @@ from bayeq.states import Sensors, Smooth, estimate_motion
 from bayeq.states.motion import held_out_share
 
 __all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "Refinement", "refine", "runs_are_worse"]
-
-Floats = NDArray[np.float64]
 
 # With fewer rows there is no free run to speak of.
 LEAST_ROWS = 8
@@ -292,9 +290,7 @@ def _at_bound(dynamics: Dynamics, found: OutputError) -> tuple[str, ...]:
     )
 
 
-def _posterior(
-    before: Posterior, parameters: Floats, covariance: Floats, free: NDArray[np.bool_], noise: float
-) -> Posterior:
+def _posterior(before: Posterior, parameters: Floats, covariance: Floats, free: Bools, noise: float) -> Posterior:
     """A posterior with coefficients and intercept from output error; terms and probabilities stay."""
     support = before.support
     r = int(support.sum())

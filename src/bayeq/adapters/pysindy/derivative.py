@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pysindy.differentiation.base import BaseDifferentiation
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, RecordError
 from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries
 from bayeq.states.kinematic.smoother import smooth_kinematic
 
 __all__ = ["KinematicDerivative"]
-
-Floats = NDArray[np.float64]
 
 
 class KinematicDerivative(BaseDifferentiation):  # type: ignore[misc]

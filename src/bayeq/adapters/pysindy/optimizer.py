@@ -7,10 +7,11 @@ from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pysindy.optimizers import BaseOptimizer
 
 from bayeq.adapters.pysindy.series import LEAST_FLOOR, pieces_of, row_gram, series_grams, systematic_floor
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import DataWarning, InputError, UnknownNameError
 from bayeq.gram import Gram
 from bayeq.gram.gram import checked_weights
@@ -20,8 +21,6 @@ from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 
 __all__ = ["SpikeSlabOptimizer"]
-
-Floats = NDArray[np.float64]
 
 # Engines with the spike-and-slab prior.
 METHODS = [name for name, engine in ENGINES.items() if engine.spike_slab]
@@ -170,7 +169,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         self.intercept_ = 0.0
         return self
 
-    def _reduce(self, x: Floats, y: Floats, weights: Floats | None, gaps: NDArray[np.bool_]) -> None:
+    def _reduce(self, x: Floats, y: Floats, weights: Floats | None, gaps: Bools) -> None:
         """Set `posteriors_` and what follows from them."""
         size, target_size = _sizes(x), _sizes(y)
         Z, T = x / size, y / target_size

@@ -23,8 +23,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Complexes, Floats
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
@@ -44,9 +44,6 @@ __all__ = [
     "taper",
     "to_band",
 ]
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 # Share of a piece that is tapered at either end, and the least number of rows; this many times the inverse of the
 # band's width, since that is how far a smoother's errors at the ends reach; and not more than this share.
@@ -111,7 +108,7 @@ class Band:
     kept: float
 
 
-def pieces_of(Z: Floats, gaps: NDArray[np.bool_]) -> list[slice] | None:
+def pieces_of(Z: Floats, gaps: Bools) -> list[slice] | None:
     """Uninterrupted pieces of rows of a library (n, P), or None where they are no resolved time series.
 
     Gaps (n,) are rows that do not follow on the one before. None where fewer than half of the rows are in pieces of 64

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.gram.gram import GramLike, dense
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
@@ -25,17 +25,12 @@ __all__ = [
     "gram_row",
 ]
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
-
 NOTHING = np.empty((0, 0))
 
 # Rows of D'D computed one by one, which is bound by memory, take about as long as this many times as many in blocks of
 # this many.
 WHOLE_AFTER = 20
 BLOCK = 256
-
 
 # Share of y'y below which a residual sum of squares is rounding of the Gram: without noise, terms would otherwise be
 # added that fit it. It stands for a noise of 1e-6 of the signal.

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv, log_ndtr, ndtri_exp, stdtr
 
-__all__ = ["NEGLIGIBLE", "Orthants", "carried", "truncated"]
+from bayeq.arrays import Floats, Ints
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+__all__ = ["NEGLIGIBLE", "Orthants", "carried", "truncated"]
 
 # Points of the quadrature: PIPs are off by less than 1e-4, standard deviations by some 1e-4 of themselves.
 POINTS = 256
