@@ -21,6 +21,7 @@ from bayeq.equation.units import quotient_unit
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
+from bayeq.markup import aligned
 from bayeq.numerics.normal import Z95
 from bayeq.states import Chain
 
@@ -130,17 +131,10 @@ class PhysicalParameters:
             digits = _digits(q)
             interval = f"{q.low:.{digits}g} .. {q.high:.{digits}g}"
             rows.append((q.symbol, f"{q.mean:.{digits}g}", f"{q.sd:.2g}", interval, q.unit or "", q.meaning))
-        widths = [max(len(row[k]) for row in rows) for k in range(5)]
-        lines = [
-            "  ".join(
-                c.ljust(w) if k in (0, 4) else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=False))
-            )
-            + f"  {row[5]}"
-            for row in rows
-        ]
+        lines = aligned(rows, left=(0, 4, 5))
         if self.unexplained:
             lines.append(f"also in the equation: {', '.join(self.unexplained)}")
-        return "\n".join(line.rstrip() for line in lines)
+        return "\n".join(lines)
 
 
 def _digits(q: Quantity) -> int:
