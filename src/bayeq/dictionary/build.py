@@ -14,11 +14,11 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import fourier, neighbours, oscillator, polynomial
-from bayeq.dictionary.family import Variables
 from bayeq.dictionary.ranges import with_ranges
 from bayeq.dictionary.specification import (
     Member,
     Specification,
+    Variables,
     members,
     of_equations,
     split_at,

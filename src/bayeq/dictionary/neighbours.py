@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayeq.dictionary.family import Variables
+from bayeq.dictionary.specification import Variables
 from bayeq.errors import InputError
 
 __all__ = ["terms"]

@@ -16,7 +16,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.equation.physical import Mode, PhysicalParameters, Quantity, quantity
-from bayeq.equation.physical_units import OscillatorUnits
+from bayeq.equation.units import OscillatorUnits
 from bayeq.errors import InputError
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics, Law, normal_draws

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.equation.physical_units import OscillatorUnits
 from bayeq.equation.rest import about_rest, is_displaced
-from bayeq.equation.units import quotient_unit
+from bayeq.equation.units import OscillatorUnits, quotient_unit
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Dynamics, Law, normal_draws

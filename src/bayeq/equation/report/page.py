@@ -18,14 +18,13 @@ from bayeq.equation.brief import DERIVED, checks, failed, in_symbols, quantity_r
 from bayeq.equation.equation import Equation
 from bayeq.equation.explain import explanation
 from bayeq.equation.oscillator import own_parameters
-from bayeq.equation.report.interactive import require_bokeh
 from bayeq.equation.report.look import STYLE
-from bayeq.equation.report.pictures import pictures
+from bayeq.equation.report.pictures import pictures, require_bokeh
 from bayeq.equation.rows import Row, rows_of
 from bayeq.equation.text import MARK, unseen
 from bayeq.equation.written import round_to
 from bayeq.errors import BayeqWarning, InputError
-from bayeq.expressions.mathml import mathml, number_mathml, symbol_mathml
+from bayeq.expressions.symbolic import mathml, number_mathml, symbol_mathml
 from bayeq.figures.picture import unit_text
 from bayeq.figures.style import require_matplotlib
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
