@@ -21,12 +21,11 @@ from bayeq.equation.text import (
     source_of,
     unseen,
 )
-from bayeq.equation.written import round_to
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import aligned, printable
 
-__all__ = ["brief", "checks", "failed", "in_symbols", "quantity_rows", "sentence", "what_to_try"]
+__all__ = ["brief", "checks", "failed", "in_symbols", "sentence", "what_to_try"]
 
 WIDTH = 100
 
@@ -128,19 +127,9 @@ def in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[s
     return f"{' + '.join(parts)} = {driven[0] if driven and not per else '0'}" if not (driven and per) else None
 
 
-def quantity_rows(quantities: Sequence[Quantity]) -> list[tuple[str, str, str, str]]:
-    """Symbol, mean, interval and unit of each as text."""
-    return [
-        (q.symbol, round_to(q.mean, q.sd), f"{round_to(q.low, q.sd)} .. {round_to(q.high, q.sd)}", q.unit or "")
-        for q in quantities
-    ]
-
-
 def _quantities(quantities: Sequence[Quantity]) -> list[str]:
-    rows = [
-        (a, b, f"({c})", printable(d), q.meaning)
-        for (a, b, c, d), q in zip(quantity_rows(quantities), quantities, strict=True)
-    ]
+    cells = [(q.symbol, *q.cells, q.meaning) for q in quantities]
+    rows = [(symbol, mean, f"({interval})", printable(unit), why) for symbol, mean, _, interval, unit, why in cells]
     return [f"    {line}" for line in aligned(rows, left=(0, 2, 3, 4))]
 
 

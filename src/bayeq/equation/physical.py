@@ -17,6 +17,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.equation.rest import about_rest, is_displaced
 from bayeq.equation.units import OscillatorUnits, quotient_unit
+from bayeq.equation.written import round_to
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
@@ -64,6 +65,12 @@ class Quantity:
     low: float
     high: float
     unit: str | None
+
+    @property
+    def cells(self) -> tuple[str, str, str, str]:
+        """Mean, standard deviation, interval and unit as text."""
+        mean, low, high = (round_to(value, self.sd) for value in (self.mean, self.low, self.high))
+        return mean, f"{self.sd:.2g}", f"{low} .. {high}", self.unit or ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,22 +132,12 @@ class PhysicalParameters:
 
     def __str__(self) -> str:
         """A line per parameter."""
-        rows = [("parameter", "mean", "sd", "95 % interval", "unit", "")]
-        for q in self.quantities:
-            digits = _digits(q)
-            interval = f"{q.low:.{digits}g} .. {q.high:.{digits}g}"
-            rows.append((q.symbol, f"{q.mean:.{digits}g}", f"{q.sd:.2g}", interval, q.unit or "", q.meaning))
+        header = ("parameter", "mean", "sd", "95 % interval", "unit", "")
+        rows = [header, *((q.symbol, *q.cells, q.meaning) for q in self.quantities)]
         lines = aligned(rows, left=(0, 4, 5))
         if self.unexplained:
             lines.append(f"also in the equation: {', '.join(self.unexplained)}")
         return "\n".join(lines)
-
-
-def _digits(q: Quantity) -> int:
-    """Significant digits down to a tenth of the standard deviation."""
-    if q.mean == 0 or q.sd <= 0:
-        return 6
-    return min(max(math.floor(math.log10(abs(q.mean))) - math.floor(math.log10(q.sd)) + 2, 3), 12)
 
 
 @dataclass(frozen=True, slots=True)

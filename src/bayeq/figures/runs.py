@@ -128,23 +128,21 @@ def _mark_blow_up(ax: Axes, run: Run) -> None:
         ax.axvline(run.blew_up_at, color=RED, linestyle=DASHED, linewidth=0.8, label="blew up")
 
 
-def draw_states(axes: Sequence[Axes], run: Run, time: str = "time [s]") -> None:
+def draw_states(axes: Sequence[Axes], run: Run) -> None:
     """A free run against what was measured, a state in each of the axes."""
     for ax, name in zip(axes, run.mean, strict=True):
         _state(ax, run, name)
-    axes[-1].set_xlabel(time)
+    axes[-1].set_xlabel("time [s]")
 
 
 @picture
-def draw_forecasts(runs: Sequence[tuple[str, Run]], time: str = "time [s]") -> Figure:
+def draw_forecasts(runs: Sequence[tuple[str, Run]]) -> Figure:
     """Free runs under each other, a panel for each state.
 
     Parameters
     ----------
     runs : sequence of (str, Run)
         With their titles, which may be empty.
-    time : str
-        Label of the time axes.
 
     Returns
     -------
@@ -168,7 +166,7 @@ def draw_forecasts(runs: Sequence[tuple[str, Run]], time: str = "time [s]") -> F
                 _residual(ax, run.time, run.measured[name], _curve(run, name), "free run")
                 ax.set_ylabel("residual")
             ax.tick_params(axis="x", labelbottom=k == len(run.mean) - 1)
-        ax.set_xlabel(time)
+        ax.set_xlabel("time [s]")
     figure.align_ylabels()
     figure.legend(handles=labelled(axes.flat), loc="outside upper right", ncols=4, handlelength=2.2)
     return figure

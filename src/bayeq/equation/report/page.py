@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bayeq.equation.answer import Answer
-from bayeq.equation.brief import DERIVED, checks, failed, in_symbols, quantity_rows, sentence, what_to_try
+from bayeq.equation.brief import DERIVED, checks, failed, in_symbols, sentence, what_to_try
 from bayeq.equation.equation import Equation
 from bayeq.equation.explain import explanation
 from bayeq.equation.oscillator import own_parameters
@@ -144,10 +144,8 @@ def _physical(eq: Answer) -> dict[str, Any] | None:
     if found is None:
         return None
     kept = [q for q in found if q.symbol not in DERIVED]
-    rows = [
-        (symbol, *(_typeset(number) for number in numbers), unit_text(unit), q.meaning)
-        for (symbol, *numbers, unit), q in zip(quantity_rows(kept), kept, strict=True)
-    ]
+    cells = [(q.symbol, *q.cells, q.meaning) for q in kept]
+    rows = [(name, _typeset(mean), _typeset(ends), unit_text(unit), why) for name, mean, _, ends, unit, why in cells]
     law = in_symbols(eq.equations[0], found, eq.inputs) if len(eq.equations) == 1 else None
     return {"law": law, "rows": rows, "also": ", ".join(found.unexplained)}
 

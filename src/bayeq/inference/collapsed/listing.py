@@ -306,17 +306,13 @@ def _search(
     return models[:count], scores[:count], left / (total + left), expanded, inclusion / max(looked_at, 1e-300)
 
 
-def search_models(
-    problem: Problem, starts: list[tuple[float, Bools]] | None = None, tolerance: float = 5e-3
-) -> ModelSet:
-    """Models that hold nearly all of the posterior mass.
+def search_models(problem: Problem, tolerance: float = 5e-3) -> ModelSet:
+    """Models that hold nearly all of the posterior mass, looked for from the local optima of `search.best_models`.
 
     Parameters
     ----------
     problem : Problem
         What to search.
-    starts : list of (score, model), optional
-        Where to begin; by default the local optima that `search.best_models` finds.
     tolerance : float
         Share of the mass that may be left out.
 
@@ -325,8 +321,7 @@ def search_models(
     ModelSet
         The search also ends when the room for models or the number of moves is used up: `left_out` then tells.
     """
-    found = best_models(problem) if starts is None else starts
-    terms = len(problem.Dty)
+    found, terms = best_models(problem), len(problem.Dty)
     most = int(min(MOST_MODELS, max(1000, MOST_BYTES // max(terms, 1))))
     zobrist = np.random.default_rng(0x5EED).integers(1, 2**63, size=terms, dtype=np.uint64)
     starting = np.array([model for _, model in found], dtype=np.bool_)
