@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import difflib
 import errno
+import operator
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -58,6 +59,7 @@ __all__ = [
     "require_number",
     "require_text",
     "require_texts",
+    "whole_number",
 ]
 
 
@@ -294,6 +296,19 @@ def require_text(value: Any, what: str, optional: bool = False) -> None:
 def require_number(value: Any, what: str) -> None:
     """Raise unless a value is a real number."""
     require_kind(value, Real, what, "a number")
+
+
+def whole_number(what: str, value: Any, least: int, most: int | None = None) -> int:
+    """`value`, checked to be a whole number of at least `least`, and at most `most`."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise InputError(f"{what} must be a whole number, not {value!r}") from None
+    if number < least:
+        raise InputError(f"{what} must be at least {least}, not {number}")
+    if most is not None and number > most:
+        raise InputError(f"{what} must be at most {most}, not {number}")
+    return number
 
 
 def require_texts(value: Any, what: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -89,18 +89,8 @@ def predictions(eq: Answer, record: Record, return_std: bool) -> Any:
     return np.column_stack(parts)
 
 
-def free_run(
-    eq: Answer,
-    record: Record,
-    *,
-    initial: Mapping[str, float] | None = None,
-    draws: int,
-    seed: int,
-    start: int = 0,
-    rows: int | None = None,
-    interpolation: Interpolation | None = None,
-) -> Forecast:
-    """See `Equations.simulate`."""
+def free_run(eq: Answer, record: Record, *, interpolation: Interpolation | None = None, **how: Any) -> Forecast:
+    """See `Equations.simulate`, whose other arguments go to `forecast`."""
     if not eq.states:
         raise InputError(f"{_static_laws(eq)}: nothing is integrated; predict(record) gives them row by row")
     return forecast(
@@ -108,13 +98,9 @@ def free_run(
         record,
         eq.smooth,
         eq.data.sensors,
-        initial=initial,
-        draws=draws,
-        seed=seed,
-        start=start,
-        rows=rows,
         interpolation=_between(eq, interpolation),
         units={name: unit for equation in eq.equations for name, unit in equation.units.items()},
+        **how,
     )
 
 

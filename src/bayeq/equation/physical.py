@@ -7,7 +7,6 @@ The coefficients of the equation of x'' are those of the forces over the mass: -
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -18,7 +17,7 @@ from bayeq.arrays import Floats
 from bayeq.equation.rest import about_rest, is_displaced
 from bayeq.equation.units import OscillatorUnits, quotient_unit
 from bayeq.equation.written import round_to
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError, UnknownNameError, whole_number
 from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
 from bayeq.markup import aligned
@@ -277,12 +276,7 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
             f"physical parameters are those of a second-order equation, but that of {chain.target} is of order"
             f" {chain.order}"
         )
-    try:
-        count = operator.index(draws)
-    except TypeError:
-        count = 0
-    if count < 100:
-        raise InputError(f"draws must be a whole number, at least 100, got {draws!r}")
+    count = whole_number("draws", draws, 100)
     x, v = chain.states
     others = {name for term in law.terms for name in term.names} - set(chain.states)
     alone = Dynamics.of([law], sorted(others))

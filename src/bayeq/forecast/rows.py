@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import get_args
@@ -12,7 +11,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
-from bayeq.errors import InputError, RecordError, require_kind
+from bayeq.errors import InputError, RecordError, require_kind, whole_number
 from bayeq.expressions import Expression
 from bayeq.ode.rk4 import Drive, Interpolation, interpolant, with_time
 from bayeq.records import Record
@@ -28,7 +27,6 @@ __all__ = [
     "require_time",
     "rows_of",
     "side_by_side",
-    "whole_number",
     "window_of",
 ]
 
@@ -179,14 +177,3 @@ def window_of(record: Record, start: int, rows: int | None) -> slice:
             f" {record.name or 'the record'} has"
         )
     return slice(start, start + rows)
-
-
-def whole_number(what: str, value: int, least: int) -> int:
-    """`value`, checked to be a whole number of at least `least`."""
-    try:
-        number = operator.index(value)
-    except TypeError:
-        raise InputError(f"{what} must be a whole number, not {value!r}") from None
-    if number < least:
-        raise InputError(f"{what} must be at least {least}, not {number}")
-    return number

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError, UnknownNameError, whole_number
 from bayeq.figures.runs import draw_forecasts
 from bayeq.figures.style import write_output
 from bayeq.forecast.dynamics import Dynamics
@@ -30,7 +30,6 @@ from bayeq.forecast.rows import (
     normalised_error,
     require_time,
     rows_of,
-    whole_number,
     window_of,
 )
 from bayeq.ode.rk4 import Drive, Interpolation

@@ -152,6 +152,7 @@ def stlsq(
 
 def sweep_stlsq(
     gram: Gram,
+    prior: Prior | None = None,
     *,
     held_out: Gram | None = None,
     columns: Literal["standardised", "raw"] = "standardised",
@@ -165,6 +166,8 @@ def sweep_stlsq(
     ----------
     gram : Gram
         Training rows, in any units.
+    prior : Prior, optional
+        Not used; accepted so that all engines are called alike.
     held_out : Gram, optional
         Other rows, in the same units; without them the Bayesian information criterion decides.
     columns : "standardised" or "raw"
@@ -181,6 +184,8 @@ def sweep_stlsq(
     Posterior
         In the units of `gram`.
     """
+    if prior is not None:
+        prior.refuse_signs("stlsq")
     if columns == "standardised":
         standard = gram.standardise()
         other = None if held_out is None else standard.apply(held_out)

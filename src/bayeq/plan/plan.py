@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.dictionary import evaluate_terms
-from bayeq.errors import InputError
+from bayeq.errors import InputError, whole_number
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics, Law
-from bayeq.forecast.rows import whole_number
 from bayeq.inference.posterior import Posterior
 from bayeq.plan.conditions import Conditions
 from bayeq.plan.designs import SHARES, Design, Motions, designs_for, largest_share, shapes

@@ -12,7 +12,7 @@ from bayeq.arrays import Bools, Floats
 from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
-from bayeq.forecast.rows import Rows, predicted_target, rows_of
+from bayeq.forecast.rows import Rows, divided, predicted_target, rows_of
 from bayeq.forecast.score import Scores, percentages, score_rows
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Interpolation
@@ -150,8 +150,8 @@ def refine(
     if interpolation is not None:
         kinds = [interpolation]
     share = held_out_share(holdout, sum(one.n for one in records))
-    motion = estimate_motion(records, dynamics.roles, smooth, share, sensors)
-    rows = list(zip(rows_of(motion, "refine"), motion.cuts, strict=True))
+    measured = motion = estimate_motion(records, dynamics.roles, smooth, share, sensors)
+    rows = rows_of(measured, "refine")
     if not motion.smoothing:
         motion = estimate_motion(records, dynamics.roles, "auto", share, sensors)
     for piece in motion.train:
@@ -164,9 +164,8 @@ def refine(
     found = output_error(motion, dynamics, dynamics.mean, known, kinds)
     if isinstance(found, Unrefined):
         return found
-    whole = [(one.interpolated(dynamics.roles, found.interpolation), cut) for one, cut in rows]
-    train = [each.part(slice(0, cut)) for each, cut in whole]
-    held_out = [each.part(slice(cut, each.n)) for each, cut in whole if cut < each.n]
+    whole = [one.interpolated(dynamics.roles, found.interpolation) for one in rows]
+    train, held_out = divided(measured, whole)
     duration = PERIODS * typical_period(dynamics, train)
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
     former, now = (apart(pairs) for pairs in runs)
@@ -177,22 +176,39 @@ def refine(
             " %",
             "keep the equations",
         )
-    scores, log = None, WarningLog()
+    scores, worse, bound = None, list[str](), _at_bound(dynamics, found)
+    if held_out:
+        scores = score_rows(dynamics, found.parameters, held_out)
+        worse = _worse_scores(score_rows(before, before.mean, held_out), scores)
+    summary = Refinement(
+        files=tuple(dict.fromkeys(rows.name for rows in motion.train)),
+        n=sum(rows.n for rows in motion.train),
+        segments=len(motion.train),
+        longest=max(rows.n for rows in motion.train),
+        noise_sd=found.noise_sd,
+        interpolation=found.interpolation,
+        converged=found.converged,
+        at_bound=bound,
+    )
+    refined = [_refined(dynamics, k, block, found, train, held_out) for k, block in enumerate(dynamics.blocks())]
+    return RefinedEquations(tuple(refined), summary, scores, _doubts(found, bound, worse))
+
+
+def _doubts(found: OutputError, bound: Sequence[str], worse: Sequence[str]) -> WarningLog:
+    """What the fit says against itself; `worse` are notes on scores."""
+    log = WarningLog()
     if found.excess > 1.0:
         log.warn(
             "what free runs leave of the channels is correlated in time, as noise of a measured force or a missing term"
             f" makes it: variances of the coefficients are {found.excess:.2g} times those of independent noise",
             DataWarning,
         )
-    if held_out:
-        scores = score_rows(dynamics, found.parameters, held_out)
-        log.extend(_worse_scores(score_rows(before, before.mean, held_out), scores), ConvergenceWarning)
+    log.extend(worse, ConvergenceWarning)
     if not found.converged:
         log.warn(
             "the output-error estimate did not converge, its steps ended at their limit: refine the result once more",
             ConvergenceWarning,
         )
-    bound = _at_bound(dynamics, found)
     if found.contradicted:
         log.warn(
             f"free runs contradict the known sign of {', '.join(bound)} (likelihood ratio above 100 against it): check"
@@ -205,18 +221,7 @@ def refine(
             " check the noise given, or whether terms are missing",
             DataWarning,
         )
-    summary = Refinement(
-        files=tuple(dict.fromkeys(rows.name for rows in motion.train)),
-        n=sum(rows.n for rows in motion.train),
-        segments=len(motion.train),
-        longest=max(rows.n for rows in motion.train),
-        noise_sd=found.noise_sd,
-        interpolation=found.interpolation,
-        converged=found.converged,
-        at_bound=bound,
-    )
-    refined = [_refined(dynamics, k, block, found, train, held_out) for k, block in enumerate(dynamics.blocks())]
-    return RefinedEquations(tuple(refined), summary, scores, log)
+    return log
 
 
 def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tuple[Floats, Floats]]) -> bool:

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayeq.errors import InputError, UnknownNameError, require_kind, require_mapping
+from bayeq.errors import InputError, UnknownNameError, require_kind, require_mapping, whole_number
 from bayeq.expressions import Evaluator, Expression, FloatArray, Tape, parse
 from bayeq.records import Record, Truth
 from bayeq.systems.system import BandLimitedForce, System
@@ -244,12 +244,7 @@ def _random_force(system: System, n: int, fs: float, stream: np.random.SeedSeque
 
 
 def _count(n: int) -> int:
-    try:
-        count = operator.index(n)
-    except TypeError:
-        raise InputError(f"n must be a whole number, not {n!r}") from None
-    if count < 2:
-        raise InputError(f"n must be at least 2, not {count}")
+    count = whole_number("n", n, 2)
     if count > MAX_SAMPLES:
         raise InputError(f"n must be at most {MAX_SAMPLES} samples, not {count}; simulate several records instead")
     return count

@@ -7,12 +7,11 @@ gains, and where the gain stops.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Iterable
 
 import numpy as np
 
-from bayeq.errors import InputError
+from bayeq.errors import InputError, whole_number
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.listing import model_scores
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
@@ -59,12 +58,7 @@ def path_sizes(problem: Problem, most: int | None = None) -> range:
     allowed = min(int(np.sum(problem.log_odds > -math.inf)), MOST_ACTIVE)
     if most is None:
         most = max(DEFAULT_MOST, forced)
-    try:
-        most = operator.index(most)
-    except TypeError:
-        raise InputError(f"the largest number of terms must be a whole number, got {most!r}") from None
-    if most < 0:
-        raise InputError(f"the largest number of terms must not be negative, got {most}")
+    most = whole_number("the largest number of terms", most, 0)
     if most < forced:
         raise InputError(f"at most {most} terms are asked for, but {forced} are forced in by a prior inclusion of 1")
     return range(forced, min(most, allowed) + 1)
