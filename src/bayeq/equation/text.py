@@ -20,10 +20,9 @@ from bayeq.equation.written import round_to
 from bayeq.forecast.score import Scores, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import printable, printed, text_console
-from bayeq.regression.residuals import Residuals
 from bayeq.states import rates
 
-__all__ = ["forms_of", "given_of", "render", "source_of", "undecided", "unseen"]
+__all__ = ["forms_of", "given_of", "left_beside_noise", "render", "source_of", "undecided", "unseen"]
 
 # No table is as wide: in a pipe none is broken.
 WIDE = 10_000
@@ -149,7 +148,7 @@ def _render_equation(
     console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
     for line in (*_units(equation), *_fits(equation), *_free_run(equation, scores)):
         console.print(escape(line))
-    for line in _residuals(equation.residuals, equation.error_share):
+    for line in _residuals(equation):
         console.print(escape(line))
     for line in (*forms_of(equation), *equation.at_ends):
         console.print(escape(line))
@@ -299,17 +298,24 @@ def _free_run(equation: Equation, scores: Scores | None) -> list[str]:
     return [f"free run over the held-out rows: normalised RMS error {percentages(errors)}"]
 
 
-def _residuals(found: Residuals, error_share: float | None) -> list[str]:
+def left_beside_noise(equation: Equation) -> str | None:
+    """What terms leave beside noise, in per cent of the target's standard deviation; None where it is not known."""
+    share = equation.residuals.discrepancy if equation.error_share is None else equation.error_share
+    if share is None:
+        return None
+    return f"{100 * share:.2g} %" if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
+
+
+def _residuals(equation: Equation) -> list[str]:
+    found, left = equation.residuals, left_beside_noise(equation)
     shape = "no normal distribution" if found.normality < DOUBTFUL else "what is left looks like noise"
     lines = [
         f"residuals: lag-1 autocorrelation {found.lag1:.2f}, effective sample size {found.n_eff:.0f} of {found.n}",
         f"residuals: {shape} (skewness {found.skewness:.2f}, excess kurtosis {found.kurtosis:.2f},"
         f" {_chance(found.normality)})",
     ]
-    share_left = found.discrepancy if error_share is None else error_share
-    if share_left is not None:
-        share = f"{100 * share_left:.2g}" if share_left > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g}"
-        lines.append(f"unexplained beside noise: {share} % of the target's standard deviation")
+    if left is not None:
+        lines.append(f"unexplained beside noise: {left} of the target's standard deviation")
     if found.driver is not None and found.driver.p_value < DOUBTFUL:
         lines.append(f"residuals: follow {found.driver} ({_chance(found.driver.p_value)})")
     elif found.driver is not None:

@@ -11,7 +11,7 @@ from bayeq.expressions.functions import COMPARISONS, FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 from bayeq.expressions.parse import substituted, template
 
-__all__ = ["latex", "mathml", "number_mathml", "symbol_mathml", "to_sympy"]
+__all__ = ["mathml", "number_mathml", "symbol_mathml", "to_sympy"]
 
 # SymPy computes powers of numbers exactly, 9**9**9 with all its digits. Numbers that do not fit into a float
 # are computed in floating point instead, as they are everywhere else.
@@ -33,20 +33,6 @@ def to_sympy(expression: Expression) -> Any:
     v*Abs(v) + x**2/3
     """
     return _convert(expression.tree)
-
-
-def latex(expression: Expression) -> str:
-    r"""The expression in LaTeX, as written by SymPy.
-
-    Examples
-    --------
-    >>> from bayeq.expressions import parse
-    >>> latex(parse("x**2*sin(theta)"))
-    'x^{2} \\sin{\\left(\\theta \\right)}'
-    """
-    import sympy
-
-    return str(sympy.latex(to_sympy(expression)))
 
 
 def _convert(node: Node) -> Any:

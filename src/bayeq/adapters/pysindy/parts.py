@@ -211,13 +211,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
 
     def _inclusion(self, Z: Floats) -> Floats:
         """p_0 of each column, 0 of a column that is another one times a number."""
-        given = np.asarray(self.prior_inclusion, dtype=np.float64)
-        if given.shape not in ((), (Z.shape[1],)):
-            raise InputError(
-                f"prior_inclusion must be a probability, or one of each of the {Z.shape[1]} columns, got shape"
-                f" {given.shape}"
-            )
-        inclusion = np.broadcast_to(given, Z.shape[1]).copy()
+        inclusion = _of_each("prior_inclusion", self.prior_inclusion, Z.shape[1], "columns", "a probability").copy()
         order = np.argsort(-inclusion, kind="stable")
         # columns have unit size: the correlation of two that differ by rounding is 1 less half the square of that
         alike = np.abs(Z.T @ Z)[np.ix_(order, order)] / len(Z) > 1.0 - LEAST_FLOOR**2
@@ -260,13 +254,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
     def _floors(self, targets: int) -> Floats:
         if self.noise_floor is None:
             return np.zeros(targets)
-        floors = np.asarray(self.noise_floor, dtype=np.float64)
-        if floors.shape not in ((), (targets,)) or not (np.isfinite(floors) & (floors >= 0)).all():
-            raise InputError(
-                f"noise_floor must be a standard deviation, or one of each of the {targets} targets, 0 or more and"
-                f" finite, got {self.noise_floor!r}"
-            )
-        return np.broadcast_to(floors, (targets,))
+        return _of_each("noise_floor", self.noise_floor, targets, "targets", "a standard deviation, 0 or more")
 
     def _check_parameters(self) -> None:
         if self.unbias:
@@ -276,6 +264,14 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
             )
         if self.method not in METHODS:
             raise UnknownNameError("method", self.method, METHODS)
+
+
+def _of_each(name: str, given: ArrayLike, count: int, of: str, what: str) -> Floats:
+    """A number for each, or one for all."""
+    values = np.asarray(given, dtype=np.float64)
+    if values.shape not in ((), (count,)) or not (np.isfinite(values) & (values >= 0)).all():
+        raise InputError(f"{name} must be {what} and finite, or one of each of the {count} {of}, got {given!r}")
+    return np.broadcast_to(values, count)
 
 
 def _arrays(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
@@ -393,10 +389,7 @@ class KinematicDerivative(BaseDifferentiation):  # type: ignore[misc]
     def _levels(self, coordinates: int) -> Floats | None:
         if self.noise_sd is None:
             return None
-        levels = np.asarray(self.noise_sd, dtype=np.float64)
-        if levels.shape not in ((), (coordinates,)) or not (np.isfinite(levels) & (levels > 0)).all():
-            raise InputError(
-                f"noise_sd must be a positive number, or one of each of the {coordinates} coordinates, got"
-                f" {self.noise_sd!r}"
-            )
-        return np.broadcast_to(levels, (coordinates,))
+        levels = _of_each("noise_sd", self.noise_sd, coordinates, "coordinates", "a positive number")
+        if not levels.all():
+            raise InputError(f"noise_sd must be positive, got {self.noise_sd!r}")
+        return levels
