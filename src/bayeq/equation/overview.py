@@ -73,7 +73,7 @@ def as_html(eq: Answer) -> str:
 
 
 def _rows(equation: Equation) -> list[tuple[str, ...]]:
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (row.name, row.coefficient or "not in it", row.sd, row.interval, row.score, row.unit)
         for row in _listed(equation)
     ]
