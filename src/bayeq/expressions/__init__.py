@@ -4,7 +4,7 @@
 kernels; `to_sympy` shows it.
 """
 
-from bayeq.expressions.evaluate import Evaluator, FloatArray
+from bayeq.expressions.evaluate import Evaluator
 from bayeq.expressions.functions import FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown, number
 from bayeq.expressions.parse import parse
@@ -18,7 +18,6 @@ __all__ = [
     "Constant",
     "Evaluator",
     "Expression",
-    "FloatArray",
     "Negate",
     "Node",
     "Number",

@@ -17,8 +17,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.expressions.evaluate import ARITHMETIC, MAX_INTEGER_POWER, FloatArray
+from bayeq.expressions.evaluate import ARITHMETIC, MAX_INTEGER_POWER
 from bayeq.expressions.functions import (
     ABS,
     COMPARISONS,
@@ -74,11 +75,11 @@ class Program(NamedTuple):
 
     code: IndexArray
     outputs: IndexArray
-    registers: FloatArray
+    registers: Floats
 
 
 @kernel(borrowing=True)
-def run_tape(program: Program, tangents: FloatArray | None) -> None:
+def run_tape(program: Program, tangents: Floats | None) -> None:
     """Execute a tape: afterwards the outputs stand in ``program.registers[program.outputs]``.
 
     Parameters
@@ -170,7 +171,7 @@ class Tape:
 
     variables: tuple[str, ...]
     code: IndexArray
-    initial: FloatArray
+    initial: Floats
     outputs: IndexArray
 
     @classmethod
@@ -201,7 +202,7 @@ class Tape:
         registers[: len(given)] = given
         return Program(self.code, self.outputs, registers)
 
-    def __call__(self, values: ArrayLike) -> FloatArray:
+    def __call__(self, values: ArrayLike) -> Floats:
         """Values of the expressions, ``(n_expressions,)``, at one point: a value per variable."""
         program = self.program(values)
         run_tape(program, None)
@@ -289,13 +290,13 @@ class _Compiler:
         return product if value > 0 else self.emit(DIVIDE, self.constant(np.float64(1.0)), product)
 
 
-def registers_for(tape: Tape, rows: int) -> FloatArray:
+def registers_for(tape: Tape, rows: int) -> Floats:
     """Work space of `run_on_rows`, (n_registers, rows), with the constants in their places."""
     return np.repeat(tape.initial[:, None], rows, axis=1)
 
 
 @kernel
-def run_on_rows(code: IndexArray, registers: FloatArray, rows: int) -> None:
+def run_on_rows(code: IndexArray, registers: Floats, rows: int) -> None:
     """Execute a tape on the first `rows` columns of `registers`, (n_registers, R); variables are given in the first."""
     for i in range(code.shape[0]):
         opcode, to, left, right = code[i, 0], code[i, 1], code[i, 2], code[i, 3]

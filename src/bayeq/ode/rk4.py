@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from bayeq.expressions.evaluate import FloatArray
+from bayeq.arrays import Floats
 from bayeq.expressions.tape import IndexArray, Program, run_tape
 from bayeq.kernels import kernel
 from bayeq.numerics.spline import spline_slopes
@@ -54,14 +54,14 @@ class Drive(NamedTuple):
         The range of the states; a run that leaves it, or is not finite, stops.
     """
 
-    inputs: FloatArray
-    intervals: FloatArray
+    inputs: Floats
+    intervals: Floats
     step: float
-    low: FloatArray
-    high: FloatArray
+    low: Floats
+    high: Floats
 
     @classmethod
-    def over(cls, time: FloatArray, inputs: FloatArray, low: FloatArray, high: FloatArray) -> Drive:
+    def over(cls, time: Floats, inputs: Floats, low: Floats, high: Floats) -> Drive:
         """With samples at some times, the median interval as the step."""
         intervals = np.diff(time)
         return cls(inputs, intervals, float(np.median(intervals)), low, high)
@@ -71,7 +71,7 @@ class Drive(NamedTuple):
         return self._replace(inputs=self.inputs[start:stop], intervals=self.intervals[start : stop - 1])
 
 
-def interpolant(time: FloatArray, samples: FloatArray, kind: Interpolation) -> FloatArray:
+def interpolant(time: Floats, samples: Floats, kind: Interpolation) -> Floats:
     """Inputs between their samples, as a cubic polynomial in each sampling interval.
 
     Parameters
@@ -110,12 +110,12 @@ def interpolant(time: FloatArray, samples: FloatArray, kind: Interpolation) -> F
     return out
 
 
-def with_time(time: FloatArray, inputs: FloatArray) -> FloatArray:
+def with_time(time: Floats, inputs: Floats) -> Floats:
     """Inputs (n, m, 4) from `interpolant`, and the time [s] itself as one more, (n, m + 1, 4)."""
     return np.concatenate([inputs, interpolant(time, np.asarray(time, dtype=np.float64)[:, None], "linear")], axis=1)
 
 
-def _thirds(samples: FloatArray) -> FloatArray:
+def _thirds(samples: Floats) -> Floats:
     """Samples (n, m) and what their transform gives at the thirds between them, (3 n - 2, m).
 
     The straight line between the ends is taken out, and the rest continued as an odd function about both.
@@ -132,12 +132,12 @@ def _thirds(samples: FloatArray) -> FloatArray:
 @kernel(borrowing=True)
 def slope_at(
     program: Program,
-    inputs: FloatArray,
-    x: FloatArray,
+    inputs: Floats,
+    x: Floats,
     row: int,
     fraction: float,
-    tangents: FloatArray | None,
-    slope: FloatArray,
+    tangents: Floats | None,
+    slope: Floats,
 ) -> None:
     """Right-hand side at `x`, at a fraction of the interval after the sample `row`.
 
@@ -178,12 +178,12 @@ def slope_at(
 @kernel
 def advance(
     program: Program,
-    inputs: FloatArray,
+    inputs: Floats,
     row: int,
     interval: float,
     substeps: int,
-    tangents: FloatArray | None,
-    work: FloatArray,
+    tangents: Floats | None,
+    work: Floats,
 ) -> None:
     """From the sample `row` to the next, by classical Runge-Kutta steps: the state ``work[0]`` is moved on."""
     size = work.shape[1]
@@ -215,10 +215,10 @@ def steps_in(interval: float, step: float) -> int:
 def free_runs(
     program: Program,
     drive: Drive,
-    parameters: FloatArray,
-    current: FloatArray,
+    parameters: Floats,
+    current: Floats,
     stopped: IndexArray,
-    out: FloatArray,
+    out: Floats,
 ) -> None:
     """Integrate ``dx/dt = f(x, u; theta)`` from several states, each with parameters of its own.
 
@@ -264,7 +264,7 @@ def free_runs(
 
 
 @kernel
-def local_errors(program: Program, drive: Drive, states: FloatArray, scale: FloatArray, out: FloatArray) -> None:
+def local_errors(program: Program, drive: Drive, states: Floats, scale: Floats, out: Floats) -> None:
     """What half the step changes in each sampling interval, started from given states.
 
     Parameters
@@ -302,11 +302,11 @@ def local_errors(program: Program, drive: Drive, states: FloatArray, scale: Floa
 def shoot(
     program: Program,
     drive: Drive,
-    parameters: FloatArray,
-    start: FloatArray,
+    parameters: Floats,
+    start: Floats,
     channels: IndexArray,
-    values: FloatArray,
-    jacobian: FloatArray,
+    values: Floats,
+    jacobian: Floats,
 ) -> int:
     """Free run of one segment: measured channels and their derivatives by initial state and parameters.
 
