@@ -54,6 +54,8 @@ __all__ = [
     "WordsError",
     "WarningLog",
     "as_path",
+    "one_line",
+    "printable",
     "require_kind",
     "require_mapping",
     "require_number",
@@ -287,19 +289,24 @@ def require_kind(value: Any, kinds: type | tuple[type, ...], what: str, words: s
         raise InputError(f"{what} must be {words}, not {_shown(value)}")
 
 
-def require_text(value: Any, what: str, optional: bool = False) -> None:
-    """Raise unless a value is text, or None where it is `optional`."""
-    if not (optional and value is None):
-        require_kind(value, str, what, "text")
+def printable(text: str) -> str:
+    """Text without what a terminal would obey, which names of files may hold."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-def require_number(value: Any, what: str) -> None:
-    """Raise unless a value is a real number."""
-    require_kind(value, Real, what, "a number")
+def one_line(message: object) -> str:
+    """A message without line breaks."""
+    return " ".join(str(message).split())
 
 
 def whole_number(what: str, value: Any, least: int, most: int | None = None) -> int:
-    """`value`, checked to be a whole number of at least `least`, and at most `most`."""
+    """`value` as an int; an InputError about `what` unless it is a whole number from `least` to `most`.
+
+    Examples
+    --------
+    >>> whole_number("rows", 3, 2)
+    3
+    """
     try:
         number = operator.index(value)
     except TypeError:
@@ -309,6 +316,17 @@ def whole_number(what: str, value: Any, least: int, most: int | None = None) -> 
     if most is not None and number > most:
         raise InputError(f"{what} must be at most {most}, not {number}")
     return number
+
+
+def require_text(value: Any, what: str, optional: bool = False) -> None:
+    """Raise unless a value is text, or None where it is `optional`."""
+    if not (optional and value is None):
+        require_kind(value, str, what, "text")
+
+
+def require_number(value: Any, what: str) -> None:
+    """Raise unless a value is a real number."""
+    require_kind(value, Real, what, "a number")
 
 
 def require_texts(value: Any, what: str) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["aligned", "code", "items", "join", "paragraph", "printable", "printed", "table", "text_console"]
+__all__ = ["aligned", "code", "items", "join", "paragraph", "printed", "table", "text_console"]
 
 # Left of text, right of numbers, whatever the notebook's own style is.
 CELL = "padding:2px 8px;text-align:{side};white-space:pre"
@@ -74,11 +74,6 @@ def printed(console: Console) -> str:
     assert isinstance(console.file, io.StringIO)
     lines = [line.rstrip() for line in console.file.getvalue().rstrip().splitlines()]
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
-
-
-def printable(text: str) -> str:
-    """Text from a file without what a terminal would obey."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def aligned(rows: Sequence[Sequence[str]], left: Iterable[int] = (0,)) -> list[str]:

@@ -21,9 +21,10 @@ from bayeq.equation.text import (
     source_of,
     unseen,
 )
+from bayeq.errors import printable
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
-from bayeq.markup import aligned, printable
+from bayeq.markup import aligned
 
 __all__ = ["brief", "checks", "failed", "in_symbols", "sentence", "what_to_try"]
 

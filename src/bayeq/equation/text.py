@@ -17,9 +17,10 @@ from bayeq.equation.rows import Row, rows_of, short_names, with_names
 from bayeq.equation.size_path import percent
 from bayeq.equation.verdict import LEAST_SHOWN
 from bayeq.equation.written import round_to
+from bayeq.errors import printable
 from bayeq.forecast.score import Scores, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
-from bayeq.markup import printable, printed, text_console
+from bayeq.markup import printed, text_console
 from bayeq.states import rates
 
 __all__ = ["forms_of", "given_of", "left_beside_noise", "render", "source_of", "undecided", "unseen"]

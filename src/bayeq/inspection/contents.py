@@ -13,7 +13,7 @@ from bayeq.inspection.proposal import Proposal, Reading
 from bayeq.inspection.roles import Clue, Guess
 from bayeq.inspection.samples import Bad
 from bayeq.inspection.timing import Experiments, Gap
-from bayeq.markup import code, items, join, paragraph, printable, table
+from bayeq.markup import code, items, join, paragraph, table
 
 __all__ = ["RecordInfo", "as_text"]
 
@@ -176,7 +176,7 @@ def as_text(found: RecordInfo, plain: bool = False) -> str:
         lines += ["", heading, *(f"  {text}" for text in texts)]
     lines += ["", "next", f"  {found.proposal.command or found.proposal.python}"]
     lines += [f"  {note}" for note in found.proposal.notes]
-    return "\n".join(printable(line.rstrip()) for line in lines)
+    return "\n".join(_harmless(line.rstrip()) for line in lines)
 
 
 def as_html(found: RecordInfo) -> str:
@@ -233,6 +233,11 @@ def _row(found: RecordInfo, channel: ChannelInfo, plain: bool) -> tuple[str, ...
     role = found.guess.role_of(channel.name) or ("constant" if channel.constant else "?")
     values = (f"{value:.4g}" if math.isfinite(value) else "" for value in numbers)
     return (_cut(channel.name), _cut(channel.unit), role, *values, str(channel.missing or ""), *spectrum)
+
+
+def _harmless(text: str) -> str:
+    """Text without what a terminal would obey, which names of files may hold."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def _hertz(value: float) -> str:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from bayeq.errors import InputError, UnknownNameError, whole_number
+from bayeq.errors import InputError, UnknownNameError
 
 __all__ = ["DEFAULT_ALGORITHMS", "STUDY_SYSTEMS", "StudyConfig", "choose"]
 
@@ -73,7 +74,7 @@ class StudyConfig:
         """
         least = {"seed": 0, "train_rows": 3, "test_rows": 1, "chains": 1, "samples": 2, "burn_in": 0}
         for name, lowest in least.items():
-            whole_number(name, getattr(self, name), lowest)
+            whole(name, getattr(self, name), lowest)
         if self.burn_in >= self.samples:
             raise InputError(f"burn_in ({self.burn_in}) must be less than samples ({self.samples})")
         for name in ("noise", "perturb"):
@@ -97,6 +98,25 @@ class StudyConfig:
             for key in keys
             if other.get(key, missing) != mine.get(key, missing)
         ]
+
+
+def whole(name: str, value: int, lowest: int, highest: int | None = None) -> int:
+    """`value` as an int within its bounds.
+
+    Raises
+    ------
+    InputError
+        Not a whole number, or out of bounds.
+    """
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise InputError(f"{name} must be a whole number, got {value!r}") from None
+    if number < lowest:
+        raise InputError(f"{name} must be at least {lowest}, got {number}")
+    if highest is not None and number > highest:
+        raise InputError(f"{name} must be at most {highest}, got {number}")
+    return number
 
 
 def choose(kind: str, names: Iterable[str], known: Iterable[str]) -> tuple[str, ...]:

@@ -11,12 +11,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from bayeq.errors import whole_number
 from bayeq.resumable.store import Key
 from bayeq.resumable.workers import AHEAD, MAX_JOBS, fill, one_thread
 from bayeq.streaming.cluster import Cluster
 from bayeq.study.algorithms import ALGORITHMS
-from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose
+from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose, whole
 from bayeq.study.metrics import Result
 from bayeq.study.realise import Task, realise
 from bayeq.study.store import Store
@@ -96,14 +95,14 @@ def run_study(
     config.validate()
     systems = choose("system", systems, STUDY_SYSTEMS)
     algorithms = choose("algorithm", algorithms, ALGORITHMS)
-    whole_number("realisations", realisations, 1, MAX_REALISATIONS)
-    whole_number("jobs", jobs, 1, MAX_JOBS)
+    whole("realisations", realisations, 1, MAX_REALISATIONS)
+    whole("jobs", jobs, 1, MAX_JOBS)
     started = time.monotonic()
     cluster = None if client is None else Cluster(client)
     with Store(store, config) as file, one_thread():
         file.plan(systems, algorithms, realisations)
         missing = partial(file.missing, systems, algorithms, realisations)
-        size = 1 if batch is None else whole_number("batch", batch, 1)
+        size = 1 if batch is None else whole("batch", batch, 1)
         if batch is None and (groups := missing()):
             largest = len(groups) // (AHEAD * (jobs if cluster is None else cluster.threads))
             size = max(1, min(_per_batch(config, _tasks(groups[0])[0]), LARGEST_BATCH, largest))

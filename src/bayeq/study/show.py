@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any, Literal
 
-from bayeq.markup import aligned
 from bayeq.study.metrics import METRICS
 from bayeq.study.store import Store
 from bayeq.study.table import CITATION, LABELS, Row, aggregate, failure_messages, runtimes
@@ -147,9 +146,14 @@ def _printed(paper: Mapping[str, Any], name: str) -> str:
 
 
 def _text(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    dashes = ["-" * max(map(len, column)) for column in zip(head, *lines, strict=True)]
+    widths = [max(len(line[k]) for line in (head, *lines)) for k in range(len(head))]
     left = [k for k, name in enumerate(head) if name in ("system", "algorithm")]
-    return "\n".join(aligned([head, dashes, *lines], left))
+
+    def render(line: Sequence[str]) -> str:
+        cells = (c.ljust(w) if k in left else c.rjust(w) for k, (c, w) in enumerate(zip(line, widths, strict=True)))
+        return "  ".join(cells).rstrip()
+
+    return "\n".join([render(head), "  ".join("-" * w for w in widths), *map(render, lines)])
 
 
 def _markdown(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
