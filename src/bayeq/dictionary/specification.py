@@ -154,27 +154,13 @@ def written(specification: Specification) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Variables:
-    """The variables that terms are made of.
+    """The variables that terms are made of."""
 
-    Attributes
-    ----------
-    states : tuple of str
-        Coordinates and their derivatives below the target.
-    inputs : tuple of str
-        Forces and other inputs.
-    chains : tuple of tuples of str
-        The states chain by chain; empty where that is not known.
-    own : int or None
-        The chain whose equation the terms are for; None for all.
-    targets : tuple of str
-        Highest derivatives, which terms of other equations may be proportional to.
-    """
-
-    states: tuple[str, ...]
-    inputs: tuple[str, ...] = ()
-    chains: tuple[tuple[str, ...], ...] = ()
-    own: int | None = None
-    targets: tuple[str, ...] = ()
+    states: tuple[str, ...]  # coordinates and their derivatives below the target
+    inputs: tuple[str, ...] = ()  # forces and other inputs
+    chains: tuple[tuple[str, ...], ...] = ()  # the states chain by chain; empty where that is not known
+    own: int | None = None  # the chain whose equation the terms are for; None for all
+    targets: tuple[str, ...] = ()  # highest derivatives, which terms of other equations may be proportional to
 
     @property
     def coordinates(self) -> tuple[str, ...]:

@@ -22,22 +22,13 @@ DIFFERENT = 0.2
 
 @dataclass(frozen=True, slots=True)
 class OverModels:
-    """Intervals that know of other models than the one included or shown.
+    """Intervals that know of other models than the one included or shown."""
 
-    Attributes
-    ----------
-    averaged : (P, 2) array or None
-        Over all models, 0 in those without the term; None where no models are averaged.
-    given_in : (P, 2) array or None
-        Over the models that hold the term, of an equation that is printed: terms that were left out for simplicity are
-        in none of them. None where there are none.
-    intercept : (2,) array or None
-        Over the same models, of the intercept.
-    """
-
-    averaged: Floats | None
+    averaged: Floats | None  # (P, 2), over all models, 0 in those without the term; None where no models are averaged
+    # (P, 2), over the models that hold the term, of an equation that is printed: terms that were left out for
+    # simplicity are in none of them. None where there are none.
     given_in: Floats | None
-    intercept: Floats | None
+    intercept: Floats | None  # (2,), over the same models, of the intercept
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,33 +19,16 @@ _NAME = re.compile(r"[^\W\d]\w*")
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A term, a constant inside terms, or the intercept; texts are empty where there is nothing to say.
+    """A term, a constant inside terms, or the intercept; texts are empty where there is nothing to say."""
 
-    Attributes
-    ----------
-    name : str
-        The term, ``{name}`` of a constant, or ``intercept``.
-    coefficient, sd, interval : str
-        Empty of a term that is not shown.
-    over_models : bool
-        Whether the interval is that over models.
-    absent : str
-        What is said of a term that is not shown.
-    pip : float
-        NaN of what is no term.
-    share : str
-        Of the target's variance.
-    unit : str
-    """
-
-    name: str
-    coefficient: str = ""
+    name: str  # the term, ``{name}`` of a constant, or ``intercept``
+    coefficient: str = ""  # it, and the two that follow, are empty of a term that is not shown
     sd: str = ""
     interval: str = ""
-    over_models: bool = False
-    absent: str = ""
-    pip: float = math.nan
-    share: str = ""
+    over_models: bool = False  # whether the interval is that over models
+    absent: str = ""  # what is said of a term that is not shown
+    pip: float = math.nan  # NaN of what is no term
+    share: str = ""  # of the target's variance
     unit: str = ""
 
     @property

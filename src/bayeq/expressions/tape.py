@@ -61,20 +61,11 @@ _ON_CONSTANTS: dict[int, Callable[..., Any]] = {
 
 
 class Program(NamedTuple):
-    """A tape as kernels take it.
+    """A tape as kernels take it."""
 
-    Attributes
-    ----------
-    code : (instructions, 4) uint32 array
-        Opcode, destination, first and second operand of each instruction.
-    outputs : (n_expressions,) uint32 array
-        The register of each expression's value.
-    registers : (n_registers,) float array
-        The values of the variables in front; changed in place, so that each run needs its own.
-    """
-
-    code: IndexArray
-    outputs: IndexArray
+    code: IndexArray  # (instructions, 4), opcode, destination, first and second operand of each instruction
+    outputs: IndexArray  # (n_expressions,), the register of each expression's value
+    # (n_registers,), the values of the variables in front; changed in place, so that each run needs its own
     registers: Floats
 
 
@@ -150,17 +141,6 @@ def run_tape(program: Program, tangents: Floats | None) -> None:
 class Tape:
     """Expressions compiled for `run_tape`; make one with `Tape.compile`.
 
-    Attributes
-    ----------
-    variables : tuple of str
-        Their values are the first registers, in this order.
-    code : (instructions, 4) uint32 array
-        Opcode, destination, first and second operand.
-    initial : (n_registers,) float array
-        The constants in their places, and 0 elsewhere.
-    outputs : (n_expressions,) uint32 array
-        The register of each expression's value.
-
     Examples
     --------
     >>> from bayeq.expressions import Tape, parse
@@ -169,10 +149,10 @@ class Tape:
     array([  1., -10.])
     """
 
-    variables: tuple[str, ...]
-    code: IndexArray
-    initial: Floats
-    outputs: IndexArray
+    variables: tuple[str, ...]  # their values are the first registers, in this order
+    code: IndexArray  # (instructions, 4), opcode, destination, first and second operand
+    initial: Floats  # (n_registers,), the constants in their places, and 0 elsewhere
+    outputs: IndexArray  # (n_expressions,), the register of each expression's value
 
     @classmethod
     def compile(cls, expressions: Iterable[Expression], variables: Sequence[str]) -> Tape:

@@ -28,23 +28,12 @@ MOST_SUBSTEPS = 16
 
 
 class Law(NamedTuple):
-    """An equation for the highest derivative of a chain.
-
-    Attributes
-    ----------
-    chain : Chain
-    terms : sequence of Expression
-        All candidates.
-    posterior : Posterior
-        Says which of them are included.
-    unit_gains : sequence of float
-        Of the chain's channels, see `bayeq.states.unit_gains`; empty where all are 1.
-    """
+    """An equation for the highest derivative of a chain."""
 
     chain: Chain
-    terms: Sequence[Expression]
-    posterior: Posterior
-    unit_gains: Sequence[float] = ()
+    terms: Sequence[Expression]  # all candidates
+    posterior: Posterior  # says which of them are included
+    unit_gains: Sequence[float] = ()  # of the chain's channels, see `bayeq.states.unit_gains`; empty where all are 1
 
 
 def solved_laws(laws: Sequence[Law]) -> list[Law]:
@@ -70,31 +59,16 @@ def solved_laws(laws: Sequence[Law]) -> list[Law]:
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """dx/dt = f(x, u; theta): the chains' derivatives, and intercept + sum of coefficient x term for the highest.
+    """dx/dt = f(x, u; theta): the chains' derivatives, and intercept + sum of coefficient x term for the highest."""
 
-    Attributes
-    ----------
-    laws : tuple of Law
-        The equations.
-    inputs : tuple of str
-        Names of the inputs.
-    timed : bool
-        Whether terms may use t, the time [s]: the last of what drives a run.
-    terms : tuple of tuples of Expression
-        The terms that each equation includes.
-    intercepts : tuple of bool
-        Equations that have an intercept.
-    tape : Tape
-        Of states, inputs, t (if it is used) and parameters; its outputs are the states' derivatives, then the targets.
-        The parameters are, equation by equation, the intercept (if there is one) and the coefficients of the terms.
-    """
-
-    laws: tuple[Law, ...]
-    inputs: tuple[str, ...]
-    terms: tuple[tuple[Expression, ...], ...]
-    intercepts: tuple[bool, ...]
+    laws: tuple[Law, ...]  # the equations
+    inputs: tuple[str, ...]  # names of the inputs
+    terms: tuple[tuple[Expression, ...], ...]  # the terms that each equation includes
+    intercepts: tuple[bool, ...]  # equations that have an intercept
+    # of states, inputs, t (if it is used) and parameters; its outputs are the states' derivatives, then the targets.
+    # The parameters are, equation by equation, the intercept (if there is one) and the coefficients of the terms.
     tape: Tape
-    timed: bool = False
+    timed: bool = False  # whether terms may use t, the time [s]: the last of what drives a run
 
     @classmethod
     def of(

@@ -33,26 +33,15 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of one record.
+    """Rows of one record."""
 
-    Attributes
-    ----------
-    time : (n,) array
-        [s].
-    columns : mapping of str to (n,) array
-        States, targets (measured, where they are) and inputs, as `discover` has them.
-    samples : mapping of str to (n,) array
-        What was measured of states and targets; NaN where a sample is missing.
-    driven : (n, m, 4) array
-        Inputs, and t where it is used, between the rows, from `bayeq.ode.rk4.interpolant` over the whole record.
-    estimated : mapping of str to ChainSmoothing
-        How targets that were not measured were estimated.
-    """
-
-    time: Floats
-    columns: Mapping[str, Floats]
-    samples: Mapping[str, Floats]
+    time: Floats  # (n,), [s]
+    columns: Mapping[str, Floats]  # (n,), states, targets (measured, where they are) and inputs, as `discover` has them
+    samples: Mapping[str, Floats]  # (n,), what was measured of states and targets; NaN where a sample is missing
+    # (n, m, 4), inputs, and t where it is used, between the rows, from `bayeq.ode.rk4.interpolant` over the whole
+    # record
     driven: Floats
+    # how targets that were not measured were estimated
     estimated: Mapping[str, ChainSmoothing] = field(default_factory=dict)
 
     @property

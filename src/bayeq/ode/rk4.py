@@ -40,25 +40,13 @@ STAGES = 6
 
 
 class Drive(NamedTuple):
-    """What drives a run, from sample to sample, and where it may go.
+    """What drives a run, from sample to sample, and where it may go."""
 
-    Attributes
-    ----------
-    inputs : (n, m, 4) array
-        From `interpolant`.
-    intervals : (n - 1,) array
-        Between the samples [s].
-    step : float
-        Longest step of integration [s]; intervals are divided evenly.
-    low, high : (d,) arrays
-        The range of the states; a run that leaves it, or is not finite, stops.
-    """
-
-    inputs: Floats
-    intervals: Floats
-    step: float
-    low: Floats
-    high: Floats
+    inputs: Floats  # (n, m, 4), from `interpolant`
+    intervals: Floats  # (n - 1,), between the samples [s]
+    step: float  # longest step of integration [s]; intervals are divided evenly
+    low: Floats  # (d,), the range of the states; a run that leaves it, or is not finite, stops
+    high: Floats  # (d,)
 
     @classmethod
     def over(cls, time: Floats, inputs: Floats, low: Floats, high: Floats) -> Drive:

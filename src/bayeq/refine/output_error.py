@@ -68,44 +68,21 @@ SINGULAR = 1e13
 
 @dataclass(frozen=True, eq=False)
 class OutputError:
-    """Parameters by output error.
+    """Parameters by output error."""
 
-    Attributes
-    ----------
-    parameters : (p,) array
-        As in `Dynamics`; with known signs in doubt the mean of what they leave of the posterior.
-    covariance : (p, p) array
-        Singular where parameters follow from others.
-    free : (p,) bool array
-        Those that do not.
-    excess : float
-        Factor by which the covariance is wider than that of independent noise; 1 where what is left looks like that.
-    at_bound : (p,) bool array
-        Parameters that were 0, the end of their known sign, where runs were closest.
-    contradicted : bool
-        Whether runs speak against these signs, by a likelihood ratio of more than a hundred.
-    noise_sd : mapping of str to float
-        Standard deviation of each channel's noise.
-    misfit : mapping of str to float
-        Channels of which runs leave more than the noise that was given, and how many times its standard deviation:
-        theirs is what runs leave.
-    interpolation : str
-        Of the inputs.
-    converged : bool
-        False if the last fit ended at a limit of steps.
-    log_likelihood : float
-    """
-
-    parameters: Floats
-    covariance: Floats
-    free: Bools
+    parameters: Floats  # (p,), as in `Dynamics`; with known signs in doubt the mean of what they leave of the posterior
+    covariance: Floats  # (p, p), singular where parameters follow from others
+    free: Bools  # (p,), those that do not
+    # factor by which the covariance is wider than that of independent noise; 1 where what is left looks like that
     excess: float
-    at_bound: Bools
-    contradicted: bool
-    noise_sd: Mapping[str, float]
+    at_bound: Bools  # (p,), parameters that were 0, the end of their known sign, where runs were closest
+    contradicted: bool  # whether runs speak against these signs, by a likelihood ratio of more than a hundred
+    noise_sd: Mapping[str, float]  # standard deviation of each channel's noise
+    # channels of which runs leave more than the noise that was given, and how many times its standard deviation:
+    # theirs is what runs leave
     misfit: Mapping[str, float]
-    interpolation: Interpolation
-    converged: bool
+    interpolation: Interpolation  # of the inputs
+    converged: bool  # False if the last fit ended at a limit of steps
     log_likelihood: float
 
 
@@ -122,22 +99,12 @@ NO_RUN = Unrefined("no free run follows the records", "check signs and terms, or
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of the parameters theta of `Dynamics`: offset + basis phi, phi the free ones among them, and signs.
+    """What is known of the parameters theta of `Dynamics`: theta = offset + basis phi, phi the free ones, and signs."""
 
-    Attributes
-    ----------
-    offset, basis : (p,), (p, f) arrays
-        Equations between coefficients, solved.
-    free : (p,) bool array
-        The parameters that phi is.
-    signs : (f,) int array
-        Known signs of phi, 0 for unknown.
-    """
-
-    offset: Floats
-    basis: Floats
-    free: Bools
-    signs: Ints
+    offset: Floats  # (p,), equations between coefficients, solved
+    basis: Floats  # (p, f)
+    free: Bools  # (p,), the parameters that phi is
+    signs: Ints  # (f,), known signs of phi, 0 for unknown
 
     @classmethod
     def of(cls, dynamics: Dynamics, constraints: Sequence[Constraints]) -> Self:

@@ -88,24 +88,13 @@ PILOTS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """The rows of one piece as bins of a band, from frequency zero on.
+    """The rows of one piece as bins of a band, from frequency zero on."""
 
-    Attributes
-    ----------
-    frequency : (b,) array
-        Frequencies [1/row].
-    count : (b,) array
-        Real numbers that a bin stands for: 1 at zero frequency, otherwise 2.
-    columns : (b, P + 1) complex array
-        Transforms of the columns and of the target, scaled so that white noise of variance s^2 has E|.|^2 = s^2.
-    kept : float
-        Share of the rows' information that the taper leaves.
-    """
-
-    frequency: Floats
-    count: Floats
+    frequency: Floats  # (b,), frequencies [1/row]
+    count: Floats  # (b,), real numbers that a bin stands for: 1 at zero frequency, otherwise 2
+    # (b, P + 1), transforms of columns and target, scaled so that white noise of variance s^2 has E|.|^2 = s^2
     columns: Complexes
-    kept: float
+    kept: float  # share of the rows' information that the taper leaves
 
 
 def pieces_of(Z: Floats, gaps: Bools) -> list[slice] | None:

@@ -49,32 +49,18 @@ FORGET = 40.0
 
 @dataclass(frozen=True, slots=True)
 class ModelSet:
-    """Models with their log posteriors.
+    """Models with their log posteriors."""
 
-    Attributes
-    ----------
-    models : (K, P) bool array
-        Best first.
-    log_posterior : (K,) array
-        Up to the constant of `search.log_constant`.
-    left_out : float
-        Share of the posterior mass outside the set: 0 if all models were enumerated, otherwise an estimate that
-        errs upwards.
-    expanded : int
-        Models all of whose neighbours were looked at.
-    contradicted : tuple of int
-        Terms whose known signs the data contradict.
-    inclusion : (P,) array, optional
-        Of a search: the probability of each term given the others, averaged over the models whose neighbours were
-        looked at (Rao and Blackwell's estimate). Of terms that hardly depend on each other it needs few models
-        where the listing needs all of their combinations.
-    """
-
-    models: Bools
-    log_posterior: Floats
+    models: Bools  # (K, P), best first
+    log_posterior: Floats  # (K,), up to the constant of `search.log_constant`
+    # share of the posterior mass outside the set: 0 if all models were enumerated, otherwise an estimate that errs
+    # upwards
     left_out: float
-    expanded: int
-    contradicted: tuple[int, ...] = ()
+    expanded: int  # models all of whose neighbours were looked at
+    contradicted: tuple[int, ...] = ()  # terms whose known signs the data contradict
+    # (P,), of a search: the probability of each term given the others, averaged over the models whose neighbours were
+    # looked at (Rao and Blackwell's estimate). Of terms that hardly depend on each other it needs few models where
+    # the listing needs all of their combinations.
     inclusion: Floats | None = None
 
     @property

@@ -38,27 +38,13 @@ ROUNDING = 1e-12
 
 
 class Columns(NamedTuple):
-    """D'D as kernels take it: all of it, or its rows as they are asked for.
+    """D'D as kernels take it: all of it, or its rows as they are asked for."""
 
-    Attributes
-    ----------
-    diagonal : (P,) array
-        Sums of squares of the columns.
-    rows : (P, P) array
-        Rows of D'D; those not computed yet are memory never touched.
-    slot : (P,) int array
-        Where the row of each term is, -1 if it is not there yet.
-    used : (1,) int array
-        Number of rows that are there.
-    data : (n, P) array
-        The centred D, from which missing rows follow; empty if none is missing.
-    """
-
-    diagonal: Floats
-    rows: Floats
-    slot: Ints
-    used: Ints
-    data: Floats
+    diagonal: Floats  # (P,), sums of squares of the columns
+    rows: Floats  # (P, P), rows of D'D; those not computed yet are memory never touched
+    slot: Ints  # (P,), where the row of each term is, -1 if it is not there yet
+    used: Ints  # (1,), number of rows that are there
+    data: Floats  # (n, P), the centred D, from which missing rows follow; empty if none is missing
 
 
 @kernel
@@ -130,41 +116,22 @@ def gram_columns(gram: GramLike) -> Columns:
 
 
 class Problem(NamedTuple):
-    """A sparse regression with its prior; made by `of`, taken whole by kernels.
+    """A sparse regression with its prior; made by `of`, taken whole by kernels."""
 
-    Attributes
-    ----------
-    columns, Dty, yty, dof
-        Statistics of the (standardised) Gram.
-    log_odds : (P,) array
-        logit(p_0); +inf forces a term in, -inf keeps it out.
-    size_prior : (P+1,) array
-        What the number of terms in the model adds to its log prior: 0, or by a beta-binomial prior.
-    inclusion_beta : (2,) array
-        a and b of p_0 ~ Beta(a, b); empty where p_0 is given.
-    slab_variance, noise_shape, noise_rate : float
-        v_s, a_sigma, b_sigma.
-    half_log_slab : float
-        1/2 ln v_s, the price of a term.
-    h : float
-        a_sigma + N/2.
-    floor : float
-        Least value of s = 2 b_sigma + RSS that the rounding of y'y lets us tell from zero.
-    """
-
+    # statistics of the (standardised) Gram
     columns: Columns
     Dty: Floats
     yty: float
     dof: float
-    log_odds: Floats
-    size_prior: Floats
-    inclusion_beta: Floats
-    slab_variance: float
-    noise_shape: float
-    noise_rate: float
-    half_log_slab: float
-    h: float
-    floor: float
+    log_odds: Floats  # (P,), logit(p_0); +inf forces a term in, -inf keeps it out
+    size_prior: Floats  # (P+1,), what the number of terms adds to the log prior: 0, or by a beta-binomial prior
+    inclusion_beta: Floats  # (2,), a and b of p_0 ~ Beta(a, b); empty where p_0 is given
+    slab_variance: float  # v_s
+    noise_shape: float  # a_sigma
+    noise_rate: float  # b_sigma
+    half_log_slab: float  # 1/2 ln v_s, the price of a term
+    h: float  # a_sigma + N/2
+    floor: float  # least value of s = 2 b_sigma + RSS that the rounding of y'y lets us tell from zero
 
     @classmethod
     def of(cls, gram: GramLike, prior: Prior) -> Problem:
