@@ -161,10 +161,8 @@ def _finite(value: Any) -> Any:
 def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record, list[str]]:
     """A record in the units of the equations, and what was converted.
 
-    Raises
-    ------
-    InputError
-        A unit that cannot be converted; a time that is known where that of the equations is not, or the reverse.
+    InputError for a unit that cannot be converted, or a time that is known where that of the equations is not, or the
+    reverse.
     """
     where = record.name or "record"
     moving = bool(equations.states)

@@ -95,14 +95,8 @@ def over_models(
 ) -> OverModels:
     """Intervals over models of a fitted regression.
 
-    Parameters
-    ----------
-    fit, shown_fit : RegressionFit
-        What the coefficients of the included terms and of those shown come from.
-    included, shown : Posterior
-        As they are reported.
-    simplified : sequence of str
-        Terms that were left out for a simpler equation.
+    `fit` and `shown_fit` are what the coefficients of the included terms and of those shown come from, `included` and
+    `shown` these as they are reported, and `simplified` the terms that were left out for a simpler equation.
     """
     overall = mixture_of(fit, included)
     struck = np.isin(shown_fit.posterior.names, simplified)

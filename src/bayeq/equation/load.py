@@ -82,19 +82,9 @@ def load(path: str | Path) -> Equations:
 
 
 def restored(content: Saved, where: str) -> Equations:
-    """Equations from the content of a file of them.
+    """Equations from the content of a file of them, which `bayeq.equation.to_json.to_saved` made.
 
-    Parameters
-    ----------
-    content : mapping
-        What `bayeq.equation.to_json.to_saved` made.
-    where : str
-        Where it was found, for the message.
-
-    Raises
-    ------
-    FileFormatError
-        It does not agree with `json_schema` or with itself.
+    FileFormatError, with where it was found, if it does not agree with `json_schema` or with itself.
     """
     try:
         fault = first_fault(content)

@@ -103,21 +103,8 @@ def system_parameters(
 ) -> PhysicalParameters:
     """Modes of the linear part of several equations of second order, with masses, stiffnesses and dampings as known.
 
-    Parameters
-    ----------
-    laws : sequence of Law
-        One per coordinate.
-    inputs : sequence of str
-        Names of the inputs.
-    units : mapping of str to str
-        Of channels, as far as known.
-    draws, seed : int
-        Of the coefficients' posterior; of at most 4000 over the number of coordinates the modes are taken.
-
-    Raises
-    ------
-    InputError
-        Equations without a mode that oscillates.
+    There is a law per coordinate. Of at most 4000 draws over the number of coordinates the modes are taken. InputError
+    for equations without a mode that oscillates.
     """
     n = len(laws)
     count = min(draws, max(MOST_DRAWS // n, 100))

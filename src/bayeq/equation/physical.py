@@ -183,27 +183,13 @@ def physical_parameters(
 ) -> PhysicalParameters:
     """Parameters of an oscillator from the posterior of its equation, given the included terms.
 
-    Stiffnesses and damping are those about the position of rest.
+    Stiffnesses and damping are those about the position of rest. Where the units of lengths and forces are known ones,
+    parameters are in SI units (a displacement in mm is fine); otherwise in those of the channels. The span is the least
+    and largest displacement of the record; without it the position of rest is taken to be zero. For the rest see
+    `bayeq.Equations.physical`.
 
-    Parameters
-    ----------
-    law : Law
-        The equation, of second order.
-    inputs : sequence of str
-        Names of the inputs.
-    units : mapping of str to str
-        Of states, target and inputs, as far as known. Where lengths and forces are known ones, parameters are in SI
-        units (a displacement in mm is fine); otherwise in those of the channels.
-    span : (float, float), optional
-        Least and largest displacement of the record; without it the position of rest is taken to be zero.
-    mass, force, draws, seed
-        See `bayeq.Equations.physical`.
-
-    Raises
-    ------
-    InputError
-        Not of second order, no term in the displacement alone that restores, a mass that is not positive, or units that
-        are not those of a motion and its derivatives, or not those of this motion.
+    InputError: not of second order, no term in the displacement alone that restores, a mass that is not positive, or
+    units that are not those of a motion and its derivatives, or not those of this motion.
     """
     coefficients, position = _read(law, draws, seed, span)
     forces = _named_forces(law, coefficients)
@@ -231,19 +217,9 @@ def physical_parameters(
 def first_order_parameters(
     laws: Sequence[Law], inputs: Sequence[str], units: Mapping[str, str], *, draws: int, seed: int
 ) -> PhysicalParameters:
-    """Time constant and gains of states of first order, ``tau x' = -x + gain u + ...``.
+    """Time constant and gains of states of first order, ``tau x' = -x + gain u + ...``, a law per state.
 
-    Parameters
-    ----------
-    laws : sequence of Law
-        One per state.
-    inputs, units, draws, seed
-        As for `physical_parameters`.
-
-    Raises
-    ------
-    InputError
-        No state that decays by a term of its own.
+    The rest is as for `physical_parameters`. InputError if no state decays by a term of its own.
     """
     found, other, rng = list[Quantity](), list[str](), np.random.default_rng(seed)
     for law in laws:

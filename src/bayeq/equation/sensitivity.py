@@ -33,13 +33,7 @@ LEAST_ROWS = 5.0
 
 
 def require_spike_slab(method: str) -> None:
-    """Check that a method has a v_s and a p_0.
-
-    Raises
-    ------
-    InputError
-        It has none; the message says which methods have.
-    """
+    """Check that a method has a v_s and a p_0; the InputError says which methods have."""
     if not ENGINES[method].spike_slab:
         known = ", ".join(name for name, engine in ENGINES.items() if engine.spike_slab)
         raise InputError(f"method {method!r} has no v_s and p_0 to vary; take one of: {known}")
@@ -99,12 +93,8 @@ def prior_sensitivity(
 def power_sensitivity(gram: Gram, prior: Prior, powers: ArrayLike | None = None) -> PipCurve:
     """PIPs by model averaging as the likelihood is raised to a power, so that each row counts for less.
 
-    See `Equation.coarsening`; `gram` is standardised. Miller and Dunson (2019) call this coarsening.
-
-    Raises
-    ------
-    InputError
-        Powers out of range.
+    See `Equation.coarsening`; `gram` is standardised. Miller and Dunson (2019) call this coarsening. InputError for
+    powers out of range.
     """
     values = _axis("powers", POWERS if powers is None else powers, 1.0, 1.0)
     values = values[(values == 1.0) | (values * gram.n >= LEAST_ROWS)]

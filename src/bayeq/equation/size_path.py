@@ -193,10 +193,7 @@ def _signed(step: Step) -> str:
 def parsimony_path(fit: RegressionFit, shown: Bools, most: int | None = None) -> ParsimonyPath:
     """The path of a regression, about the equation of the terms shown, (P,); see `Equation.path`.
 
-    Raises
-    ------
-    InputError
-        `most` is less than the number of forced terms.
+    InputError if `most` is less than the number of forced terms.
     """
     regression, standard, problem = fit.regression, fit.standard, fit.problem
     signs = fit.prior.known_signs
@@ -240,18 +237,7 @@ def _r2(reduced: Gram | None, whole: Gram | None, coef: Floats, intercept: Float
 
 @picture
 def draw_paths(rows: Mapping[str, ParsimonyPath]) -> Figure:
-    """Evidence (left) and errors (right) against the number of terms, a row per equation.
-
-    Parameters
-    ----------
-    rows : mapping of str to ParsimonyPath
-        From top to bottom, by title, which may be empty.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Of a journal page's width.
-    """
+    """Evidence (left) and errors (right) against the number of terms, a row per equation, by title (it may be empty)."""
     lengths = [
         max(sum(2 + len(name[:LONGEST]) for names in step for name in names[:NAMED]) for step in path.steps)
         for path in rows.values()

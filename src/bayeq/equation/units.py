@@ -225,22 +225,10 @@ def derivative_unit(unit: str, order: int) -> str:
 def channel_units(
     stated: Sequence[Mapping[str, str]], chains: Sequence[Chain], inputs: Sequence[str]
 ) -> tuple[dict[str, str], list[str]]:
-    """Units of states, targets and inputs, as far as records state them.
+    """Units of states, targets and inputs, as far as each of the records states them, and the conflicts.
 
-    Parameters
-    ----------
-    stated : sequence of mapping of str to str
-        Units of the channels of each record.
-    chains : sequence of Chain
-        A derivative that is not measured has the unit of the nearest one that is, over or times seconds.
-    inputs : sequence of str
-        Further channels.
-
-    Returns
-    -------
-    units : dict of str to str
-    conflicts : list of str
-        A sentence on each channel whose unit depends on the record; its unit is left out.
+    A derivative that is not measured has the unit of the nearest one that is, over or times seconds. A conflict is a
+    sentence on a channel whose unit depends on the record; its unit is left out.
     """
     units: dict[str, str] = {}
     conflicts = []
@@ -267,25 +255,11 @@ class OscillatorUnits:
     """What the numbers of channels are in consistent units, SI where these are known.
 
     Consistent are a displacement, its derivatives by seconds, and a force; the factors turn coefficients of the
-    channels' numbers into coefficients of those.
+    channels' numbers into coefficients of those. Gains are what the motion says of the units
+    (`bayeq.states.unit_gains`), empty where it says nothing, and `force` is the input that is one. With `in_kg` the
+    mass is given: in kg (kg m^2, if the displacement is an angle) where the displacement's unit is known.
 
-    Parameters
-    ----------
-    units : mapping of str to str
-        Of channels, as far as known.
-    chain : Chain
-        Displacement, velocity and acceleration.
-    gains : sequence of float
-        From `bayeq.states.unit_gains`, what the motion says of the units; empty where it says nothing.
-    force : str or None
-        The input that is a force.
-    in_kg : bool
-        The mass is given: in kg (kg m^2, if the displacement is an angle) where the displacement's unit is known.
-
-    Raises
-    ------
-    InputError
-        Units that are not those of a motion and its derivatives, or not those of this motion.
+    InputError for units that are not those of a motion and its derivatives, or not those of this motion.
     """
 
     def __init__(

@@ -137,17 +137,8 @@ def draw_states(axes: Sequence[Axes], run: Run) -> None:
 
 @picture
 def draw_forecasts(runs: Sequence[tuple[str, Run]]) -> Figure:
-    """Free runs under each other, a panel for each state.
-
-    Parameters
-    ----------
-    runs : sequence of (str, Run)
-        With their titles, which may be empty.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Of a journal page's width.
+    """Free runs under each other, with their titles, which may be empty; a panel for each state, as wide as a journal's
+    page.
     """
     heights = [height for _, run in runs for name in run.mean for height in LOW[: 1 + (name in run.measured)]]
     titles = sum(bool(title) for title, _ in runs)

@@ -53,12 +53,8 @@ window.addEventListener("DOMContentLoaded", async () => {
 
 
 def require_report() -> None:
-    """Check that a report can be made, before anything is computed for it.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib or Bokeh is not installed.
+    """Check that a report can be made, before anything is computed for it; MissingExtraError without matplotlib or
+    Bokeh.
     """
     require_matplotlib()
     require_bokeh()
@@ -67,27 +63,13 @@ def require_report() -> None:
 def write_report(
     path: Path, eq: Answer, records: Sequence[Record], files: Sequence[Path], command: str | None = None
 ) -> None:
-    """Write the page.
+    """Write the page, which is replaced whole, or not at all.
 
-    Parameters
-    ----------
-    path : Path
-        Replaced whole, or not at all.
-    eq : Equations
-        The answer.
-    records : sequence of Record
-        Pictures are of the first; none for pictures of the equations alone.
-    files : sequence of Path
-        That the records were read from; hashes are those of the records where none are given.
-    command : str, optional
-        That gives the answer again; by default one is made of what the equations know.
+    Pictures are of the first record; without records, of the equations alone. Hashes are those of the files that the
+    records were read from, or of the records where none are given. The command gives the answer again; by default one
+    is made of what the equations know.
 
-    Raises
-    ------
-    InputError
-        A file cannot be read, or the page not be written.
-    MissingExtraError
-        matplotlib or Bokeh is not installed.
+    InputError if a file cannot be read, or the page not be written; MissingExtraError without matplotlib or Bokeh.
     """
     require_report()
     try:

@@ -133,13 +133,7 @@ POINT = 96.0 / 72.0
 
 
 def require_bokeh() -> None:
-    """Check that live pictures can be made.
-
-    Raises
-    ------
-    MissingExtraError
-        Bokeh is not installed.
-    """
+    """Check that live pictures can be made; MissingExtraError without Bokeh."""
     try:
         import bokeh.plotting  # noqa: F401
     except ImportError as error:
@@ -158,13 +152,10 @@ def without_maths(label: str) -> str:
 
 
 def as_bokeh(axes: Sequence[Any]) -> Any:
-    """A Bokeh model of axes of one figure, one below the other, with the horizontal axis in common.
+    """A Bokeh model of axes of one matplotlib figure, one below the other, with the horizontal axis in common.
 
-    Parameters
-    ----------
-    axes : sequence of matplotlib.axes.Axes
-        Lines, filled bands, bars, images and texts at data are taken over; marks that have no label are drawn without
-        hover values.
+    Lines, filled bands, bars, images and texts at data are taken over; marks that have no label are drawn without hover
+    values.
     """
     from bokeh.layouts import column
 
