@@ -205,7 +205,7 @@ def _changes(curves: Sequence[PipCurve]) -> pd.DataFrame:
 
 @picture
 def draw_pip_curves(rows: Mapping[str, Sequence[PipCurve]]) -> Figure:
-    """A row per equation, by title (it may be empty): a panel per curve, as many for each, and what their looks mean."""
+    """A row per equation, by title (may be empty): a panel per curve, as many for each, and what their looks mean."""
     panels = max(len(curves) for curves in rows.values())
     width = FIRST + (panels - 1) * PANEL + LEGEND
     figure, axes = new_panels(len(rows), panels, width=width, height=HEIGHT * len(rows), sharey=True)

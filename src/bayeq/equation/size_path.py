@@ -237,7 +237,7 @@ def _r2(reduced: Gram | None, whole: Gram | None, coef: Floats, intercept: Float
 
 @picture
 def draw_paths(rows: Mapping[str, ParsimonyPath]) -> Figure:
-    """Evidence (left) and errors (right) against the number of terms, a row per equation, by title (it may be empty)."""
+    """Evidence (left) and errors (right) against the number of terms, a row per equation, by title (may be empty)."""
     lengths = [
         max(sum(2 + len(name[:LONGEST]) for names in step for name in names[:NAMED]) for step in path.steps)
         for path in rows.values()
