@@ -118,10 +118,7 @@ def build_dictionaries(
     "oscillator", "a2": "polynomial:3"}`` or ``"a1: oscillator; a2: polynomial:3"``. Chains of the variables are in the
     order of the C targets.
 
-    Raises
-    ------
-    InputError
-        As `build_dictionary`; a target that is not there, or that has no dictionary.
+    InputError: as `build_dictionary`; a target that is not there, or that has no dictionary.
     """
     require_kind(specification, Iterable, "dictionary", "text, a list of terms, or a mapping of these")
     given = of_equations(specification, targets)
@@ -156,10 +153,7 @@ def build_dictionaries(
 def _apart(terms: Sequence[Expression], targets: Sequence[str], allowed: Bools) -> Bools:
     """Which terms each equation may have: none has its own target on its right-hand side.
 
-    Raises
-    ------
-    InputError
-        A term that is not proportional to the one target in it, or that no equation may have.
+    InputError: a term that is not proportional to the one target in it, or that no equation may have.
     """
     out = allowed.copy()
     for j, term in enumerate(terms):
@@ -239,10 +233,7 @@ def _not_a_dictionary(text: str, variables: Variables, error: InputError) -> Inp
 def read_terms(path: str | Path) -> list[tuple[str, str]]:
     """Terms of a file, one per line, each with the place it stands at; ``#`` starts a comment.
 
-    Raises
-    ------
-    FileFormatError
-        A file that is missing, too large or not text.
+    FileFormatError: a file that is missing, too large or not text.
     """
     path = Path(path)
     try:

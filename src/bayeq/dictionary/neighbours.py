@@ -14,10 +14,7 @@ def terms(variables: Variables, argument: str | None = None) -> list[str]:
     At mass i these are its displacement and velocity (to the ground), their differences to those of the masses before
     and after it, and the cubes of all. Of the whole row, those of every mass.
 
-    Raises
-    ------
-    InputError
-        Less than two chains.
+    InputError: less than two chains.
 
     Examples
     --------

@@ -107,10 +107,7 @@ def of_equations(specification: Specification, targets: Sequence[str]) -> dict[s
 
     Text may be ``"a1: oscillator; a2: polynomial:3"``.
 
-    Raises
-    ------
-    InputError
-        A target that is not there, given twice, or without a dictionary.
+    InputError: a target that is not there, given twice, or without a dictionary.
     """
     if isinstance(specification, Mapping):
         found = [(str(target), one) for target, one in specification.items()]

@@ -51,10 +51,7 @@ def prior_sensitivity(
 
     `gram` is standardised; the averaging may leave out `tolerance` of the posterior mass.
 
-    Raises
-    ------
-    InputError
-        Values out of range, or every term forced or forbidden.
+    InputError: values out of range, or every term forced or forbidden.
 
     Examples
     --------

@@ -94,21 +94,9 @@ def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
 
 
 def quotient_unit(target: str, term: Expression, units: Mapping[str, str]) -> str | None:
-    """Unit of the coefficient of a term in the equation of a target.
+    """Unit of the coefficient of a term in the equation of a target, all in names of channels.
 
-    Parameters
-    ----------
-    target : str
-        Left-hand side.
-    term : Expression
-        In names of channels.
-    units : mapping of str to str
-        Units of channels.
-
-    Returns
-    -------
-    str or None
-        None where the unit of the target or of a channel in the term is not known.
+    None where the unit of the target or of a channel in the term is not known.
 
     Examples
     --------

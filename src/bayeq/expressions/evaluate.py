@@ -76,10 +76,7 @@ class Evaluator:
     def __call__(self, expression: Expression) -> Floats:
         """Values of the expression, of the columns' shape (``()`` if there are only floats); read-only.
 
-        Raises
-        ------
-        UnknownNameError
-            If the expression uses a name that is not a column.
+        UnknownNameError: if the expression uses a name that is not a column.
         """
         with np.errstate(all="ignore"):
             value = self._value(expression.tree)

@@ -73,13 +73,9 @@ class Program(NamedTuple):
 def run_tape(program: Program, tangents: Floats | None) -> None:
     """Execute a tape: afterwards the outputs stand in ``program.registers[program.outputs]``.
 
-    Parameters
-    ----------
-    program : Program
-        With the values of the variables in its first registers.
-    tangents : (n_registers, q) float array or None
-        Derivatives of each register along q directions: those of the variables in front are given (0 for constants),
-        the others are computed. With None, which is a type of its own to the compiler, nothing is spent on them.
+    The values of the variables are in the first registers. Tangents (n_registers, q) are derivatives of each register
+    along q directions: those of the variables in front are given (0 for constants), the others are computed. With None,
+    which is a type of its own to the compiler, nothing is spent on them.
     """
     code, registers = program.code, program.registers
     for i in range(code.shape[0]):
@@ -158,10 +154,7 @@ class Tape:
     def compile(cls, expressions: Iterable[Expression], variables: Sequence[str]) -> Tape:
         """Compile expressions in the given variables; common sub-expressions are computed once.
 
-        Raises
-        ------
-        UnknownNameError
-            If an expression uses a name that is not a variable.
+        UnknownNameError: if an expression uses a name that is not a variable.
         """
         compiler = _Compiler(variables)
         with np.errstate(all="ignore"):

@@ -81,14 +81,8 @@ class Dynamics:
     ) -> Dynamics:
         """From the terms that equations include; nothing is compiled to machine code for them.
 
-        Parameters
-        ----------
-        laws, inputs, timed
-            As the attributes.
-        intercepts : sequence of bool, optional
-            By default all have one.
-        forced : bool
-            Whether each equation with `error_lines` has a force too; these are the last of what drives a run.
+        By default all have an intercept. Where they are `forced`, each equation with `error_lines` has a force too;
+        these are the last of what drives a run.
         """
         kept = [tuple(compress(law.terms, law.posterior.support)) for law in laws]
         constant = (True,) * len(kept) if intercepts is None else tuple(intercepts)
@@ -203,23 +197,10 @@ def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Ge
 
 
 def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, drive: Drive) -> float:
-    """A step [s] at which integration errs little at given states: the sampling interval, or a fraction of it.
+    """A step [s] at which integration errs little: the median sampling interval over 1, 2, 4, 8 or 16.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        The right-hand side.
-    parameters : (p,) array
-        Its parameters.
-    states : (n, d) array
-        Where steps are tried; rows that are not finite are left out of the judgement.
-    drive : Drive
-        Of these rows.
-
-    Returns
-    -------
-    float
-        The median interval over 1, 2, 4, 8 or 16.
+    It is tried at states (n, d), of which rows that are not finite are left out, with parameters (p,) and the drive of
+    these rows.
     """
     interval = float(np.median(drive.intervals))
     scale = np.array([_spread(column) for column in states.T])

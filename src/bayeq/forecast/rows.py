@@ -76,13 +76,7 @@ class Rows:
 
 
 def rows_of(motion: Motion, purpose: str, interpolation: Interpolation = "cubic") -> list[Rows]:
-    """All rows of each record of some motion.
-
-    Raises
-    ------
-    RecordError
-        A record without time.
-    """
+    """All rows of each record of some motion; RecordError for a record without time."""
     roles = motion.roles
     estimated = {
         target: smoothing for k, target in enumerate(roles.targets) if (smoothing := motion.estimated_by(k)) is not None
@@ -115,13 +109,7 @@ def side_by_side(columns: Mapping[str, Floats], names: Sequence[str], n: int) ->
 
 
 def require_time(record: Record, purpose: str) -> Floats:
-    """Sampling times of a record.
-
-    Raises
-    ------
-    RecordError
-        It has none.
-    """
+    """Sampling times of a record; RecordError if it has none."""
     require_kind(record, Record, "the record", "a Record")
     if record.time is None:
         raise RecordError(f"{record.name or 'record'}: {purpose} needs a time column or fs")

@@ -242,14 +242,9 @@ def _measured_states(dynamics: Dynamics, record: Record, row: int, needed: Seque
 
 
 def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
-    """Write a table (.csv) of the free runs of some records, or a figure (of the first six).
+    """Write a table (.csv) of the free runs of some records, by their names, or a figure (of the first six).
 
-    Parameters
-    ----------
-    file : Path
-        The suffix, which `bayeq.figures.style.require_suffix` has checked, says what to write.
-    runs : sequence of (str, Forecast)
-        With the names of the records.
+    The suffix, which `bayeq.figures.style.require_suffix` has checked, says what to write.
     """
     several = len(runs) > 1
 

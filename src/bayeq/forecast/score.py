@@ -82,16 +82,9 @@ def _percent(error: float) -> str:
 
 
 def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], motion: Sequence[Rows] = ()) -> Scores:
-    """Scores over all rows of some records together, a free run in each.
+    """Scores over all rows of some records together, at least two of each, a free run in each.
 
-    Parameters
-    ----------
-    dynamics, parameters
-        The equations.
-    pieces : sequence of Rows
-        At least two rows each.
-    motion : sequence of Rows, optional
-        What tells how far states may go, if it is more than these: a body may be at rest in them.
+    `motion` tells how far states may go, if it is more than these: a body may be at rest in them.
     """
     runs, blew_up_at = [], None
     moving = pieces if dynamics.states else []
@@ -126,13 +119,7 @@ def _predicted(target: str, terms: Sequence[Expression], parameters: Floats, row
 
 
 def held_out_scores(dynamics: Dynamics, motion: Motion) -> Scores | None:
-    """Scores on the rows held out.
-
-    Returns
-    -------
-    Scores or None
-        None where no rows were held out, or a record has no time.
-    """
+    """Scores on the rows held out; None where no rows were held out, or a record has no time."""
     if not motion.timed:
         return None
     whole = rows_of(motion, "a free run")

@@ -241,10 +241,7 @@ def sample_average(
 
     sigma^2 | z, y is inverse-Gamma(h, s/2), theta | sigma^2, z, y Gaussian, eq. (33), on the columns of `problem`.
 
-    Raises
-    ------
-    InputError
-        Known signs that hardly any draw of a model has.
+    InputError: known signs that hardly any draw of a model has.
     """
     which = rng.choice(len(average.probability), size=n, p=average.probability)
     theta, noise = np.zeros((n, len(problem.Dty))), np.empty(n)

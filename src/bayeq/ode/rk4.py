@@ -127,22 +127,11 @@ def slope_at(
     tangents: Floats | None,
     slope: Floats,
 ) -> None:
-    """Right-hand side at `x`, at a fraction of the interval after the sample `row`.
+    """Right-hand side at `x`, at a fraction (0 to 1) of the interval after the sample `row`, into `slope`.
 
-    Parameters
-    ----------
-    program : Program
-        As for `free_runs`.
-    inputs : (n, m, 4) array
-        From `interpolant`.
-    row, fraction : int, float
-        The sample, and a number between 0 and 1.
-    x : (d (1 + q),) float array
-        The state, then its derivatives along q directions, state by state.
-    tangents : (registers, q) float array or None
-        As for `run_tape`; None for q = 0.
-    slope : (d (1 + q),) float array
-        Receives the derivatives of `x` by time.
+    `x` (d (1 + q),) holds the state, then its derivatives along q directions, state by state, and `slope` (d (1 + q),)
+    receives the derivatives of `x` by time. Inputs (n, m, 4) are those of `interpolant`. Tangents (registers, q) are as
+    for `run_tape`; None for q = 0.
     """
     registers, rest = program.registers, 1.0 - fraction
     size = x.shape[0] if tangents is None else x.shape[0] // (1 + tangents.shape[1])
@@ -210,20 +199,10 @@ def free_runs(
 ) -> None:
     """Integrate ``dx/dt = f(x, u; theta)`` from several states, each with parameters of its own.
 
-    Parameters
-    ----------
-    program : Program
-        Of a tape in states, inputs and parameters; its registers are changed.
-    drive : Drive
-        Inputs and steps, common to the runs.
-    parameters : (runs, p) float array
-        Of each run.
-    current : (runs, d) float array
-        States at the first sample; afterwards those at the last, so that the next call can go on.
-    stopped : (runs,) uint32 array
-        0 for a run that goes on; set to the row (counted from 1) at which a run left its range.
-    out : (runs, n, d) float array
-        Receives the states at the samples, NaN from where a run stopped.
+    The program is that of a tape in states, inputs and parameters (runs, p); its registers are changed. The drive is
+    common to the runs. `current` (runs, d) holds the states at the first sample, and afterwards those at the last, so
+    that the next call can go on. `stopped` (runs,) is 0 for a run that goes on, and set to the row (counted from 1) at
+    which a run left its range. `out` (runs, n, d) receives the states at the samples, NaN from where a run stopped.
     """
     runs, n, size = out.shape
     first = size + drive.inputs.shape[1]
@@ -253,20 +232,10 @@ def free_runs(
 
 @kernel
 def local_errors(program: Program, drive: Drive, states: Floats, scale: Floats, out: Floats) -> None:
-    """What half the step changes in each sampling interval, started from given states.
+    """What half the step changes in each sampling interval, started from given states (n, d).
 
-    Parameters
-    ----------
-    program : Program
-        As for `free_runs`, the parameters in their registers.
-    drive : Drive
-        Compared are twice as many steps as it has.
-    states : (n, d) float array
-        Where each interval starts.
-    scale : (d,) float array
-        Unit of each state's error.
-    out : (n - 1,) float array
-        Receives the largest difference of any state, in these units.
+    `out` (n - 1,) receives the largest difference of any state, in units `scale` (d,) of each; compared are twice as
+    many steps as the drive has. The parameters are in the program's registers.
     """
     size = states.shape[1]
     coarse = np.empty((STAGES, size))
@@ -298,25 +267,9 @@ def shoot(
 ) -> int:
     """Free run of one segment: measured channels and their derivatives by initial state and parameters.
 
-    Parameters
-    ----------
-    program, drive
-        As for `free_runs`.
-    parameters : (p,) float array
-        theta.
-    start : (d,) float array
-        State at the first sample.
-    channels : (m,) uint32 array
-        What is measured: i < d is state i, other numbers are those of the tape's outputs.
-    values : (n, m) float array
-        Receives the channels along the run.
-    jacobian : (n, m, d + p) float array
-        Receives their derivatives.
-
-    Returns
-    -------
-    int
-        n, or the row at which the run left its range: from there on nothing was written.
+    From the state `start` (d,) with parameters (p,). Of the channels (m,), i < d is state i, other numbers are those of
+    the tape's outputs. `values` (n, m) receives them along the run, `jacobian` (n, m, d + p) their derivatives. Returns
+    n, or the row at which the run left its range: from there on nothing was written.
     """
     n, d, p = values.shape[0], start.shape[0], parameters.shape[0]
     q, first = d + p, d + drive.inputs.shape[1]

@@ -110,10 +110,7 @@ class Known:
     def of(cls, dynamics: Dynamics, constraints: Sequence[Constraints]) -> Self:
         """What constraints, one per equation, say of the terms that the equations have.
 
-        Raises
-        ------
-        InputError
-            Terms that do not go together with the constraints, or nothing is left free.
+        InputError: terms that do not go together with the constraints, or nothing is left free.
         """
         size = dynamics.size
         offset, basis = np.zeros(size), np.zeros((size, size))
@@ -155,20 +152,10 @@ class Known:
 def output_error(
     motion: Motion, dynamics: Dynamics, parameters: Floats, known: Known, kinds: Sequence[Interpolation]
 ) -> OutputError | Unrefined:
-    """Parameters by output error.
+    """Parameters by output error, (p,), fitted to the training rows of a smoothed motion.
 
-    Parameters
-    ----------
-    motion : Motion
-        Smoothed; its training rows are fitted.
-    dynamics : Dynamics
-        The equations.
-    parameters : (p,) array
-        Where to start.
-    known : Known
-        What is known of them.
-    kinds : sequence of str
-        Courses of inputs between samples. The first is taken, unless others are much likelier.
+    `parameters` are where to start. Of the courses of inputs between samples (`kinds`) the first is taken, unless
+    others are much likelier.
     """
     best: OutputError | None = None
     failed: Unrefined | None = None

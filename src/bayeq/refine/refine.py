@@ -116,34 +116,14 @@ def refine(
     constraints: Sequence[Constraints],
     sensors: Sensors,
 ) -> RefinedEquations | Unrefined:
-    """Output-error estimate of the coefficients and intercepts.
+    """Output-error estimate of the coefficients and intercepts; see `bayeq.Equations.refine`.
 
-    Parameters
-    ----------
-    before : Dynamics
-        The equations by regression, with all intercepts.
-    dynamics : Dynamics
-        The same with the intercepts that are estimated; the others are set to zero.
-    records : sequence of Record
-        With the channels that the equations were found from.
-    smooth
-        As `discover` takes it.
-    holdout, interpolation
-        See `bayeq.Equations.refine`.
-    constraints : sequence of Constraints
-        What is known of the coefficients of each equation.
-    sensors : Sensors
-        Known noise of channels is not estimated.
+    `before` are the equations by regression, with all intercepts; `dynamics` the same with the intercepts that are
+    estimated, the others are set to zero. Constraints are those of each equation. Known noise of channels is not
+    estimated. Where equations are refined, free runs over windows of the rows used are no worse than before; see
+    `runs_are_worse`.
 
-    Returns
-    -------
-    RefinedEquations or Unrefined
-        Free runs over windows of the rows used are no worse than before; see `runs_are_worse`.
-
-    Raises
-    ------
-    InputError
-        Channels that are missing, no time, too few rows, nothing that constraints leave free.
+    InputError: channels that are missing, no time, too few rows, nothing that constraints leave free.
     """
     known = Known.of(dynamics, constraints)
     kinds: list[Interpolation] = ["cubic", "linear", "band-limited"] if dynamics.inputs else ["cubic"]

@@ -276,10 +276,7 @@ def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.rando
     Zero mean and the given standard deviation in expectation. Periodic, unless n is so short that fewer than 20
     spectral lines lie in the band: then a piece of a longer sequence.
 
-    Raises
-    ------
-    InputError
-        If no frequency below ``fs/2`` lies in the band.
+    InputError: if no frequency below ``fs/2`` lies in the band.
     """
     lo, hi = force.band
     if not 0.0 <= lo < min(hi, fs / 2):

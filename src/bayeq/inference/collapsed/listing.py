@@ -293,19 +293,9 @@ def _search(
 
 
 def search_models(problem: Problem, tolerance: float = 5e-3) -> ModelSet:
-    """Models that hold nearly all of the posterior mass, looked for from the local optima of `search.best_models`.
+    """Models that hold all but a share `tolerance` of the posterior mass, from the local optima of `best_models` on.
 
-    Parameters
-    ----------
-    problem : Problem
-        What to search.
-    tolerance : float
-        Share of the mass that may be left out.
-
-    Returns
-    -------
-    ModelSet
-        The search also ends when the room for models or the number of moves is used up: `left_out` then tells.
+    The search also ends when the room for models or the number of moves is used up: `left_out` then tells.
     """
     found, terms = best_models(problem), len(problem.Dty)
     most = int(min(MOST_MODELS, max(1000, MOST_BYTES // max(terms, 1))))

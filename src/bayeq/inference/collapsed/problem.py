@@ -137,10 +137,7 @@ class Problem(NamedTuple):
     def of(cls, gram: GramLike, prior: Prior) -> Problem:
         """The problem that a Gram and a prior pose.
 
-        Raises
-        ------
-        InputError
-            Prior parameters out of range.
+        InputError: prior parameters out of range.
         """
         terms = len(gram.names)
         prior.validate(terms)

@@ -107,10 +107,7 @@ def log_evidence(problem: Problem, active: Bools) -> float:
 def best_models(problem: Problem) -> list[tuple[float, Bools]]:
     """Distinct local optima of ln p(y, z) under flips and swaps from `default_starts`, best first.
 
-    Returns
-    -------
-    list of (score, (P,) bool array)
-        The score is ln p(y, z) up to `log_constant`.
+    Each with its score, which is ln p(y, z) up to `log_constant`.
     """
     models = np.array(default_starts(problem), dtype=np.bool_)
     return _ranked(explore(problem, models, SWAP, -math.inf)[0], models)
