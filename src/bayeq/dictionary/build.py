@@ -64,22 +64,14 @@ MOST_UNKNOWN = 3
 
 
 def build_dictionary(specification: str | Sequence[str], variables: Variables) -> tuple[Expression, ...]:
-    """Candidate terms.
+    """Candidate terms, in these states and inputs.
 
-    Parameters
-    ----------
-    specification : str or sequence of str
-        ``oscillator`` (eq. (31)), ``polynomial:3``, ``fourier:2``, ``neighbours``, a file with one term per line (``#``
-        starts a comment), or terms separated by commas; a union of families and terms, ``oscillator + sin(x) - x**5``,
-        which leaves out the term behind a minus; or a list of families, unions and terms. Text is divided at + and -
-        where one of the parts is a family: ``x + v`` is one term.
-    variables : Variables
-        States and inputs that the terms may use.
+    The specification is ``oscillator`` (eq. (31)), ``polynomial:3``, ``fourier:2``, ``neighbours``, a file with one
+    term per line (``#`` starts a comment), or terms separated by commas; a union of families and terms, ``oscillator +
+    sin(x) - x**5``, which leaves out the term behind a minus; or a list of families, unions and terms. Text is divided
+    at + and - where one of the parts is a family: ``x + v`` is one term.
 
-    Raises
-    ------
-    InputError
-        Neither a family, nor a file, nor terms; a malformed or forbidden term; a term given twice; no terms.
+    InputError: neither a family, nor a file, nor terms; a malformed or forbidden term; a term given twice; no terms.
 
     Examples
     --------

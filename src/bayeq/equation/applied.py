@@ -161,8 +161,8 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     """What equations predict of records, and whether they hold there.
 
     Records need all channels of the equations' chains and inputs, and time; their units are converted where they
-    differ. Draws are runs with coefficients from the posterior, for the bands. A DataWarning tells of samples that are
-    missing or left out. InputError: channels that are missing, units that cannot be converted, no time.
+    differ. Draws are runs with coefficients from the posterior, for the bands. InputError: channels that are missing,
+    units that cannot be converted, no time. DataWarning: samples that are missing or left out.
     """
     notes: list[str] = []
     for name in equations.roles.channels:

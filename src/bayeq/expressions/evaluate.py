@@ -29,21 +29,10 @@ ARITHMETIC: dict[str, np.ufunc] = {
 class Evaluator:
     """Evaluates expressions on columns; every sub-expression is computed once.
 
-    Parameters
-    ----------
-    columns : mapping of str to array_like or float
-        The channels (arrays of one common shape, usually ``(n,)``) and parameters (floats) by name.
-
-    Raises
-    ------
-    InputError
-        If the arrays differ in shape.
-
-    Notes
-    -----
-    Results are read-only, since later results may share them; all intermediate results live as long as the
-    evaluator. Numerical trouble (division by zero, overflow, the logarithm of a negative number) gives
-    non-finite values and no warning: the caller judges. ``sign(0)`` is 0.
+    Columns are the channels (arrays of one common shape, usually ``(n,)``) and parameters (floats) by name; InputError
+    if the arrays differ in shape. Results are read-only, since later results may share them; all intermediate results
+    live as long as the evaluator. Numerical trouble (division by zero, overflow, the logarithm of a negative number)
+    gives non-finite values and no warning: the caller judges. ``sign(0)`` is 0.
 
     Examples
     --------

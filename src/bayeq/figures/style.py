@@ -261,14 +261,9 @@ def write_by_target(file: Path, results: Mapping[str, Any], draw: Callable[[Mapp
 
 
 def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
-    r"""A term or a coefficient as matplotlib sets it.
+    r"""A term or a coefficient, as `bayeq.expressions.parse` reads it, as matplotlib sets it.
 
-    Parameters
-    ----------
-    expression : str
-        As `bayeq.expressions.parse` reads it.
-    order : tuple of str
-        Names in the order in which factors are to stand; otherwise alphabetical.
+    Factors stand in the order of these names; otherwise alphabetical.
 
     Examples
     --------

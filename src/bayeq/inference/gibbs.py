@@ -275,34 +275,14 @@ def spike_slab_gibbs(
     seed: int | Sequence[int] = 0,
     keep_draws: bool = True,
 ) -> Posterior:
-    """Posterior under spike-and-slab priors by collapsed Gibbs sampling.
+    """Posterior under spike-and-slab priors, by default the paper's, of a standardised Gram, by collapsed Gibbs
+    sampling.
 
-    Parameters
-    ----------
-    gram : GramLike
-        Sufficient statistics, standardised.
-    prior : Prior, optional
-        By default the paper's.
-    chains, samples, burn_in : int
-        The paper's 4 chains of 5000 samples, the first 1000 left out.
-    exchange : bool
-        Let chains exchange one term for another in one step; False is the paper's sampler.
-    seed : int or sequence of int
-        Every chain has a stream of its own.
-    keep_draws : bool
-        Keep the samples in the answer.
-
-    Returns
-    -------
-    Posterior
-        `pip` is Rao-Blackwellised: the mean of p(z_i = 1 | z_-i, y) over the samples. Coefficients and covariance
-        are those of the median probability model, exact given the model; `averaged_coef` and `averaged_sd` are
-        over all samples. `converged` says whether the multivariate R-hat is below 1.1.
-
-    Raises
-    ------
-    InputError
-        Options or prior parameters out of range, or known signs.
+    The chains are those of `sample_posterior`; their draws are kept in the answer where wanted. `pip` is
+    Rao-Blackwellised: the mean of p(z_i = 1 | z_-i, y) over the samples. Coefficients and covariance are those of the
+    median probability model, exact given the model; `averaged_coef` and `averaged_sd` are over all samples. `converged`
+    says whether the multivariate R-hat is below 1.1. InputError: options or prior parameters out of range, or known
+    signs.
     """
     prior = prior or Prior()
     prior.refuse_signs("gibbs")

@@ -60,24 +60,16 @@ class Drive(NamedTuple):
 
 
 def interpolant(time: Floats, samples: Floats, kind: Interpolation) -> Floats:
-    """Inputs between their samples, as a cubic polynomial in each sampling interval.
+    """Inputs (n, m) between their samples, as a cubic polynomial in each sampling interval.
 
-    Parameters
-    ----------
-    time : (n,) array
-        [s].
-    samples : (n, m) array
-        Inputs.
-    kind : "cubic", "linear", "hold" or "band-limited"
-        Cubic spline, for forces that are smooth between their samples; straight lines; the last sample held, for
-        commands that are switched; or the cubic through what the transform of even samples gives at the thirds of each
-        interval, for forces with frequencies up to near half the sampling rate (a spline where steps are uneven).
+    "cubic" is a spline, for forces that are smooth between their samples; "linear" straight lines; "hold" the last
+    sample, for commands that are switched; "band-limited" the cubic through what the transform of even samples gives at
+    the thirds of each interval, for forces with frequencies up to near half the sampling rate (a spline where steps are
+    uneven).
 
-    Returns
-    -------
-    (n, m, 4) array
-        The values p, q at both ends of each interval, and r, s of the deviation from the straight line between them: in
-        the fraction w of the interval, ``(1 - w) p + w q + w (1 - w) (r + w s)``. Constant after the last sample.
+    Returned are (n, m, 4) the values p, q at both ends of each interval, and r, s of the deviation from the straight
+    line between them: in the fraction w of the interval, ``(1 - w) p + w q + w (1 - w) (r + w s)``. Constant after the
+    last sample.
     """
     out = np.zeros((*samples.shape, 4))
     out[:, :, 0] = out[:, :, 1] = samples

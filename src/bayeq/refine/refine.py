@@ -207,10 +207,7 @@ def _doubts(found: OutputError, bound: Sequence[str], worse: Sequence[str]) -> W
 def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tuple[Floats, Floats]]) -> bool:
     """Whether free runs over the same windows err more than before, by a sign test, or blow up where none did.
 
-    Parameters
-    ----------
-    before, after : iterables of (run, states)
-        From `bayeq.forecast.free_run.window_runs`.
+    Both are pairs of run and states from `bayeq.forecast.free_run.window_runs`.
 
     Examples
     --------
