@@ -303,7 +303,7 @@ def test_draws_that_cannot_be(tmp_path):
         eq.to_arviz()
     with pytest.raises(InputError, match="no equation named 'a'"):
         eq.to_arviz("a")
-    with pytest.raises(InputError, match="draws must be a whole number"):
+    with pytest.raises(InputError, match="draws must be at least 1"):
         eq.to_arviz("dx", draws=0)
     eq.save(tmp_path / "eq.json")
     with pytest.raises(InputError, match="a file of equations does not hold"):

@@ -14,7 +14,7 @@ import bayeq as bq
 from bayeq.cli import progress as progress_module
 from bayeq.cli.app import app, main
 from bayeq.cli.progress import PROGRESS, STAGES, Progress
-from bayeq.equation.short_names import short_names, with_names
+from bayeq.equation.rows import short_names, with_names
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 

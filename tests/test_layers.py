@@ -12,7 +12,7 @@ from tests.layers import SOURCE, circles, files, floors, imported, modules, room
 
 # From the ground up: a room imports from lines above its own, which here means from floors below.
 ORDER = [
-    "citation errors kernels markup",
+    "arrays citation errors kernels markup",
     "expressions gram numerics records resumable",
     "dictionary inference ode states",
     "adapters figures inspection likelihood systems",

@@ -268,7 +268,7 @@ def test_an_equation_off_its_path_is_shown_beside_it(record, eq, sizes):
 
 
 def test_a_length_that_makes_no_sense(eq):
-    for most, match in ((2.5, "whole number"), ("3", "whole number"), (-1, "negative")):
+    for most, match in ((2.5, "whole number"), ("3", "whole number"), (-1, "at least 0")):
         with pytest.raises(InputError, match=match):
             eq[0].path(most)
     assert len(eq[0].path(0).models) == 1

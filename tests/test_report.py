@@ -17,11 +17,11 @@ import pytest
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.equation.report.interactive import as_bokeh
 from bayeq.equation.report.page import repeat_command, samples_hash
+from bayeq.equation.report.pictures import as_bokeh
 from bayeq.errors import InputError, MissingExtraError, UnknownNameError
 from bayeq.expressions import parse
-from bayeq.expressions.mathml import mathml
+from bayeq.expressions.symbolic import mathml
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("bokeh")

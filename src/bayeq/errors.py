@@ -54,11 +54,14 @@ __all__ = [
     "WordsError",
     "WarningLog",
     "as_path",
+    "one_line",
+    "printable",
     "require_kind",
     "require_mapping",
     "require_number",
     "require_text",
     "require_texts",
+    "whole_number",
 ]
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["code", "items", "join", "paragraph", "printed", "table", "text_console"]
+__all__ = ["aligned", "code", "items", "join", "paragraph", "printed", "table", "text_console"]
 
 # Left of text, right of numbers, whatever the notebook's own style is.
 CELL = "padding:2px 8px;text-align:{side};white-space:pre"
@@ -74,3 +74,17 @@ def printed(console: Console) -> str:
     assert isinstance(console.file, io.StringIO)
     lines = [line.rstrip() for line in console.file.getvalue().rstrip().splitlines()]
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
+
+
+def aligned(rows: Sequence[Sequence[str]], left: Iterable[int] = (0,)) -> list[str]:
+    """Lines of a table in columns two spaces apart; columns that are not `left` are set right.
+
+    >>> aligned([("term", "value"), ("x", "-1000.3")])
+    ['term    value', 'x     -1000.3']
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    sides = ["<" if k in set(left) else ">" for k in range(len(widths))]
+    return [
+        "  ".join(f"{cell:{side}{width}}" for cell, side, width in zip(row, sides, widths, strict=True)).rstrip()
+        for row in rows
+    ]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, MissingExtraError
 from bayeq.inference.posterior import Draws, Posterior
 
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = ["convergence", "to_arviz"]
-
-Floats = NDArray[np.float64]
 
 
 def _arviz(purpose: str) -> Any:

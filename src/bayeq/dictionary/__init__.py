@@ -1,8 +1,7 @@
 """Dictionaries: families of candidate terms and their evaluation."""
 
 from bayeq.dictionary.build import FAMILIES, build_dictionaries, build_dictionary, evaluate_terms
-from bayeq.dictionary.family import Variables
-from bayeq.dictionary.specification import Specification, of_equations, written
+from bayeq.dictionary.specification import Specification, Variables, of_equations, written
 
 __all__ = [
     "FAMILIES",

@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import fourier, neighbours, oscillator, polynomial
-from bayeq.dictionary.family import Variables
 from bayeq.dictionary.ranges import with_ranges
 from bayeq.dictionary.specification import (
     Member,
     Specification,
+    Variables,
     members,
     of_equations,
     split_at,
@@ -62,27 +62,16 @@ MAX_PATH = 250
 # Constants inside one term, at most: they are sought on a grid.
 MOST_UNKNOWN = 3
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-
 
 def build_dictionary(specification: str | Sequence[str], variables: Variables) -> tuple[Expression, ...]:
-    """Candidate terms.
+    """Candidate terms, in these states and inputs.
 
-    Parameters
-    ----------
-    specification : str or sequence of str
-        ``oscillator`` (eq. (31)), ``polynomial:3``, ``fourier:2``, ``neighbours``, a file with one term per line (``#``
-        starts a comment), or terms separated by commas; a union of families and terms, ``oscillator + sin(x) - x**5``,
-        which leaves out the term behind a minus; or a list of families, unions and terms. Text is divided at + and -
-        where one of the parts is a family: ``x + v`` is one term.
-    variables : Variables
-        States and inputs that the terms may use.
+    The specification is ``oscillator`` (eq. (31)), ``polynomial:3``, ``fourier:2``, ``neighbours``, a file with one
+    term per line (``#`` starts a comment), or terms separated by commas; a union of families and terms, ``oscillator +
+    sin(x) - x**5``, which leaves out the term behind a minus; or a list of families, unions and terms. Text is divided
+    at + and - where one of the parts is a family: ``x + v`` is one term.
 
-    Raises
-    ------
-    InputError
-        Neither a family, nor a file, nor terms; a malformed or forbidden term; a term given twice; no terms.
+    InputError: neither a family, nor a file, nor terms; a malformed or forbidden term; a term given twice; no terms.
 
     Examples
     --------
@@ -121,10 +110,7 @@ def build_dictionaries(
     "oscillator", "a2": "polynomial:3"}`` or ``"a1: oscillator; a2: polynomial:3"``. Chains of the variables are in the
     order of the C targets.
 
-    Raises
-    ------
-    InputError
-        As `build_dictionary`; a target that is not there, or that has no dictionary.
+    InputError: as `build_dictionary`; a target that is not there, or that has no dictionary.
     """
     require_kind(specification, Iterable, "dictionary", "text, a list of terms, or a mapping of these")
     given = of_equations(specification, targets)
@@ -159,10 +145,7 @@ def build_dictionaries(
 def _apart(terms: Sequence[Expression], targets: Sequence[str], allowed: Bools) -> Bools:
     """Which terms each equation may have: none has its own target on its right-hand side.
 
-    Raises
-    ------
-    InputError
-        A term that is not proportional to the one target in it, or that no equation may have.
+    InputError: a term that is not proportional to the one target in it, or that no equation may have.
     """
     out = allowed.copy()
     for j, term in enumerate(terms):
@@ -242,10 +225,7 @@ def _not_a_dictionary(text: str, variables: Variables, error: InputError) -> Inp
 def read_terms(path: str | Path) -> list[tuple[str, str]]:
     """Terms of a file, one per line, each with the place it stands at; ``#`` starts a comment.
 
-    Raises
-    ------
-    FileFormatError
-        A file that is missing, too large or not text.
+    FileFormatError: a file that is missing, too large or not text.
     """
     path = Path(path)
     try:

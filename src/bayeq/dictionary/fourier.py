@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayeq.dictionary.family import Variables
+from bayeq.dictionary.specification import Variables
 
 __all__ = ["terms"]
 

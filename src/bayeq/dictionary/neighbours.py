@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayeq.dictionary.family import Variables
+from bayeq.dictionary.specification import Variables
 from bayeq.errors import InputError
 
 __all__ = ["terms"]
@@ -14,10 +14,7 @@ def terms(variables: Variables, argument: str | None = None) -> list[str]:
     At mass i these are its displacement and velocity (to the ground), their differences to those of the masses before
     and after it, and the cubes of all. Of the whole row, those of every mass.
 
-    Raises
-    ------
-    InputError
-        Less than two chains.
+    InputError: less than two chains.
 
     Examples
     --------

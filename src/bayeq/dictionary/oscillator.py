@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bayeq.dictionary.family import Variables
 from bayeq.dictionary.polynomial import monomials
+from bayeq.dictionary.specification import Variables
 
 __all__ = ["MAX_DEGREE", "terms"]
 

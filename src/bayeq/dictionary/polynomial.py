@@ -6,7 +6,7 @@ from collections import Counter
 from itertools import combinations_with_replacement
 from math import comb
 
-from bayeq.dictionary.family import Variables
+from bayeq.dictionary.specification import Variables
 from bayeq.expressions import Binary, Expression, Node, Number
 
 __all__ = ["count", "degree", "monomials", "terms"]

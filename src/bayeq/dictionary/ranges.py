@@ -15,8 +15,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.expressions import Binary, Call, Evaluator, Expression, Negate, Node, Number, Unknown
 from bayeq.expressions.functions import COMPARISONS
@@ -36,7 +36,6 @@ __all__ = [
     "with_ranges",
 ]
 
-Floats = NDArray[np.float64]
 Columns = Sequence[Mapping[str, Floats]]
 
 # Scales reach from this share of the step between samples to the largest value, and what is added to a state to this

@@ -1,14 +1,16 @@
-"""How a dictionary is written: families and terms, joined and left out, and one of them per equation."""
+"""How a dictionary is written: families and terms of variables, joined and left out, and one of them per equation."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 from bayeq.errors import InputError, UnknownNameError
+from bayeq.expressions.functions import TIME
 
-__all__ = ["Member", "Specification", "members", "of_equations", "split_at", "split_at_commas", "written"]
+__all__ = ["Member", "Specification", "Variables", "members", "of_equations", "split_at", "split_at_commas", "written"]
 
 # A family, a file, terms or unions of them; or one of these by the target of each equation.
 Specification: TypeAlias = str | Sequence[str] | Mapping[str, str | Sequence[str]]
@@ -105,10 +107,7 @@ def of_equations(specification: Specification, targets: Sequence[str]) -> dict[s
 
     Text may be ``"a1: oscillator; a2: polynomial:3"``.
 
-    Raises
-    ------
-    InputError
-        A target that is not there, given twice, or without a dictionary.
+    InputError: a target that is not there, given twice, or without a dictionary.
     """
     if isinstance(specification, Mapping):
         found = [(str(target), one) for target, one in specification.items()]
@@ -148,3 +147,29 @@ def written(specification: Specification) -> str:
     if isinstance(specification, Mapping):
         return "; ".join(f"{target}: {written(one)}" for target, one in specification.items())
     return ", ".join(map(str, specification))
+
+
+@dataclass(frozen=True, slots=True)
+class Variables:
+    """The variables that terms are made of."""
+
+    states: tuple[str, ...]  # coordinates and their derivatives below the target
+    inputs: tuple[str, ...] = ()  # forces and other inputs
+    chains: tuple[tuple[str, ...], ...] = ()  # the states chain by chain; empty where that is not known
+    own: int | None = None  # the chain whose equation the terms are for; None for all
+    targets: tuple[str, ...] = ()  # highest derivatives, which terms of other equations may be proportional to
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """The lowest state of each chain; all states where chains are not known."""
+        return tuple(chain[0] for chain in self.chains if chain) if self.chains else self.states
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (*self.states, *self.inputs)
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """The names, those of the targets, and t, the time."""
+        names = (*self.names, *self.targets)
+        return names if TIME in names else (*names, TIME)

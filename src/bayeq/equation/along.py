@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.equation.answer import Answer, EquationTuple
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError
 from bayeq.forecast.rows import check_interpolation
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["free_run", "predictions", "prepared", "refinement", "scores"]
 
-Floats = NDArray[np.float64]
 Found = TypeVar("Found", bound=Answer)
 
 # Share of the rows that is scored where none were held out.
@@ -90,18 +89,8 @@ def predictions(eq: Answer, record: Record, return_std: bool) -> Any:
     return np.column_stack(parts)
 
 
-def free_run(
-    eq: Answer,
-    record: Record,
-    *,
-    initial: Mapping[str, float] | None = None,
-    draws: int,
-    seed: int,
-    start: int = 0,
-    rows: int | None = None,
-    interpolation: Interpolation | None = None,
-) -> Forecast:
-    """See `Equations.simulate`."""
+def free_run(eq: Answer, record: Record, *, interpolation: Interpolation | None = None, **how: Any) -> Forecast:
+    """See `Equations.simulate`, whose other arguments go to `forecast`."""
     if not eq.states:
         raise InputError(f"{_static_laws(eq)}: nothing is integrated; predict(record) gives them row by row")
     return forecast(
@@ -109,13 +98,9 @@ def free_run(
         record,
         eq.smooth,
         eq.data.sensors,
-        initial=initial,
-        draws=draws,
-        seed=seed,
-        start=start,
-        rows=rows,
         interpolation=_between(eq, interpolation),
         units={name: unit for equation in eq.equations for name, unit in equation.units.items()},
+        **how,
     )
 
 

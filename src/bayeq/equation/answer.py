@@ -8,8 +8,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from bayeq.arrays import Floats
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import InputError
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from bayeq.forecast.dynamics import Dynamics
 
 __all__ = ["Answer", "DataSummary", "EquationTuple"]
-
-Floats = NDArray[np.float64]
 
 # The constant as a term, as libraries of polynomials call it.
 CONSTANT = "1"

@@ -10,7 +10,6 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.equation import along
 from bayeq.equation.equations import Equations
@@ -25,8 +24,6 @@ from bayeq.states import estimate_motion
 
 __all__ = ["Error", "Prediction", "apply_to", "as_equations_have_them"]
 
-Floats = NDArray[np.float64]
-
 # Runs that err by more than this share of the spread follow a record only roughly.
 ROUGHLY = 0.3
 
@@ -39,71 +36,35 @@ LEAST_ROWS = 2
 
 @dataclass(frozen=True, slots=True)
 class Error:
-    """How far a prediction is from what was measured.
+    """How far a prediction is from what was measured."""
 
-    Attributes
-    ----------
-    nrmse : float
-        Root mean squared error over the standard deviation of the channel; infinite for a run that blew up.
-    rms : float
-        The same in the unit of the channel.
-    unit : str or None
-        That unit, where it is known.
-    inside : float or None
-        Share of the measured samples within the 95 % band.
-    """
-
-    nrmse: float
-    rms: float
-    unit: str | None
-    inside: float | None
+    nrmse: float  # root mean squared error over the standard deviation of the channel; infinite for a run that blew up
+    rms: float  # the same in the unit of the channel
+    unit: str | None  # that unit, where it is known
+    inside: float | None  # share of the measured samples within the 95 % band
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What equations predict of records.
+    """What equations predict of records."""
 
-    Attributes
-    ----------
-    kind : "follows", "follows roughly", "follows for a period" or "does not hold"
-    reason : str
-        The same in a sentence.
-    text : str
-        The equations.
-    files : tuple of str
-        Names of the records.
-    rows : int
-        That predictions were compared on.
-    fs, seconds : float or None
-        Rate [Hz] of the first record, and length of all; None where rows count as time.
-    one_step : mapping of str to Error
-        By target: the right-hand side at the measured states and inputs of each row. The band holds the noise.
-    free_run : mapping of str to Error
-        By measured state: runs from the first row of each record, driven by its inputs. The band is that of the
-        coefficients, of what terms leave out and of the noise of the samples, as far as they are known.
-    windows : mapping of str to float
-        By target the normalised error of free runs over one period; empty where records are too short.
-    blew_up_at : float or None
-        Time [s] at which a free run left any reasonable range.
-    notes : tuple of str
-        What to know about the comparison.
-    runs : tuple of (str, Forecast)
-        The free run of each record, by its name.
-    """
-
-    kind: str
-    reason: str
-    text: str
-    files: tuple[str, ...]
-    rows: int
-    fs: float | None
-    seconds: float | None
+    kind: str  # "follows", "follows roughly", "follows for a period" or "does not hold"
+    reason: str  # the same in a sentence
+    text: str  # the equations
+    files: tuple[str, ...]  # names of the records
+    rows: int  # that predictions were compared on
+    fs: float | None  # rate of the first record [Hz]; None where rows count as time
+    seconds: float | None  # length of all; None as well
+    # by target: the right-hand side at the measured states and inputs of each row. The band holds the noise.
     one_step: Mapping[str, Error]
+    # by measured state: runs from the first row of each record, driven by its inputs. The band is that of the
+    # coefficients, of what terms leave out and of the noise of the samples, as far as they are known.
     free_run: Mapping[str, Error]
+    # by target the normalised error of free runs over one period; empty where records are too short
     windows: Mapping[str, float]
-    blew_up_at: float | None
-    notes: tuple[str, ...]
-    runs: tuple[tuple[str, Forecast], ...]
+    blew_up_at: float | None  # time [s] at which a free run left any reasonable range
+    notes: tuple[str, ...]  # what to know about the comparison
+    runs: tuple[tuple[str, Forecast], ...]  # the free run of each record, by its name
 
     def to_dict(self) -> dict[str, Any]:
         """What ``bayeq predict --json`` prints; None for the infinite error of a run that blew up."""
@@ -164,10 +125,8 @@ def _finite(value: Any) -> Any:
 def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record, list[str]]:
     """A record in the units of the equations, and what was converted.
 
-    Raises
-    ------
-    InputError
-        A unit that cannot be converted; a time that is known where that of the equations is not, or the reverse.
+    InputError for a unit that cannot be converted, or a time that is known where that of the equations is not, or the
+    reverse.
     """
     where = record.name or "record"
     moving = bool(equations.states)
@@ -201,28 +160,9 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
 def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, seed: int = 0) -> Prediction:
     """What equations predict of records, and whether they hold there.
 
-    Parameters
-    ----------
-    equations : Equations
-        Saved or found.
-    records : sequence of Record
-        With all channels of the equations' chains and inputs, and time. Their units are converted where they differ.
-    draws, seed : int
-        Runs with coefficients from the posterior, for the bands.
-
-    Returns
-    -------
-    Prediction
-
-    Raises
-    ------
-    InputError
-        Channels that are missing, units that cannot be converted, no time.
-
-    Warns
-    -----
-    DataWarning
-        Samples that are missing or left out.
+    Records need all channels of the equations' chains and inputs, and time; their units are converted where they
+    differ. Draws are runs with coefficients from the posterior, for the bands. InputError: channels that are missing,
+    units that cannot be converted, no time. DataWarning: samples that are missing or left out.
     """
     notes: list[str] = []
     for name in equations.roles.channels:

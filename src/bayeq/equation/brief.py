@@ -11,23 +11,22 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.physical import PhysicalParameters, Quantity, force_of
-from bayeq.equation.short_names import short_names, with_names
+from bayeq.equation.rows import rows_of, short_names, with_names
 from bayeq.equation.text import (
     CERTAIN,
     DOUBTFUL,
     LONGEST_NAME,
-    constant_numbers,
     forms_of,
     given_of,
-    printable,
     source_of,
     unseen,
 )
-from bayeq.equation.written import round_to
+from bayeq.errors import printable
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
+from bayeq.markup import aligned
 
-__all__ = ["brief", "checks", "failed", "in_symbols", "quantity_rows", "sentence", "what_to_try"]
+__all__ = ["brief", "checks", "failed", "in_symbols", "sentence", "what_to_try"]
 
 WIDTH = 100
 
@@ -129,21 +128,10 @@ def in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[s
     return f"{' + '.join(parts)} = {driven[0] if driven and not per else '0'}" if not (driven and per) else None
 
 
-def quantity_rows(quantities: Sequence[Quantity]) -> list[tuple[str, str, str, str]]:
-    """Symbol, mean, interval and unit of each as text."""
-    return [
-        (q.symbol, round_to(q.mean, q.sd), f"{round_to(q.low, q.sd)} .. {round_to(q.high, q.sd)}", q.unit or "")
-        for q in quantities
-    ]
-
-
 def _quantities(quantities: Sequence[Quantity]) -> list[str]:
-    rows = [(a, b, f"({c})", printable(d)) for a, b, c, d in quantity_rows(quantities)]
-    widths = [max((len(row[k]) for row in rows), default=0) for k in range(4)]
-    return [
-        f"    {a:<{widths[0]}}  {b:>{widths[1]}}  {c:<{widths[2]}}  {d:<{widths[3]}}  {q.meaning}".rstrip()
-        for (a, b, c, d), q in zip(rows, quantities, strict=True)
-    ]
+    cells = [(q.symbol, *q.cells, q.meaning) for q in quantities]
+    rows = [(symbol, mean, f"({interval})", printable(unit), why) for symbol, mean, _, interval, unit, why in cells]
+    return [f"    {line}" for line in aligned(rows, left=(0, 2, 3, 4))]
 
 
 def _doubtful(equation: Equation) -> bool:
@@ -154,29 +142,17 @@ def _doubtful(equation: Equation) -> bool:
 
 
 def _table(equation: Equation, score: str) -> list[str]:
-    p, with_pip = equation.shown_posterior, _doubtful(equation)
+    with_pip, (*rows, constant) = _doubtful(equation), rows_of(equation)
     short = short_names([term.text for term in equation.terms], LONGEST_NAME)
-    rows = [("term", "coefficient", "95 % interval", "unit", score)]
-    for j, term in enumerate(equation.terms):
-        unit, pip = equation.coef_units[j] or "", f"{equation.posterior.pip[j]:.3f}"
-        if p.support[j]:
-            low, high = (round_to(end, p.sd[j]) for end in equation.printed_ci95[j])
-            rows.append((with_names(term.text, short), round_to(p.coef[j], p.sd[j]), f"{low} .. {high}", unit, pip))
-        elif with_pip and equation.posterior.pip[j] >= NOTEWORTHY_PIP:
-            rows.append((with_names(term.text, short), "not in it", "", "", pip))
-    for one in equation.shown_constants:
-        shown, _, *ends = constant_numbers(one)
-        rows.append((f"{{{one.name}}}", shown, " .. ".join(ends), equation.constant_units.get(one.name, ""), ""))
+    table = [("term", "coefficient", "95 % interval", "unit", score)]
+    for row in rows:
+        if row.coefficient or (with_pip and row.pip >= NOTEWORTHY_PIP):
+            number = row.coefficient or "not in it"
+            table.append((with_names(row.name, short), number, row.interval, row.unit, row.score))
     if equation.intercept_matters:
-        value, sd = equation.intercept_estimate
-        low, high = (round_to(end, sd) for end in equation.printed_intercept_ci95)
-        rows.append(("constant", round_to(value, sd), f"{low} .. {high}", equation.units.get(equation.target, ""), ""))
-    columns = [0, 1, 2, *([3] if any(row[3] for row in rows[1:]) else []), *([4] if with_pip else [])]
-    widths = {k: max(len(row[k]) for row in rows) for k in columns}
-    return [
-        printable("    " + "  ".join(f"{row[k]:{'<' if k in (0, 3) else '>'}{widths[k]}}" for k in columns).rstrip())
-        for row in rows
-    ]
+        table.append(("constant", constant.coefficient, constant.interval, constant.unit, ""))
+    kept = [0, 1, 2, *([3] if any(row[3] for row in table[1:]) else []), *([4] if with_pip else [])]
+    return [f"    {line}" for line in aligned([[printable(row[k]) for k in kept] for row in table], left=(0, 3))]
 
 
 def checks(eq: Answer) -> str:

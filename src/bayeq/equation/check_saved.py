@@ -26,19 +26,9 @@ ALL_OR_NONE = ("averaged_coef", "averaged_sd", "averaged_ci95", "printed_ci95", 
 
 
 def check_content(content: Saved, chains: Sequence[Chain]) -> None:
-    """Check what the entries of a file say of each other; the schema has been checked.
+    """Check what the entries of a file, and the chains parsed from it, say of each other; the schema has been checked.
 
-    Parameters
-    ----------
-    content : mapping
-        Of the file.
-    chains : sequence of Chain
-        Parsed from it.
-
-    Raises
-    ------
-    ValueError
-        The first thing that is wrong, and where.
+    ValueError: the first thing that is wrong, and where.
     """
     equations, posteriors, data = content["equations"], content["posteriors"], content["data"]
     for place, entries in (("equations", equations), ("posteriors", posteriors)):
@@ -72,12 +62,7 @@ def check_content(content: Saved, chains: Sequence[Chain]) -> None:
 def check_restored(equation: Equation) -> None:
     """Check that what is computed from an equation is finite.
 
-    Raises
-    ------
-    ValueError
-        Numbers too large to compute with.
-    BayeqError
-        Units that cannot be read.
+    ValueError for numbers too large to compute with, BayeqError for units that cannot be read.
     """
     posteriors = [equation.posterior, equation.shown_posterior]
     with np.errstate(all="ignore"):

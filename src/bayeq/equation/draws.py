@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.adapters.arviz import to_arviz
-from bayeq.errors import InputError
+from bayeq.errors import InputError, whole_number
 from bayeq.forecast.dynamics import normal_draws
 from bayeq.inference.posterior import Draws
 
@@ -19,8 +19,7 @@ __all__ = ["draws_of"]
 
 def draws_of(equation: Equation, draws: int, seed: int) -> Any:
     """As `bayeq.equation.equations.Equations.to_arviz`, of one equation."""
-    if isinstance(draws, bool) or not isinstance(draws, (int, np.integer)) or draws < 1:
-        raise InputError(f"draws must be a whole number, 1 or more, got {draws!r}")
+    draws = whole_number("draws", draws, 1)
     fit = equation.fit
     if fit is None:
         raise InputError("a file of equations does not hold what their posterior came from: run discover again")

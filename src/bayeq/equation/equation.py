@@ -9,8 +9,9 @@ from math import exp
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from bayeq.arrays import Bools, Floats
 from bayeq.equation.intervals import Model, OverModels, over_models, unlike
 from bayeq.equation.pip_curve import PipCurve, PriorSensitivity
 from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity, require_spike_slab
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = ["Equation", "Fit", "RunnerUp"]
-
-Floats = NDArray[np.float64]
 
 # Rules that leave out terms to have a simpler equation, not because they are in doubt.
 SIMPLER = ("max_terms", "tolerance")
@@ -301,7 +300,7 @@ class Equation:
         return self.shown_ci95 if given is None else np.where(self.printed_over_models[:, None], given, self.shown_ci95)
 
     @cached_property
-    def printed_over_models(self) -> NDArray[np.bool_]:
+    def printed_over_models(self) -> Bools:
         """Terms whose interval is printed over all models that hold the term, (P,)."""
         shown = self.shown_posterior
         # coefficients by output error are of one model, and those beside constants are joint with them

@@ -9,8 +9,7 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.equation.text import DOUBTFUL, MARK
-from bayeq.equation.verdict import LEAST_SHOWN
+from bayeq.equation.text import DOUBTFUL, MARK, left_beside_noise
 from bayeq.equation.written import round_to
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 
@@ -31,12 +30,7 @@ VERDICTS = {
 def explanation(eq: Answer, conditional: bool = False) -> str:
     """Every part of the printed answer in plain words, for the parts that this answer has.
 
-    Parameters
-    ----------
-    eq : Equations
-        What was printed.
-    conditional : bool
-        Whether it was printed with the intervals given the terms shown.
+    With `conditional` it was printed with the intervals given the terms shown.
     """
     paragraphs = ["What this says", f"verdict {eq.verdict.kind!r}: {VERDICTS[eq.verdict.kind]}."]
     for equation in eq.equations:
@@ -147,11 +141,11 @@ def _of_residuals(equation: Equation) -> Iterator[str]:
             f"effective sample size: neighbouring residuals are alike (correlation {found.lag1:.2f}), so that the"
             f" {found.n} rows tell as much as {found.n_eff:.0f} independent ones."
         )
-    left = found.discrepancy if equation.error_share is None else equation.error_share
+    left = left_beside_noise(equation)
     if left is not None:
         yield (
             "discrepancy: what it would take, beside the noise of the channels, for the equation to give exactly this"
-            f" motion: {_discrepancy(left)} of the standard deviation of {equation.target}. It is what the"
+            f" motion: {left} of the standard deviation of {equation.target}. It is what the"
             " candidate terms cannot express."
         )
     if found.driver is not None and found.driver.p_value < DOUBTFUL:
@@ -159,10 +153,6 @@ def _of_residuals(equation: Equation) -> Iterator[str]:
             f"residuals follow {found.driver}: what is left over is like that channel, and not by chance; a term with"
             " it may be missing, or it is delayed against the others."
         )
-
-
-def _discrepancy(share: float) -> str:
-    return f"{100 * share:.2g} %" if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
 
 
 def _of_data(eq: Answer) -> Iterator[str]:

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.normal import Z95, t95
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.mixture import mixture_of
 
 __all__ = ["Model", "OverModels", "over_models", "unlike"]
-
-Floats = NDArray[np.float64]
 
 # A width or an end that differs by more than this share of the width makes another interval: an end that is this much
 # too near leaves out 12 % in place of 2.5 %. Below, the interval is that of the coefficient and sd beside it.
@@ -24,22 +22,13 @@ DIFFERENT = 0.2
 
 @dataclass(frozen=True, slots=True)
 class OverModels:
-    """Intervals that know of other models than the one included or shown.
+    """Intervals that know of other models than the one included or shown."""
 
-    Attributes
-    ----------
-    averaged : (P, 2) array or None
-        Over all models, 0 in those without the term; None where no models are averaged.
-    given_in : (P, 2) array or None
-        Over the models that hold the term, of an equation that is printed: terms that were left out for simplicity are
-        in none of them. None where there are none.
-    intercept : (2,) array or None
-        Over the same models, of the intercept.
-    """
-
-    averaged: Floats | None
+    averaged: Floats | None  # (P, 2), over all models, 0 in those without the term; None where no models are averaged
+    # (P, 2), over the models that hold the term, of an equation that is printed: terms that were left out for
+    # simplicity are in none of them. None where there are none.
     given_in: Floats | None
-    intercept: Floats | None
+    intercept: Floats | None  # (2,), over the same models, of the intercept
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +52,7 @@ class Model:
     """
 
     terms: tuple[str, ...]
-    inside: NDArray[np.bool_]
+    inside: Bools
     coef: Floats
     sd: Floats
     ci95: Floats
@@ -106,14 +95,8 @@ def over_models(
 ) -> OverModels:
     """Intervals over models of a fitted regression.
 
-    Parameters
-    ----------
-    fit, shown_fit : RegressionFit
-        What the coefficients of the included terms and of those shown come from.
-    included, shown : Posterior
-        As they are reported.
-    simplified : sequence of str
-        Terms that were left out for a simpler equation.
+    `fit` and `shown_fit` are what the coefficients of the included terms and of those shown come from, `included` and
+    `shown` these as they are reported, and `simplified` the terms that were left out for a simpler equation.
     """
     overall = mixture_of(fit, included)
     struck = np.isin(shown_fit.posterior.names, simplified)
@@ -127,7 +110,7 @@ def over_models(
     )
 
 
-def unlike(one: Floats, other: Floats) -> NDArray[np.bool_]:
+def unlike(one: Floats, other: Floats) -> Bools:
     """Where intervals (P, 2) differ in width or at an end by more than 20 % of the width of the other, (P,)."""
     width = other[:, 1] - other[:, 0]
     ends = np.abs(one - other).max(axis=1)

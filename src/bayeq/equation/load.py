@@ -16,8 +16,8 @@ from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.equation.check_saved import check_content, check_restored
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import DataSummary, Equations, EquationTuple
@@ -40,7 +40,6 @@ __all__ = ["load", "restored"]
 #: No file of equations is longer; the greatest dictionary makes 40 MB.
 MOST_BYTES = 256 * 2**20
 
-Floats = NDArray[np.float64]
 Saved = Mapping[str, Any]
 
 
@@ -83,19 +82,9 @@ def load(path: str | Path) -> Equations:
 
 
 def restored(content: Saved, where: str) -> Equations:
-    """Equations from the content of a file of them.
+    """Equations from the content of a file of them, which `bayeq.equation.to_json.to_saved` made.
 
-    Parameters
-    ----------
-    content : mapping
-        What `bayeq.equation.to_json.to_saved` made.
-    where : str
-        Where it was found, for the message.
-
-    Raises
-    ------
-    FileFormatError
-        It does not agree with `json_schema` or with itself.
+    FileFormatError, with where it was found, if it does not agree with `json_schema` or with itself.
     """
     try:
         fault = first_fault(content)
@@ -264,7 +253,7 @@ def _square(rows: Sequence[Sequence[float]]) -> Floats:
     return np.array(rows, dtype=np.float64).reshape(len(rows), len(rows))
 
 
-def _indicator(members: Sequence[int], terms: int) -> NDArray[np.bool_]:
+def _indicator(members: Sequence[int], terms: int) -> Bools:
     out = np.zeros(terms, dtype=np.bool_)
     out[np.array(members, dtype=np.intp)] = True
     return out

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.equation.written import round_to
+from bayeq.equation.rows import Row, rows_of
 from bayeq.figures.picture import above, axes_for
 from bayeq.figures.runs import draw_states
 from bayeq.figures.style import style
@@ -35,7 +33,7 @@ HEADER = ("term", "coefficient", "sd", "95 % interval")
 def plot_terms(eq: Answer, ax: Any = None) -> list[Axes]:
     """Inclusion probabilities, coefficients and intervals, an equation in each of the axes."""
     score = ENGINES[eq.method].score
-    bars = {equation.target: _bars(equation) for equation in eq.equations}
+    bars = {equation.target: list(map(_bar, _listed(equation))) for equation in eq.equations}
     with style():
         axes = axes_for(ax, [AROUND + BAR * max(len(rows), 3) for rows in bars.values()], WIDTH, pyplot=True)
         for one, (target, rows) in zip(axes, bars.items(), strict=True):
@@ -52,30 +50,16 @@ def plot_run(run: Forecast, ax: Any = None) -> list[Axes]:
     return axes
 
 
-def _listed(equation: Equation) -> list[int]:
+def _listed(equation: Equation) -> list[Row]:
     """Terms of the equation, then the likeliest others."""
-    pip, shown = equation.posterior.pip, equation.shown_posterior.support
-    others = [int(j) for j in np.argsort(-pip, kind="stable") if not shown[j] and pip[j] >= NOTEWORTHY_PIP]
-    return [*np.flatnonzero(shown).tolist(), *others[:MOST_OTHERS]]
+    *rows, _ = rows_of(equation)
+    others = sorted((row for row in rows if row.absent and row.pip >= NOTEWORTHY_PIP), key=lambda row: -row.pip)
+    return [*(row for row in rows if row.coefficient and row.score), *others[:MOST_OTHERS]]
 
 
-def _numbers(equation: Equation, j: int) -> tuple[str, str, str]:
-    """Coefficient of a term, standard deviation and interval as text; empty for one that is not shown."""
-    p = equation.shown_posterior
-    if not p.support[j]:
-        return "", "", ""
-    low, high = (round_to(end, p.sd[j]) for end in equation.printed_ci95[j])
-    return round_to(p.coef[j], p.sd[j]), f"{p.sd[j]:.2g}", f"{low} .. {high}"
-
-
-def _bars(equation: Equation) -> list[tuple[str, float, str]]:
+def _bar(row: Row) -> tuple[str, float, str]:
     """Term, probability, and coefficient with its interval."""
-    bars = []
-    for j in _listed(equation):
-        value, _, interval = _numbers(equation, j)
-        text = f"{value}  ({interval})" if value else ""
-        bars.append((equation.terms[j].text, float(equation.posterior.pip[j]), text))
-    return bars
+    return row.name, row.pip, f"{row.coefficient}  ({row.interval})" if row.coefficient else ""
 
 
 def as_html(eq: Answer) -> str:
@@ -89,15 +73,11 @@ def as_html(eq: Answer) -> str:
 
 
 def _rows(equation: Equation) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = []
-    for j in _listed(equation):
-        numbers = _numbers(equation, j)
-        unit = equation.coef_units[j] or "" if numbers[0] else ""
-        first = numbers if numbers[0] else ("not in it", "", "")
-        rows.append((equation.terms[j].text, *first, f"{equation.posterior.pip[j]:.3f}", unit))
+    rows: list[tuple[str, ...]] = [
+        (row.name, row.coefficient or "not in it", row.sd, row.interval, row.score, row.unit)
+        for row in _listed(equation)
+    ]
+    constant = rows_of(equation)[-1]
     if equation.intercept_matters:
-        value, sd = equation.intercept_estimate
-        low, high = (round_to(end, sd) for end in equation.printed_intercept_ci95)
-        unit = equation.units.get(equation.target, "")
-        rows.append(("1", round_to(value, sd), f"{sd:.2g}", f"{low} .. {high}", "", unit))
+        rows.append(("1", constant.coefficient, constant.sd, constant.interval, "", constant.unit))
     return rows

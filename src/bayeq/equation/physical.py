@@ -7,20 +7,20 @@ The coefficients of the equation of x'' are those of the forces over the mass: -
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.equation.physical_units import OscillatorUnits
+from bayeq.arrays import Floats
 from bayeq.equation.rest import about_rest, is_displaced
-from bayeq.equation.units import quotient_unit
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.equation.units import OscillatorUnits, quotient_unit
+from bayeq.equation.written import round_to
+from bayeq.errors import InputError, UnknownNameError, whole_number
 from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
+from bayeq.markup import aligned
 from bayeq.numerics.normal import Z95
 from bayeq.states import Chain
 
@@ -36,8 +36,6 @@ __all__ = [
     "physical_parameters",
     "quantity",
 ]
-
-Floats = NDArray[np.float64]
 
 # Highest power of the displacement that is a stiffness by a name of its own.
 HIGHEST_POWER = 9
@@ -66,6 +64,12 @@ class Quantity:
     low: float
     high: float
     unit: str | None
+
+    @property
+    def cells(self) -> tuple[str, str, str, str]:
+        """Mean, standard deviation, interval and unit as text."""
+        mean, low, high = (round_to(value, self.sd) for value in (self.mean, self.low, self.high))
+        return mean, f"{self.sd:.2g}", f"{low} .. {high}", self.unit or ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,29 +131,12 @@ class PhysicalParameters:
 
     def __str__(self) -> str:
         """A line per parameter."""
-        rows = [("parameter", "mean", "sd", "95 % interval", "unit", "")]
-        for q in self.quantities:
-            digits = _digits(q)
-            interval = f"{q.low:.{digits}g} .. {q.high:.{digits}g}"
-            rows.append((q.symbol, f"{q.mean:.{digits}g}", f"{q.sd:.2g}", interval, q.unit or "", q.meaning))
-        widths = [max(len(row[k]) for row in rows) for k in range(5)]
-        lines = [
-            "  ".join(
-                c.ljust(w) if k in (0, 4) else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=False))
-            )
-            + f"  {row[5]}"
-            for row in rows
-        ]
+        header = ("parameter", "mean", "sd", "95 % interval", "unit", "")
+        rows = [header, *((q.symbol, *q.cells, q.meaning) for q in self.quantities)]
+        lines = aligned(rows, left=(0, 4, 5))
         if self.unexplained:
             lines.append(f"also in the equation: {', '.join(self.unexplained)}")
-        return "\n".join(line.rstrip() for line in lines)
-
-
-def _digits(q: Quantity) -> int:
-    """Significant digits down to a tenth of the standard deviation."""
-    if q.mean == 0 or q.sd <= 0:
-        return 6
-    return min(max(math.floor(math.log10(abs(q.mean))) - math.floor(math.log10(q.sd)) + 2, 3), 12)
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,27 +183,13 @@ def physical_parameters(
 ) -> PhysicalParameters:
     """Parameters of an oscillator from the posterior of its equation, given the included terms.
 
-    Stiffnesses and damping are those about the position of rest.
+    Stiffnesses and damping are those about the position of rest. Where the units of lengths and forces are known ones,
+    parameters are in SI units (a displacement in mm is fine); otherwise in those of the channels. The span is the least
+    and largest displacement of the record; without it the position of rest is taken to be zero. For the rest see
+    `bayeq.Equations.physical`.
 
-    Parameters
-    ----------
-    law : Law
-        The equation, of second order.
-    inputs : sequence of str
-        Names of the inputs.
-    units : mapping of str to str
-        Of states, target and inputs, as far as known. Where lengths and forces are known ones, parameters are in SI
-        units (a displacement in mm is fine); otherwise in those of the channels.
-    span : (float, float), optional
-        Least and largest displacement of the record; without it the position of rest is taken to be zero.
-    mass, force, draws, seed
-        See `bayeq.Equations.physical`.
-
-    Raises
-    ------
-    InputError
-        Not of second order, no term in the displacement alone that restores, a mass that is not positive, or units that
-        are not those of a motion and its derivatives, or not those of this motion.
+    InputError: not of second order, no term in the displacement alone that restores, a mass that is not positive, or
+    units that are not those of a motion and its derivatives, or not those of this motion.
     """
     coefficients, position = _read(law, draws, seed, span)
     forces = _named_forces(law, coefficients)
@@ -244,19 +217,9 @@ def physical_parameters(
 def first_order_parameters(
     laws: Sequence[Law], inputs: Sequence[str], units: Mapping[str, str], *, draws: int, seed: int
 ) -> PhysicalParameters:
-    """Time constant and gains of states of first order, ``tau x' = -x + gain u + ...``.
+    """Time constant and gains of states of first order, ``tau x' = -x + gain u + ...``, a law per state.
 
-    Parameters
-    ----------
-    laws : sequence of Law
-        One per state.
-    inputs, units, draws, seed
-        As for `physical_parameters`.
-
-    Raises
-    ------
-    InputError
-        No state that decays by a term of its own.
+    The rest is as for `physical_parameters`. InputError if no state decays by a term of its own.
     """
     found, other, rng = list[Quantity](), list[str](), np.random.default_rng(seed)
     for law in laws:
@@ -289,12 +252,7 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
             f"physical parameters are those of a second-order equation, but that of {chain.target} is of order"
             f" {chain.order}"
         )
-    try:
-        count = operator.index(draws)
-    except TypeError:
-        count = 0
-    if count < 100:
-        raise InputError(f"draws must be a whole number, at least 100, got {draws!r}")
+    count = whole_number("draws", draws, 100)
     x, v = chain.states
     others = {name for term in law.terms for name in term.names} - set(chain.states)
     alone = Dynamics.of([law], sorted(others))

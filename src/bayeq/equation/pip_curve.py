@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, log_ticks, new_panels, picture, term_label
 from bayeq.inference.auto import MOST_LEFT_OUT
 
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["PipCurve", "PriorSensitivity", "draw_pip_curves"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # What varies, by its column in tables.
 LABELS = {
@@ -208,18 +205,7 @@ def _changes(curves: Sequence[PipCurve]) -> pd.DataFrame:
 
 @picture
 def draw_pip_curves(rows: Mapping[str, Sequence[PipCurve]]) -> Figure:
-    """A row per equation: a panel per curve, and what the looks of the curves mean.
-
-    Parameters
-    ----------
-    rows : mapping of str to sequence of PipCurve
-        From top to bottom, by title (which may be empty): the curves of an equation, as many for each.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Of a journal page's width where there are two panels to a row.
-    """
+    """A row per equation, by title (may be empty): a panel per curve, as many for each, and what their looks mean."""
     panels = max(len(curves) for curves in rows.values())
     width = FIRST + (panels - 1) * PANEL + LEGEND
     figure, axes = new_panels(len(rows), panels, width=width, height=HEIGHT * len(rows), sharey=True)

@@ -10,8 +10,8 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
@@ -19,7 +19,6 @@ from bayeq.likelihood.signs import jumps_of
 
 __all__ = ["about_rest", "is_displaced"]
 
-Floats = NDArray[np.float64]
 
 # Places at which a zero of the force is looked for, and how far beyond the record's range, as a share of that.
 PLACES, BEYOND = 2001, 0.5
@@ -36,16 +35,8 @@ def is_displaced(
 ) -> bool:
     """Whether coefficients are to be taken about the position of rest: it is not zero, or the spring no polynomial.
 
-    Parameters
-    ----------
-    coefficients : mapping of Expression to array
-        Of the terms.
-    constant : bool
-        Whether the equation has one.
-    x, v : str
-        Displacement and velocity.
-    span : (float, float)
-        Its least and largest sample.
+    Of the terms' coefficients only which terms there are counts; `constant` says whether the equation has one, and the
+    span is that of the samples of the displacement `x`.
     """
     alone = [term for term in coefficients if term.names == {x}]
     forced = any(abs(float(evaluate_terms([term], {x: np.zeros(1)})[0, 0])) > 0.0 for term in alone)
@@ -56,31 +47,12 @@ def is_displaced(
 def about_rest(
     coefficients: Mapping[Expression, Floats], constant: Floats, x: str, v: str, span: tuple[float, float]
 ) -> tuple[Floats, dict[Expression, Floats]]:
-    """The position of rest, and the coefficients about it.
+    """The positions of rest (n,), and the coefficients about them, (n,) each.
 
-    Parameters
-    ----------
-    coefficients : mapping of Expression to (n,) array
-        Draws of those of the terms.
-    constant : (n,) array
-        Of the constant.
-    x, v : str
-        Displacement and velocity.
-    span : (float, float)
-        Least and largest displacement of the record.
-
-    Returns
-    -------
-    (n,) array
-        Positions of rest.
-    dict of Expression to (n,) array
-        Coefficients of terms in the displacement from there; other terms in `x` alone add their slope to that of `x`,
-        and those that are not powers of displacement and velocity stay.
-
-    Raises
-    ------
-    InputError
-        No such position in or near the range of the record.
+    Given are n draws of the terms' coefficients and of the constant, and the least and largest displacement of the
+    record. Coefficients are of terms in the displacement from the position of rest; other terms in `x` alone add their
+    slope to that of `x`, and those that are not powers of displacement and velocity stay. InputError if there is no
+    such position in or near the range of the record.
     """
     alone = {term: values for term, values in coefficients.items() if term.names == {x}}
     width = span[1] - span[0]

@@ -7,8 +7,9 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from bayeq.arrays import Floats
 from bayeq.equation.pip_curve import PipCurve, PriorSensitivity
 from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.gram import Gram, GramLike
@@ -18,8 +19,6 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 
 __all__ = ["power_sensitivity", "prior_sensitivity", "require_spike_slab"]
-
-Floats = NDArray[np.float64]
 
 # v_s varies over two decades either way. A term costs 1/2 ln v_s, so that its log-odds vary by 2.3 nats either way.
 FACTORS = 10.0 ** np.linspace(-2.0, 2.0, 9)
@@ -34,13 +33,7 @@ LEAST_ROWS = 5.0
 
 
 def require_spike_slab(method: str) -> None:
-    """Check that a method has a v_s and a p_0.
-
-    Raises
-    ------
-    InputError
-        It has none; the message says which methods have.
-    """
+    """Check that a method has a v_s and a p_0; the InputError says which methods have."""
     if not ENGINES[method].spike_slab:
         known = ", ".join(name for name, engine in ENGINES.items() if engine.spike_slab)
         raise InputError(f"method {method!r} has no v_s and p_0 to vary; take one of: {known}")
@@ -58,10 +51,7 @@ def prior_sensitivity(
 
     `gram` is standardised; the averaging may leave out `tolerance` of the posterior mass.
 
-    Raises
-    ------
-    InputError
-        Values out of range, or every term forced or forbidden.
+    InputError: values out of range, or every term forced or forbidden.
 
     Examples
     --------
@@ -100,12 +90,8 @@ def prior_sensitivity(
 def power_sensitivity(gram: Gram, prior: Prior, powers: ArrayLike | None = None) -> PipCurve:
     """PIPs by model averaging as the likelihood is raised to a power, so that each row counts for less.
 
-    See `Equation.coarsening`; `gram` is standardised. Miller and Dunson (2019) call this coarsening.
-
-    Raises
-    ------
-    InputError
-        Powers out of range.
+    See `Equation.coarsening`; `gram` is standardised. Miller and Dunson (2019) call this coarsening. InputError for
+    powers out of range.
     """
     values = _axis("powers", POWERS if powers is None else powers, 1.0, 1.0)
     values = values[(values == 1.0) | (values * gram.n >= LEAST_ROWS)]

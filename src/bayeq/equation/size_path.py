@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, labelled, log_ticks, new_panels, picture, term_label
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["ParsimonyPath", "draw_paths", "parsimony_path", "percent"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # Terms added, and terms removed.
 Step = tuple[tuple[str, ...], tuple[str, ...]]
@@ -92,7 +89,7 @@ class ParsimonyPath:
     share: Floats
 
     @property
-    def size(self) -> NDArray[np.int64]:
+    def size(self) -> Ints:
         """Number of terms of each model, (K,)."""
         return self.models.sum(axis=1)
 
@@ -196,10 +193,7 @@ def _signed(step: Step) -> str:
 def parsimony_path(fit: RegressionFit, shown: Bools, most: int | None = None) -> ParsimonyPath:
     """The path of a regression, about the equation of the terms shown, (P,); see `Equation.path`.
 
-    Raises
-    ------
-    InputError
-        `most` is less than the number of forced terms.
+    InputError if `most` is less than the number of forced terms.
     """
     regression, standard, problem = fit.regression, fit.standard, fit.problem
     signs = fit.prior.known_signs
@@ -243,18 +237,7 @@ def _r2(reduced: Gram | None, whole: Gram | None, coef: Floats, intercept: Float
 
 @picture
 def draw_paths(rows: Mapping[str, ParsimonyPath]) -> Figure:
-    """Evidence (left) and errors (right) against the number of terms, a row per equation.
-
-    Parameters
-    ----------
-    rows : mapping of str to ParsimonyPath
-        From top to bottom, by title, which may be empty.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Of a journal page's width.
-    """
+    """Evidence (left) and errors (right) against the number of terms, a row per equation, by title (may be empty)."""
     lengths = [
         max(sum(2 + len(name[:LONGEST]) for names in step for name in names[:NAMED]) for step in path.steps)
         for path in rows.values()

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from math import isclose, isfinite
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from math import isclose
 
 import numpy as np
 from rich import box, markup
@@ -14,18 +13,17 @@ from rich.table import Table
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.equation.short_names import short_names, with_names
+from bayeq.equation.rows import Row, rows_of, short_names, with_names
 from bayeq.equation.size_path import percent
 from bayeq.equation.verdict import LEAST_SHOWN
-from bayeq.equation.written import plain_sd, round_to
+from bayeq.equation.written import round_to
+from bayeq.errors import printable
 from bayeq.forecast.score import Scores, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
-from bayeq.likelihood.unknowns import ConstantEstimate
 from bayeq.markup import printed, text_console
-from bayeq.regression.residuals import Residuals
 from bayeq.states import rates
 
-__all__ = ["constant_numbers", "forms_of", "given_of", "printable", "render", "source_of", "undecided", "unseen"]
+__all__ = ["forms_of", "given_of", "left_beside_noise", "render", "source_of", "undecided", "unseen"]
 
 # No table is as wide: in a pipe none is broken.
 WIDE = 10_000
@@ -54,13 +52,8 @@ FORMS = 0.05
 DOUBTFUL = 1e-3
 
 
-def printable(text: str) -> str:
-    """Text from a file without what a terminal would obey."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
-
-
 def escape(text: str) -> str:
-    """The same, without markup."""
+    """Text from a file without markup, and without what a terminal would obey."""
     return markup.escape(printable(text))
 
 
@@ -138,16 +131,16 @@ def _render_equation(
     console: Console, equation: Equation, method: str, scores: Scores | None, conditional: bool
 ) -> None:
     console.print(f"[bold]{escape(equation.text)}[/bold]\n")
+    rows = rows_of(equation, conditional)
     names = short_names(
-        [equation.terms[j].text for j in _listed(equation)],
-        LONGEST_NAME if console.width >= ROOMY else LONGEST_NAME // 2,
+        [row.name for row in rows if row.score], LONGEST_NAME if console.width >= ROOMY else LONGEST_NAME // 2
     )
-    _print_table(console, equation, ENGINES[method].score, conditional, names)
+    _print_table(console, equation, rows, ENGINES[method].score, names)
     if names:
         console.print(escape(f"\nin the table: {', '.join(f'{short} is {name}' for name, short in names.items())}"))
-    if not conditional and (equation.printed_over_models.any() or equation.intercept_over_models):
+    if any(row.over_models for row in rows):
         console.print(f"\n{MARK} {OVER_MODELS}")
-    rest = len(equation.terms) - len(_listed(equation))
+    rest = len(equation.terms) - sum(bool(row.score) for row in rows)
     if rest:
         low = [p for p in equation.posterior.pip if p < NOTEWORTHY_PIP]
         console.print(
@@ -156,7 +149,7 @@ def _render_equation(
     console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
     for line in (*_units(equation), *_fits(equation), *_free_run(equation, scores)):
         console.print(escape(line))
-    for line in _residuals(equation.residuals, equation.error_share):
+    for line in _residuals(equation):
         console.print(escape(line))
     for line in (*forms_of(equation), *equation.at_ends):
         console.print(escape(line))
@@ -224,7 +217,9 @@ def _differences(equation: Equation, score: str) -> list[str]:
     return out
 
 
-def _print_table(console: Console, equation: Equation, score: str, conditional: bool, names: Mapping[str, str]) -> None:
+def _print_table(
+    console: Console, equation: Equation, rows: Sequence[Row], score: str, names: Mapping[str, str]
+) -> None:
     """The table of terms, without units and shares of variance where a terminal is too narrow for them."""
     extra, left_out, terminal = _extra_columns(equation), list[str](), console.is_terminal
     while True:
@@ -234,15 +229,31 @@ def _print_table(console: Console, equation: Equation, score: str, conditional: 
             table.add_column(name, justify="right", no_wrap=True)
         for name in extra:
             table.add_column(name, justify="left" if name == "unit" else "right", no_wrap=True)
-        for k, (term, *row) in enumerate(_rows(equation, conditional)):
-            table.add_row(with_names(term, names), *row, *(values[k] for values in extra.values()))
+        for row in rows:
+            numbers = row.coefficient or row.absent, row.sd, row.interval + f" {MARK}" * row.over_models
+            if row is rows[-1] and _is_zero(equation):
+                numbers = "none", "", ""
+            further = (escape(getattr(row, name)) for name in extra)
+            table.add_row(with_names(escape(row.name), names), *numbers, row.score, *further)
         needed = console.measure(table, options=console.options.update(width=WIDE)).maximum
         if not (terminal and extra and needed > console.width):
             break
-        left_out.insert(0, extra.popitem()[0])
+        left_out.insert(0, extra.pop())
     console.print(table)
     if left_out:
         console.print(f"\n{' and '.join(left_out)}: not shown, for want of width")
+
+
+def _extra_columns(equation: Equation) -> list[str]:
+    """Columns of the table beside the numbers: shares of variance and units, where they are known."""
+    kept = np.flatnonzero(equation.shown_posterior.support)
+    out = ["share"] if equation.share is not None and len(kept) else []
+    return [*out, "unit"] if any(equation.coef_units[j] for j in kept) else out
+
+
+def _is_zero(equation: Equation) -> bool:
+    """Whether the intercept is zero and was not estimated."""
+    return equation.shown_posterior.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING
 
 
 def unseen(equation: Equation, most: int = MOST_UNDETERMINED, advice: str = "") -> list[str]:
@@ -288,17 +299,24 @@ def _free_run(equation: Equation, scores: Scores | None) -> list[str]:
     return [f"free run over the held-out rows: normalised RMS error {percentages(errors)}"]
 
 
-def _residuals(found: Residuals, error_share: float | None) -> list[str]:
+def left_beside_noise(equation: Equation) -> str | None:
+    """What terms leave beside noise, in per cent of the target's standard deviation; None where it is not known."""
+    share = equation.residuals.discrepancy if equation.error_share is None else equation.error_share
+    if share is None:
+        return None
+    return f"{100 * share:.2g} %" if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
+
+
+def _residuals(equation: Equation) -> list[str]:
+    found, left = equation.residuals, left_beside_noise(equation)
     shape = "no normal distribution" if found.normality < DOUBTFUL else "what is left looks like noise"
     lines = [
         f"residuals: lag-1 autocorrelation {found.lag1:.2f}, effective sample size {found.n_eff:.0f} of {found.n}",
         f"residuals: {shape} (skewness {found.skewness:.2f}, excess kurtosis {found.kurtosis:.2f},"
         f" {_chance(found.normality)})",
     ]
-    share_left = found.discrepancy if error_share is None else error_share
-    if share_left is not None:
-        share = f"{100 * share_left:.2g}" if share_left > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g}"
-        lines.append(f"unexplained beside noise: {share} % of the target's standard deviation")
+    if left is not None:
+        lines.append(f"unexplained beside noise: {left} of the target's standard deviation")
     if found.driver is not None and found.driver.p_value < DOUBTFUL:
         lines.append(f"residuals: follow {found.driver} ({_chance(found.driver.p_value)})")
     elif found.driver is not None:
@@ -308,57 +326,3 @@ def _residuals(found: Residuals, error_share: float | None) -> list[str]:
 
 def _chance(p: float) -> str:
     return f"p = {p:.2g}" if p >= 1e-4 else "p < 0.0001"
-
-
-def _listed(equation: Equation) -> list[int]:
-    """Candidates that the table lists."""
-    p, shown = equation.posterior, equation.shown_posterior.support
-    return [j for j in range(len(equation.terms)) if shown[j] or p.support[j] or p.pip[j] >= NOTEWORTHY_PIP]
-
-
-def _extra_columns(equation: Equation) -> dict[str, list[str]]:
-    """Shares of variance and units, where they are known, for the rows of the table: terms, then the intercept."""
-    kept, share = equation.shown_posterior.support, equation.share
-    shown, constants = _listed(equation), equation.shown_constants
-    out = {}
-    if share is not None and kept.any():
-        own = [percent(share[j]) if kept[j] and isfinite(share[j]) else "" for j in shown]
-        out["share"] = own + [""] * (len(constants) + 1)
-    if any(equation.coef_units[j] for j in np.flatnonzero(kept)):
-        units = [equation.coef_units[j] or "" if kept[j] else "" for j in shown]
-        units += [equation.constant_units.get(one.name, "") for one in constants]
-        out["unit"] = [escape(unit) for unit in (*units, equation.units.get(equation.target, ""))]
-    return out
-
-
-def constant_numbers(one: ConstantEstimate) -> tuple[str, float, str, str]:
-    """A constant's value, standard deviation and the ends of its interval, as they are printed."""
-    spread = plain_sd(one)
-    return round_to(one.value, spread), spread, round_to(one.ci95[0], spread), round_to(one.ci95[1], spread)
-
-
-def _rows(equation: Equation, conditional: bool) -> list[tuple[Any, ...]]:
-    p, ci, sd = equation.shown_posterior, equation.shown_ci95, equation.shown_posterior.sd
-    marked = np.zeros(len(p.support), dtype=np.bool_)
-    if not conditional:
-        ci, marked = equation.printed_ci95, equation.printed_over_models
-    rows = []
-    for j in _listed(equation):
-        term = equation.terms[j]
-        if p.support[j]:
-            interval = f"{round_to(ci[j, 0], sd[j])} .. {round_to(ci[j, 1], sd[j])}{f' {MARK}' if marked[j] else ''}"
-            rows.append((escape(term.text), round_to(p.coef[j], sd[j]), f"{sd[j]:.2g}", interval, f"{p.pip[j]:.3f}"))
-        else:
-            absent = "not shown" if equation.posterior.support[j] else "not included"
-            rows.append((escape(term.text), absent, "", "", f"{p.pip[j]:.3f}"))
-    for one in equation.shown_constants:
-        shown, deviation, *ends = constant_numbers(one)
-        rows.append((f"{{{one.name}}}", shown, f"{deviation:.2g}", " .. ".join(ends), ""))
-    if p.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING:
-        return [*rows, ("intercept", "none", "", "", "")]
-    low, high = equation.intercept_ci95 if conditional else equation.printed_intercept_ci95
-    mark = "" if (low, high) == equation.intercept_ci95 else f" {MARK}"
-    value, spread = equation.intercept_estimate
-    interval = f"{round_to(low, spread)} .. {round_to(high, spread)}{mark}"
-    rows.append(("intercept", round_to(value, spread), f"{spread:.2g}", interval, ""))
-    return rows

@@ -1,6 +1,7 @@
-"""Units of coefficients, from those of the channels: algebra on their text.
+"""Units of coefficients, from those of the channels: algebra on their text; and those of an oscillator's parameters.
 
-``m/s^2`` per ``mm`` is ``m/s^2/mm``: symbols are multiplied and cancelled, never converted.
+``m/s^2`` per ``mm`` is ``m/s^2/mm``: symbols are multiplied and cancelled, never converted. Parameters of an oscillator
+are in SI units where those of the channels are known.
 """
 
 from __future__ import annotations
@@ -11,13 +12,22 @@ from dataclasses import replace
 from fractions import Fraction
 
 from bayeq.dictionary.ranges import beside
+from bayeq.errors import InputError
 from bayeq.expressions import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.nodes import arguments_of, with_arguments
-from bayeq.records.units import Unit, multiply_units, parse_unit, written_unit
+from bayeq.records.units import Unit, derivative_ratio, in_si, multiply_units, parse_unit, written_unit
 from bayeq.states import Chain
 
-__all__ = ["arguments_with_units", "channel_units", "constant_units", "derivative_unit", "in_radians", "quotient_unit"]
+__all__ = [
+    "OscillatorUnits",
+    "arguments_with_units",
+    "channel_units",
+    "constant_units",
+    "derivative_unit",
+    "in_radians",
+    "quotient_unit",
+]
 
 # Functions of numbers without a unit; those of angles, and units of these.
 PURE = [
@@ -84,21 +94,9 @@ def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
 
 
 def quotient_unit(target: str, term: Expression, units: Mapping[str, str]) -> str | None:
-    """Unit of the coefficient of a term in the equation of a target.
+    """Unit of the coefficient of a term in the equation of a target, all in names of channels.
 
-    Parameters
-    ----------
-    target : str
-        Left-hand side.
-    term : Expression
-        In names of channels.
-    units : mapping of str to str
-        Units of channels.
-
-    Returns
-    -------
-    str or None
-        None where the unit of the target or of a channel in the term is not known.
+    None where the unit of the target or of a channel in the term is not known.
 
     Examples
     --------
@@ -215,22 +213,10 @@ def derivative_unit(unit: str, order: int) -> str:
 def channel_units(
     stated: Sequence[Mapping[str, str]], chains: Sequence[Chain], inputs: Sequence[str]
 ) -> tuple[dict[str, str], list[str]]:
-    """Units of states, targets and inputs, as far as records state them.
+    """Units of states, targets and inputs, as far as each of the records states them, and the conflicts.
 
-    Parameters
-    ----------
-    stated : sequence of mapping of str to str
-        Units of the channels of each record.
-    chains : sequence of Chain
-        A derivative that is not measured has the unit of the nearest one that is, over or times seconds.
-    inputs : sequence of str
-        Further channels.
-
-    Returns
-    -------
-    units : dict of str to str
-    conflicts : list of str
-        A sentence on each channel whose unit depends on the record; its unit is left out.
+    A derivative that is not measured has the unit of the nearest one that is, over or times seconds. A conflict is a
+    sentence on a channel whose unit depends on the record; its unit is left out.
     """
     units: dict[str, str] = {}
     conflicts = []
@@ -247,3 +233,95 @@ def channel_units(
                 nearest = min((abs(k - other), other) for other in known)[1]
                 units[name] = derivative_unit(units[chain.names[nearest]], k - nearest)
     return units, conflicts
+
+
+# Products of SI units that have a shorter name.
+SHORTER: Mapping[str, str] = {"N*s^2/m": "kg", "N*m*s^2": "kg*m^2"}
+
+
+class OscillatorUnits:
+    """What the numbers of channels are in consistent units, SI where these are known.
+
+    Consistent are a displacement, its derivatives by seconds, and a force; the factors turn coefficients of the
+    channels' numbers into coefficients of those. Gains are what the motion says of the units
+    (`bayeq.states.unit_gains`), empty where it says nothing, and `force` is the input that is one. With `in_kg` the
+    mass is given: in kg (kg m^2, if the displacement is an angle) where the displacement's unit is known.
+
+    InputError for units that are not those of a motion and its derivatives, or not those of this motion.
+    """
+
+    def __init__(
+        self,
+        units: Mapping[str, str],
+        chain: Chain,
+        gains: Sequence[float],
+        force: str | None,
+        in_kg: bool = False,
+    ) -> None:
+        x = chain.names[0]
+        self.length: Unit | None = parse_unit(units[x]) if x in units else None
+        self.force: Unit | None = parse_unit(units[force]) if force is not None and force in units else None
+        self.per_length = self.per_force = 1.0
+        # a channel's number is this ratio times the derivative's of the displacement
+        self.velocity, self.acceleration = (_ratio(units, chain, k, gains[k] if gains else None) for k in (1, 2))
+        if self.length is not None:
+            self.per_length, self.length = in_si(self.length) or (1.0, self.length)
+        if self.force is not None:
+            self.per_force, self.force = in_si(self.force) or (1.0, self.force)
+        elif in_kg and self.length in ({}, {"m": Fraction(1)}):
+            self.force = multiply_units({"N": Fraction(1)}, {} if self.length else {"m": Fraction(1)})
+
+    def scale(self, powers: tuple[int, int]) -> float:
+        """Of the coefficient of x**p v**q in the equation of the acceleration."""
+        p, q = powers
+        return self.velocity**q / self.acceleration * self.per_length ** (1 - p - q)
+
+    def scale_force(self) -> float:
+        """Of the coefficient of the force."""
+        return self.per_length / (self.acceleration * self.per_force)
+
+    def displacement(self) -> str | None:
+        """Unit of the displacement; None where it is not known."""
+        return None if self.length is None else _written(self.length)
+
+    def mass(self) -> str | None:
+        """Unit of the mass; None where it is not known."""
+        if self.length is None or self.force is None:
+            return None
+        return _written(multiply_units(multiply_units(dict(self.force), self.length, -1), {"s": Fraction(2)}))
+
+    def unit(self, powers: tuple[int, int], with_mass: bool) -> str | None:
+        """Unit of the parameter of x**p v**q, as a force or per unit of mass; None where it is not known."""
+        p, q = powers
+        if self.length is None or (with_mass and self.force is None):
+            return None
+        if with_mass:
+            assert self.force is not None
+            out = dict(self.force)
+        else:
+            out = multiply_units(dict(self.length), {"s": Fraction(-2)})
+        multiply_units(out, self.length, -(p + q))
+        return _written(multiply_units(out, {"s": Fraction(q)}))
+
+
+def _ratio(units: Mapping[str, str], chain: Chain, order: int, gain: float | None) -> float:
+    """Factor of a derivative's channel to the derivative of the displacement's; `gain` is what the motion says."""
+    x, other = chain.names[0], chain.names[order]
+    if x not in units or other not in units:
+        return 1.0 if gain is None else gain
+    stated, what = derivative_ratio(units[x], units[other], order), f"{'second ' * (order == 2)}derivative of {x}"
+    if stated is None:
+        raise InputError(f"{other} in {units[other]} is no {what} in {units[x]}: state units that fit, or none")
+    if gain is not None and not math.isclose(abs(gain), stated, rel_tol=1e-9):
+        raise InputError(
+            f"{other} in {units[other]} should be {stated:.4g} times the {what} in {units[x]}, but it is {gain:.4g}"
+            " times that: state the units that the channels have, or none"
+        )
+    return stated if gain is None else gain
+
+
+def _written(unit: Unit) -> str:
+    """``N*s/m``; a shorter name where there is one, and no text of a pure number."""
+    order = sorted(unit.items(), key=lambda item: ({"N": 0, "m": 1, "s": 2}.get(item[0], -1), item[0]))
+    text = written_unit(dict(order)) if unit else ""
+    return SHORTER.get(text, text)

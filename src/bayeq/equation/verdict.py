@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
@@ -32,8 +32,6 @@ __all__ = [
     "window_errors",
     "worst",
 ]
-
-Floats = NDArray[np.float64]
 
 # An equation explains at least this share of what stands above the noise of its target.
 LEAST_R2 = 0.5

@@ -9,11 +9,12 @@ from numbers import Real
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.metadata_routing import UNUSED
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from bayeq.arrays import Floats
 from bayeq.errors import DataWarning, InputError
 from bayeq.gram import Gram, GramLike
 from bayeq.gram.gram import checked_weights, grams_from_data
@@ -22,8 +23,6 @@ from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 
 __all__ = ["Floats", "SparseRegressor", "SpikeSlabRegressor"]
-
-Floats = NDArray[np.float64]
 
 
 class _SeveralTargetsError(InputError, AttributeError):

@@ -1,14 +1,14 @@
 """Terms and right-hand sides as text: parsed safely, evaluated fast, handed to kernels and to SymPy.
 
 `parse` makes an `Expression`; `Evaluator` evaluates it on columns of samples, `Tape` point by point inside
-kernels; `to_sympy` and `latex` show it.
+kernels; `to_sympy` shows it.
 """
 
-from bayeq.expressions.evaluate import Evaluator, FloatArray
+from bayeq.expressions.evaluate import Evaluator
 from bayeq.expressions.functions import FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown, number
 from bayeq.expressions.parse import parse
-from bayeq.expressions.symbolic import latex, to_sympy
+from bayeq.expressions.symbolic import to_sympy
 from bayeq.expressions.tape import Tape, run_tape
 
 __all__ = [
@@ -18,14 +18,12 @@ __all__ = [
     "Constant",
     "Evaluator",
     "Expression",
-    "FloatArray",
     "Negate",
     "Node",
     "Number",
     "Symbol",
     "Tape",
     "Unknown",
-    "latex",
     "number",
     "parse",
     "run_tape",

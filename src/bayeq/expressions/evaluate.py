@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 
-__all__ = ["ARITHMETIC", "MAX_INTEGER_POWER", "Evaluator", "FloatArray"]
-
-FloatArray: TypeAlias = NDArray[np.float64]
+__all__ = ["ARITHMETIC", "MAX_INTEGER_POWER", "Evaluator"]
 
 # Integer powers up to here are products, x**5 = x**4*x, so that the monomials of a dictionary share them.
 MAX_INTEGER_POWER = 16
@@ -31,21 +29,10 @@ ARITHMETIC: dict[str, np.ufunc] = {
 class Evaluator:
     """Evaluates expressions on columns; every sub-expression is computed once.
 
-    Parameters
-    ----------
-    columns : mapping of str to array_like or float
-        The channels (arrays of one common shape, usually ``(n,)``) and parameters (floats) by name.
-
-    Raises
-    ------
-    InputError
-        If the arrays differ in shape.
-
-    Notes
-    -----
-    Results are read-only, since later results may share them; all intermediate results live as long as the
-    evaluator. Numerical trouble (division by zero, overflow, the logarithm of a negative number) gives
-    non-finite values and no warning: the caller judges. ``sign(0)`` is 0.
+    Columns are the channels (arrays of one common shape, usually ``(n,)``) and parameters (floats) by name; InputError
+    if the arrays differ in shape. Results are read-only, since later results may share them; all intermediate results
+    live as long as the evaluator. Numerical trouble (division by zero, overflow, the logarithm of a negative number)
+    gives non-finite values and no warning: the caller judges. ``sign(0)`` is 0.
 
     Examples
     --------
@@ -57,8 +44,8 @@ class Evaluator:
 
     def __init__(self, columns: Mapping[str, ArrayLike]) -> None:
         # Values are float64 arrays of the common shape, or np.float64 where constant; never 0-d arrays.
-        self._memo: dict[Node, FloatArray | np.float64] = {}
-        self._powers: dict[Node, list[FloatArray | np.float64]] = {}
+        self._memo: dict[Node, Floats | np.float64] = {}
+        self._powers: dict[Node, list[Floats | np.float64]] = {}
         self._names = list(columns)
         shapes: dict[tuple[int, ...], str] = {}
         for name, column in columns.items():
@@ -75,13 +62,10 @@ class Evaluator:
             raise InputError(f"columns differ in shape: {first!r} has {one}, {second!r} has {two}")
         self._shape = next(iter(shapes), ())
 
-    def __call__(self, expression: Expression) -> FloatArray:
+    def __call__(self, expression: Expression) -> Floats:
         """Values of the expression, of the columns' shape (``()`` if there are only floats); read-only.
 
-        Raises
-        ------
-        UnknownNameError
-            If the expression uses a name that is not a column.
+        UnknownNameError: if the expression uses a name that is not a column.
         """
         with np.errstate(all="ignore"):
             value = self._value(expression.tree)
@@ -90,14 +74,14 @@ class Evaluator:
         value.flags.writeable = False
         return value
 
-    def _value(self, node: Node) -> FloatArray | np.float64:
+    def _value(self, node: Node) -> Floats | np.float64:
         value = self._memo.get(node)
         if value is None:
             value = self._memo[node] = self._compute(node)
         return value
 
-    def _compute(self, node: Node) -> FloatArray | np.float64:
-        result: FloatArray | np.float64
+    def _compute(self, node: Node) -> Floats | np.float64:
+        result: Floats | np.float64
         if isinstance(node, Binary):
             if node.op == "**":
                 return self._power(node.left, self._value(node.right))
@@ -116,10 +100,10 @@ class Evaluator:
             return np.float64(CONSTANTS[node.name])
         raise UnknownNameError("channel", node.name, self._names)
 
-    def _power(self, base: Node, exponent: FloatArray | np.float64) -> FloatArray | np.float64:
+    def _power(self, base: Node, exponent: Floats | np.float64) -> Floats | np.float64:
         value = self._value(base)
         if not isinstance(exponent, np.float64) or not exponent.is_integer() or abs(exponent) > MAX_INTEGER_POWER:
-            result: FloatArray | np.float64 = np.power(value, exponent)
+            result: Floats | np.float64 = np.power(value, exponent)
             return result
         k = int(exponent)
         if k == 0:

@@ -43,30 +43,14 @@ NONE = 0
 
 
 class Function(NamedTuple):
-    """A function of real arguments.
+    """A function of real arguments."""
 
-    Attributes
-    ----------
-    numpy : callable
-        Its values on columns.
-    opcode : int
-        Its instruction on the tape; NONE for a function that is compiled as others.
-    sympy : str
-        SymPy's name, or an expression of other functions in a and b, which SymPy shows instead.
-    arguments : (int, int or None)
-        How many it takes, at least and at most.
-    definition : str
-        By other functions in a and b, for the tape.
-    meaning : str
-        For the documentation.
-    """
-
-    numpy: Callable[..., Any]
-    opcode: int
-    sympy: str
-    arguments: tuple[int, int | None] = (1, 1)
-    definition: str = ""
-    meaning: str = ""
+    numpy: Callable[..., Any]  # its values on columns
+    opcode: int  # its instruction on the tape; NONE for a function that is compiled as others
+    sympy: str  # SymPy's name, or an expression of other functions in a and b, which SymPy shows instead
+    arguments: tuple[int, int | None] = (1, 1)  # how many it takes, at least and at most
+    definition: str = ""  # by other functions in a and b, for the tape
+    meaning: str = ""  # for the documentation
 
 
 class Comparison(NamedTuple):

@@ -22,10 +22,7 @@ _ZERO, _ONE = Number(0), Number(1)
 def multiplied(term: Expression, targets: Sequence[str]) -> tuple[int, Expression] | None:
     """The highest derivative that is a factor of a term, and the rest; None of a term without any.
 
-    Raises
-    ------
-    ValueError
-        A term that is not proportional to one highest derivative.
+    ValueError: a term that is not proportional to one highest derivative.
 
     Examples
     --------
@@ -107,12 +104,7 @@ def solved(
 ) -> tuple[list[Node], list[list[Node]]]:
     """The highest derivatives of equations, (I - A)^-1 b, and (I - A)^-1.
 
-    Parameters
-    ----------
-    equations : sequence of sequences of (Node, Expression)
-        Of each the coefficients and the terms that it sums.
-    targets : sequence of str
-        Names of the highest derivatives.
+    An equation is the coefficients and the terms that it sums; targets are the names of the highest derivatives.
     """
     b: list[list[Node]] = [[] for _ in targets]
     A: list[list[list[Node]]] = [[[] for _ in targets] for _ in targets]

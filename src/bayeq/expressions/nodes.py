@@ -95,22 +95,12 @@ class Constant(_Node):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unknown(_Node):
-    """A constant whose value is to be found, written ``{name}`` or ``{name: low..high}``.
-
-    Attributes
-    ----------
-    name : str
-        Two with the same name are one constant.
-    low, high : float
-        Where it may be; NaN where that is read from the record.
-    value : float
-        What it counts as; NaN before any value was found.
-    """
+    """A constant whose value is to be found, written ``{name}`` or ``{name: low..high}``; with one name it is one."""
 
     name: str
-    low: float = math.nan
+    low: float = math.nan  # where it may be; NaN where that is read from the record
     high: float = math.nan
-    value: float = math.nan
+    value: float = math.nan  # what it counts as; NaN before any value was found
 
     def __post_init__(self) -> None:
         for field_name in ("low", "high", "value"):

@@ -1,16 +1,17 @@
-"""Expressions as SymPy objects and LaTeX."""
+"""Expressions as SymPy objects, in LaTeX, and in MathML, which browsers set without scripts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from html import escape
 from typing import Any
 
 from bayeq.expressions.functions import COMPARISONS, FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 from bayeq.expressions.parse import substituted, template
 
-__all__ = ["latex", "to_sympy"]
+__all__ = ["mathml", "number_mathml", "symbol_mathml", "to_sympy"]
 
 # SymPy computes powers of numbers exactly, 9**9**9 with all its digits. Numbers that do not fit into a float
 # are computed in floating point instead, as they are everywhere else.
@@ -32,20 +33,6 @@ def to_sympy(expression: Expression) -> Any:
     v*Abs(v) + x**2/3
     """
     return _convert(expression.tree)
-
-
-def latex(expression: Expression) -> str:
-    r"""The expression in LaTeX, as written by SymPy.
-
-    Examples
-    --------
-    >>> from bayeq.expressions import parse
-    >>> latex(parse("x**2*sin(theta)"))
-    'x^{2} \\sin{\\left(\\theta \\right)}'
-    """
-    import sympy
-
-    return str(sympy.latex(to_sympy(expression)))
 
 
 def _convert(node: Node) -> Any:
@@ -119,3 +106,121 @@ def _power(base: Any, exponent: Any) -> Any:
         if factor.is_Rational or size > _LARGE_POWER:
             base = _numerical(factor, _MAX_BITS / size) * rest
     return _bounded(base**exponent)
+
+
+# Binding strength: what binds less than its place asks for gets brackets.
+_COMPARISON, _SUM, _PRODUCT, _UNARY, _POWER, _ATOM = range(6)
+_STRENGTH = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _ATOM, "**": _POWER}
+
+_SIGNS = {"+": "+", "-": "\N{MINUS SIGN}", "<=": "≤", ">=": "≥", "==": "=", "!=": "≠", "<": "&lt;", ">": "&gt;"}
+_CONSTANTS = {"pi": "π", "e": "e"}
+_FUNCTIONS = {"sign": "sgn", "log": "ln"}
+_INVISIBLE_TIMES = '<mo rspace="0.17em">&#x2062;</mo>'
+
+
+def mathml(expression: Expression, names: Mapping[str, str] | None = None, factor: bool = False) -> str:
+    """The expression in presentation MathML, one ``mrow``.
+
+    `names` has MathML of symbols that are not to be written by their names, such as ``symbol_mathml("x", dots=1)`` of
+    v. A `factor` stands behind a coefficient, and gets brackets where it must.
+
+    Examples
+    --------
+    >>> from bayeq.expressions import parse
+    >>> mathml(parse("x**3"))
+    '<mrow><msup><mi>x</mi><mn>3</mn></msup></mrow>'
+    """
+    text = _set(expression.tree, names or {}, _PRODUCT if factor else _COMPARISON)
+    if factor and text.startswith("<mn>"):
+        text = f"<mo>(</mo>{text}<mo>)</mo>"
+    return f"<mrow>{text}</mrow>"
+
+
+def symbol_mathml(name: str, dots: int = 0) -> str:
+    """A name, letters after the first underscore as its index, with a dot above for each derivative.
+
+    Examples
+    --------
+    >>> symbol_mathml("x", dots=1)
+    '<mover><mi>x</mi><mo stretchy="false">˙</mo></mover>'
+    >>> symbol_mathml("x_1")
+    '<msub><mi>x</mi><mi>1</mi></msub>'
+    """
+    base, _, index = name.partition("_")
+    if not base or not index:
+        base, index = name, ""
+    letter = f"<mi>{escape(base)}</mi>"
+    if dots:
+        mark = ("", "˙", "¨", "⃛", "⃜")[dots]
+        letter = f'<mover>{letter}<mo stretchy="false">{mark}</mo></mover>'
+    return f"<msub>{letter}<mi>{escape(index)}</mi></msub>" if index else letter
+
+
+def number_mathml(text: str) -> str:
+    """A number without sign as Python prints it, powers of ten written out.
+
+    Examples
+    --------
+    >>> number_mathml("9.96e+04")
+    '<mn>9.96</mn><mo>×</mo><msup><mn>10</mn><mn>4</mn></msup>'
+    """
+    mantissa, e, power = text.partition("e")
+    if not e:
+        return f"<mn>{escape(mantissa)}</mn>"
+    sign = "<mo>\N{MINUS SIGN}</mo>" if power.startswith("-") else ""
+    digits = f"<mn>{int(power.lstrip('+-'))}</mn>"
+    exponent = f"<mrow>{sign}{digits}</mrow>" if sign else digits
+    return f"<mn>{escape(mantissa)}</mn><mo>×</mo><msup><mn>10</mn>{exponent}</msup>"
+
+
+def _set(node: Node, names: Mapping[str, str], least: int) -> str:
+    """A node, in brackets where it binds less than `least`."""
+    text, strength = _bare(node, names)
+    return f"<mrow><mo>(</mo>{text}<mo>)</mo></mrow>" if strength < least else text
+
+
+def _bare(node: Node, names: Mapping[str, str]) -> tuple[str, int]:
+    """A node and how strongly it binds."""
+    match node:
+        case Number(value):
+            return number_mathml(f"{value:.6g}" if isinstance(value, float) else str(value)), _ATOM
+        case Constant(name):
+            return f"<mi>{_CONSTANTS.get(name, escape(name))}</mi>", _ATOM
+        case Unknown(name):
+            return symbol_mathml(name), _ATOM
+        case Symbol(name):
+            return names.get(name) or symbol_mathml(name), _ATOM
+        case Negate(operand):
+            return f"<mo>\N{MINUS SIGN}</mo>{_set(operand, names, _PRODUCT)}", _SUM
+        case Call(function, arguments):
+            return _call(function, [_set(one, names, _COMPARISON) for one in arguments]), _ATOM
+        case Binary("/", left, right):
+            above, below = (f"<mrow>{_set(one, names, _COMPARISON)}</mrow>" for one in (left, right))
+            return f"<mfrac>{above}{below}</mfrac>", _ATOM
+        case Binary("**", left, right):
+            base, power = _one(_set(left, names, _ATOM)), _one(_set(right, names, _COMPARISON))
+            return f"<msup>{base}{power}</msup>", _POWER
+        case Binary("*", left, right):
+            return f"{_set(left, names, _PRODUCT)}{_INVISIBLE_TIMES}{_set(right, names, _UNARY)}", _PRODUCT
+        case Binary(op, left, right):
+            strength = _STRENGTH.get(op, _COMPARISON)
+            sign = f"<mo>{_SIGNS[op]}</mo>"
+            return f"{_set(left, names, strength)}{sign}{_set(right, names, strength + 1)}", strength
+
+
+def _one(text: str) -> str:
+    """Several elements as one; a single one as it is."""
+    single = text.startswith(("<mi>", "<mn>")) and text.count("<") == 2
+    return text if single else f"<mrow>{text}</mrow>"
+
+
+def _call(function: str, arguments: list[str]) -> str:
+    if function == "abs":
+        return f'<mrow><mo fence="true">|</mo>{arguments[0]}<mo fence="true">|</mo></mrow>'
+    if function == "sqrt":
+        return f"<msqrt>{arguments[0]}</msqrt>"
+    if function == "exp":
+        return f"<msup><mi>e</mi><mrow>{arguments[0]}</mrow></msup>"
+    inside = "<mo>,</mo>".join(arguments)
+    name = escape(_FUNCTIONS.get(function, function))
+    return f"<mi>{name}</mi><mo>&#x2061;</mo><mrow><mo>(</mo>{inside}<mo>)</mo></mrow>"

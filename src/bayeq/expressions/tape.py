@@ -17,8 +17,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.expressions.evaluate import ARITHMETIC, MAX_INTEGER_POWER, FloatArray
+from bayeq.expressions.evaluate import ARITHMETIC, MAX_INTEGER_POWER
 from bayeq.expressions.functions import (
     ABS,
     COMPARISONS,
@@ -60,34 +61,21 @@ _ON_CONSTANTS: dict[int, Callable[..., Any]] = {
 
 
 class Program(NamedTuple):
-    """A tape as kernels take it.
+    """A tape as kernels take it."""
 
-    Attributes
-    ----------
-    code : (instructions, 4) uint32 array
-        Opcode, destination, first and second operand of each instruction.
-    outputs : (n_expressions,) uint32 array
-        The register of each expression's value.
-    registers : (n_registers,) float array
-        The values of the variables in front; changed in place, so that each run needs its own.
-    """
-
-    code: IndexArray
-    outputs: IndexArray
-    registers: FloatArray
+    code: IndexArray  # (instructions, 4), opcode, destination, first and second operand of each instruction
+    outputs: IndexArray  # (n_expressions,), the register of each expression's value
+    # (n_registers,), the values of the variables in front; changed in place, so that each run needs its own
+    registers: Floats
 
 
 @kernel(borrowing=True)
-def run_tape(program: Program, tangents: FloatArray | None) -> None:
+def run_tape(program: Program, tangents: Floats | None) -> None:
     """Execute a tape: afterwards the outputs stand in ``program.registers[program.outputs]``.
 
-    Parameters
-    ----------
-    program : Program
-        With the values of the variables in its first registers.
-    tangents : (n_registers, q) float array or None
-        Derivatives of each register along q directions: those of the variables in front are given (0 for constants),
-        the others are computed. With None, which is a type of its own to the compiler, nothing is spent on them.
+    The values of the variables are in the first registers. Tangents (n_registers, q) are derivatives of each register
+    along q directions: those of the variables in front are given (0 for constants), the others are computed. With None,
+    which is a type of its own to the compiler, nothing is spent on them.
     """
     code, registers = program.code, program.registers
     for i in range(code.shape[0]):
@@ -149,17 +137,6 @@ def run_tape(program: Program, tangents: FloatArray | None) -> None:
 class Tape:
     """Expressions compiled for `run_tape`; make one with `Tape.compile`.
 
-    Attributes
-    ----------
-    variables : tuple of str
-        Their values are the first registers, in this order.
-    code : (instructions, 4) uint32 array
-        Opcode, destination, first and second operand.
-    initial : (n_registers,) float array
-        The constants in their places, and 0 elsewhere.
-    outputs : (n_expressions,) uint32 array
-        The register of each expression's value.
-
     Examples
     --------
     >>> from bayeq.expressions import Tape, parse
@@ -168,19 +145,16 @@ class Tape:
     array([  1., -10.])
     """
 
-    variables: tuple[str, ...]
-    code: IndexArray
-    initial: FloatArray
-    outputs: IndexArray
+    variables: tuple[str, ...]  # their values are the first registers, in this order
+    code: IndexArray  # (instructions, 4), opcode, destination, first and second operand
+    initial: Floats  # (n_registers,), the constants in their places, and 0 elsewhere
+    outputs: IndexArray  # (n_expressions,), the register of each expression's value
 
     @classmethod
     def compile(cls, expressions: Iterable[Expression], variables: Sequence[str]) -> Tape:
         """Compile expressions in the given variables; common sub-expressions are computed once.
 
-        Raises
-        ------
-        UnknownNameError
-            If an expression uses a name that is not a variable.
+        UnknownNameError: if an expression uses a name that is not a variable.
         """
         compiler = _Compiler(variables)
         with np.errstate(all="ignore"):
@@ -201,7 +175,7 @@ class Tape:
         registers[: len(given)] = given
         return Program(self.code, self.outputs, registers)
 
-    def __call__(self, values: ArrayLike) -> FloatArray:
+    def __call__(self, values: ArrayLike) -> Floats:
         """Values of the expressions, ``(n_expressions,)``, at one point: a value per variable."""
         program = self.program(values)
         run_tape(program, None)
@@ -289,13 +263,13 @@ class _Compiler:
         return product if value > 0 else self.emit(DIVIDE, self.constant(np.float64(1.0)), product)
 
 
-def registers_for(tape: Tape, rows: int) -> FloatArray:
+def registers_for(tape: Tape, rows: int) -> Floats:
     """Work space of `run_on_rows`, (n_registers, rows), with the constants in their places."""
     return np.repeat(tape.initial[:, None], rows, axis=1)
 
 
 @kernel
-def run_on_rows(code: IndexArray, registers: FloatArray, rows: int) -> None:
+def run_on_rows(code: IndexArray, registers: Floats, rows: int) -> None:
     """Execute a tape on the first `rows` columns of `registers`, (n_registers, R); variables are given in the first."""
     for i in range(code.shape[0]):
         opcode, to, left, right = code[i, 0], code[i, 1], code[i, 2], code[i, 3]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayeq.errors import InputError
 from bayeq.figures.picture import above, unit_text
-from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, new_panels, picture, plain, term_label
+from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, labelled, new_panels, picture, plain, term_label
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,23 +36,11 @@ NAMES, LONGEST = 24, 16
 
 @picture
 def draw_drift(table: pd.DataFrame) -> Figure:
-    """Coefficients with 95 % intervals over files, a panel for each target and term.
+    """Coefficients with 95 % intervals over files, from left to right, a panel for each target and term.
 
-    Parameters
-    ----------
-    table : DataFrame
-        Of `Batch.table`: its rows of terms that are in the equation of their file are drawn, of 12 terms at most. Marks
-        are those of the verdict; a grey band is the interval of the common equation, where there is one.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The files from left to right.
-
-    Raises
-    ------
-    InputError
-        No rows.
+    The table is that of `Batch.table`: its rows of terms that are in the equation of their file are drawn, of 12 terms
+    at most. Marks are those of the verdict; a grey band is the interval of the common equation, where there is one.
+    InputError if there are no rows.
     """
     if not len(table):
         raise InputError("no file has an equation: there is nothing to draw; see the messages of the files")
@@ -63,7 +51,8 @@ def draw_drift(table: pd.DataFrame) -> Figure:
         rows = table[(table.target == target) & (table.term == term)]
         _panel(ax, rows, f"{target}: " if several else "")
     _files(axes[-1, 0], table)
-    _legend(axes[0, 0], table)
+    handles = labelled(axes.flat)
+    above(axes[0, 0], len(handles), handles=handles, fontsize=8)
     if note:
         figure.supxlabel(note, x=0.01, ha="left", fontsize=7)
     return figure
@@ -85,14 +74,22 @@ def _panel(ax: Axes, rows: pd.DataFrame, before: str) -> None:
     ax.grid(axis="y", color=PALE, linewidth=0.5)
     if "common_coef" in rows:
         common = rows.iloc[0]
-        ax.axhspan(common.common_ci_low, common.common_ci_high, color=PALE, linewidth=0, zorder=0)
+        ax.axhspan(
+            common.common_ci_low,
+            common.common_ci_high,
+            color=PALE,
+            linewidth=0,
+            zorder=0,
+            label="common equation, 95 %",
+        )
         ax.axhline(common.common_coef, color=BLACK, linewidth=0.6, zorder=1)
     drawn = rows[rows.shown]
-    ax.vlines(drawn.order, drawn.ci_low, drawn.ci_high, color=BLUE, linewidth=0.9, zorder=2)
+    ax.vlines(drawn.order, drawn.ci_low, drawn.ci_high, color=BLUE, linewidth=0.9, zorder=2, label="95 % interval")
     size = 3.4 if len(rows) <= 80 else 2.2
     for kind, look in MARKS.items():
         own = drawn[drawn.verdict == kind]
-        ax.plot(own.order, own.coef, linestyle="none", markersize=size, zorder=3, **look)
+        if len(own):
+            ax.plot(own.order, own.coef, linestyle="none", markersize=size, zorder=3, label=kind, **look)
     units = {unit if isinstance(unit, str) else "" for unit in rows.unit}  # pandas makes NaN of None
     unit = "units differ" if len(units) > 1 else plain(unit_text(units.pop()))
     name = term_label(rows.term.iloc[0], tuple(rows.term)) if rows.term.iloc[0] != "1" else "constant"
@@ -110,20 +107,3 @@ def _files(ax: Axes, table: pd.DataFrame) -> None:
     short = [stem if len(stem) <= LONGEST else f"…{stem[1 - LONGEST :]}" for stem in stems]
     ax.set_xticks(shown, [plain(stem) for stem in short], rotation=90)
     ax.set_xlim(orders[0] - 0.8, orders[-1] + 0.8)
-
-
-def _legend(ax: Axes, table: pd.DataFrame) -> None:
-    """What the marks mean, above the first panel."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    kinds = set(table.verdict[table.shown])
-    handles: list[Any] = [
-        Line2D([], [], linestyle="none", markersize=4.0, label=kind, **look)
-        for kind, look in MARKS.items()
-        if kind in kinds
-    ]
-    handles.append(Line2D([], [], color=BLUE, linewidth=0.9, label="95 % interval"))
-    if "common_coef" in table:
-        handles.append(Patch(facecolor=PALE, label="common equation, 95 %"))
-    above(ax, len(handles), handles=handles, fontsize=8)

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Evaluator
 from bayeq.figures.picture import (
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["restoring_force_curve", "restoring_force_surface"]
-
-Floats = NDArray[np.float64]
 
 FORCE = "restoring force per mass"
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Complexes, Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.figures.picture import (
     Answer,
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["frequency_response", "spectra"]
-
-Floats = NDArray[np.float64]
 
 # Segments of a spectrum, which overlap by half.
 SEGMENTS = 8
@@ -75,7 +73,7 @@ def _filled(values: Floats) -> Floats:
     return np.interp(at, at[there], values[there])
 
 
-def _cross_spectrum(x: Floats, y: Floats, fs: float, segments: int = SEGMENTS) -> tuple[Floats, NDArray[np.complex128]]:
+def _cross_spectrum(x: Floats, y: Floats, fs: float, segments: int = SEGMENTS) -> tuple[Floats, Complexes]:
     """Frequencies [Hz] above zero and the cross spectral density of two channels, by Welch's method (1967).
 
     Hann windows over segments that overlap by half, each less its mean; densities are one-sided.

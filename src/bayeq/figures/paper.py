@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.figures.style import (
     BLACK,
     BLUE,
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Inclusion", "JointPosterior", "draw_inclusion", "draw_joint"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # Height of the triangle of a system [mm].
 BLOCK = 90.0
@@ -74,17 +71,7 @@ class JointPosterior:
 def draw_inclusion(panels: Sequence[Inclusion], axis_label: str = "candidate term") -> Figure:
     """Inclusion probabilities of all terms by MCMC and VB under each other, a panel per system (Fig. 4).
 
-    Parameters
-    ----------
-    panels : sequence of Inclusion
-        From left to right.
-    axis_label : str
-        Beside the terms.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Of a journal page's width.
+    Panels stand from left to right, `axis_label` beside the terms; the figure is as wide as a journal's page.
     """
     terms = panels[-1].terms
     figure, axes = new_panels(1, len(panels), height=26.0 + 3.7 * len(terms), sharey=True)
@@ -117,17 +104,8 @@ def _bars(ax: Axes, panel: Inclusion) -> list[Any]:
 def draw_joint(systems: Sequence[JointPosterior], note: str = "") -> Figure:
     """Pairwise joint posteriors: cloud of MCMC, mean and ellipse of VB, truth; a triangle per system (Fig. 5).
 
-    Parameters
-    ----------
-    systems : sequence of JointPosterior
-        Row by row, two in a row.
-    note : str
-        Stands above the legend.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Of a journal page's width, or of a column's for one system.
+    Systems stand row by row, two in a row, and the note above the legend. The figure is as wide as a journal's page, or
+    as a column of it for one system.
     """
     across = min(len(systems), 2)
     rows = -(-len(systems) // across)

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Expression
 from bayeq.figures.style import new_figure, plain, shortened, term_label
@@ -41,8 +41,6 @@ __all__ = [
     "unit_text",
     "units_of",
 ]
-
-Floats = NDArray[np.float64]
 
 # Terms that are drawn, at most.
 MOST_TERMS = 24
@@ -108,13 +106,7 @@ class Answer(Protocol):
 
 
 def equation_of(eq: Answer, target: str | None) -> EquationLike:
-    """The equation of a target, by default the first.
-
-    Raises
-    ------
-    UnknownNameError
-        There is no such target.
-    """
+    """The equation of a target, by default the first; UnknownNameError if there is no such target."""
     if target is None:
         return eq.equations[0]
     for equation in eq.equations:
@@ -126,12 +118,7 @@ def equation_of(eq: Answer, target: str | None) -> EquationLike:
 def channel_of(run: Run, channel: str | None) -> str:
     """A state of a free run that is measured, by default the first.
 
-    Raises
-    ------
-    InputError
-        No state is measured.
-    UnknownNameError
-        This one is not.
+    InputError if no state is measured, UnknownNameError if this one is not.
     """
     if not run.measured:
         raise InputError("no state of the equations is measured: there is nothing to compare the free run with")
@@ -156,23 +143,9 @@ def axes_for(
 ) -> list[Axes]:
     """The axes that are given, or those of a new figure, one below the other.
 
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes, sequence of them, or None
-        What the caller gives.
-    heights : sequence of float
-        Of a panel for each of the axes, with its labels [mm].
-    width : float
-        Of the figure [mm].
-    sharex : bool
-        Whether the horizontal axis is the same.
-    pyplot : bool
-        Whether the figure is one of pyplot's, which notebooks show by themselves.
-
-    Raises
-    ------
-    InputError
-        Another number of axes than is needed.
+    `ax` is what the caller gives: matplotlib axes, a sequence of them, or None. Heights are those of the panel of each
+    of the axes, with its labels, and the width that of the figure [mm]; with `sharex` the horizontal axis is the same.
+    A figure of `pyplot` is shown by notebooks by itself. InputError if another number of axes is given than is needed.
     """
     if ax is not None:
         given = list(np.ravel(np.asarray(ax, dtype=object)))

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.figures.picture import (
     Answer,
@@ -54,8 +54,6 @@ __all__ = [
     "one_step",
     "phase_portrait",
 ]
-
-Floats = NDArray[np.float64]
 
 # Mean, low and high; the ends are None where there is no band.
 Curve = tuple[Floats, Floats | None, Floats | None]
@@ -130,28 +128,17 @@ def _mark_blow_up(ax: Axes, run: Run) -> None:
         ax.axvline(run.blew_up_at, color=RED, linestyle=DASHED, linewidth=0.8, label="blew up")
 
 
-def draw_states(axes: Sequence[Axes], run: Run, time: str = "time [s]") -> None:
+def draw_states(axes: Sequence[Axes], run: Run) -> None:
     """A free run against what was measured, a state in each of the axes."""
     for ax, name in zip(axes, run.mean, strict=True):
         _state(ax, run, name)
-    axes[-1].set_xlabel(time)
+    axes[-1].set_xlabel("time [s]")
 
 
 @picture
-def draw_forecasts(runs: Sequence[tuple[str, Run]], time: str = "time [s]") -> Figure:
-    """Free runs under each other, a panel for each state.
-
-    Parameters
-    ----------
-    runs : sequence of (str, Run)
-        With their titles, which may be empty.
-    time : str
-        Label of the time axes.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Of a journal page's width.
+def draw_forecasts(runs: Sequence[tuple[str, Run]]) -> Figure:
+    """Free runs under each other, with their titles, which may be empty; a panel for each state, as wide as a journal's
+    page.
     """
     heights = [height for _, run in runs for name in run.mean for height in LOW[: 1 + (name in run.measured)]]
     titles = sum(bool(title) for title, _ in runs)
@@ -170,7 +157,7 @@ def draw_forecasts(runs: Sequence[tuple[str, Run]], time: str = "time [s]") -> F
                 _residual(ax, run.time, run.measured[name], _curve(run, name), "free run")
                 ax.set_ylabel("residual")
             ax.tick_params(axis="x", labelbottom=k == len(run.mean) - 1)
-        ax.set_xlabel(time)
+        ax.set_xlabel("time [s]")
     figure.align_ylabels()
     figure.legend(handles=labelled(axes.flat), loc="outside upper right", ncols=4, handlelength=2.2)
     return figure

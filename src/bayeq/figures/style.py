@@ -115,13 +115,7 @@ RC: dict[Any, Any] = {
 
 
 def require_matplotlib() -> None:
-    """Check that figures can be drawn, before anything is computed for them.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    """
+    """Check that figures can be drawn, before anything is computed for them; MissingExtraError without matplotlib."""
     logger = logging.getLogger("matplotlib")
     if not logger.level:  # its remarks, as on a home that cannot be written, are not about the figure
         logger.setLevel(logging.ERROR)
@@ -135,10 +129,7 @@ def require_matplotlib() -> None:
 def style() -> Iterator[None]:
     """The settings under which a figure is made and written; the caller's own are left as they were.
 
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
+    MissingExtraError without matplotlib.
     """
     require_matplotlib()
     import matplotlib
@@ -208,24 +199,9 @@ def log_ticks(axis: Axis, text: Callable[[float], str] = "{:g}".format) -> None:
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write a figure as PNG (300 dpi) and SVG, without dates; call it inside `style`.
+    """Write a figure as PNG (300 dpi) and SVG, without dates, and return the paths; call it inside `style`.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        What to write.
-    stem : Path
-        Path without suffix; folders are made where missing.
-
-    Returns
-    -------
-    list of Path
-        The files written.
-
-    Raises
-    ------
-    InputError
-        The files cannot be written.
+    The stem is the path without suffix; folders are made where missing. InputError if the files cannot be written.
     """
     paths = []
     try:
@@ -249,12 +225,7 @@ def _write(figure: Figure, path: Path) -> None:
 def require_suffix(file: Path) -> None:
     """Check that `write_output` can make such a file, before anything is computed for it.
 
-    Raises
-    ------
-    InputError
-        A suffix that is not known.
-    MissingExtraError
-        matplotlib is needed and not installed.
+    InputError for a suffix that is not known, MissingExtraError where matplotlib is needed and not installed.
     """
     if file.suffix.lower() not in TABLE_OR_FIGURE:
         raise InputError(f"{file}: is to be written as a table or a figure: end it in {', '.join(TABLE_OR_FIGURE)}")
@@ -263,14 +234,10 @@ def require_suffix(file: Path) -> None:
 
 
 def write_output(file: Path, table: Callable[[], pd.DataFrame], figure: Callable[[], Figure]) -> None:
-    """Write the table (.csv), or the figure; only that one is made. The suffix has been checked.
+    """Write the table (.csv), or the figure in the style of the reports; only that one is made. The suffix has been
+    checked.
 
-    Parameters
-    ----------
-    file : Path
-        Replaced whole, or not at all.
-    table, figure : callable
-        Make the one or the other; the figure in the style of the reports.
+    The file is replaced whole, or not at all.
     """
     if file.suffix.lower() == ".csv":
         made = table()
@@ -294,14 +261,9 @@ def write_by_target(file: Path, results: Mapping[str, Any], draw: Callable[[Mapp
 
 
 def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
-    r"""A term or a coefficient as matplotlib sets it.
+    r"""A term or a coefficient, as `bayeq.expressions.parse` reads it, as matplotlib sets it.
 
-    Parameters
-    ----------
-    expression : str
-        As `bayeq.expressions.parse` reads it.
-    order : tuple of str
-        Names in the order in which factors are to stand; otherwise alphabetical.
+    Factors stand in the order of these names; otherwise alphabetical.
 
     Examples
     --------
@@ -337,14 +299,8 @@ def plain(text: str) -> str:
 def term_label(term: str, dictionary: Sequence[str] = (), longest: int = 18) -> str:
     """A term as matplotlib sets it; as it stands where it is a column's name and no expression; shortened if long.
 
-    Parameters
-    ----------
-    term : str
-        A term or the name of a column.
-    dictionary : sequence of str
-        All terms: factors stand in the order in which these bring their names.
-    longest : int
-        Number of characters from which a term is shortened, so that its label fits.
+    Factors stand in the order in which the dictionary, all terms, brings their names. From `longest` characters on a
+    term is shortened, so that its label fits.
     """
     short = shortened(term, longest)
     order = tuple(dict.fromkeys(re.findall(r"[^\W\d]\w*", " ".join(dictionary))))

@@ -243,8 +243,6 @@ def candidate_correlation(eq: Answer, record: Record, ax: Any = None, *, target:
 def _correlation(columns: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Correlation of columns; 0 with one that does not vary."""
     D = np.column_stack(np.broadcast_arrays(*columns))
-    D = D[np.isfinite(D).all(axis=1)]
-    D = D - D.mean(axis=0)
-    scale = np.sqrt((D**2).mean(axis=0))
-    D = D / np.where(scale > 0, scale, 1.0)
-    return np.asarray(D.T @ D / len(D))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = np.corrcoef(D[np.isfinite(D).all(axis=1)], rowvar=False)
+    return np.nan_to_num(np.atleast_2d(found))

@@ -9,8 +9,8 @@ from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
 from bayeq.expressions.implicit import solved
 from bayeq.expressions.tape import Program
@@ -20,8 +20,6 @@ from bayeq.states import Chain, Motion, Roles, rates
 
 __all__ = ["Dynamics", "Law", "finest_step", "normal_draws", "solved_laws"]
 
-Floats = NDArray[np.float64]
-
 # A step is halved until this share (of the intervals) errs by less than TOLERANCE of the states' spread in an interval,
 # at most MOST_SUBSTEPS times. Where a term jumps, no step is short enough: such intervals are the others.
 SHARE = 0.75
@@ -30,23 +28,12 @@ MOST_SUBSTEPS = 16
 
 
 class Law(NamedTuple):
-    """An equation for the highest derivative of a chain.
-
-    Attributes
-    ----------
-    chain : Chain
-    terms : sequence of Expression
-        All candidates.
-    posterior : Posterior
-        Says which of them are included.
-    unit_gains : sequence of float
-        Of the chain's channels, see `bayeq.states.unit_gains`; empty where all are 1.
-    """
+    """An equation for the highest derivative of a chain."""
 
     chain: Chain
-    terms: Sequence[Expression]
-    posterior: Posterior
-    unit_gains: Sequence[float] = ()
+    terms: Sequence[Expression]  # all candidates
+    posterior: Posterior  # says which of them are included
+    unit_gains: Sequence[float] = ()  # of the chain's channels, see `bayeq.states.unit_gains`; empty where all are 1
 
 
 def solved_laws(laws: Sequence[Law]) -> list[Law]:
@@ -72,31 +59,16 @@ def solved_laws(laws: Sequence[Law]) -> list[Law]:
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """dx/dt = f(x, u; theta): the chains' derivatives, and intercept + sum of coefficient x term for the highest.
+    """dx/dt = f(x, u; theta): the chains' derivatives, and intercept + sum of coefficient x term for the highest."""
 
-    Attributes
-    ----------
-    laws : tuple of Law
-        The equations.
-    inputs : tuple of str
-        Names of the inputs.
-    timed : bool
-        Whether terms may use t, the time [s]: the last of what drives a run.
-    terms : tuple of tuples of Expression
-        The terms that each equation includes.
-    intercepts : tuple of bool
-        Equations that have an intercept.
-    tape : Tape
-        Of states, inputs, t (if it is used) and parameters; its outputs are the states' derivatives, then the targets.
-        The parameters are, equation by equation, the intercept (if there is one) and the coefficients of the terms.
-    """
-
-    laws: tuple[Law, ...]
-    inputs: tuple[str, ...]
-    terms: tuple[tuple[Expression, ...], ...]
-    intercepts: tuple[bool, ...]
+    laws: tuple[Law, ...]  # the equations
+    inputs: tuple[str, ...]  # names of the inputs
+    terms: tuple[tuple[Expression, ...], ...]  # the terms that each equation includes
+    intercepts: tuple[bool, ...]  # equations that have an intercept
+    # of states, inputs, t (if it is used) and parameters; its outputs are the states' derivatives, then the targets.
+    # The parameters are, equation by equation, the intercept (if there is one) and the coefficients of the terms.
     tape: Tape
-    timed: bool = False
+    timed: bool = False  # whether terms may use t, the time [s]: the last of what drives a run
 
     @classmethod
     def of(
@@ -109,14 +81,8 @@ class Dynamics:
     ) -> Dynamics:
         """From the terms that equations include; nothing is compiled to machine code for them.
 
-        Parameters
-        ----------
-        laws, inputs, timed
-            As the attributes.
-        intercepts : sequence of bool, optional
-            By default all have one.
-        forced : bool
-            Whether each equation with `error_lines` has a force too; these are the last of what drives a run.
+        By default all have an intercept. Where they are `forced`, each equation with `error_lines` has a force too;
+        these are the last of what drives a run.
         """
         kept = [tuple(compress(law.terms, law.posterior.support)) for law in laws]
         constant = (True,) * len(kept) if intercepts is None else tuple(intercepts)
@@ -231,23 +197,10 @@ def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Ge
 
 
 def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, drive: Drive) -> float:
-    """A step [s] at which integration errs little at given states: the sampling interval, or a fraction of it.
+    """A step [s] at which integration errs little: the median sampling interval over 1, 2, 4, 8 or 16.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        The right-hand side.
-    parameters : (p,) array
-        Its parameters.
-    states : (n, d) array
-        Where steps are tried; rows that are not finite are left out of the judgement.
-    drive : Drive
-        Of these rows.
-
-    Returns
-    -------
-    float
-        The median interval over 1, 2, 4, 8 or 16.
+    It is tried at states (n, d), of which rows that are not finite are left out, with parameters (p,) and the drive of
+    these rows.
     """
     interval = float(np.median(drive.intervals))
     scale = np.array([_spread(column) for column in states.T])

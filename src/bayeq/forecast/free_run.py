@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.rows import Rows
 from bayeq.inference.posterior import Posterior
@@ -28,8 +28,6 @@ __all__ = [
     "typical_period",
     "window_runs",
 ]
-
-Floats = NDArray[np.float64]
 
 # A run has blown up where a state is further from its measured range than this many times the range.
 GENEROUS = 1e3
@@ -77,30 +75,11 @@ def state_range(states: Floats) -> tuple[Floats, Floats]:
 
 
 def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive) -> tuple[Floats, int | None, Drive]:
-    """A free run, with a step found on the way.
+    """A free run from a state (d,), with a step found on the way.
 
     The step is judged on the run itself, taken with whole sampling intervals at first and again with shorter ones where
-    these are coarse.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        The right-hand side.
-    parameters : (p,) array
-        Its parameters.
-    first : (d,) array
-        Initial state.
-    drive : Drive
-        From `Drive.over`.
-
-    Returns
-    -------
-    states : (n, d) array
-        NaN from where the run left the range.
-    stopped : int or None
-        The row where it did.
-    drive : Drive
-        With the step found.
+    these are coarse. Returned are the states (n, d), NaN from where the run left the range, the row where it did or
+    None, and the drive with the step found. Parameters are (p,).
     """
     n = len(drive.inputs)
     while True:
@@ -127,26 +106,13 @@ def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
 
 
 def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats, high: Floats) -> Floats:
-    """The initial state with which a free run follows the first period of some rows best.
+    """The initial state (d,) with which a free run follows the first period of some rows best.
 
     A state read off the record at the first row carries that row's noise, and a smoothed one is least sure at the ends
     of a record; the run then keeps the error for good. So the state is estimated from what was measured over the first
     period (as output-error methods do with initial conditions; Ljung, System Identification, 1999, section 16.3), held
-    to the one that was read off where the samples say little.
-
-    Parameters
-    ----------
-    dynamics, parameters : Dynamics, (p,) array
-        The equations.
-    rows : Rows
-        What the run is to follow, from its first row on.
-    low, high : (d,) arrays
-        Range in which runs go on.
-
-    Returns
-    -------
-    (d,) array
-        The state of the first row, where nothing better is found.
+    to the one that was read off where the samples say little. Where nothing better is found it is that of the first
+    row. Runs go on from `low` to `high`, (d,) each; parameters are (p,).
     """
     whole = rows.stack(dynamics.states)
     first, spread = whole[0], whole.std(axis=0)
@@ -196,23 +162,11 @@ def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats
 def run_bands(
     dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive, forces: Sequence[Floats] = ()
 ) -> tuple[Floats, Floats, int]:
-    """Pointwise 95 % band of runs with different parameters, and under different forces.
+    """Pointwise 95 % band of runs with different parameters (runs, p), and under different forces.
 
-    Parameters
-    ----------
-    parameters : (runs, p) array
-        Of each run.
-    dynamics, first, drive
-        As for `mean_run`; the step is taken as it is.
-    forces : sequence of (runs, M, 3) arrays
-        From `drawn_sines`, for those that `dynamics` has.
-
-    Returns
-    -------
-    low, high : (n, d) arrays
-        Infinite where more than 2.5 % of the runs have left the range.
-    blown : int
-        How many did at some time.
+    Forces (runs, M, 3) are from `drawn_sines`, for those that `dynamics` has; the rest is as for `mean_run`, but that
+    the step is taken as it is. Returned are low and high, (n, d) each, infinite where more than 2.5 % of the runs have
+    left the range, and how many did at some time.
     """
     runs, n, d = len(parameters), len(drive.inputs), len(first)
     current, stopped = np.tile(first, (runs, 1)), np.zeros(runs, dtype=np.uint32)
@@ -237,13 +191,9 @@ def run_bands(
 def drawn_sines(posterior: Posterior, count: int, rng: np.random.Generator) -> Floats:
     """Random forces of the size and spectrum of what an equation leaves out, sums of sines (Shinozuka and Jan 1972).
 
-    All M sines have the same share of the power. Every force has its own frequencies between the lines that are known:
-    a resonance could fall between the same few lines of all runs.
-
-    Returns
-    -------
-    (count, M, 3) array
-        Amplitude, angular frequency [rad/s] and phase.
+    Of each force, amplitude, angular frequency [rad/s] and phase of M sines, (count, M, 3), which have the same share
+    of the power. Every force has its own frequencies between the lines that are known: a resonance could fall between
+    the same few lines of all runs.
     """
     size, first = len(posterior.error_lines), np.arange(len(posterior.error_lines))
     levels = (first + rng.random((count, size))) / size
@@ -287,20 +237,8 @@ def window_runs(
     """Free runs over windows of some seconds, and the states that they are to follow, in some unit.
 
     Each starts at the states of its first row. Windows are at most half a record, and overlap where it is short; there
-    is none where no record is long enough.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        The equations.
-    pieces : sequence of Rows
-        Records, even or uneven steps of time.
-    duration : float
-        [s].
-    theta : (p,) array, optional
-        Of the equations; by default their posterior means.
-    unit : (d,) array, optional
-        Of each state; by default its spread over these rows.
+    is none where no record is long enough. Steps of time may be uneven. By default the parameters `theta` (p,) are
+    their posterior means, and the unit of each state (d,) its spread over these rows.
     """
     theta = dynamics.mean if theta is None else theta
     states = [rows.stack(dynamics.states) for rows in pieces]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError, RecordError, require_kind, whole_number
 from bayeq.expressions import Expression
@@ -30,31 +30,18 @@ __all__ = [
     "window_of",
 ]
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of one record.
+    """Rows of one record."""
 
-    Attributes
-    ----------
-    time : (n,) array
-        [s].
-    columns : mapping of str to (n,) array
-        States, targets (measured, where they are) and inputs, as `discover` has them.
-    samples : mapping of str to (n,) array
-        What was measured of states and targets; NaN where a sample is missing.
-    driven : (n, m, 4) array
-        Inputs, and t where it is used, between the rows, from `bayeq.ode.rk4.interpolant` over the whole record.
-    estimated : mapping of str to ChainSmoothing
-        How targets that were not measured were estimated.
-    """
-
-    time: Floats
-    columns: Mapping[str, Floats]
-    samples: Mapping[str, Floats]
+    time: Floats  # (n,), [s]
+    columns: Mapping[str, Floats]  # (n,), states, targets (measured, where they are) and inputs, as `discover` has them
+    samples: Mapping[str, Floats]  # (n,), what was measured of states and targets; NaN where a sample is missing
+    # (n, m, 4), inputs, and t where it is used, between the rows, from `bayeq.ode.rk4.interpolant` over the whole
+    # record
     driven: Floats
+    # how targets that were not measured were estimated
     estimated: Mapping[str, ChainSmoothing] = field(default_factory=dict)
 
     @property
@@ -89,13 +76,7 @@ class Rows:
 
 
 def rows_of(motion: Motion, purpose: str, interpolation: Interpolation = "cubic") -> list[Rows]:
-    """All rows of each record of some motion.
-
-    Raises
-    ------
-    RecordError
-        A record without time.
-    """
+    """All rows of each record of some motion; RecordError for a record without time."""
     roles = motion.roles
     estimated = {
         target: smoothing for k, target in enumerate(roles.targets) if (smoothing := motion.estimated_by(k)) is not None
@@ -128,13 +109,7 @@ def side_by_side(columns: Mapping[str, Floats], names: Sequence[str], n: int) ->
 
 
 def require_time(record: Record, purpose: str) -> Floats:
-    """Sampling times of a record.
-
-    Raises
-    ------
-    RecordError
-        It has none.
-    """
+    """Sampling times of a record; RecordError if it has none."""
     require_kind(record, Record, "the record", "a Record")
     if record.time is None:
         raise RecordError(f"{record.name or 'record'}: {purpose} needs a time column or fs")

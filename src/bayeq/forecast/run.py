@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError, whole_number
 from bayeq.figures.runs import draw_forecasts
 from bayeq.figures.style import write_output
@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Forecast", "forecast", "write_forecasts"]
-
-Floats = NDArray[np.float64]
 
 # More records do not fit on a page.
 MOST_DRAWN = 6
@@ -244,14 +242,9 @@ def _measured_states(dynamics: Dynamics, record: Record, row: int, needed: Seque
 
 
 def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
-    """Write a table (.csv) of the free runs of some records, or a figure (of the first six).
+    """Write a table (.csv) of the free runs of some records, by their names, or a figure (of the first six).
 
-    Parameters
-    ----------
-    file : Path
-        The suffix, which `bayeq.figures.style.require_suffix` has checked, says what to write.
-    runs : sequence of (str, Forecast)
-        With the names of the records.
+    The suffix, which `bayeq.figures.style.require_suffix` has checked, says what to write.
     """
     several = len(runs) > 1
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import fitted_start, mean_run, state_range
@@ -26,8 +26,6 @@ from bayeq.records import Record
 from bayeq.states import Motion, Sensors, Smooth, estimate_motion
 
 __all__ = ["Scores", "held_out_scores", "percentages", "score_records", "score_rows"]
-
-Floats = NDArray[np.float64]
 
 # A free run over fewer rows says nothing.
 LEAST_ROWS = 2
@@ -84,16 +82,9 @@ def _percent(error: float) -> str:
 
 
 def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], motion: Sequence[Rows] = ()) -> Scores:
-    """Scores over all rows of some records together, a free run in each.
+    """Scores over all rows of some records together, at least two of each, a free run in each.
 
-    Parameters
-    ----------
-    dynamics, parameters
-        The equations.
-    pieces : sequence of Rows
-        At least two rows each.
-    motion : sequence of Rows, optional
-        What tells how far states may go, if it is more than these: a body may be at rest in them.
+    `motion` tells how far states may go, if it is more than these: a body may be at rest in them.
     """
     runs, blew_up_at = [], None
     moving = pieces if dynamics.states else []
@@ -128,13 +119,7 @@ def _predicted(target: str, terms: Sequence[Expression], parameters: Floats, row
 
 
 def held_out_scores(dynamics: Dynamics, motion: Motion) -> Scores | None:
-    """Scores on the rows held out.
-
-    Returns
-    -------
-    Scores or None
-        None where no rows were held out, or a record has no time.
-    """
+    """Scores on the rows held out; None where no rows were held out, or a record has no time."""
     if not motion.timed:
         return None
     whole = rows_of(motion, "a free run")

@@ -28,30 +28,14 @@ SAMPLED_TERMS = 2_000_000
 
 
 def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: float = 5e-3, seed: int = 0) -> Posterior:
-    """SS-VB and model averaging together.
+    """SS-VB and model averaging together, of a standardised Gram, by default with the paper's prior.
 
-    Parameters
-    ----------
-    gram : GramLike
-        Sufficient statistics, standardised.
-    prior : Prior, optional
-        By default the paper's.
-    tolerance : float
-        Posterior mass that the averaging may leave out.
-    seed : int
-        Of the chains that take the place of the averaging where the mass is spread over too many models to list.
+    From model averaging, which may leave out the `tolerance` of the posterior mass, are `pip`, `support` (the median
+    probability model), `coef` and `covariance` (exact given that model), `averaged_coef`, `averaged_sd`,
+    `noise_variance`, `average`. From variational Bayes are `elbo`, `elbo_trace`, and `optimum`, the terms at its
+    optimum. If the models listed leave out enough to change probabilities by more than 2 %, collapsed Gibbs sampling,
+    of this seed, gives what averaging would have; `average` is then None and `rhat` is not.
 
-    Returns
-    -------
-    Posterior
-        From model averaging: `pip`, `support` (the median probability model), `coef` and `covariance` (exact given
-        that model), `averaged_coef`, `averaged_sd`, `noise_variance`, `average`. From variational Bayes: `elbo`,
-        `elbo_trace`, and `optimum`, the terms at its optimum. If the models listed leave out enough to change
-        probabilities by more than 2 %, collapsed Gibbs sampling gives what averaging would have; `average` is then None
-        and `rhat` is not.
-
-    Notes
-    -----
     Where signs are known the answer is that of model averaging alone, however much mass the models listed leave out:
     variational Bayes and the sampler take no signs. `elbo` and `optimum` are then None.
     """

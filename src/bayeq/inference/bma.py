@@ -129,29 +129,17 @@ def spike_slab_bma(
     enumerate_up_to: int = ENUMERATE,
     revise: Callable[[ModelSet], ModelSet] | None = None,
 ) -> Posterior:
-    """Posterior under spike-and-slab priors by averaging over models with their exact weights.
+    """Posterior under spike-and-slab priors, by default the paper's, by averaging over models with their exact weights.
 
-    Parameters
-    ----------
-    gram : GramLike
-        Sufficient statistics, standardised.
-    prior : Prior, optional
-        By default the paper's.
-    tolerance : float
-        Posterior mass that a search may leave out.
-    enumerate_up_to : int
-        Number of free terms up to which all models are enumerated instead of searched.
-    revise : callable, optional
-        Given the models found, returns them with other log posteriors, where more is known of some than the Gram tells.
+    The Gram is standardised. Up to `enumerate_up_to` free terms all models are enumerated; a search may leave out the
+    `tolerance` of the posterior mass. `revise` is given the models found, and returns them with other log posteriors,
+    where more is known of some than the Gram tells.
 
-    Returns
-    -------
-    Posterior
-        `pip`, `averaged_coef` and `averaged_sd` are over all models; `coef` and `covariance` those of the median
-        probability model (Barbieri and Berger 2004), exact given the model. `average` lists the models with their
-        probabilities. Where these leave out more than the tolerance, `pip` is the probability of each term given the
-        others averaged over models, and `converged` is False if the two differ by more than the tolerance;
-        `contradicted` names terms whose known signs the data contradict.
+    `pip`, `averaged_coef` and `averaged_sd` are over all models; `coef` and `covariance` those of the median
+    probability model (Barbieri and Berger 2004), exact given the model. `average` lists the models with their
+    probabilities. Where these leave out more than the tolerance, `pip` is the probability of each term given the others
+    averaged over models, and `converged` is False if the two differ by more than the tolerance; `contradicted` names
+    terms whose known signs the data contradict.
     """
     prior = prior or Prior()
     problem, signs = Problem.of(gram, prior), prior.known_signs
@@ -241,10 +229,7 @@ def sample_average(
 
     sigma^2 | z, y is inverse-Gamma(h, s/2), theta | sigma^2, z, y Gaussian, eq. (33), on the columns of `problem`.
 
-    Raises
-    ------
-    InputError
-        Known signs that hardly any draw of a model has.
+    InputError: known signs that hardly any draw of a model has.
     """
     which = rng.choice(len(average.probability), size=n, p=average.probability)
     theta, noise = np.zeros((n, len(problem.Dty))), np.empty(n)

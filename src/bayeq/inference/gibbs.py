@@ -205,21 +205,9 @@ def sample_posterior(
 ) -> Draws:
     """Draws of z, theta and sigma^2 from independent chains.
 
-    Parameters
-    ----------
-    problem : Problem
-        Gram and prior.
-    chains, samples, burn_in : int
-        `samples` in all per chain, of which the first `burn_in` are left out, as in the paper.
-    exchange : bool
-        Also exchange terms in one step; False is the paper's sampler, which flips one indicator at a time.
-    seed : int or sequence of int
-        Each chain draws from a stream of its own, spawned from this seed.
-
-    Raises
-    ------
-    InputError
-        No chains, or no samples after the burn-in.
+    Of each chain's `samples` the first `burn_in` are left out, as in the paper. With `exchange` terms are also
+    exchanged in one step; False is the paper's sampler, which flips one indicator at a time. Each chain draws from a
+    stream of its own, spawned from the seed. InputError: no chains, or no samples after the burn-in.
     """
     if chains < 1 or burn_in < 0 or samples <= burn_in:
         raise InputError(f"need chains >= 1 and samples > burn_in >= 0, got {chains}, {samples}, {burn_in}")
@@ -242,22 +230,12 @@ def sample_posterior(
 
 
 def multivariate_rhat(theta: Floats) -> float:
-    """Multivariate potential scale reduction factor of several chains.
+    """Multivariate potential scale reduction factor of m >= 2 chains of n samples, (m, n, P).
 
-    The square root of (n-1)/n + (m+1)/m lambda, lambda the largest eigenvalue of W^-1 B/n, with W the mean
-    covariance within the chains and B/n that of their means (Brooks and Gelman 1998, section 4.1; the square root
-    as in R's coda). Coefficients that are zero in every sample are left out, and of more than 200 those that are zero
-    most often.
-
-    Parameters
-    ----------
-    theta : (m, n, P) array
-        m >= 2 chains of n samples.
-
-    Returns
-    -------
-    float
-        1 if nothing varies, inf if a coefficient differs between chains but never within one.
+    The square root of (n-1)/n + (m+1)/m lambda, lambda the largest eigenvalue of W^-1 B/n, with W the mean covariance
+    within the chains and B/n that of their means (Brooks and Gelman 1998, section 4.1; the square root as in R's coda).
+    Coefficients that are zero in every sample are left out, and of more than 200 those that are zero most often. It is
+    1 if nothing varies, inf if a coefficient differs between chains but never within one.
     """
     m, n, _ = theta.shape
     often = np.count_nonzero(theta, axis=(0, 1))
@@ -297,34 +275,14 @@ def spike_slab_gibbs(
     seed: int | Sequence[int] = 0,
     keep_draws: bool = True,
 ) -> Posterior:
-    """Posterior under spike-and-slab priors by collapsed Gibbs sampling.
+    """Posterior under spike-and-slab priors, by default the paper's, of a standardised Gram, by collapsed Gibbs
+    sampling.
 
-    Parameters
-    ----------
-    gram : GramLike
-        Sufficient statistics, standardised.
-    prior : Prior, optional
-        By default the paper's.
-    chains, samples, burn_in : int
-        The paper's 4 chains of 5000 samples, the first 1000 left out.
-    exchange : bool
-        Let chains exchange one term for another in one step; False is the paper's sampler.
-    seed : int or sequence of int
-        Every chain has a stream of its own.
-    keep_draws : bool
-        Keep the samples in the answer.
-
-    Returns
-    -------
-    Posterior
-        `pip` is Rao-Blackwellised: the mean of p(z_i = 1 | z_-i, y) over the samples. Coefficients and covariance
-        are those of the median probability model, exact given the model; `averaged_coef` and `averaged_sd` are
-        over all samples. `converged` says whether the multivariate R-hat is below 1.1.
-
-    Raises
-    ------
-    InputError
-        Options or prior parameters out of range, or known signs.
+    The chains are those of `sample_posterior`; their draws are kept in the answer where wanted. `pip` is
+    Rao-Blackwellised: the mean of p(z_i = 1 | z_-i, y) over the samples. Coefficients and covariance are those of the
+    median probability model, exact given the model; `averaged_coef` and `averaged_sd` are over all samples. `converged`
+    says whether the multivariate R-hat is below 1.1. InputError: options or prior parameters out of range, or known
+    signs.
     """
     prior = prior or Prior()
     prior.refuse_signs("gibbs")

@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.kernels import kernel
 
 __all__ = ["Mixture"]
-
-Floats = NDArray[np.float64]
 
 # Probability below a 95 % interval, and above it.
 TAIL = 0.025
@@ -61,15 +59,6 @@ def _quantiles(weight: Floats, mean: Floats, sd: Floats, probability: Floats) ->
 class Mixture:
     """The posterior of each of P coefficients over models: 0, or if its term is in, a mixture of K normal ones.
 
-    Attributes
-    ----------
-    weight : (P, K) array
-        Probability of each model given that the term is in; rows sum to 1.
-    mean, sd : (P, K) arrays
-        Of the coefficient given the model; sd 0 is a point.
-    pip : (P,) array
-        Probability that the term is in.
-
     Examples
     --------
     >>> one = Mixture(*np.array([[[0.5, 0.5]], [[1.0, 3.0]], [[0.1, 0.1]]]), pip=np.array([0.9]))
@@ -77,10 +66,10 @@ class Mixture:
     (array([[0.84, 3.16]]), array([[0.  , 3.16]]))
     """
 
-    weight: Floats
-    mean: Floats
-    sd: Floats
-    pip: Floats
+    weight: Floats  # (P, K), probability of each model given that the term is in; rows sum to 1
+    mean: Floats  # (P, K), of the coefficient given the model
+    sd: Floats  # (P, K); 0 is a point
+    pip: Floats  # (P,), probability that the term is in
 
     def given_in(self) -> Floats:
         """95 % interval of each coefficient over the models that hold its term, (P, 2)."""

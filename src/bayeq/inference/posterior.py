@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.gram import Standardised
 
 __all__ = ["Draws", "ModelAverage", "Posterior"]
 
-Floats = NDArray[np.float64]
 
 # Coefficients between these have squares: variances.
 SMALLEST, LARGEST = 1e-150, 1e150
@@ -38,7 +38,7 @@ class Draws:
         Rao-Blackwellised inclusion probabilities of each chain: means of p(z_i = 1 | z_-i, y).
     """
 
-    z: NDArray[np.bool_]
+    z: Bools
     theta: Floats
     noise_variance: Floats
     log_posterior: Floats
@@ -63,7 +63,7 @@ class ModelAverage:
         Posterior covariance of the coefficients of these terms over all models: within and between.
     """
 
-    models: NDArray[np.bool_]
+    models: Bools
     probability: Floats
     left_out: float
     terms: NDArray[np.intp]
@@ -74,7 +74,7 @@ class ModelAverage:
         weighted = self.models * self.probability[:, None]
         return np.asarray(weighted.T @ self.models.astype(np.float64))
 
-    def log_odds(self, model: NDArray[np.bool_], others: Mapping[bytes, float]) -> list[float]:
+    def log_odds(self, model: Bools, others: Mapping[bytes, float]) -> list[float]:
         """Of other models against one.
 
         Parameters
@@ -196,7 +196,7 @@ class Posterior:
     method: str
     names: tuple[str, ...]
     pip: Floats
-    support: NDArray[np.bool_]
+    support: Bools
     coef: Floats
     covariance: Floats
     center: Floats
@@ -213,7 +213,7 @@ class Posterior:
     rhat: float | None = None
     draws: Draws | None = None
     average: ModelAverage | None = None
-    optimum: NDArray[np.bool_] | None = None
+    optimum: Bools | None = None
     contradicted: tuple[str, ...] = ()
     target_mean_variance: float | None = None
     intercept_pip: float | None = None

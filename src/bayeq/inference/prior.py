@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from math import lgamma, log
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from bayeq.arrays import Floats, Ints
 from bayeq.errors import InputError
 
 __all__ = ["SIGNED", "Prior"]
-
-Floats = NDArray[np.float64]
 
 # Methods that take signs of coefficients.
 SIGNED = ("auto", "bma")
@@ -81,7 +80,7 @@ class Prior:
                 raise InputError(f"signs must be -1, 0 or +1 for each of the {terms} terms, got {self.signs!r}")
 
     @property
-    def known_signs(self) -> NDArray[np.int64] | None:
+    def known_signs(self) -> Ints | None:
         """`signs` as integers, (P,); None if no sign is known."""
         return np.asarray(self.signs).astype(np.int64) if self.signs is not None and np.any(self.signs) else None
 

@@ -145,24 +145,14 @@ def rvm_gamma(p: Problem) -> Floats:
 
 
 def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0, max_iter: int = 10_000) -> Posterior:
-    """Relevance vector machine.
+    """Relevance vector machine of a standardised Gram.
 
-    Parameters
-    ----------
-    gram : GramLike
-        Sufficient statistics, standardised.
-    prior : Prior, optional
-        Not used (the RVM learns its own), but known signs are refused. Accepted so that all engines are called alike.
-    least_gamma : float
-        Terms whose gamma is not above this are taken out after convergence; 0 keeps all that the RVM keeps.
-    max_iter : int
-        Limit on the number of add, re-estimate and delete steps.
+    It learns its own prior; one is accepted so that all engines are called alike, and known signs are refused. Terms
+    whose gamma is not above `least_gamma` are taken out after convergence; 0 keeps all that the RVM keeps. `max_iter`
+    limits the number of add, re-estimate and delete steps.
 
-    Returns
-    -------
-    Posterior
-        `pip` holds gamma_i = 1 - alpha_i Sigma_ii, how well the data determine each weight: a measure of
-        relevance, not a probability. The support is what is left in the machine.
+    `pip` holds gamma_i = 1 - alpha_i Sigma_ii, how well the data determine each weight: a measure of relevance, not a
+    probability. The support is what is left in the machine.
     """
     if prior is not None:
         prior.refuse_signs("rvm")

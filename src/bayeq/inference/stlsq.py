@@ -118,28 +118,14 @@ def stlsq(
     centred: bool = True,
     max_iter: int = 20,
 ) -> Posterior:
-    """Sequentially thresholded least squares at one threshold.
+    """Sequentially thresholded least squares at one threshold, of coefficients in the units of the Gram.
 
-    Parameters
-    ----------
-    gram : GramLike
-        Sufficient statistics; thresholds apply to coefficients in its units.
-    prior : Prior, optional
-        Not used; accepted so that all engines are called alike.
-    threshold : float
-        Terms with a smaller coefficient are dropped.
-    ridge : float
-        Added to the diagonal of D'D (PySINDy's alpha).
-    centred : bool
-        Estimate an intercept (True), or regress on the raw columns as PySINDy does.
-    max_iter : int
-        Limit on the regressions.
+    Terms with a smaller coefficient are dropped, in at most `max_iter` regressions. The ridge is added to the diagonal
+    of D'D (PySINDy's alpha). `centred` estimates an intercept; otherwise the regression is on the raw columns as
+    PySINDy does. A prior is not used, and accepted so that all engines are called alike.
 
-    Returns
-    -------
-    Posterior
-        `pip` is 1 for a term that is in and 0 for one that is out: STLSQ has no probabilities. The covariance is
-        that of least squares on the chosen terms.
+    `pip` is 1 for a term that is in and 0 for one that is out: STLSQ has no probabilities. The covariance is that of
+    least squares on the chosen terms.
     """
     del prior
     if not (threshold >= 0 and ridge >= 0 and max_iter >= 1):
@@ -160,29 +146,12 @@ def sweep_stlsq(
     thresholds: Floats | None = None,
     max_iter: int = 20,
 ) -> Posterior:
-    """STLSQ at the threshold with the least error on held-out rows.
+    """STLSQ at the threshold with the least error on held-out rows, in the units of the Gram.
 
-    Parameters
-    ----------
-    gram : Gram
-        Training rows, in any units.
-    prior : Prior, optional
-        Not used; accepted so that all engines are called alike.
-    held_out : Gram, optional
-        Other rows, in the same units; without them the Bayesian information criterion decides.
-    columns : "standardised" or "raw"
-        Which coefficients the threshold is compared with.
-    ridge : float
-        Ridge on these columns.
-    thresholds : (T,) array, optional
-        By default 60, logarithmically from the least to the largest coefficient of all terms together.
-    max_iter : int
-        Limit on the regressions per threshold.
-
-    Returns
-    -------
-    Posterior
-        In the units of `gram`.
+    `held_out` are other rows in the same units; without them the Bayesian information criterion decides. Thresholds, by
+    default 60, logarithmically from the least to the largest coefficient of all terms together, are compared with the
+    coefficients of standardised or raw columns, of which the ridge is, too. `max_iter` limits the regressions per
+    threshold. A prior is not used, and accepted so that all engines are called alike.
     """
     if prior is not None:
         prior.refuse_signs("stlsq")

@@ -293,36 +293,17 @@ def spike_slab_vb(
     tolerance: float = 1e-6,
     max_iter: int = 1000,
 ) -> Posterior:
-    """Variational posterior under spike-and-slab priors.
+    """Variational posterior under spike-and-slab priors, by default the paper's, of a standardised Gram.
 
-    Parameters
-    ----------
-    gram : GramLike
-        Sufficient statistics, standardised.
-    prior : Prior, optional
-        By default the paper's.
-    init : "search", "greedy", "rvm" or (P,) array
-        Where the ascent starts. VB can only prune (a term with w = 0 never returns) and keeps false terms of a
-        correlated dictionary, so its optimum is the optimum of its start. "rvm" starts from the RVM's gamma as
-        the paper does; "search" (default) from several points, the RVM and the best models of a search on the
-        collapsed tableau, and keeps the highest ELBO; "greedy" from the one model that adding and dropping single
-        terms leads to; an array gives w itself.
-    models : sequence of (P,) bool arrays
-        With "search", the models to start from, and those near them, instead of the RVM and the empty model.
-    tolerance : float
-        Stop when the ELBO rises by less, eq. (27).
-    max_iter : int
-        Limit on the sweeps.
+    VB can only prune (a term with w = 0 never returns) and keeps false terms of a correlated dictionary, so its optimum
+    is the optimum of its start, `init`. "rvm" starts from the RVM's gamma as the paper does; "search" (default) from
+    several points, the RVM and the best models of a search on the collapsed tableau, and keeps the highest ELBO;
+    "greedy" from the one model that adding and dropping single terms leads to; an array (P,) gives w itself. With
+    "search", `models` (P,) are those to start from, and those near them, instead of the RVM and the empty model. An
+    ascent stops when the ELBO rises by less than the tolerance, eq. (27), or after `max_iter` sweeps.
 
-    Returns
-    -------
-    Posterior
-        `pip` holds w, `elbo` the bound (28) with its misprint corrected.
-
-    Raises
-    ------
-    InputError
-        Options or prior parameters out of range, or known signs.
+    Of the posterior `pip` holds w, `elbo` the bound (28) with its misprint corrected. InputError: options or prior
+    parameters out of range, or known signs.
     """
     prior = prior or Prior()
     prior.refuse_signs("vb")

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from bayeq.expressions.evaluate import FloatArray
+from bayeq.arrays import Floats
 from bayeq.expressions.tape import IndexArray, Program, run_tape
 from bayeq.kernels import kernel
 from bayeq.numerics.spline import spline_slopes
@@ -40,28 +40,16 @@ STAGES = 6
 
 
 class Drive(NamedTuple):
-    """What drives a run, from sample to sample, and where it may go.
+    """What drives a run, from sample to sample, and where it may go."""
 
-    Attributes
-    ----------
-    inputs : (n, m, 4) array
-        From `interpolant`.
-    intervals : (n - 1,) array
-        Between the samples [s].
-    step : float
-        Longest step of integration [s]; intervals are divided evenly.
-    low, high : (d,) arrays
-        The range of the states; a run that leaves it, or is not finite, stops.
-    """
-
-    inputs: FloatArray
-    intervals: FloatArray
-    step: float
-    low: FloatArray
-    high: FloatArray
+    inputs: Floats  # (n, m, 4), from `interpolant`
+    intervals: Floats  # (n - 1,), between the samples [s]
+    step: float  # longest step of integration [s]; intervals are divided evenly
+    low: Floats  # (d,), the range of the states; a run that leaves it, or is not finite, stops
+    high: Floats  # (d,)
 
     @classmethod
-    def over(cls, time: FloatArray, inputs: FloatArray, low: FloatArray, high: FloatArray) -> Drive:
+    def over(cls, time: Floats, inputs: Floats, low: Floats, high: Floats) -> Drive:
         """With samples at some times, the median interval as the step."""
         intervals = np.diff(time)
         return cls(inputs, intervals, float(np.median(intervals)), low, high)
@@ -71,25 +59,17 @@ class Drive(NamedTuple):
         return self._replace(inputs=self.inputs[start:stop], intervals=self.intervals[start : stop - 1])
 
 
-def interpolant(time: FloatArray, samples: FloatArray, kind: Interpolation) -> FloatArray:
-    """Inputs between their samples, as a cubic polynomial in each sampling interval.
+def interpolant(time: Floats, samples: Floats, kind: Interpolation) -> Floats:
+    """Inputs (n, m) between their samples, as a cubic polynomial in each sampling interval.
 
-    Parameters
-    ----------
-    time : (n,) array
-        [s].
-    samples : (n, m) array
-        Inputs.
-    kind : "cubic", "linear", "hold" or "band-limited"
-        Cubic spline, for forces that are smooth between their samples; straight lines; the last sample held, for
-        commands that are switched; or the cubic through what the transform of even samples gives at the thirds of each
-        interval, for forces with frequencies up to near half the sampling rate (a spline where steps are uneven).
+    "cubic" is a spline, for forces that are smooth between their samples; "linear" straight lines; "hold" the last
+    sample, for commands that are switched; "band-limited" the cubic through what the transform of even samples gives at
+    the thirds of each interval, for forces with frequencies up to near half the sampling rate (a spline where steps are
+    uneven).
 
-    Returns
-    -------
-    (n, m, 4) array
-        The values p, q at both ends of each interval, and r, s of the deviation from the straight line between them: in
-        the fraction w of the interval, ``(1 - w) p + w q + w (1 - w) (r + w s)``. Constant after the last sample.
+    Returned are (n, m, 4) the values p, q at both ends of each interval, and r, s of the deviation from the straight
+    line between them: in the fraction w of the interval, ``(1 - w) p + w q + w (1 - w) (r + w s)``. Constant after the
+    last sample.
     """
     out = np.zeros((*samples.shape, 4))
     out[:, :, 0] = out[:, :, 1] = samples
@@ -110,12 +90,12 @@ def interpolant(time: FloatArray, samples: FloatArray, kind: Interpolation) -> F
     return out
 
 
-def with_time(time: FloatArray, inputs: FloatArray) -> FloatArray:
+def with_time(time: Floats, inputs: Floats) -> Floats:
     """Inputs (n, m, 4) from `interpolant`, and the time [s] itself as one more, (n, m + 1, 4)."""
     return np.concatenate([inputs, interpolant(time, np.asarray(time, dtype=np.float64)[:, None], "linear")], axis=1)
 
 
-def _thirds(samples: FloatArray) -> FloatArray:
+def _thirds(samples: Floats) -> Floats:
     """Samples (n, m) and what their transform gives at the thirds between them, (3 n - 2, m).
 
     The straight line between the ends is taken out, and the rest continued as an odd function about both.
@@ -132,29 +112,18 @@ def _thirds(samples: FloatArray) -> FloatArray:
 @kernel(borrowing=True)
 def slope_at(
     program: Program,
-    inputs: FloatArray,
-    x: FloatArray,
+    inputs: Floats,
+    x: Floats,
     row: int,
     fraction: float,
-    tangents: FloatArray | None,
-    slope: FloatArray,
+    tangents: Floats | None,
+    slope: Floats,
 ) -> None:
-    """Right-hand side at `x`, at a fraction of the interval after the sample `row`.
+    """Right-hand side at `x`, at a fraction (0 to 1) of the interval after the sample `row`, into `slope`.
 
-    Parameters
-    ----------
-    program : Program
-        As for `free_runs`.
-    inputs : (n, m, 4) array
-        From `interpolant`.
-    row, fraction : int, float
-        The sample, and a number between 0 and 1.
-    x : (d (1 + q),) float array
-        The state, then its derivatives along q directions, state by state.
-    tangents : (registers, q) float array or None
-        As for `run_tape`; None for q = 0.
-    slope : (d (1 + q),) float array
-        Receives the derivatives of `x` by time.
+    `x` (d (1 + q),) holds the state, then its derivatives along q directions, state by state, and `slope` (d (1 + q),)
+    receives the derivatives of `x` by time. Inputs (n, m, 4) are those of `interpolant`. Tangents (registers, q) are as
+    for `run_tape`; None for q = 0.
     """
     registers, rest = program.registers, 1.0 - fraction
     size = x.shape[0] if tangents is None else x.shape[0] // (1 + tangents.shape[1])
@@ -178,12 +147,12 @@ def slope_at(
 @kernel
 def advance(
     program: Program,
-    inputs: FloatArray,
+    inputs: Floats,
     row: int,
     interval: float,
     substeps: int,
-    tangents: FloatArray | None,
-    work: FloatArray,
+    tangents: Floats | None,
+    work: Floats,
 ) -> None:
     """From the sample `row` to the next, by classical Runge-Kutta steps: the state ``work[0]`` is moved on."""
     size = work.shape[1]
@@ -215,27 +184,17 @@ def steps_in(interval: float, step: float) -> int:
 def free_runs(
     program: Program,
     drive: Drive,
-    parameters: FloatArray,
-    current: FloatArray,
+    parameters: Floats,
+    current: Floats,
     stopped: IndexArray,
-    out: FloatArray,
+    out: Floats,
 ) -> None:
     """Integrate ``dx/dt = f(x, u; theta)`` from several states, each with parameters of its own.
 
-    Parameters
-    ----------
-    program : Program
-        Of a tape in states, inputs and parameters; its registers are changed.
-    drive : Drive
-        Inputs and steps, common to the runs.
-    parameters : (runs, p) float array
-        Of each run.
-    current : (runs, d) float array
-        States at the first sample; afterwards those at the last, so that the next call can go on.
-    stopped : (runs,) uint32 array
-        0 for a run that goes on; set to the row (counted from 1) at which a run left its range.
-    out : (runs, n, d) float array
-        Receives the states at the samples, NaN from where a run stopped.
+    The program is that of a tape in states, inputs and parameters (runs, p); its registers are changed. The drive is
+    common to the runs. `current` (runs, d) holds the states at the first sample, and afterwards those at the last, so
+    that the next call can go on. `stopped` (runs,) is 0 for a run that goes on, and set to the row (counted from 1) at
+    which a run left its range. `out` (runs, n, d) receives the states at the samples, NaN from where a run stopped.
     """
     runs, n, size = out.shape
     first = size + drive.inputs.shape[1]
@@ -264,21 +223,11 @@ def free_runs(
 
 
 @kernel
-def local_errors(program: Program, drive: Drive, states: FloatArray, scale: FloatArray, out: FloatArray) -> None:
-    """What half the step changes in each sampling interval, started from given states.
+def local_errors(program: Program, drive: Drive, states: Floats, scale: Floats, out: Floats) -> None:
+    """What half the step changes in each sampling interval, started from given states (n, d).
 
-    Parameters
-    ----------
-    program : Program
-        As for `free_runs`, the parameters in their registers.
-    drive : Drive
-        Compared are twice as many steps as it has.
-    states : (n, d) float array
-        Where each interval starts.
-    scale : (d,) float array
-        Unit of each state's error.
-    out : (n - 1,) float array
-        Receives the largest difference of any state, in these units.
+    `out` (n - 1,) receives the largest difference of any state, in units `scale` (d,) of each; compared are twice as
+    many steps as the drive has. The parameters are in the program's registers.
     """
     size = states.shape[1]
     coarse = np.empty((STAGES, size))
@@ -302,33 +251,17 @@ def local_errors(program: Program, drive: Drive, states: FloatArray, scale: Floa
 def shoot(
     program: Program,
     drive: Drive,
-    parameters: FloatArray,
-    start: FloatArray,
+    parameters: Floats,
+    start: Floats,
     channels: IndexArray,
-    values: FloatArray,
-    jacobian: FloatArray,
+    values: Floats,
+    jacobian: Floats,
 ) -> int:
     """Free run of one segment: measured channels and their derivatives by initial state and parameters.
 
-    Parameters
-    ----------
-    program, drive
-        As for `free_runs`.
-    parameters : (p,) float array
-        theta.
-    start : (d,) float array
-        State at the first sample.
-    channels : (m,) uint32 array
-        What is measured: i < d is state i, other numbers are those of the tape's outputs.
-    values : (n, m) float array
-        Receives the channels along the run.
-    jacobian : (n, m, d + p) float array
-        Receives their derivatives.
-
-    Returns
-    -------
-    int
-        n, or the row at which the run left its range: from there on nothing was written.
+    From the state `start` (d,) with parameters (p,). Of the channels (m,), i < d is state i, other numbers are those of
+    the tape's outputs. `values` (n, m) receives them along the run, `jacobian` (n, m, d + p) their derivatives. Returns
+    n, or the row at which the run left its range: from there on nothing was written.
     """
     n, d, p = values.shape[0], start.shape[0], parameters.shape[0]
     q, first = d + p, d + drive.inputs.shape[1]

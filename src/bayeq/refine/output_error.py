@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.inference.prior import Prior
@@ -33,10 +33,6 @@ from bayeq.regression.constraints import Constraints
 from bayeq.states import Motion
 
 __all__ = ["Known", "OutputError", "Unrefined", "output_error"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 # Sizes of discrepancies from fit to fit, as shares of the target.
 SIZES = (1e-2, 1e-3, LEAST_DISCREPANCY**0.5)
@@ -72,44 +68,21 @@ SINGULAR = 1e13
 
 @dataclass(frozen=True, eq=False)
 class OutputError:
-    """Parameters by output error.
+    """Parameters by output error."""
 
-    Attributes
-    ----------
-    parameters : (p,) array
-        As in `Dynamics`; with known signs in doubt the mean of what they leave of the posterior.
-    covariance : (p, p) array
-        Singular where parameters follow from others.
-    free : (p,) bool array
-        Those that do not.
-    excess : float
-        Factor by which the covariance is wider than that of independent noise; 1 where what is left looks like that.
-    at_bound : (p,) bool array
-        Parameters that were 0, the end of their known sign, where runs were closest.
-    contradicted : bool
-        Whether runs speak against these signs, by a likelihood ratio of more than a hundred.
-    noise_sd : mapping of str to float
-        Standard deviation of each channel's noise.
-    misfit : mapping of str to float
-        Channels of which runs leave more than the noise that was given, and how many times its standard deviation:
-        theirs is what runs leave.
-    interpolation : str
-        Of the inputs.
-    converged : bool
-        False if the last fit ended at a limit of steps.
-    log_likelihood : float
-    """
-
-    parameters: Floats
-    covariance: Floats
-    free: Bools
+    parameters: Floats  # (p,), as in `Dynamics`; with known signs in doubt the mean of what they leave of the posterior
+    covariance: Floats  # (p, p), singular where parameters follow from others
+    free: Bools  # (p,), those that do not
+    # factor by which the covariance is wider than that of independent noise; 1 where what is left looks like that
     excess: float
-    at_bound: Bools
-    contradicted: bool
-    noise_sd: Mapping[str, float]
+    at_bound: Bools  # (p,), parameters that were 0, the end of their known sign, where runs were closest
+    contradicted: bool  # whether runs speak against these signs, by a likelihood ratio of more than a hundred
+    noise_sd: Mapping[str, float]  # standard deviation of each channel's noise
+    # channels of which runs leave more than the noise that was given, and how many times its standard deviation:
+    # theirs is what runs leave
     misfit: Mapping[str, float]
-    interpolation: Interpolation
-    converged: bool
+    interpolation: Interpolation  # of the inputs
+    converged: bool  # False if the last fit ended at a limit of steps
     log_likelihood: float
 
 
@@ -126,31 +99,18 @@ NO_RUN = Unrefined("no free run follows the records", "check signs and terms, or
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of the parameters theta of `Dynamics`: offset + basis phi, phi the free ones among them, and signs.
+    """What is known of the parameters theta of `Dynamics`: theta = offset + basis phi, phi the free ones, and signs."""
 
-    Attributes
-    ----------
-    offset, basis : (p,), (p, f) arrays
-        Equations between coefficients, solved.
-    free : (p,) bool array
-        The parameters that phi is.
-    signs : (f,) int array
-        Known signs of phi, 0 for unknown.
-    """
-
-    offset: Floats
-    basis: Floats
-    free: Bools
-    signs: Ints
+    offset: Floats  # (p,), equations between coefficients, solved
+    basis: Floats  # (p, f)
+    free: Bools  # (p,), the parameters that phi is
+    signs: Ints  # (f,), known signs of phi, 0 for unknown
 
     @classmethod
     def of(cls, dynamics: Dynamics, constraints: Sequence[Constraints]) -> Self:
         """What constraints, one per equation, say of the terms that the equations have.
 
-        Raises
-        ------
-        InputError
-            Terms that do not go together with the constraints, or nothing is left free.
+        InputError: terms that do not go together with the constraints, or nothing is left free.
         """
         size = dynamics.size
         offset, basis = np.zeros(size), np.zeros((size, size))
@@ -192,20 +152,10 @@ class Known:
 def output_error(
     motion: Motion, dynamics: Dynamics, parameters: Floats, known: Known, kinds: Sequence[Interpolation]
 ) -> OutputError | Unrefined:
-    """Parameters by output error.
+    """Parameters by output error, (p,), fitted to the training rows of a smoothed motion.
 
-    Parameters
-    ----------
-    motion : Motion
-        Smoothed; its training rows are fitted.
-    dynamics : Dynamics
-        The equations.
-    parameters : (p,) array
-        Where to start.
-    known : Known
-        What is known of them.
-    kinds : sequence of str
-        Courses of inputs between samples. The first is taken, unless others are much likelier.
+    `parameters` are where to start. Of the courses of inputs between samples (`kinds`) the first is taken, unless
+    others are much likelier.
     """
     best: OutputError | None = None
     failed: Unrefined | None = None

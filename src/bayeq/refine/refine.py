@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
-from bayeq.forecast.rows import Rows, predicted_target, rows_of
+from bayeq.forecast.rows import Rows, divided, predicted_target, rows_of
 from bayeq.forecast.score import Scores, percentages, score_rows
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Interpolation
@@ -24,8 +24,6 @@ from bayeq.states import Sensors, Smooth, estimate_motion
 from bayeq.states.motion import held_out_share
 
 __all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "Refinement", "refine", "runs_are_worse"]
-
-Floats = NDArray[np.float64]
 
 # With fewer rows there is no free run to speak of.
 LEAST_ROWS = 8
@@ -118,42 +116,22 @@ def refine(
     constraints: Sequence[Constraints],
     sensors: Sensors,
 ) -> RefinedEquations | Unrefined:
-    """Output-error estimate of the coefficients and intercepts.
+    """Output-error estimate of the coefficients and intercepts; see `bayeq.Equations.refine`.
 
-    Parameters
-    ----------
-    before : Dynamics
-        The equations by regression, with all intercepts.
-    dynamics : Dynamics
-        The same with the intercepts that are estimated; the others are set to zero.
-    records : sequence of Record
-        With the channels that the equations were found from.
-    smooth
-        As `discover` takes it.
-    holdout, interpolation
-        See `bayeq.Equations.refine`.
-    constraints : sequence of Constraints
-        What is known of the coefficients of each equation.
-    sensors : Sensors
-        Known noise of channels is not estimated.
+    `before` are the equations by regression, with all intercepts; `dynamics` the same with the intercepts that are
+    estimated, the others are set to zero. Constraints are those of each equation. Known noise of channels is not
+    estimated. Where equations are refined, free runs over windows of the rows used are no worse than before; see
+    `runs_are_worse`.
 
-    Returns
-    -------
-    RefinedEquations or Unrefined
-        Free runs over windows of the rows used are no worse than before; see `runs_are_worse`.
-
-    Raises
-    ------
-    InputError
-        Channels that are missing, no time, too few rows, nothing that constraints leave free.
+    InputError: channels that are missing, no time, too few rows, nothing that constraints leave free.
     """
     known = Known.of(dynamics, constraints)
     kinds: list[Interpolation] = ["cubic", "linear", "band-limited"] if dynamics.inputs else ["cubic"]
     if interpolation is not None:
         kinds = [interpolation]
     share = held_out_share(holdout, sum(one.n for one in records))
-    motion = estimate_motion(records, dynamics.roles, smooth, share, sensors)
-    rows = list(zip(rows_of(motion, "refine"), motion.cuts, strict=True))
+    measured = motion = estimate_motion(records, dynamics.roles, smooth, share, sensors)
+    rows = rows_of(measured, "refine")
     if not motion.smoothing:
         motion = estimate_motion(records, dynamics.roles, "auto", share, sensors)
     for piece in motion.train:
@@ -166,9 +144,8 @@ def refine(
     found = output_error(motion, dynamics, dynamics.mean, known, kinds)
     if isinstance(found, Unrefined):
         return found
-    whole = [(one.interpolated(dynamics.roles, found.interpolation), cut) for one, cut in rows]
-    train = [each.part(slice(0, cut)) for each, cut in whole]
-    held_out = [each.part(slice(cut, each.n)) for each, cut in whole if cut < each.n]
+    whole = [one.interpolated(dynamics.roles, found.interpolation) for one in rows]
+    train, held_out = divided(measured, whole)
     duration = PERIODS * typical_period(dynamics, train)
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
     former, now = (apart(pairs) for pairs in runs)
@@ -179,22 +156,39 @@ def refine(
             " %",
             "keep the equations",
         )
-    scores, log = None, WarningLog()
+    scores, worse, bound = None, list[str](), _at_bound(dynamics, found)
+    if held_out:
+        scores = score_rows(dynamics, found.parameters, held_out)
+        worse = _worse_scores(score_rows(before, before.mean, held_out), scores)
+    summary = Refinement(
+        files=tuple(dict.fromkeys(rows.name for rows in motion.train)),
+        n=sum(rows.n for rows in motion.train),
+        segments=len(motion.train),
+        longest=max(rows.n for rows in motion.train),
+        noise_sd=found.noise_sd,
+        interpolation=found.interpolation,
+        converged=found.converged,
+        at_bound=bound,
+    )
+    refined = [_refined(dynamics, k, block, found, train, held_out) for k, block in enumerate(dynamics.blocks())]
+    return RefinedEquations(tuple(refined), summary, scores, _doubts(found, bound, worse))
+
+
+def _doubts(found: OutputError, bound: Sequence[str], worse: Sequence[str]) -> WarningLog:
+    """What the fit says against itself; `worse` are notes on scores."""
+    log = WarningLog()
     if found.excess > 1.0:
         log.warn(
             "what free runs leave of the channels is correlated in time, as noise of a measured force or a missing term"
             f" makes it: variances of the coefficients are {found.excess:.2g} times those of independent noise",
             DataWarning,
         )
-    if held_out:
-        scores = score_rows(dynamics, found.parameters, held_out)
-        log.extend(_worse_scores(score_rows(before, before.mean, held_out), scores), ConvergenceWarning)
+    log.extend(worse, ConvergenceWarning)
     if not found.converged:
         log.warn(
             "the output-error estimate did not converge, its steps ended at their limit: refine the result once more",
             ConvergenceWarning,
         )
-    bound = _at_bound(dynamics, found)
     if found.contradicted:
         log.warn(
             f"free runs contradict the known sign of {', '.join(bound)} (likelihood ratio above 100 against it): check"
@@ -207,27 +201,13 @@ def refine(
             " check the noise given, or whether terms are missing",
             DataWarning,
         )
-    summary = Refinement(
-        files=tuple(dict.fromkeys(rows.name for rows in motion.train)),
-        n=sum(rows.n for rows in motion.train),
-        segments=len(motion.train),
-        longest=max(rows.n for rows in motion.train),
-        noise_sd=found.noise_sd,
-        interpolation=found.interpolation,
-        converged=found.converged,
-        at_bound=bound,
-    )
-    refined = [_refined(dynamics, k, block, found, train, held_out) for k, block in enumerate(dynamics.blocks())]
-    return RefinedEquations(tuple(refined), summary, scores, log)
+    return log
 
 
 def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tuple[Floats, Floats]]) -> bool:
     """Whether free runs over the same windows err more than before, by a sign test, or blow up where none did.
 
-    Parameters
-    ----------
-    before, after : iterables of (run, states)
-        From `bayeq.forecast.free_run.window_runs`.
+    Both are pairs of run and states from `bayeq.forecast.free_run.window_runs`.
 
     Examples
     --------
@@ -292,9 +272,7 @@ def _at_bound(dynamics: Dynamics, found: OutputError) -> tuple[str, ...]:
     )
 
 
-def _posterior(
-    before: Posterior, parameters: Floats, covariance: Floats, free: NDArray[np.bool_], noise: float
-) -> Posterior:
+def _posterior(before: Posterior, parameters: Floats, covariance: Floats, free: Bools, noise: float) -> Posterior:
     """A posterior with coefficients and intercept from output error; terms and probabilities stay."""
     support = before.support
     r = int(support.sum())

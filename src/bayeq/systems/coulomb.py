@@ -1,6 +1,6 @@
 """Oscillator with Coulomb friction, ``m*a + c*v + k*x + cF*sign(v) = u``."""
 
-from bayeq.systems._oscillator import oscillator
+from bayeq.systems.system import oscillator
 
 __all__ = ["COULOMB"]
 

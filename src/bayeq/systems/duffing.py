@@ -1,6 +1,6 @@
 """Duffing oscillator, ``m*a + c*v + k*x + k3*x**3 = u``."""
 
-from bayeq.systems._oscillator import oscillator
+from bayeq.systems.system import oscillator
 
 __all__ = ["DUFFING"]
 

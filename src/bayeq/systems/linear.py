@@ -1,6 +1,6 @@
 """Linear oscillator, ``m*a + c*v + k*x = u``."""
 
-from bayeq.systems._oscillator import oscillator
+from bayeq.systems.system import oscillator
 
 __all__ = ["LINEAR"]
 

@@ -1,6 +1,6 @@
 """Oscillator with quadratic viscous damping, ``m*a + c*v + k*x + c2*v*abs(v) = u``."""
 
-from bayeq.systems._oscillator import oscillator
+from bayeq.systems.system import oscillator
 
 __all__ = ["QUADRATIC"]
 

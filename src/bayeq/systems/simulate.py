@@ -10,8 +10,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayeq.errors import InputError, UnknownNameError, require_kind, require_mapping
-from bayeq.expressions import Evaluator, Expression, FloatArray, Tape, parse
+from bayeq.arrays import Floats
+from bayeq.errors import InputError, UnknownNameError, require_kind, require_mapping, whole_number
+from bayeq.expressions import Evaluator, Expression, Tape, parse
 from bayeq.records import Record, Truth
 from bayeq.systems.system import BandLimitedForce, System
 
@@ -137,7 +138,7 @@ def _tape(system: System) -> Tape:
     return Tape.compile(_parsed(system).values(), [*system.states, *system.inputs, *system.parameters])
 
 
-def _integrate(system: System, values: Mapping[str, float], inputs: FloatArray, fs: float) -> FloatArray:
+def _integrate(system: System, values: Mapping[str, float], inputs: Floats, fs: float) -> Floats:
     """States at the samples, (n, states)."""
     from bayeq.ode.rk4 import Drive, free_runs, interpolant
 
@@ -167,7 +168,7 @@ def _diverged(system: System, where: str) -> InputError:
 
 
 def _noise_sd(
-    system: System, ratios: Mapping[str, float], clean: Mapping[str, FloatArray], states: FloatArray
+    system: System, ratios: Mapping[str, float], clean: Mapping[str, Floats], states: Floats
 ) -> dict[str, float]:
     with np.errstate(all="ignore"):
         scales = {c: float(np.std(clean[c])) for c in system.channels}
@@ -219,7 +220,7 @@ def _ratios(system: System, noise: float | Mapping[str, float] | None) -> dict[s
     return ratios
 
 
-def _own_force(system: System, force: ArrayLike, n: int | None) -> FloatArray:
+def _own_force(system: System, force: ArrayLike, n: int | None) -> Floats:
     if not system.inputs:
         raise InputError(f"system {system.name!r} has no input: it takes no force")
     samples = np.array(force, dtype=np.float64)
@@ -233,7 +234,7 @@ def _own_force(system: System, force: ArrayLike, n: int | None) -> FloatArray:
     return samples
 
 
-def _random_force(system: System, n: int, fs: float, stream: np.random.SeedSequence) -> FloatArray:
+def _random_force(system: System, n: int, fs: float, stream: np.random.SeedSequence) -> Floats:
     inputs = np.empty((n, len(system.inputs)))
     rng = np.random.default_rng(stream)
     for column in inputs.T:
@@ -244,12 +245,7 @@ def _random_force(system: System, n: int, fs: float, stream: np.random.SeedSeque
 
 
 def _count(n: int) -> int:
-    try:
-        count = operator.index(n)
-    except TypeError:
-        raise InputError(f"n must be a whole number, not {n!r}") from None
-    if count < 2:
-        raise InputError(f"n must be at least 2, not {count}")
+    count = whole_number("n", n, 2)
     if count > MAX_SAMPLES:
         raise InputError(f"n must be at most {MAX_SAMPLES} samples, not {count}; simulate several records instead")
     return count
@@ -274,16 +270,13 @@ def _positive(what: str, value: float) -> float:
     return number
 
 
-def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.random.Generator) -> FloatArray:
+def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.random.Generator) -> Floats:
     """(n,) samples of Gaussian noise with a flat spectrum inside a band, made in the frequency domain; fs in Hz.
 
     Zero mean and the given standard deviation in expectation. Periodic, unless n is so short that fewer than 20
     spectral lines lie in the band: then a piece of a longer sequence.
 
-    Raises
-    ------
-    InputError
-        If no frequency below ``fs/2`` lies in the band.
+    InputError: if no frequency below ``fs/2`` lies in the band.
     """
     lo, hi = force.band
     if not 0.0 <= lo < min(hi, fs / 2):
@@ -302,7 +295,7 @@ def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.rando
     return np.fft.irfft(spectrum, n)
 
 
-def _few_periods(std: float, lo: float, hi: float, n: int, rng: np.random.Generator) -> FloatArray:
+def _few_periods(std: float, lo: float, hi: float, n: int, rng: np.random.Generator) -> Floats:
     """A piece of band-limited noise so short that its own spectral lines are few; band in cycles per sample.
 
     The lines of a longer record, summed where needed.

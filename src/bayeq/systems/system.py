@@ -1,4 +1,4 @@
-"""``System``: a known system, as data."""
+"""``System``: a known system, as data; and what oscillators of Nayek, Worden and Cross have in common."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-__all__ = ["BandLimitedForce", "System"]
+from bayeq.citation import PAPER
+
+__all__ = ["BandLimitedForce", "System", "oscillator"]
 
 
 @dataclass(frozen=True)
@@ -103,3 +105,31 @@ class System:
             *lower, last = chain.split(":")
             targets[last if lower else f"d{last}"] = lower[-1] if lower else last
         return targets
+
+
+def oscillator(
+    name: str,
+    title: str,
+    restoring: str = "",
+    terms: Mapping[str, str] | None = None,
+    parameters: Mapping[str, float] | None = None,
+) -> System:
+    """``m*a + c*v + k*x + g(x, v) = u`` with a band-limited Gaussian force; `restoring` is g, `terms` are its own."""
+    force = "u-c*v-k*x" + (f"-{restoring}" if restoring else "")
+    return System(
+        name=name,
+        title=title,
+        chains=("x:v:a",),
+        inputs=("u",),
+        rhs={"x": "v", "v": f"({force})/m"},
+        terms={"a": {"x": "-k/m", "v": "-c/m", **(terms or {}), "u": "1/m"}},
+        parameters={"m": 1.0, "c": 2.0, "k": 1e3, **(parameters or {})},
+        fixed=("m",),
+        initial={"x": 0.0, "v": 0.0},
+        force=BandLimitedForce(std=50.0, band=(0.0, 100.0)),
+        n=4000,
+        fs=1000.0,
+        noise=0.05,
+        units={"x": "m", "v": "m/s", "a": "m/s^2", "u": "N"},
+        citation=f"{PAPER}, section 4 and Table 1",
+    )

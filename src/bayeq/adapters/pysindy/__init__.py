@@ -11,19 +11,16 @@ from typing import TYPE_CHECKING, Any
 from bayeq.errors import MissingExtraError
 
 if TYPE_CHECKING:
-    from bayeq.adapters.pysindy.derivative import KinematicDerivative
-    from bayeq.adapters.pysindy.optimizer import SpikeSlabOptimizer
+    from bayeq.adapters.pysindy.parts import KinematicDerivative, SpikeSlabOptimizer
 
 __all__ = ["KinematicDerivative", "SpikeSlabOptimizer"]
 
-_HOME = {"KinematicDerivative": "derivative", "SpikeSlabOptimizer": "optimizer"}
-
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:
         import_module("pysindy")
     except ImportError as error:
         raise MissingExtraError("PySINDy", "pysindy", name) from error
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    return getattr(import_module(f"{__name__}.parts"), name)

@@ -31,11 +31,8 @@ def terms_of(library: Any, names: Sequence[str]) -> list[str]:
     products by spaces, powers by ``^``, functions of docs/terms.md. It need not be fitted, and stays as it is. The
     names are those of its columns: states first, then inputs.
 
-    Raises
-    ------
-    InputError
-        A library that cannot be fitted to these channels, or a feature whose name is no term, or that does not have the
-        values which its name says.
+    InputError: a library that cannot be fitted to these channels, or a feature whose name is no term, or that does not
+    have the values which its name says.
 
     Examples
     --------

@@ -23,8 +23,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Complexes, Floats
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
@@ -44,9 +44,6 @@ __all__ = [
     "taper",
     "to_band",
 ]
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 # Share of a piece that is tapered at either end, and the least number of rows; this many times the inverse of the
 # band's width, since that is how far a smoother's errors at the ends reach; and not more than this share.
@@ -91,27 +88,16 @@ PILOTS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """The rows of one piece as bins of a band, from frequency zero on.
+    """The rows of one piece as bins of a band, from frequency zero on."""
 
-    Attributes
-    ----------
-    frequency : (b,) array
-        Frequencies [1/row].
-    count : (b,) array
-        Real numbers that a bin stands for: 1 at zero frequency, otherwise 2.
-    columns : (b, P + 1) complex array
-        Transforms of the columns and of the target, scaled so that white noise of variance s^2 has E|.|^2 = s^2.
-    kept : float
-        Share of the rows' information that the taper leaves.
-    """
-
-    frequency: Floats
-    count: Floats
+    frequency: Floats  # (b,), frequencies [1/row]
+    count: Floats  # (b,), real numbers that a bin stands for: 1 at zero frequency, otherwise 2
+    # (b, P + 1), transforms of columns and target, scaled so that white noise of variance s^2 has E|.|^2 = s^2
     columns: Complexes
-    kept: float
+    kept: float  # share of the rows' information that the taper leaves
 
 
-def pieces_of(Z: Floats, gaps: NDArray[np.bool_]) -> list[slice] | None:
+def pieces_of(Z: Floats, gaps: Bools) -> list[slice] | None:
     """Uninterrupted pieces of rows of a library (n, P), or None where they are no resolved time series.
 
     Gaps (n,) are rows that do not follow on the one before. None where fewer than half of the rows are in pieces of 64

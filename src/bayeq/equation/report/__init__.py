@@ -1,8 +1,7 @@
 """The report: one HTML page with the answer, its pictures and how to get it again, which loads nothing.
 
-page         the whole page
-page.html    its template
-pictures     which pictures, as images for print and live with hover values
-interactive  a matplotlib figure as a Bokeh one
-look         its style sheet
+page       the whole page
+page.html  its template
+pictures   which pictures, as images for print and live with hover values
+look       its style sheet
 """

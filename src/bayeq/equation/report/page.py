@@ -14,18 +14,17 @@ from typing import Any
 import numpy as np
 
 from bayeq.equation.answer import Answer
-from bayeq.equation.brief import DERIVED, checks, failed, in_symbols, quantity_rows, sentence, what_to_try
+from bayeq.equation.brief import DERIVED, checks, failed, in_symbols, sentence, what_to_try
 from bayeq.equation.equation import Equation
 from bayeq.equation.explain import explanation
 from bayeq.equation.oscillator import own_parameters
-from bayeq.equation.report.interactive import require_bokeh
 from bayeq.equation.report.look import STYLE
-from bayeq.equation.report.pictures import pictures
-from bayeq.equation.size_path import percent
+from bayeq.equation.report.pictures import pictures, require_bokeh
+from bayeq.equation.rows import Row, rows_of
 from bayeq.equation.text import MARK, unseen
-from bayeq.equation.written import plain_sd, round_to
+from bayeq.equation.written import round_to
 from bayeq.errors import BayeqWarning, InputError
-from bayeq.expressions.mathml import mathml, number_mathml, symbol_mathml
+from bayeq.expressions.symbolic import mathml, number_mathml, symbol_mathml
 from bayeq.figures.picture import unit_text
 from bayeq.figures.style import require_matplotlib
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
@@ -54,12 +53,8 @@ window.addEventListener("DOMContentLoaded", async () => {
 
 
 def require_report() -> None:
-    """Check that a report can be made, before anything is computed for it.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib or Bokeh is not installed.
+    """Check that a report can be made, before anything is computed for it; MissingExtraError without matplotlib or
+    Bokeh.
     """
     require_matplotlib()
     require_bokeh()
@@ -68,27 +63,13 @@ def require_report() -> None:
 def write_report(
     path: Path, eq: Answer, records: Sequence[Record], files: Sequence[Path], command: str | None = None
 ) -> None:
-    """Write the page.
+    """Write the page, which is replaced whole, or not at all.
 
-    Parameters
-    ----------
-    path : Path
-        Replaced whole, or not at all.
-    eq : Equations
-        The answer.
-    records : sequence of Record
-        Pictures are of the first; none for pictures of the equations alone.
-    files : sequence of Path
-        That the records were read from; hashes are those of the records where none are given.
-    command : str, optional
-        That gives the answer again; by default one is made of what the equations know.
+    Pictures are of the first record; without records, of the equations alone. Hashes are those of the files that the
+    records were read from, or of the records where none are given. The command gives the answer again; by default one
+    is made of what the equations know.
 
-    Raises
-    ------
-    InputError
-        A file cannot be read, or the page not be written.
-    MissingExtraError
-        matplotlib or Bokeh is not installed.
+    InputError if a file cannot be read, or the page not be written; MissingExtraError without matplotlib or Bokeh.
     """
     require_report()
     try:
@@ -145,10 +126,8 @@ def _physical(eq: Answer) -> dict[str, Any] | None:
     if found is None:
         return None
     kept = [q for q in found if q.symbol not in DERIVED]
-    rows = [
-        (symbol, *(_typeset(number) for number in numbers), unit_text(unit), q.meaning)
-        for (symbol, *numbers, unit), q in zip(quantity_rows(kept), kept, strict=True)
-    ]
+    cells = [(q.symbol, *q.cells, q.meaning) for q in kept]
+    rows = [(name, _typeset(mean), _typeset(ends), unit_text(unit), why) for name, mean, _, ends, unit, why in cells]
     law = in_symbols(eq.equations[0], found, eq.inputs) if len(eq.equations) == 1 else None
     return {"law": law, "rows": rows, "also": ", ".join(found.unexplained)}
 
@@ -160,20 +139,20 @@ def _typeset(number: str) -> str:
 def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
     """An equation as maths and text, with its terms and checks."""
     names = {name: symbol_mathml(one.chain.names[0], dots) for dots, name in enumerate(one.chain.names)}
-    rows = _rows(one)
+    rows = rows_of(one)
     return {
         "target": one.target,
         "verdict": str(one.verdict) if len({other.verdict.kind for other in eq.equations}) > 1 else "",
         "none": one.verdict.kind == "none",
         "checks": [*([checks(eq)] if one is eq.equations[0] else []), *failed(one), *unseen(one)],
-        "starred": any(row[3].endswith(MARK) for row in rows),
+        "starred": any(row.over_models for row in rows),
         "maths": _maths(one, names),
         "symbols": {
             name: names[name] for k, name in enumerate(one.chain.names) if k and name != "d" * k + one.chain.names[0]
         },
         "text": one.text,
-        "rows": rows,
-        "rest": len(one.terms) - len(rows) + len(one.shown_constants) + 1,
+        "rows": list(map(_cells, rows)),
+        "rest": len(one.terms) - sum(bool(row.score) for row in rows),
     }
 
 
@@ -199,33 +178,11 @@ def _maths(one: Equation, names: Mapping[str, str]) -> str:
     return "".join(f"<math>{piece}</math> " for piece in pieces)
 
 
-def _rows(one: Equation) -> list[tuple[str, ...]]:
-    """Terms of the equation, the likeliest others, which have no numbers, and the intercept."""
-    p, shown, ci = one.posterior, one.shown_posterior, one.printed_ci95
-    share = np.full(len(one.terms), np.nan) if one.share is None else one.share
-    rows: list[tuple[str, ...]] = []
-    for j, term in enumerate(one.terms):
-        pip = f"{p.pip[j]:.3f}"
-        if shown.support[j]:
-            numbers = _numbers(shown.coef[j], shown.sd[j], ci[j], one.printed_over_models[j])
-            part = percent(share[j]) if np.isfinite(share[j]) else ""
-            rows.append((term.text, *numbers, pip, part, unit_text(one.coef_units[j] or "")))
-        elif p.support[j] or p.pip[j] >= NOTEWORTHY_PIP:
-            rows.append((term.text, "not shown" if p.support[j] else "not included", "", "", pip, "", ""))
-    for constant in one.shown_constants:
-        numbers = _numbers(constant.value, plain_sd(constant), constant.ci95, False)
-        rows.append((f"{{{constant.name}}}", *numbers, "", "", unit_text(one.constant_units.get(constant.name, ""))))
-    estimate, sd = one.intercept_estimate
-    numbers = _numbers(estimate, sd, one.printed_intercept_ci95, one.intercept_over_models)
-    rows.append(("intercept", *numbers, "", "", unit_text(one.units.get(one.target, ""))))
-    return rows
-
-
-def _numbers(value: float, sd: float, interval: Sequence[float], over_models: bool) -> tuple[str, str, str]:
-    """A coefficient, its standard deviation and its interval as text, marked where that is over models."""
-    low, high = (round_to(end, sd) for end in interval)
-    ends = _typeset(f"{low} .. {high}") + (f" {MARK}" if over_models else "")
-    return _typeset(round_to(value, sd)), f"{sd:.2g}", ends
+def _cells(row: Row) -> tuple[str, ...]:
+    """A row of the table of terms, its interval marked where that is over models."""
+    interval = _typeset(row.interval) + f" {MARK}" * row.over_models
+    coefficient = _typeset(row.coefficient) or row.absent
+    return row.name, coefficient, row.sd, interval, row.score, row.share, unit_text(row.unit)
 
 
 def _words(eq: Answer) -> list[str]:

@@ -49,32 +49,18 @@ FORGET = 40.0
 
 @dataclass(frozen=True, slots=True)
 class ModelSet:
-    """Models with their log posteriors.
+    """Models with their log posteriors."""
 
-    Attributes
-    ----------
-    models : (K, P) bool array
-        Best first.
-    log_posterior : (K,) array
-        Up to the constant of `search.log_constant`.
-    left_out : float
-        Share of the posterior mass outside the set: 0 if all models were enumerated, otherwise an estimate that
-        errs upwards.
-    expanded : int
-        Models all of whose neighbours were looked at.
-    contradicted : tuple of int
-        Terms whose known signs the data contradict.
-    inclusion : (P,) array, optional
-        Of a search: the probability of each term given the others, averaged over the models whose neighbours were
-        looked at (Rao and Blackwell's estimate). Of terms that hardly depend on each other it needs few models
-        where the listing needs all of their combinations.
-    """
-
-    models: Bools
-    log_posterior: Floats
+    models: Bools  # (K, P), best first
+    log_posterior: Floats  # (K,), up to the constant of `search.log_constant`
+    # share of the posterior mass outside the set: 0 if all models were enumerated, otherwise an estimate that errs
+    # upwards
     left_out: float
-    expanded: int
-    contradicted: tuple[int, ...] = ()
+    expanded: int  # models all of whose neighbours were looked at
+    contradicted: tuple[int, ...] = ()  # terms whose known signs the data contradict
+    # (P,), of a search: the probability of each term given the others, averaged over the models whose neighbours were
+    # looked at (Rao and Blackwell's estimate). Of terms that hardly depend on each other it needs few models where
+    # the listing needs all of their combinations.
     inclusion: Floats | None = None
 
     @property
@@ -306,27 +292,12 @@ def _search(
     return models[:count], scores[:count], left / (total + left), expanded, inclusion / max(looked_at, 1e-300)
 
 
-def search_models(
-    problem: Problem, starts: list[tuple[float, Bools]] | None = None, tolerance: float = 5e-3
-) -> ModelSet:
-    """Models that hold nearly all of the posterior mass.
+def search_models(problem: Problem, tolerance: float = 5e-3) -> ModelSet:
+    """Models that hold all but a share `tolerance` of the posterior mass, from the local optima of `best_models` on.
 
-    Parameters
-    ----------
-    problem : Problem
-        What to search.
-    starts : list of (score, model), optional
-        Where to begin; by default the local optima that `search.best_models` finds.
-    tolerance : float
-        Share of the mass that may be left out.
-
-    Returns
-    -------
-    ModelSet
-        The search also ends when the room for models or the number of moves is used up: `left_out` then tells.
+    The search also ends when the room for models or the number of moves is used up: `left_out` then tells.
     """
-    found = best_models(problem) if starts is None else starts
-    terms = len(problem.Dty)
+    found, terms = best_models(problem), len(problem.Dty)
     most = int(min(MOST_MODELS, max(1000, MOST_BYTES // max(terms, 1))))
     zobrist = np.random.default_rng(0x5EED).integers(1, 2**63, size=terms, dtype=np.uint64)
     starting = np.array([model for _, model in found], dtype=np.bool_)

@@ -7,12 +7,11 @@ gains, and where the gain stops.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Iterable
 
 import numpy as np
 
-from bayeq.errors import InputError
+from bayeq.errors import InputError, whole_number
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.listing import model_scores
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
@@ -50,21 +49,13 @@ WINDOW = 40.0
 def path_sizes(problem: Problem, most: int | None = None) -> range:
     """Sizes that a path goes through: from the number of forced terms to `most`.
 
-    Raises
-    ------
-    InputError
-        `most` is no whole number, negative, or less than the number of forced terms.
+    InputError: `most` is no whole number, negative, or less than the number of forced terms.
     """
     forced = int(np.sum(problem.log_odds == math.inf))
     allowed = min(int(np.sum(problem.log_odds > -math.inf)), MOST_ACTIVE)
     if most is None:
         most = max(DEFAULT_MOST, forced)
-    try:
-        most = operator.index(most)
-    except TypeError:
-        raise InputError(f"the largest number of terms must be a whole number, got {most!r}") from None
-    if most < 0:
-        raise InputError(f"the largest number of terms must not be negative, got {most}")
+    most = whole_number("the largest number of terms", most, 0)
     if most < forced:
         raise InputError(f"at most {most} terms are asked for, but {forced} are forced in by a prior inclusion of 1")
     return range(forced, min(most, allowed) + 1)
@@ -73,32 +64,16 @@ def path_sizes(problem: Problem, most: int | None = None) -> range:
 def best_of_each_size(
     problem: Problem, most: int | None = None, starts: Iterable[Bools] = (), signs: Ints | None = None
 ) -> list[tuple[Bools, float]]:
-    """The model with the highest log posterior (34) among those of each size.
+    """The model with the highest log posterior (34) among those of each size, from the smallest on, with ln p(y, z).
 
     Up to 14 free terms all models are evaluated. With more, the best few models of each size are improved by each
     other: their neighbours by a term more, a term less or a swap, until none of these is better (a forward and backward
-    selection with exchanges, Pudil, Novovicova and Kittler 1994, on the exact posterior).
+    selection with exchanges, Pudil, Novovicova and Kittler 1994, on the exact posterior). The search starts from
+    `starts`, (P,) each, too.
 
-    Parameters
-    ----------
-    problem : Problem
-        What to search.
-    most : int, optional
-        Largest size; by default 12, or as many terms as there are.
-    starts : iterable of (P,) bool arrays
-        Models from which the search also starts.
-    signs : (P,) int array, optional
-        Known signs of coefficients, 0 for unknown. All models are then searched, however few terms there are.
-
-    Returns
-    -------
-    list of ((P,) bool array, float)
-        Models from the smallest, that of the forced terms alone, to the largest, each with ln p(y, z).
-
-    Raises
-    ------
-    InputError
-        `most` is less than the number of forced terms.
+    The smallest model is that of the forced terms alone, the largest has 12 terms by default, or as many as there are.
+    Where signs (P,) are known, 0 for unknown, all models are searched, however few terms there are. InputError: `most`
+    is less than the number of forced terms.
     """
     sizes = path_sizes(problem, most)
     if signs is None and int(np.isfinite(problem.log_odds).sum()) <= ENUMERATE:

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.gram.gram import GramLike, dense
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
@@ -25,10 +25,6 @@ __all__ = [
     "gram_row",
 ]
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
-
 NOTHING = np.empty((0, 0))
 
 # Rows of D'D computed one by one, which is bound by memory, take about as long as this many times as many in blocks of
@@ -36,34 +32,19 @@ NOTHING = np.empty((0, 0))
 WHOLE_AFTER = 20
 BLOCK = 256
 
-
 # Share of y'y below which a residual sum of squares is rounding of the Gram: without noise, terms would otherwise be
 # added that fit it. It stands for a noise of 1e-6 of the signal.
 ROUNDING = 1e-12
 
 
 class Columns(NamedTuple):
-    """D'D as kernels take it: all of it, or its rows as they are asked for.
+    """D'D as kernels take it: all of it, or its rows as they are asked for."""
 
-    Attributes
-    ----------
-    diagonal : (P,) array
-        Sums of squares of the columns.
-    rows : (P, P) array
-        Rows of D'D; those not computed yet are memory never touched.
-    slot : (P,) int array
-        Where the row of each term is, -1 if it is not there yet.
-    used : (1,) int array
-        Number of rows that are there.
-    data : (n, P) array
-        The centred D, from which missing rows follow; empty if none is missing.
-    """
-
-    diagonal: Floats
-    rows: Floats
-    slot: Ints
-    used: Ints
-    data: Floats
+    diagonal: Floats  # (P,), sums of squares of the columns
+    rows: Floats  # (P, P), rows of D'D; those not computed yet are memory never touched
+    slot: Ints  # (P,), where the row of each term is, -1 if it is not there yet
+    used: Ints  # (1,), number of rows that are there
+    data: Floats  # (n, P), the centred D, from which missing rows follow; empty if none is missing
 
 
 @kernel
@@ -135,50 +116,28 @@ def gram_columns(gram: GramLike) -> Columns:
 
 
 class Problem(NamedTuple):
-    """A sparse regression with its prior; made by `of`, taken whole by kernels.
+    """A sparse regression with its prior; made by `of`, taken whole by kernels."""
 
-    Attributes
-    ----------
-    columns, Dty, yty, dof
-        Statistics of the (standardised) Gram.
-    log_odds : (P,) array
-        logit(p_0); +inf forces a term in, -inf keeps it out.
-    size_prior : (P+1,) array
-        What the number of terms in the model adds to its log prior: 0, or by a beta-binomial prior.
-    inclusion_beta : (2,) array
-        a and b of p_0 ~ Beta(a, b); empty where p_0 is given.
-    slab_variance, noise_shape, noise_rate : float
-        v_s, a_sigma, b_sigma.
-    half_log_slab : float
-        1/2 ln v_s, the price of a term.
-    h : float
-        a_sigma + N/2.
-    floor : float
-        Least value of s = 2 b_sigma + RSS that the rounding of y'y lets us tell from zero.
-    """
-
+    # statistics of the (standardised) Gram
     columns: Columns
     Dty: Floats
     yty: float
     dof: float
-    log_odds: Floats
-    size_prior: Floats
-    inclusion_beta: Floats
-    slab_variance: float
-    noise_shape: float
-    noise_rate: float
-    half_log_slab: float
-    h: float
-    floor: float
+    log_odds: Floats  # (P,), logit(p_0); +inf forces a term in, -inf keeps it out
+    size_prior: Floats  # (P+1,), what the number of terms adds to the log prior: 0, or by a beta-binomial prior
+    inclusion_beta: Floats  # (2,), a and b of p_0 ~ Beta(a, b); empty where p_0 is given
+    slab_variance: float  # v_s
+    noise_shape: float  # a_sigma
+    noise_rate: float  # b_sigma
+    half_log_slab: float  # 1/2 ln v_s, the price of a term
+    h: float  # a_sigma + N/2
+    floor: float  # least value of s = 2 b_sigma + RSS that the rounding of y'y lets us tell from zero
 
     @classmethod
     def of(cls, gram: GramLike, prior: Prior) -> Problem:
         """The problem that a Gram and a prior pose.
 
-        Raises
-        ------
-        InputError
-            Prior parameters out of range.
+        InputError: prior parameters out of range.
         """
         terms = len(gram.names)
         prior.validate(terms)

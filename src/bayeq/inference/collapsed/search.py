@@ -104,24 +104,12 @@ def log_evidence(problem: Problem, active: Bools) -> float:
     return float(scores_of(problem, active[None, :])[0]) + log_constant(problem)
 
 
-def best_models(problem: Problem, starts: list[Bools] | None = None) -> list[tuple[float, Bools]]:
-    """Distinct local optima of ln p(y, z) under flips and swaps, best first.
+def best_models(problem: Problem) -> list[tuple[float, Bools]]:
+    """Distinct local optima of ln p(y, z) under flips and swaps from `default_starts`, best first.
 
-    Parameters
-    ----------
-    problem : Problem
-        What to search.
-    starts : list of (P,) bool arrays, optional
-        Where to climb from; by default `default_starts`.
-
-    Returns
-    -------
-    list of (score, (P,) bool array)
-        The score is ln p(y, z) up to `log_constant`.
+    Each with its score, which is ln p(y, z) up to `log_constant`.
     """
-    if starts is None:
-        starts = default_starts(problem)
-    models = np.array(starts, dtype=np.bool_)
+    models = np.array(default_starts(problem), dtype=np.bool_)
     return _ranked(explore(problem, models, SWAP, -math.inf)[0], models)
 
 
@@ -210,15 +198,13 @@ def default_starts(problem: Problem) -> list[Bools]:
     return starts
 
 
-def candidate_models(
-    problem: Problem, starts: list[Bools] | None = None, window: float = 2.0, limit: int = 6
-) -> list[Bools]:
-    """The best models found and those one move away, within `window` nats of the best and at most `limit`.
+def candidate_models(problem: Problem, starts: list[Bools], window: float = 2.0, limit: int = 6) -> list[Bools]:
+    """The best models found from some and those one move away, within `window` nats of the best and at most `limit`.
 
     Mean-field indicators let VB gain a fraction of a nat on a model with undecided terms, so that its optimum
     may belong to a model slightly below the best one.
     """
-    climbed = np.array(default_starts(problem) if starts is None else starts, dtype=np.bool_)
+    climbed = np.array(starts, dtype=np.bool_)
     scores, moves = explore(problem, climbed, SWAP, window)
     found = _ranked(scores, climbed)
     top, best = found[0]

@@ -53,20 +53,12 @@ def _best_slab(p: Problem, active: Bools, lowest: float) -> tuple[float, float]:
 
 
 def learn_slab_variance(gram: GramLike, prior: Prior, floor: float = 10.0) -> float:
-    """v_s that maximises the evidence of the best model, not below `floor`.
+    """v_s that maximises the evidence of the best model of a standardised Gram, not below `floor`, the paper's 10.
 
-    With the noise small against the signal, v_s = 10 lets coefficients of standardised columns, which are of
-    the size of the signal-to-noise ratio, be shrunk and split among correlated terms. Model and v_s are
-    maximised in turn, from the floor and from the signal-to-noise ratio y'y/RSS of all terms together.
-
-    Parameters
-    ----------
-    gram : GramLike
-        Sufficient statistics, standardised.
-    prior : Prior
-        Everything but its slab variance is used.
-    floor : float
-        Least value; the paper's 10.
+    With the noise small against the signal, v_s = 10 lets coefficients of standardised columns, which are of the size
+    of the signal-to-noise ratio, be shrunk and split among correlated terms. Model and v_s are maximised in turn, from
+    the floor and from the signal-to-noise ratio y'y/RSS of all terms together. All of the prior but its slab variance
+    is used.
     """
     problem = Problem.of(gram, prior)
     lowest = math.log(floor)

@@ -65,28 +65,14 @@ MOST_ACTIVE = 2048
 
 
 class Tableau(NamedTuple):
-    """M swept on r active terms; changed in place by `enter`, `leave` and `flip`.
+    """M swept on r active terms; changed in place by `enter`, `leave` and `flip`."""
 
-    Attributes
-    ----------
-    rows : (R, P+1) array
-        The first r rows are M_i. of the active terms i; the last column is that of y.
-    row, term : (P,), (R,) int arrays
-        Row of each term (-1 for an inactive one) and term of each of the first r rows.
-    size : (1,) int array
-        r.
-    diagonal : (P+1,) array
-        M_jj of all terms, and s at the end.
-    partial : (P,) array
-        M_jy of all terms.
-    """
-
-    rows: Floats
-    row: Ints
-    term: Ints
-    size: Ints
-    diagonal: Floats
-    partial: Floats
+    rows: Floats  # (R, P+1), the first r rows are M_i. of the active terms i; the last column is that of y
+    row: Ints  # (P,), row of each term, -1 for an inactive one
+    term: Ints  # (R,), term of each of the first r rows
+    size: Ints  # (1,), r
+    diagonal: Floats  # (P+1,), M_jj of all terms, and s at the end
+    partial: Floats  # (P,), M_jy of all terms
 
 
 @kernel

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv, log_ndtr, ndtri_exp, stdtr
 
-__all__ = ["NEGLIGIBLE", "Orthants", "carried", "truncated"]
+from bayeq.arrays import Floats, Ints
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+__all__ = ["NEGLIGIBLE", "Orthants", "carried", "truncated"]
 
 # Points of the quadrature: PIPs are off by less than 1e-4, standard deviations by some 1e-4 of themselves.
 POINTS = 256
@@ -76,17 +75,8 @@ def _distance(m: Floats, V: Floats) -> Floats:
 class Orthants:
     """The orthants theta > 0 of B problems of k coefficients each: points with their weights.
 
-    Parameters
-    ----------
-    m, V, s : (B, k), (B, k, k), (B,) arrays
-        theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2).
-    h : float
-        The same for all.
-
-    Attributes
-    ----------
-    log_probability : (B,) array
-        ln P(theta > 0).
+    theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2), with m (B, k), V (B, k, k), s (B,), and the same
+    h for all. `log_probability` (B,) is ln P(theta > 0).
     """
 
     def __init__(self, m: Floats, V: Floats, s: Floats, h: float) -> None:
@@ -141,16 +131,9 @@ class Orthants:
 
 
 def truncated(m: Floats, V: Floats, signs: Ints, s: float, h: float) -> tuple[Floats, Floats]:
-    """Mean (r,) and covariance (r, r) of coefficients with known signs.
+    """Mean (r,) and covariance (r, r) of coefficients with known signs (r,), 0 for unknown.
 
-    Parameters
-    ----------
-    m, V : (r,), (r, r) arrays
-        theta | sigma^2 ~ N(m, sigma^2 V) if no sign is known.
-    signs : (r,) int array
-        0 for unknown.
-    s, h : float
-        sigma^2 ~ inverse-Gamma(h, s/2).
+    If no sign is known theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2).
 
     Examples
     --------
@@ -176,20 +159,10 @@ def truncated(m: Floats, V: Floats, signs: Ints, s: float, h: float) -> tuple[Fl
 def carried(
     m: Floats, V: Floats, among: NDArray[np.intp], mean: Floats, covariance: Floats, variance: float
 ) -> tuple[Floats, Floats]:
-    """Moments of all r coefficients from those of the truncated ones.
+    """Moments of all r coefficients from those of the k truncated ones, at the places `among`.
 
-    Given these and sigma^2 the others are Gaussian as ever, with means linear in these.
-
-    Parameters
-    ----------
-    m, V : (r,), (r, r) arrays
-        theta | sigma^2 ~ N(m, sigma^2 V) without truncation.
-    among : (k,) int array
-        The truncated ones.
-    mean, covariance : (k,), (k, k) arrays
-        Of these.
-    variance : float
-        Mean of sigma^2.
+    Without truncation theta | sigma^2 ~ N(m, sigma^2 V). Given the truncated ones, of mean (k,) and covariance (k, k),
+    and sigma^2, of mean `variance`, the others are Gaussian as ever, with means linear in these.
     """
     slope = V[:, among] @ np.linalg.pinv(V[np.ix_(among, among)], hermitian=True)
     slope[among] = np.eye(len(among))

@@ -1,4 +1,4 @@
-"""`SpikeSlabOptimizer`: bayeq's inference as an optimizer of PySINDy."""
+"""Parts of a model of PySINDy: bayeq's inference as its optimizer, and its smoother as its differentiation."""
 
 from __future__ import annotations
 
@@ -7,21 +7,24 @@ from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from pysindy.differentiation.base import BaseDifferentiation
 from pysindy.optimizers import BaseOptimizer
 
 from bayeq.adapters.pysindy.series import LEAST_FLOOR, pieces_of, row_gram, series_grams, systematic_floor
-from bayeq.errors import DataWarning, InputError, UnknownNameError
+from bayeq.arrays import Bools, Floats
+from bayeq.errors import DataWarning, InputError, RecordError, UnknownNameError
 from bayeq.gram import Gram
 from bayeq.gram.gram import checked_weights
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
+from bayeq.states.kinematic.fit import fit_kinematic
+from bayeq.states.kinematic.model import ChainSeries
+from bayeq.states.kinematic.smoother import smooth_kinematic
 
-__all__ = ["SpikeSlabOptimizer"]
-
-Floats = NDArray[np.float64]
+__all__ = ["KinematicDerivative", "SpikeSlabOptimizer"]
 
 # Engines with the spike-and-slab prior.
 METHODS = [name for name, engine in ENGINES.items() if engine.spike_slab]
@@ -170,7 +173,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         self.intercept_ = 0.0
         return self
 
-    def _reduce(self, x: Floats, y: Floats, weights: Floats | None, gaps: NDArray[np.bool_]) -> None:
+    def _reduce(self, x: Floats, y: Floats, weights: Floats | None, gaps: Bools) -> None:
         """Set `posteriors_` and what follows from them."""
         size, target_size = _sizes(x), _sizes(y)
         Z, T = x / size, y / target_size
@@ -208,13 +211,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
 
     def _inclusion(self, Z: Floats) -> Floats:
         """p_0 of each column, 0 of a column that is another one times a number."""
-        given = np.asarray(self.prior_inclusion, dtype=np.float64)
-        if given.shape not in ((), (Z.shape[1],)):
-            raise InputError(
-                f"prior_inclusion must be a probability, or one of each of the {Z.shape[1]} columns, got shape"
-                f" {given.shape}"
-            )
-        inclusion = np.broadcast_to(given, Z.shape[1]).copy()
+        inclusion = _of_each("prior_inclusion", self.prior_inclusion, Z.shape[1], "columns", "a probability").copy()
         order = np.argsort(-inclusion, kind="stable")
         # columns have unit size: the correlation of two that differ by rounding is 1 less half the square of that
         alike = np.abs(Z.T @ Z)[np.ix_(order, order)] / len(Z) > 1.0 - LEAST_FLOOR**2
@@ -257,13 +254,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
     def _floors(self, targets: int) -> Floats:
         if self.noise_floor is None:
             return np.zeros(targets)
-        floors = np.asarray(self.noise_floor, dtype=np.float64)
-        if floors.shape not in ((), (targets,)) or not (np.isfinite(floors) & (floors >= 0)).all():
-            raise InputError(
-                f"noise_floor must be a standard deviation, or one of each of the {targets} targets, 0 or more and"
-                f" finite, got {self.noise_floor!r}"
-            )
-        return np.broadcast_to(floors, (targets,))
+        return _of_each("noise_floor", self.noise_floor, targets, "targets", "a standard deviation, 0 or more")
 
     def _check_parameters(self) -> None:
         if self.unbias:
@@ -273,6 +264,14 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
             )
         if self.method not in METHODS:
             raise UnknownNameError("method", self.method, METHODS)
+
+
+def _of_each(name: str, given: ArrayLike, count: int, of: str, what: str) -> Floats:
+    """A number for each, or one for all."""
+    values = np.asarray(given, dtype=np.float64)
+    if values.shape not in ((), (count,)) or not (np.isfinite(values) & (values >= 0)).all():
+        raise InputError(f"{name} must be {what} and finite, or one of each of the {count} {of}, got {given!r}")
+    return np.broadcast_to(values, count)
 
 
 def _arrays(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
@@ -312,3 +311,85 @@ def _in_original_units(gram: Gram, size: Floats, target_size: float) -> Gram:
         Dty=gram.Dty * size * target_size,
         yty=gram.yty * target_size**2,
     )
+
+
+class KinematicDerivative(BaseDifferentiation):  # type: ignore[misc]
+    """Derivative of noisy samples by the kinematic smoother, for ``pysindy.SINDy(differentiation_method=...)``.
+
+    Each coordinate is an integrated Wiener process measured with white noise; the noise level, the roughness and the
+    order are found from the samples by maximum likelihood and left-out samples (`bayeq.states.kinematic`). PySINDy then
+    evaluates its library on the smoothed coordinates, `smoothed_x_`. Steps of time may be uneven, and NaN is a missing
+    sample: `SINDy.fit` refuses it, but takes ``smoothed_x_``, and the derivative as ``x_dot``. The derivative of a
+    coordinate that does not change is 0.
+
+    Parameters
+    ----------
+    noise_sd : float or (K,) array, optional
+        Standard deviation of the noise of each coordinate, in its unit, where it is known.
+
+    Attributes
+    ----------
+    smoothed_x_ : (n, K) array
+        Smoothed coordinates of the samples that were differentiated last.
+    noise_sd_ : (K,) array
+        Noise of each coordinate, found or given.
+
+    Examples
+    --------
+    >>> t = np.arange(500) / 50
+    >>> x = np.sin(t)[:, None] + 0.01 * np.random.default_rng(0).normal(size=(500, 1))
+    >>> bool(np.std(KinematicDerivative()(x, t)[:, 0] - np.cos(t)) < 0.02)
+    True
+    """
+
+    def __init__(self, noise_sd: ArrayLike | None = None) -> None:
+        self.noise_sd = noise_sd
+
+    def _differentiate(self, x: Any, t: ArrayLike = 1) -> Any:
+        """Derivatives of samples (n,) or (n, K), in the shape of `x`; `t` is the step of time or the times (n,) [s].
+
+        Raises
+        ------
+        InputError
+            Samples of more than two dimensions, times that do not increase, or a noise level that is not positive.
+        RecordError
+            Samples from which noise cannot be told from motion, as there are too few.
+        """
+        samples = np.asarray(x, dtype=np.float64)
+        if samples.ndim not in (1, 2):
+            raise InputError(
+                f"KinematicDerivative takes samples of shape (n,) or (n, K), got {samples.shape}; differentiate fields"
+                " of a partial differential equation by another method, or use its weak form"
+            )
+        columns = samples[:, None] if samples.ndim == 1 else samples
+        step = np.asarray(t, dtype=np.float64)
+        times = np.arange(len(columns)) * step if step.ndim == 0 else step
+        smoothed, rates = np.empty_like(columns), np.empty_like(columns)
+        levels = self._levels(columns.shape[1])
+        found = np.empty(columns.shape[1])
+        for k, values in enumerate(columns.T):
+            known = values[np.isfinite(values)]
+            if len(known) and (known == known[0]).all():
+                smoothed[:, k], rates[:, k], found[k] = known[0], 0.0, 0.0
+                continue
+            series = ChainSeries(times, (values, None))
+            try:
+                model = fit_kinematic([series], noise_sd=None if levels is None else (float(levels[k]), None))
+            except InputError as error:
+                raise RecordError(f"coordinate {k} cannot be differentiated: {error}") from error
+            mean = smooth_kinematic(series, model).mean
+            smoothed[:, k], rates[:, k] = mean[:, 0], mean[:, 1]
+            found[k] = model.noise_sd[0]
+        self.noise_sd_ = found
+        # of the type that was given: PySINDy's arrays know their axes
+        self.smoothed_x_, out = np.array(x, dtype=np.float64, subok=True), np.array(x, dtype=np.float64, subok=True)
+        self.smoothed_x_[...], out[...] = smoothed.reshape(samples.shape), rates.reshape(samples.shape)
+        return out
+
+    def _levels(self, coordinates: int) -> Floats | None:
+        if self.noise_sd is None:
+            return None
+        levels = _of_each("noise_sd", self.noise_sd, coordinates, "coordinates", "a positive number")
+        if not levels.all():
+            raise InputError(f"noise_sd must be positive, got {self.noise_sd!r}")
+        return levels
