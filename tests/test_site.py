@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import re
 import subprocess
@@ -148,6 +149,19 @@ def test_every_public_name_has_one_entry(pages):
     modules = [path for path in ADAPTERS.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()]
     names |= {f"module-bayeq.adapters.{path.stem}" for path in modules if path.stem != "__init__"}
     assert {name: entries[name] for name in names} == dict.fromkeys(names, 1)
+
+
+def test_the_table_of_the_front_page_is_what_was_measured():
+    """Its rows are the likelihood's, against both of PySINDy's pipelines."""
+    with (DOCS / "tables" / "states_only.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    ours, weak, differences = (
+        [f"{row['exact']} of {row['records']}" for row in rows if row["method"] == method]
+        for method in ("auto", "pysindy weak", "pysindy differences")
+    )
+    shown = re.findall(r"^\|.+%((?: \| \d+ of \d+){3}) \|$", (DOCS / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
+    expected = [" | " + " | ".join(counts) for counts in zip(ours, weak, differences, strict=True)]
+    assert shown == expected
 
 
 def test_formulas_are_drawn_by_the_browser(site, pages):
