@@ -107,12 +107,10 @@ bench: $(VENV)/.dev
 study: $(VENV)/.dev
 	$(BIN)/bayeq study table2 --realisations 1000 --store study.db \
 		--algorithms sindy,rvm,gibbs,vb,bma,vb-rvm,vb-greedy,sindy-std
-	$(BIN)/bayeq study show study.db --format markdown > docs/tables/table2.md
 	$(BIN)/bayeq study show study.db --format csv > docs/tables/table2.csv
 	$(BIN)/bayeq study show study.db --table 3 --format markdown > docs/tables/table3.md
 	$(BIN)/python -m studies.ablation --realisations 500 > docs/tables/ablation.csv
 	$(BIN)/bayeq study table2 --realisations 1000 --smooth band --store study_smoothed.db --algorithms vb,bma,vb-greedy
-	$(BIN)/bayeq study show study_smoothed.db --format markdown > docs/tables/table2_smoothed.md
 	$(BIN)/bayeq study show study_smoothed.db --format csv > docs/tables/table2_smoothed.csv
 	$(BIN)/python -m studies.channels --records 5 > docs/tables/channels.csv
 	$(BIN)/python -m studies.discrepancy > docs/tables/discrepancy.csv
