@@ -13,9 +13,10 @@ from tests.layers import SOURCE, circles, files, floors, imported, modules, room
 # From the ground up: a room imports from lines above its own, which here means from floors below.
 ORDER = [
     "citation errors kernels markup",
-    "expressions gram numerics records resumable",
-    "dictionary inference ode states",
-    "adapters figures inspection likelihood systems",
+    "expressions gram numerics plugins resumable",
+    "inference ode records",
+    "dictionary states systems",
+    "adapters figures inspection likelihood",
     "forecast regression",
     "export plan refine selection streaming",
     "equation study",

@@ -159,7 +159,9 @@ def test_the_table_of_the_front_page_is_what_was_measured():
         [f"{row['exact']} of {row['records']}" for row in rows if row["method"] == method]
         for method in ("auto", "pysindy weak", "pysindy differences")
     )
-    shown = re.findall(r"^\|.+%((?: \| \d+ of \d+){3}) \|$", (DOCS / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
+    shown = re.findall(
+        r"^\|.+%((?: \| \d+ of \d+){3}) \|$", (DOCS / "index.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
     expected = [" | " + " | ".join(counts) for counts in zip(ours, weak, differences, strict=True)]
     assert shown == expected
 

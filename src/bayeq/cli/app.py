@@ -91,11 +91,11 @@ def systems(as_json: bool) -> None:
                 "terms": {target: dict(terms) for target, terms in s.terms.items()},
                 "citation": s.citation,
             }
-            for s in SYSTEMS.values()
+            for s in SYSTEMS.load().values()
         ]
         click.echo(json.dumps({"systems": rows}))
         return
-    for s in SYSTEMS.values():
+    for s in SYSTEMS.load().values():
         click.echo(f"{s.name}: {s.title}")
         for target, terms in s.terms.items():
             right = " + ".join(f"({coefficient})*{term}" for term, coefficient in terms.items())
