@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
-import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-__all__ = [
-    "KILLED",
-    "address_space",
-    "alarm",
-    "has_ended",
-    "interrupts_later",
-    "of_this_user",
-    "on_alarm",
-    "reuse_address",
-    "signal_group",
-]
+if TYPE_CHECKING:  # which take time to load
+    import socket
+    from asyncio.subprocess import Process
 
 POSIX = os.name == "posix"
 
-#: The signal of a process that is ended at once.
-KILLED = signal.SIGKILL if POSIX else signal.SIGTERM
+#: The signal that ends a process at once.
+KILL = signal.SIGKILL if POSIX else signal.SIGTERM
 
 
 def address_space() -> int | None:
@@ -37,3 +28,80 @@ def address_space() -> int | None:
 
     soft, _ = resource.getrlimit(resource.RLIMIT_AS)
     return None if soft == resource.RLIM_INFINITY else soft // 2**20
+
+
+def has_ended(process: int) -> bool:
+    """Whether no process of this machine has this number; False where that cannot be asked, for `os.kill` would end it.
+
+    Raises
+    ------
+    OverflowError
+        No process can have this number.
+    """
+    try:
+        if POSIX:
+            os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except PermissionError:  # of another user
+        return False
+    return False
+
+
+def is_of_this_user(path: Path) -> bool:
+    """Whether a file belongs to this user; False where files have no such owner."""
+    return POSIX and path.lstat().st_uid == os.getuid()
+
+
+def signal_group(process: Process, number: signal.Signals) -> None:
+    """Send a signal to a process that leads a group, and to all of the group; elsewhere end the process."""
+    if POSIX:
+        os.killpg(process.pid, number)
+    else:
+        process.terminate()
+
+
+def on_hangup(handler: Callable[..., Any]) -> None:
+    """Call this when the terminal is closed."""
+    if POSIX:
+        signal.signal(signal.SIGHUP, handler)
+
+
+def on_alarm(handler: Callable[..., Any]) -> None:
+    """Call this when the time of `alarm` has come."""
+    if POSIX:
+        signal.signal(signal.SIGALRM, handler)
+
+
+def alarm(seconds: float) -> bool:
+    """Set the alarm, or with 0 switch it off; returns whether there is one."""
+    if POSIX:
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+    return POSIX
+
+
+def reuse_address(made: socket.socket) -> None:
+    """Let a socket have a port that has just been left; elsewhere this would let two have it."""
+    if POSIX:
+        from socket import SO_REUSEADDR, SOL_SOCKET
+
+        made.setsockopt(SOL_SOCKET, SO_REUSEADDR, 1)
+
+
+@contextmanager
+def interrupts_later() -> Iterator[None]:
+    """Interrupts wait until the end, and processes that are started meanwhile get none."""
+    if POSIX:
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        return
+    main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
+    try:
+        yield
+    finally:
+        if main:
+            signal.signal(signal.SIGINT, handler)

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from bayeq.posix import KILL, signal_group
+
 __all__ = ["Child", "Outcome"]
 
 # Longest line that is read [bytes].
@@ -88,17 +90,14 @@ class Child:
     def kill(self) -> None:
         """End it at once, with all that it started."""
         self.stopped = True
-        self._signal(signal.SIGKILL if os.name == "posix" else signal.SIGTERM)
+        self._signal(KILL)
 
     def _signal(self, number: signal.Signals) -> None:
         process = self._process
         if process is None or process.returncode is not None:
             return
         try:
-            if os.name == "posix":
-                os.killpg(process.pid, number)  # it leads a group of its own
-            else:
-                process.terminate()
+            signal_group(process, number)
         except ProcessLookupError:
             return  # it has just ended
 
@@ -108,7 +107,7 @@ def _reason(lines: Sequence[str], code: int) -> str:
     for line in reversed(lines):
         if line.startswith(_ERROR):
             return line.removeprefix(_ERROR)
-    if code == -getattr(signal, "SIGKILL", 9):
+    if code == -KILL:
         return "the system ended the command, perhaps for want of memory: use fewer rows or fewer terms"
     last = f": {lines[-1][:300]}" if lines else ""
     return f"the command ended with code {code}{last}; run the command below in a terminal to see more"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import secrets
 import signal
 import socket
@@ -16,6 +15,7 @@ from typing import Any
 from bayeq.app.guard import Guard
 from bayeq.app.session import Session, Workspace
 from bayeq.errors import InputError, MissingExtraError
+from bayeq.posix import on_hangup, reuse_address
 
 __all__ = ["HOST", "serve"]
 
@@ -46,8 +46,7 @@ def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None
     token = secrets.token_urlsafe(24)
     session = Session(Workspace())
     tempfile.tempdir = str(session.workspace.path)  # also of what the framework stores of a file that arrives
-    if hasattr(signal, "SIGHUP"):  # a terminal that is closed ends it as any other end does
-        signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
+    on_hangup(lambda *_: signal.raise_signal(signal.SIGTERM))  # a closed terminal ends it as any other end does
     address = f"http://{host}/?token={token}"
     try:
         _run(session, file, host, token, listening, lambda: _announce(address, browser, say))
@@ -105,8 +104,7 @@ def _run(
 def _listening(port: int) -> socket.socket:
     """A socket on this computer's own address."""
     made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    if os.name == "posix":  # a port that has just been left can be used again
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    reuse_address(made)
     try:
         made.bind((HOST, port))
     except (OSError, OverflowError) as error:

@@ -16,6 +16,7 @@ from typing import Any
 from bayeq.app.child import Child, Outcome
 from bayeq.app.choices import EQUATION, REPORT, Choices, discover_command
 from bayeq.errors import InputError
+from bayeq.posix import has_ended, is_of_this_user
 
 __all__ = ["LOOKING", "READING", "Opened", "Result", "Session", "Workspace", "safe_name"]
 
@@ -101,18 +102,16 @@ class Workspace:
 
 def _remove_abandoned() -> None:
     """Remove folders of this user whose process was killed, and could not."""
-    if os.name != "posix":  # where os.kill does not ask
-        return
     for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
         pid = folder.name.removeprefix(_PREFIX).partition("-")[0]
         try:
-            if not pid.isdecimal() or folder.lstat().st_uid != os.getuid():
+            if not pid.isdecimal() or not is_of_this_user(folder) or not has_ended(int(pid)):
                 continue
-            os.kill(int(pid), 0)
-        except (ProcessLookupError, OverflowError):
-            shutil.rmtree(folder, ignore_errors=True)
-        except OSError:  # somebody else's process, or the folder has just gone
+        except OverflowError:  # no number of a process
+            pass
+        except OSError:  # the folder has just gone
             continue
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 class Session:

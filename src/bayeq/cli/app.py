@@ -20,12 +20,13 @@ from click.shell_completion import get_completion_class, shell_complete
 from bayeq.cli.batch import batch
 from bayeq.cli.benchmark import benchmark
 from bayeq.cli.discover import discover
-from bayeq.cli.environment import INTERRUPTED, address_space, no_memory, prepare_streams, say
+from bayeq.cli.environment import INTERRUPTED, no_memory, prepare_streams, say
 from bayeq.cli.info import info
 from bayeq.cli.options import FILE, Command, option
 from bayeq.cli.saved import plan, predict, show
 from bayeq.cli.study import study
 from bayeq.errors import FULL, BayeqError, BayeqWarning, InputError, InterruptedRun, MissingExtraError
+from bayeq.posix import address_space
 
 __all__ = ["app", "main"]
 
