@@ -80,9 +80,9 @@ FAULTY = {
         "bayeq_bad:MISSING",
         "AttributeError: module 'bayeq_bad' has",
     ),
-    "another kind": ("engines", "kind", "bayeq_bad:THING", "bayeq_bad:THING is no Engine"),
+    "another kind": ("engines", "kind", "bayeq_bad:THING", "TypeError: bayeq_bad:THING is no Engine"),
     "no module": ("engines", "absent", "bayeq_absent:THING", "ModuleNotFoundError: No module named 'bayeq_absent'"),
-    "a name of bayeq": ("engines", "vb", "bayeq_bad:THING", "bayeq has one of this name"),
+    "a name of bayeq": ("engines", "vb", "bayeq_bad:THING", "ValueError: bayeq has one of this name"),
     "ends the process": ("engines", "ends", "bayeq_ends:THING", "SystemExit: 3"),
 }
 

@@ -31,20 +31,14 @@ def address_space() -> int | None:
 
 
 def has_ended(process: int) -> bool:
-    """Whether no process of this machine has this number; False where that cannot be asked, for `os.kill` would end it.
-
-    Raises
-    ------
-    OverflowError
-        No process can have this number.
-    """
+    """Whether no process of this machine has this number; False elsewhere, where `os.kill` would end it."""
     try:
         if POSIX:
             os.kill(process, 0)
-    except ProcessLookupError:
+    except (ProcessLookupError, OverflowError):  # a number that no process can have
         return True
     except PermissionError:  # of another user
-        return False
+        pass
     return False
 
 
@@ -61,16 +55,10 @@ def signal_group(process: Process, number: signal.Signals) -> None:
         process.terminate()
 
 
-def on_hangup(handler: Callable[..., Any]) -> None:
-    """Call this when the terminal is closed."""
+def on_signal(name: str, handler: Callable[..., Any]) -> None:
+    """Call this at a signal of POSIX: SIGHUP when the terminal is closed, SIGALRM when the time of `alarm` has come."""
     if POSIX:
-        signal.signal(signal.SIGHUP, handler)
-
-
-def on_alarm(handler: Callable[..., Any]) -> None:
-    """Call this when the time of `alarm` has come."""
-    if POSIX:
-        signal.signal(signal.SIGALRM, handler)
+        signal.signal(signal.Signals[name], handler)
 
 
 def alarm(seconds: float) -> bool:

@@ -15,7 +15,7 @@ from typing import Any
 from bayeq.app.guard import Guard
 from bayeq.app.session import Session, Workspace
 from bayeq.errors import InputError, MissingExtraError
-from bayeq.posix import on_hangup, reuse_address
+from bayeq.posix import on_signal, reuse_address
 
 __all__ = ["HOST", "serve"]
 
@@ -46,7 +46,7 @@ def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None
     token = secrets.token_urlsafe(24)
     session = Session(Workspace())
     tempfile.tempdir = str(session.workspace.path)  # also of what the framework stores of a file that arrives
-    on_hangup(lambda *_: signal.raise_signal(signal.SIGTERM))  # a closed terminal ends it as any other end does
+    on_signal("SIGHUP", lambda *_: signal.raise_signal(signal.SIGTERM))  # a closed terminal ends it as any end does
     address = f"http://{host}/?token={token}"
     try:
         _run(session, file, host, token, listening, lambda: _announce(address, browser, say))

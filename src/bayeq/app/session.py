@@ -107,8 +107,6 @@ def _remove_abandoned() -> None:
         try:
             if not pid.isdecimal() or not is_of_this_user(folder) or not has_ended(int(pid)):
                 continue
-        except OverflowError:  # no number of a process
-            pass
         except OSError:  # the folder has just gone
             continue
         shutil.rmtree(folder, ignore_errors=True)

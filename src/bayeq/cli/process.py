@@ -11,7 +11,7 @@ import sys
 from types import FrameType
 
 from bayeq.cli.environment import INTERRUPTED, say
-from bayeq.posix import alarm, on_alarm
+from bayeq.posix import alarm, on_signal
 
 __all__ = ["run"]
 
@@ -41,7 +41,7 @@ class _Interrupts:
         if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
             return
         signal.signal(signal.SIGINT, self.interrupt)
-        on_alarm(self.interrupt)
+        on_signal("SIGALRM", self.interrupt)
         sys.unraisablehook = self.not_raised
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:

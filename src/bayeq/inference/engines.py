@@ -1,8 +1,7 @@
 """The table of engines: from a Gram matrix to a posterior.
 
 An engine is a function ``engine(gram, prior, **options) -> Posterior``; a new one is a file and a row here, or an entry
-point ``bayeq.engines`` of another package. The table loads no engine: the command line reads names from it, and an
-engine is imported where it runs.
+point ``bayeq.engines``. The table loads no engine: the command line reads names from it; one is imported where it runs.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ class Engine:
         return partial(getattr(import_module(f"bayeq.inference.{module}"), name), **self.options)
 
 
-# All of them select the terms whose `pip` exceeds 0.5.
+# All select the terms whose `pip` exceeds 0.5.
 _OWN = {
     "auto": Engine(
         "auto:spike_slab_auto",
@@ -87,6 +86,4 @@ _OWN = {
         options={"columns": "raw"},
     ),
 }
-
-# Engines that `discover` offers, by the name of its `method`.
 ENGINES = Table("engines", Engine, _OWN)

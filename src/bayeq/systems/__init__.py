@@ -19,14 +19,7 @@ from bayeq.systems.vanderpol import VANDERPOL
 
 __all__ = ["SYSTEMS", "BandLimitedForce", "System", "get_system", "simulate"]
 
-_OWN = (
-    LINEAR,
-    DUFFING,
-    QUADRATIC,
-    COULOMB,
-    LORENZ,
-    VANDERPOL,
-)
+_OWN = (LINEAR, DUFFING, QUADRATIC, COULOMB, LORENZ, VANDERPOL)
 SYSTEMS = Table("systems", System, {system.name: system for system in _OWN})
 
 
