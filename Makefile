@@ -108,7 +108,7 @@ study: $(VENV)/.dev
 	$(BIN)/bayeq study table2 --realisations 1000 --store study.db \
 		--algorithms sindy,rvm,gibbs,vb,bma,vb-rvm,vb-greedy,sindy-std
 	$(BIN)/bayeq study show study.db --format csv > docs/tables/table2.csv
-	$(BIN)/bayeq study show study.db --table 3 --format markdown > docs/tables/table3.md
+	$(BIN)/bayeq study show study.db --table 3 --format csv > docs/tables/table3.csv
 	$(BIN)/python -m studies.ablation --realisations 500 > docs/tables/ablation.csv
 	$(BIN)/bayeq study table2 --realisations 1000 --smooth band --store study_smoothed.db --algorithms vb,bma,vb-greedy
 	$(BIN)/bayeq study show study_smoothed.db --format csv > docs/tables/table2_smoothed.csv

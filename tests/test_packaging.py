@@ -19,6 +19,9 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 # A wheel or an archive that is larger holds something that it should not [bytes].
 LARGEST = 1_500_000
 
+# Of the files of the package.
+SUFFIXES = {".py", ".typed", ".html", ".json"}
+
 # `tests/`, `studies/` and the like stay in the repository.
 SHIPPED = {"src", "pyproject.toml", "setup.cfg", "MANIFEST.in", "PKG-INFO", "README.md", "LICENSE"}
 SHIPPED |= {"CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "SECURITY.md"}
@@ -51,12 +54,10 @@ def test_the_wheel_holds_the_package_alone(built):
         names = set(archive.namelist())
         entry_points = archive.read(f"bayeq-{VERSION}.dist-info/entry_points.txt").decode()
     assert {name.split("/")[0] for name in names} == {"bayeq", f"bayeq-{VERSION}.dist-info"}
-    sources = {path.relative_to(ROOT / "src").as_posix() for path in (ROOT / "src" / "bayeq").rglob("*.py")}
-    assert {name for name in names if name.startswith("bayeq/")} == sources | {
-        "bayeq/py.typed",
-        "bayeq/equation/report/page.html",
-        "bayeq/equation/schema.json",
-    }
+    here = ROOT / "src" / "bayeq"
+    sources = {path.relative_to(ROOT / "src").as_posix() for path in here.rglob("*") if path.suffix in SUFFIXES}
+    assert {name for name in names if name.startswith("bayeq/")} == sources
+    assert {"bayeq/py.typed", "bayeq/equation/report/page.html", "bayeq/equation/schema.json"} <= sources
     assert "[console_scripts]\nbayeq = bayeq.cli.process:run\n" in entry_points
 
 
