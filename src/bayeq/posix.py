@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # which take time to load
-    import socket
+if TYPE_CHECKING:  # it takes time to load
     from asyncio.subprocess import Process
 
 POSIX = os.name == "posix"
@@ -66,14 +65,6 @@ def alarm(seconds: float) -> bool:
     if POSIX:
         signal.setitimer(signal.ITIMER_REAL, seconds)
     return POSIX
-
-
-def reuse_address(made: socket.socket) -> None:
-    """Let a socket have a port that has just been left; elsewhere this would let two have it."""
-    if POSIX:
-        from socket import SO_REUSEADDR, SOL_SOCKET
-
-        made.setsockopt(SOL_SOCKET, SO_REUSEADDR, 1)
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from typing import Any
 from bayeq.app.guard import Guard
 from bayeq.app.session import Session, Workspace
 from bayeq.errors import InputError, MissingExtraError
-from bayeq.posix import on_signal, reuse_address
+from bayeq.posix import POSIX, on_signal
 
 __all__ = ["HOST", "serve"]
 
@@ -104,7 +104,8 @@ def _run(
 def _listening(port: int) -> socket.socket:
     """A socket on this computer's own address."""
     made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    reuse_address(made)
+    if POSIX:  # a port that has just been left can be used again
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         made.bind((HOST, port))
     except (OSError, OverflowError) as error:

@@ -130,8 +130,8 @@ def build_dictionaries(
         As `build_dictionary`; a target that is not there, or that has no dictionary.
     """
     require_kind(specification, Iterable, "dictionary", "text, a list of terms, or a mapping of these")
-    _require_families(specification, variables)
     given = of_equations(specification, targets)
+    _require_families(specification, variables)
     if given is None and not _by_equation(specification):
         assert not isinstance(specification, Mapping)
         terms = build_dictionary(specification, variables)
