@@ -15,7 +15,7 @@ SOURCES := src tests perf examples studies docs/conf.py docs/_extensions
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
 RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths tracking forces band
 
-.PHONY: demo test lint types tests slow statistics coverage matrix bench study examples gallery site lock arviz tutorials app-pictures fuzz audit reliability clean
+.PHONY: demo test lint types tests slow statistics coverage matrix bench study examples gallery site lock arviz notebooks tutorials app-pictures fuzz audit reliability clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
@@ -37,7 +37,7 @@ tests: $(VENV)/.dev
 
 # What takes long: the page in a browser, clusters, kills and interrupts, all blocks of the documents, further cases of
 # what `make tests` tries once; and all draws of hypothesis, of which `make tests` has a share.
-slow: $(VENV)/.dev
+slow: $(VENV)/.dev $(VENV)/.notebooks
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --slow -m "slow or hypothesis"
 
 # Rates, coverage and calibration over the full number of records; `make tests` draws fewer.
@@ -107,12 +107,10 @@ bench: $(VENV)/.dev
 study: $(VENV)/.dev
 	$(BIN)/bayeq study table2 --realisations 1000 --store study.db \
 		--algorithms sindy,rvm,gibbs,vb,bma,vb-rvm,vb-greedy,sindy-std
-	$(BIN)/bayeq study show study.db --format markdown > docs/tables/table2.md
 	$(BIN)/bayeq study show study.db --format csv > docs/tables/table2.csv
-	$(BIN)/bayeq study show study.db --table 3 --format markdown > docs/tables/table3.md
+	$(BIN)/bayeq study show study.db --table 3 --format csv > docs/tables/table3.csv
 	$(BIN)/python -m studies.ablation --realisations 500 > docs/tables/ablation.csv
 	$(BIN)/bayeq study table2 --realisations 1000 --smooth band --store study_smoothed.db --algorithms vb,bma,vb-greedy
-	$(BIN)/bayeq study show study_smoothed.db --format markdown > docs/tables/table2_smoothed.md
 	$(BIN)/bayeq study show study_smoothed.db --format csv > docs/tables/table2_smoothed.csv
 	$(BIN)/python -m studies.channels --records 5 > docs/tables/channels.csv
 	$(BIN)/python -m studies.discrepancy > docs/tables/discrepancy.csv
@@ -140,6 +138,10 @@ site: $(VENV)/.dev
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/site
 	@echo "open build/site/index.html"
 
+# The notebooks of docs/notebooks, of the pages of docs/tutorials.
+notebooks: $(VENV)/.notebooks
+	$(BIN)/python -m examples.notebooks
+
 # The pictures of docs/tutorials, by the code of its pages.
 tutorials: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m examples.tutorials
@@ -149,7 +151,7 @@ app-pictures: $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m examples.app_pictures
 
 # Pin what is installed now, after an upgrade that the tests have passed.
-lock: $(VENV)/.dev
+lock: $(VENV)/.dev $(VENV)/.notebooks
 	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
 
 clean:
@@ -163,6 +165,10 @@ $(BIN)/python:
 
 $(VENV)/.runtime: pyproject.toml constraints.txt | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	@touch $@
+
+$(VENV)/.notebooks: $(VENV)/.dev
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[notebooks]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python

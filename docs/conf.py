@@ -15,7 +15,6 @@ copyright = author
 release = version = installed("bayeq")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "native_mathml", "wide_pictures"]
-exclude_patterns = ["tables/*.md"]  # tables that studies write; pages quote them
 
 # Pages are Markdown, with formulas between dollars, and links to headings as on GitHub.
 myst_enable_extensions = ["dollarmath"]

@@ -21,7 +21,7 @@ def run(example: Example, data: Path) -> None:
         rec = bq.read(data / "schmidt_lipson/real_linear_a_1.txt")
         eq = bq.discover(rec, displacement="x", velocity="v", acceleration="a")
         print(eq)
-    with example.block("exact"):
+    with example.block("exact", shown=False):
         exact = bq.discover(rec, displacement="x", velocity="v", acceleration="a", tolerance=0)
         print(f"verdict: {exact.verdict}")
         print(exact[0].text)
@@ -33,7 +33,7 @@ def run(example: Example, data: Path) -> None:
             compared.append(one)
             print(f"{one[0].text:36} {100 * one.simulate(rec, draws=0).nrmse['x']:5.1f} %")
 
-    with example.block("period"):
+    with example.block("period", shown=False):
         time, x = np.asarray(rec.time), rec["x"]
         position = CubicSpline(time, x - x.mean())
         zeros = position.roots(extrapolate=False)

@@ -23,7 +23,7 @@ def run(example: Example, data: Path) -> None:
         terms = ["th", "th**2", "th**3", "sin(th)", "cos(th)", "w", "w*abs(w)", "sign(w)"]
         eq = bq.discover(pieces, chains="th:w:", dictionary=terms)
         print(eq)
-    with example.block("friction"):
+    with example.block("friction", shown=False):
         thin = [bq.Record.from_arrays(time=t.ravel()[::10], th=y[0, ::10], w=y[1, ::10]) for t, y in arrays]
         given = bq.Prior(prior_inclusion=1.0, slab_variance=1e6)  # all terms are in, hardly shrunk
         forms = []

@@ -55,17 +55,20 @@ class Example:
         Name -> Markdown of the code and of what it printed.
     numbers : dict
         Quantity -> what the page says of it.
+    hidden : set
+        Names of blocks that the page does not show.
     figure : matplotlib.figure.Figure or None
     """
 
     name: str
     blocks: dict[str, str] = field(default_factory=dict)
     numbers: dict[str, str] = field(default_factory=dict)
+    hidden: set[str] = field(default_factory=set)
     figure: Figure | None = None
 
     @contextmanager
-    def block(self, name: str) -> Iterator[None]:
-        """Run what stands in the `with` statement; keep its source and what it prints.
+    def block(self, name: str, shown: bool = True) -> Iterator[None]:
+        """Run what stands in the `with` statement; keep its source and what it prints, which the page has if `shown`.
 
         Lines of an answer that the page does not need (`LEFT_OUT`) are dropped. Warnings of `discover` are part of
         what equations print; those of `refine` that nothing better was found are not, and are added.
@@ -85,6 +88,8 @@ class Example:
             if issubclass(warning.category, ConvergenceWarning):
                 shown += f"\nwarning: {warning.message}"
         output = f"\n\n```text\n{shown.strip()}\n```" if shown.strip() else ""
+        if not shown:
+            self.hidden.add(name)
         self.blocks[name] = f"```python\n{code}\n```{output}"
 
 
@@ -157,6 +162,8 @@ def put_blocks(text: str, examples: Iterable[Example]) -> str:
     """
     for example in examples:
         for name, content in example.blocks.items():
+            if name in example.hidden:
+                continue
             begin, end = f"<!-- begin: {example.name} {name} -->", "<!-- end -->"
             before, found, rest = text.partition(begin)
             if not found:

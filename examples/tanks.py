@@ -22,7 +22,7 @@ def run(example: Example, data: Path) -> None:
         print(eq)
         run = eq.simulate(other)
         print(run)
-    with example.block("second"):
+    with example.block("second", shown=False):
         terms = ["y", "sqrt(y)", "y**2", "dy", "dy*abs(dy)", "sqrt(y)*dy", "y*dy", "u"]
         second = bq.discover(rec, chains="y::", inputs=["u"], dictionary=terms)
         print(second)

@@ -235,7 +235,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if chosen.docs or (full and chosen.output is None):
         from perf.chart import write_chart
 
-        write_docs(*read_rows(TABLE), OPTIMUM)
+        write_docs(*read_rows(TABLE))
         write_chart(read_rows(TABLE)[1])
 
 

@@ -6,17 +6,19 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from perf.optimum import Count, read_counts
 from perf.peers import CONTESTANTS
 from perf.problems import CASES
 from perf.rows import Row
 
-__all__ = ["duration", "markdown_tables", "optimum_table", "plain_table", "put_between", "write_docs"]
+__all__ = ["duration", "markdown_tables", "plain_table", "put_between", "write_docs"]
 
 DOCS = Path(__file__).parents[1] / "docs" / "performance.md"
 BEGIN, END = "<!-- begin: python -m perf.compare --docs -->", "<!-- end -->"
 
 DENSE = "dense"
+
+# Variants that the page leaves out; compare.csv has them.
+VARIANTS = {"stlsq-swept", "ard-raw", "pysindy-swept", "pysindy-ssr", "pysindy-ensemble", "pysindy-sbr"}
 
 
 def duration(seconds: float) -> str:
@@ -119,23 +121,6 @@ def markdown_tables(remarks: Iterable[str], rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def optimum_table(counts: Sequence[Count]) -> str:
-    """How often somebody's model is better than ours, as Markdown."""
-    lines = [
-        "| terms of | problems | the same as the best model | above SpikeSlabBMA's, by at most [nats] "
-        "| above SpikeSlabVB's, by at most [nats] |",
-        "| --- |" + " ---: |" * 4,
-    ]
-    for count in counts:
-        title = CONTESTANTS[count.candidate].title if count.candidate in CONTESTANTS else "the truth"
-        above = [
-            f"{above}, {most:.3g}" if above else "0"
-            for above, most in ((count.above_bma, count.most_above_bma), (count.above_vb, count.most_above_vb))
-        ]
-        lines.append(f"| {title} | " + " | ".join([str(count.problems), str(count.same), *above]) + " |")
-    return "\n".join(lines)
-
-
 def plain_table(rows: Sequence[Row]) -> str:
     """For the screen: a line per row."""
     form = "{:<10} {:<17} {:>10} {:>8} {:>7} {:>7} {:>10} {:>10} {:>8}"
@@ -158,9 +143,7 @@ def put_between(text: str, content: str) -> str:
     return f"{before}{BEGIN}\n\n{content.strip()}\n\n{END}{after}"
 
 
-def write_docs(remarks: Iterable[str], rows: Sequence[Row], optimum: Path, page: Path = DOCS) -> None:
-    """Put the tables into docs/performance.md."""
-    content = markdown_tables(remarks, rows)
-    if optimum.exists():
-        content += f"\n### Is there a better model?\n\n{optimum_table(read_counts(optimum))}\n"
+def write_docs(remarks: Iterable[str], rows: Sequence[Row], page: Path = DOCS) -> None:
+    """Put the tables into docs/performance.md, without variants of a contestant."""
+    content = markdown_tables(remarks, [row for row in rows if row.contestant not in VARIANTS])
     page.write_text(put_between(page.read_text(), content))

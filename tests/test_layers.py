@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,10 +13,11 @@ from tests.layers import SOURCE, circles, files, floors, imported, modules, room
 
 # From the ground up: a room imports from lines above its own, which here means from floors below.
 ORDER = [
-    "arrays citation errors kernels markup",
-    "expressions gram numerics records resumable",
-    "dictionary inference ode states",
-    "adapters figures inspection likelihood systems",
+    "arrays citation errors kernels markup posix",
+    "expressions gram numerics plugins resumable",
+    "inference ode records",
+    "dictionary states systems",
+    "adapters figures inspection likelihood",
     "forecast regression",
     "export plan refine selection streaming",
     "equation",
@@ -51,6 +53,15 @@ def test_the_picture_is_that_of_the_code():
     drawn = [line.split("#")[0].split() for line in lines if line.startswith("    ") and "#" in line]
     picture = [sorted(names) for names in drawn if names and set(names) <= set(FLOOR)]
     assert picture == [sorted(names.split()) for names in reversed(ORDER)]
+
+
+def test_one_file_asks_which_system_it_runs_on():
+    """What needs POSIX is in `posix.py`, so that it is known what other systems lack."""
+    asks = re.compile(
+        r"os\.name\b|sys\.platform|platform\.system|getattr\(signal|hasattr\((signal|os)\b|import (resource|fcntl)"
+    )
+    found = [path for path in SOURCE.rglob("*.py") if asks.search(path.read_text(encoding="utf-8"))]
+    assert [path.name for path in found] == ["posix.py"]
 
 
 def test_few_files_at_the_root():

@@ -124,6 +124,14 @@ def test_html_begins_with_the_verdict(duffing):
         assert f">{name}</td>" in html
 
 
+def test_html_of_one_equation(lorenz):
+    html = lorenz["dy"]._repr_html_()
+    assert "verdict: " in html
+    assert lorenz["dy"].text in html
+    assert html.count("<table") == 1
+    assert ">x*z</td>" in html
+
+
 def test_html_of_hostile_names_is_harmless(duffing):
     evil = "</td><script>alert(1)</script>"
     verdict = Verdict("none", evil)

@@ -11,7 +11,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from tests import reference
 
-pytestmark = pytest.mark.parametrize("name", ENGINES)
+pytestmark = pytest.mark.parametrize("name", ENGINES.load())
 
 
 def problem(seed=0, n=300, P=9):

@@ -13,7 +13,7 @@ from bayeq.expressions import Evaluator, parse
 from bayeq.systems import SYSTEMS, System, get_system, simulate
 from tests.draws import draws
 
-pytestmark = pytest.mark.parametrize("system", SYSTEMS.values(), ids=list(SYSTEMS))
+pytestmark = pytest.mark.parametrize("system", SYSTEMS.load().values(), ids=list(SYSTEMS))
 
 
 def test_the_table_is_keyed_by_name(system: System) -> None:

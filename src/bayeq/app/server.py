@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hmac
 import logging
-import os
 import secrets
 import signal
 import socket
@@ -21,6 +20,7 @@ from urllib.parse import parse_qs
 
 from bayeq.app.session import LARGEST, Session, Workspace
 from bayeq.errors import InputError, MissingExtraError
+from bayeq.posix import POSIX, on_signal
 
 __all__ = ["HOST", "Guard", "serve"]
 
@@ -159,8 +159,7 @@ def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None
     token = secrets.token_urlsafe(24)
     session = Session(Workspace())
     tempfile.tempdir = str(session.workspace.path)  # also of what the framework stores of a file that arrives
-    if hasattr(signal, "SIGHUP"):  # a terminal that is closed ends it as any other end does
-        signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
+    on_signal("SIGHUP", lambda *_: signal.raise_signal(signal.SIGTERM))  # a closed terminal ends it as any end does
     address = f"http://{host}/?token={token}"
 
     def announce() -> None:
@@ -218,7 +217,7 @@ def _run(
 def _listening(port: int) -> socket.socket:
     """A socket on this computer's own address."""
     made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    if os.name == "posix":  # a port that has just been left can be used again
+    if POSIX:  # a port that has just been left can be used again
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         made.bind((HOST, port))

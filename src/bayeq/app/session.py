@@ -21,6 +21,7 @@ from typing import Any
 
 from bayeq.app.choices import EQUATION, REPORT, Choices, discover_command
 from bayeq.errors import InputError
+from bayeq.posix import KILL, has_ended, is_of_this_user, signal_group
 
 __all__ = ["LARGEST", "LOOKING", "READING", "Child", "Opened", "Outcome", "Result", "Session", "Workspace", "safe_name"]
 
@@ -109,18 +110,14 @@ class Workspace:
 
 def _remove_abandoned() -> None:
     """Remove folders of this user whose process was killed, and could not."""
-    if os.name != "posix":  # where os.kill does not ask
-        return
     for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
         pid = folder.name.removeprefix(_PREFIX).partition("-")[0]
         try:
-            if not pid.isdecimal() or folder.lstat().st_uid != os.getuid():
+            if not pid.isdecimal() or not is_of_this_user(folder) or not has_ended(int(pid)):
                 continue
-            os.kill(int(pid), 0)
-        except (ProcessLookupError, OverflowError):
-            shutil.rmtree(folder, ignore_errors=True)
-        except OSError:  # somebody else's process, or the folder has just gone
+        except OSError:  # the folder has just gone
             continue
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 class Session:
@@ -380,17 +377,14 @@ class Child:
     def kill(self) -> None:
         """End it at once, with all that it started."""
         self.stopped = True
-        self._signal(signal.SIGKILL if os.name == "posix" else signal.SIGTERM)
+        self._signal(KILL)
 
     def _signal(self, number: signal.Signals) -> None:
         process = self._process
         if process is None or process.returncode is not None:
             return
         try:
-            if os.name == "posix":
-                os.killpg(process.pid, number)  # it leads a group of its own
-            else:
-                process.terminate()
+            signal_group(process, number)
         except ProcessLookupError:
             return  # it has just ended
 
@@ -400,7 +394,7 @@ def _reason(lines: Sequence[str], code: int) -> str:
     for line in reversed(lines):
         if line.startswith(_ERROR):
             return line.removeprefix(_ERROR)
-    if code == -getattr(signal, "SIGKILL", 9):
+    if code == -KILL:
         return "the system ended the command, perhaps for want of memory: use fewer rows or fewer terms"
     last = f": {lines[-1][:300]}" if lines else ""
     return f"the command ended with code {code}{last}; run the command below in a terminal to see more"

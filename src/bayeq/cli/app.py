@@ -21,7 +21,7 @@ from click.shell_completion import get_completion_class, shell_complete
 from bayeq.cli.batch import batch
 from bayeq.cli.benchmark import benchmark
 from bayeq.cli.discover import discover
-from bayeq.cli.environment import INTERRUPTED, address_space, no_memory, prepare_streams, say
+from bayeq.cli.environment import INTERRUPTED, no_memory, prepare_streams, say
 from bayeq.cli.options import FILE, Command, Names, json_option, measured, option
 from bayeq.cli.reading import Reading, reading_options
 from bayeq.cli.saved import plan, predict, show
@@ -36,6 +36,7 @@ from bayeq.errors import (
     one_line,
     printable,
 )
+from bayeq.posix import address_space
 
 if TYPE_CHECKING:
     from bayeq.inspection.info import RecordInfo
@@ -156,11 +157,11 @@ def systems(as_json: bool) -> None:
                 "terms": {target: dict(terms) for target, terms in s.terms.items()},
                 "citation": s.citation,
             }
-            for s in SYSTEMS.values()
+            for s in SYSTEMS.load().values()
         ]
         click.echo(json.dumps({"systems": rows}))
         return
-    for s in SYSTEMS.values():
+    for s in SYSTEMS.load().values():
         click.echo(f"{s.name}: {s.title}")
         for target, terms in s.terms.items():
             right = " + ".join(f"({coefficient})*{term}" for term, coefficient in terms.items())

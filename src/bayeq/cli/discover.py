@@ -40,6 +40,15 @@ Examples:
 """
 
 
+class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest click only
+    """The name of an engine; those of other packages are looked for when no other has it."""
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if value not in ENGINES:
+            self.choices = tuple(ENGINES.load())
+        return str(super().convert(value, param, ctx))
+
+
 @click.command(cls=opt.Command, epilog=EXAMPLES)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=opt.FILE)
 @opt.measured("--disp", "displacement", help="Displacement channel: its name, or name=path in files of many arrays.")
@@ -72,7 +81,7 @@ Examples:
 )
 @opt.sure(
     "--method",
-    type=click.Choice(list(ENGINES)),
+    type=_Method(list(ENGINES)),
     default="auto",
     help="Engine; auto: optimum by VB, probabilities by model averaging.",
 )

@@ -12,8 +12,9 @@ from contextlib import suppress
 from io import TextIOWrapper
 
 from bayeq.errors import BayeqError
+from bayeq.posix import address_space
 
-__all__ = ["INTERRUPTED", "address_space", "no_memory", "prepare_streams", "require_address_space", "say"]
+__all__ = ["INTERRUPTED", "no_memory", "prepare_streams", "require_address_space", "say"]
 
 # Exit code of an interrupted command, as shells count it.
 INTERRUPTED = 130
@@ -44,16 +45,6 @@ def say(text: str) -> None:
     """Print a line on standard error, if it can be written to: the work goes on without."""
     with suppress(OSError):
         print(text, file=sys.stderr)
-
-
-def address_space() -> int | None:
-    """Most address space that this process may have [MB]; None without a limit, or where the system has none."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
-    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return None if soft == resource.RLIM_INFINITY else soft // 2**20
 
 
 def require_address_space() -> None:

@@ -11,6 +11,7 @@ import sys
 from types import FrameType
 
 from bayeq.cli.environment import INTERRUPTED, say
+from bayeq.posix import alarm, on_signal
 
 __all__ = ["run"]
 
@@ -40,15 +41,13 @@ class _Interrupts:
         if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
             return
         signal.signal(signal.SIGINT, self.interrupt)
-        if hasattr(signal, "setitimer"):
-            signal.signal(signal.SIGALRM, self.interrupt)
+        on_signal("SIGALRM", self.interrupt)
         sys.unraisablehook = self.not_raised
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
         """What runs when the signal arrives, or when it is tried again."""
         self.arrived = True
-        if hasattr(signal, "setitimer") and _has_to_end(frame):
-            signal.setitimer(signal.ITIMER_REAL, PAUSE)
+        if _has_to_end(frame) and alarm(PAUSE):
             return
         raise KeyboardInterrupt
 
@@ -56,15 +55,14 @@ class _Interrupts:
         """What Python calls with an exception that it can raise nowhere."""
         if not issubclass(error.exc_type, KeyboardInterrupt):
             sys.__unraisablehook__(error)
-        elif hasattr(signal, "setitimer"):
-            signal.setitimer(signal.ITIMER_REAL, PAUSE)
+        else:
+            alarm(PAUSE)
 
     def finish(self) -> None:
         """From here on Ctrl-C ends the process without a word."""
         if signal.getsignal(signal.SIGINT) == self.interrupt:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
-        if hasattr(signal, "setitimer"):
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        alarm(0.0)
 
 
 def _has_to_end(frame: FrameType | None) -> bool:

@@ -30,6 +30,7 @@ from bayeq.expressions import Binary, Evaluator, Expression, Negate, Node, Unkno
 from bayeq.expressions.functions import CONSTANTS, FUNCTIONS, TIME
 from bayeq.expressions.implicit import MOST_COUPLED, multiplied
 from bayeq.expressions.nodes import arguments_of, nodes_of
+from bayeq.plugins import Table
 from bayeq.records.io import near_files
 
 __all__ = ["FAMILIES", "MAX_TERMS", "Family", "build_dictionaries", "build_dictionary", "evaluate_terms", "read_terms"]
@@ -47,12 +48,13 @@ class Family(NamedTuple):
     by_equation: bool = False
 
 
-FAMILIES = {
+_OWN = {
     "oscillator": Family(oscillator.terms, "degree"),
     "polynomial": Family(polynomial.terms, "degree"),
     "fourier": Family(fourier.terms, "number of harmonics"),
     "neighbours": Family(neighbours.terms, by_equation=True),
 }
+FAMILIES = Table("families", Family, _OWN)
 
 MAX_TERMS = 20_000
 MAX_ARGUMENT = 20
@@ -82,6 +84,7 @@ def build_dictionary(specification: str | Sequence[str], variables: Variables) -
     >>> [t.text for t in build_dictionary("polynomial:2 + abs(v) - x*v", Variables(("x", "v")))]
     ['x', 'v', 'x**2', 'v**2', 'abs(v)']
     """
+    _require_families(specification, variables)
     text = isinstance(specification, str)
     texts = split_at_commas(specification) if isinstance(specification, str) else [str(one) for one in specification]
     union = members(texts, FAMILIES.keys())
@@ -114,6 +117,7 @@ def build_dictionaries(
     """
     require_kind(specification, Iterable, "dictionary", "text, a list of terms, or a mapping of these")
     given = of_equations(specification, targets)
+    _require_families(specification, variables)
     if given is None and not _by_equation(specification):
         assert not isinstance(specification, Mapping)
         terms = build_dictionary(specification, variables)
@@ -166,6 +170,13 @@ def _apart(terms: Sequence[Expression], targets: Sequence[str], allowed: Bools) 
                     " denominator write a constant inside a term, as in x/({K} + x)"
                 )
     return out
+
+
+def _require_families(specification: Specification, variables: Variables) -> None:
+    """Look for the families of other packages if a word has no other meaning."""
+    known = {*FAMILIES, *variables.known, *FUNCTIONS, *CONSTANTS}
+    if not known.issuperset(re.findall(r"[^\W\d]\w*", written(specification))):
+        FAMILIES.load()
 
 
 def _by_equation(specification: Specification) -> bool:

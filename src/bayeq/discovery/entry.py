@@ -300,7 +300,7 @@ def _check_kinds(
         require_kind(one, Integral, "seed", "a whole number")
         if one < 0:
             raise InputError(f"a seed is a whole number, 0 or more, got {one}")
-    if method not in ENGINES:
+    if method not in ENGINES and method not in ENGINES.load():
         raise UnknownNameError("method", method, ENGINES)
 
 

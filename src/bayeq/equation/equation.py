@@ -23,8 +23,10 @@ from bayeq.errors import InputError
 from bayeq.export.latex import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
 from bayeq.forecast.dynamics import Law
+from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms
+from bayeq.markup import code, join, paragraph, table
 from bayeq.numerics.normal import Z95
 from bayeq.plan.models import CandidateModel
 from bayeq.regression.fit import RegressionFit
@@ -418,6 +420,17 @@ class Equation:
         import sympy
 
         return sympy.Eq(sympy.Symbol(self.target), self._right_hand_side(rounded=False), evaluate=False)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the verdict, the equation and its terms."""
+        p, ends = self.shown_posterior, self.printed_ci95
+        rows = []
+        for j in np.flatnonzero(p.support):
+            low, high = (round_to(end, p.sd[j]) for end in ends[j])
+            numbers = (round_to(p.coef[j], p.sd[j]), f"{low} .. {high}", f"{self.posterior.pip[j]:.3f}")
+            rows.append((self.terms[j].text, *numbers, self.coef_units[j] or ""))
+        header = ("term", "coefficient", "95 % interval", ENGINES[self.posterior.method].score, "unit")
+        return join(paragraph(f"verdict: {self.verdict}", strong=True), code(self.text), table(header, rows))
 
     def to_latex(self, uncertainty: Uncertainty = "none") -> str:
         r"""The equation in LaTeX, derivatives of the coordinate as dots: ``\ddot{x} = - 2.0 \dot{x} ...``.

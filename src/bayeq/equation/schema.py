@@ -12,6 +12,8 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+from bayeq.inference.engines import ENGINES
+
 __all__ = ["first_fault", "json_schema"]
 
 Schema = Mapping[str, Any]
@@ -49,6 +51,7 @@ def json_schema() -> dict[str, Any]:
     'urn:bayeq:equations:1'
     """
     found: dict[str, Any] = json.loads((files("bayeq.equation") / "schema.json").read_text(encoding="utf-8"))
+    found["properties"]["method"]["enum"] = list(ENGINES.load())
     return found
 
 

@@ -1,7 +1,7 @@
 """The table of engines: from a Gram matrix to a posterior.
 
-An engine is a function ``engine(gram, prior, **options) -> Posterior``; a new one is a file and a row here. The table
-loads no engine: the command line reads names from it, and an engine is imported where it runs.
+An engine is a function ``engine(gram, prior, **options) -> Posterior``; a new one is a file and a row here, or an entry
+point ``bayeq.engines``. The table loads no engine: the command line reads names from it; one is imported where it runs.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from bayeq.plugins import Table
 
 if TYPE_CHECKING:
     from bayeq.inference.posterior import Posterior
@@ -27,8 +29,8 @@ class Engine:
 
     Attributes
     ----------
-    function : str
-        Module, in this folder, and name of the function, with a colon between them.
+    function : str or callable
+        Module, in this folder, and name of the function, with a colon between them; or the function.
     title : str
         What it is, for the reader of its answer.
     score : str
@@ -41,7 +43,7 @@ class Engine:
         Of the function, where they are not its defaults.
     """
 
-    function: str
+    function: str | Callable[..., Posterior]
     title: str
     score: str = "PIP"
     spike_slab: bool = False
@@ -51,12 +53,14 @@ class Engine:
     @property
     def run(self) -> Callable[..., Posterior]:
         """``run(gram, prior, **options) -> Posterior``."""
+        if not isinstance(self.function, str):
+            return partial(self.function, **self.options)
         module, name = self.function.split(":")
         return partial(getattr(import_module(f"bayeq.inference.{module}"), name), **self.options)
 
 
-# Engines that `discover` offers; all of them select the terms whose `pip` exceeds 0.5.
-ENGINES: dict[str, Engine] = {
+# All select the terms whose `pip` exceeds 0.5.
+_OWN = {
     "auto": Engine(
         "auto:spike_slab_auto",
         "auto: PIPs by model averaging, coefficients exact given the included terms, ELBO by variational Bayes;"
@@ -82,3 +86,4 @@ ENGINES: dict[str, Engine] = {
         options={"columns": "raw"},
     ),
 }
+ENGINES = Table("engines", Engine, _OWN)

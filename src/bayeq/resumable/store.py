@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from bayeq.errors import FileFormatError, InputError
+from bayeq.posix import has_ended
 
 __all__ = ["Claims", "Key", "ResultStore"]
 
@@ -284,11 +285,4 @@ def _dead(owner: str, until: float) -> bool:
     if until < time.time():
         return True
     host, process, _ = owner.rsplit(":", 2)
-    if host != socket.gethostname() or os.name == "nt":
-        return False
-    try:
-        with suppress(PermissionError):  # of another user
-            os.kill(int(process), 0)
-    except ProcessLookupError:
-        return True
-    return False
+    return host == socket.gethostname() and has_ended(int(process))

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from bayeq.errors import BayeqError
+from bayeq.posix import POSIX, interrupts_later
 from bayeq.resumable.store import Claims, Key, ResultStore
 
 __all__ = ["AHEAD", "MAX_JOBS", "compute", "fill", "one_thread"]
@@ -177,34 +178,15 @@ def _born_quiet() -> Iterator[None]:
     warned = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (warned, "ignore:resource_tracker")))
     try:
-        if hasattr(signal, "pthread_sigmask"):
+        if POSIX:
             ensure_running()  # which lets interrupts through at its end, in Python 3.11
-        with _interrupts_later():
+        with interrupts_later():
             yield
     finally:
         if warned is None:
             del os.environ["PYTHONWARNINGS"]
         else:
             os.environ["PYTHONWARNINGS"] = warned
-
-
-@contextmanager
-def _interrupts_later() -> Iterator[None]:
-    """Interrupts wait until the end, and processes that are started meanwhile get none."""
-    if hasattr(signal, "pthread_sigmask"):
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            yield
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        return
-    main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
-    try:
-        yield
-    finally:
-        if main:
-            signal.signal(signal.SIGINT, handler)
 
 
 @lru_cache(maxsize=1)

@@ -1,11 +1,13 @@
 """Known systems, as data, and their simulation.
 
-A new system is one file that makes a `System`, and a row in the table here; the conformance tests do the rest.
+A new system is one file that makes a `System`, and a row in the table here, or an entry point ``bayeq.systems`` of
+another package; the conformance tests do the rest.
 """
 
 from __future__ import annotations
 
 from bayeq.errors import UnknownNameError
+from bayeq.plugins import Table
 from bayeq.systems.coulomb import COULOMB
 from bayeq.systems.duffing import DUFFING
 from bayeq.systems.linear import LINEAR
@@ -17,17 +19,8 @@ from bayeq.systems.vanderpol import VANDERPOL
 
 __all__ = ["SYSTEMS", "BandLimitedForce", "System", "get_system", "simulate"]
 
-SYSTEMS: dict[str, System] = {
-    s.name: s
-    for s in (
-        LINEAR,
-        DUFFING,
-        QUADRATIC,
-        COULOMB,
-        LORENZ,
-        VANDERPOL,
-    )
-}
+_OWN = (LINEAR, DUFFING, QUADRATIC, COULOMB, LORENZ, VANDERPOL)
+SYSTEMS = Table("systems", System, {system.name: system for system in _OWN})
 
 
 def get_system(name: str) -> System:
@@ -43,6 +36,6 @@ def get_system(name: str) -> System:
     >>> get_system("lorenz").title
     'Lorenz 63'
     """
-    if name not in SYSTEMS:
+    if name not in SYSTEMS and name not in SYSTEMS.load():
         raise UnknownNameError("system", name, SYSTEMS)
     return SYSTEMS[name]

@@ -1,7 +1,7 @@
 """The table of file formats: what each is called, how its files are known, and the module that reads them.
 
-A new format is one new file in this folder and a row in `FORMATS`. The content of a file tells its format, or else its
-suffix.
+A new format is one new file in this folder and a row in `FORMATS`, or an entry point ``bayeq.formats`` of another
+package. The content of a file tells its format, or else its suffix.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bayeq.errors import FileFormatError
+from bayeq.plugins import Table
 from bayeq.records.formats import excel, gz, hdf5, lvm, matlab, npy, npz, parquet, tdms, text, uff, wav
 from bayeq.records.formats.protocol import FileRows, Flat, Nested, Writer
 
@@ -102,6 +103,9 @@ FORMATS: tuple[Format, ...] = (
     Format("compressed text", (".gz",), _begins(b"\x1f\x8b"), flat=gz, writer=gz, keeps="as the text in it"),
 )  # fmt: skip
 
+# Formats of other packages, for files that are of none of these.
+ADDED = Table("formats", Format, {})
+
 TEXT = FORMATS[0]
 # Formats of text that their suffix tells apart from tables.
 _OF_TEXT = (uff, lvm)
@@ -109,7 +113,7 @@ _OF_TEXT = (uff, lvm)
 
 def suffixes() -> Mapping[str, Format]:
     """The format of each suffix."""
-    return {suffix: row for row in FORMATS for suffix in row.suffixes}
+    return {suffix: row for row in (*ADDED.load().values(), *FORMATS) for suffix in row.suffixes}
 
 
 def writers() -> Mapping[str, Writer]:
@@ -130,10 +134,15 @@ def format_of(path: Path) -> Format:
     for row in FORMATS:
         if row.holds(path, head):
             return row
-    known = suffixes().get(path.suffix.lower())
-    if known is not None and (known.nested in _OF_TEXT or known is TEXT):
+    known = {suffix: row for row in FORMATS for suffix in row.suffixes}.get(path.suffix.lower())
+    is_text = text.looks_like_text(path)
+    if known is not None and is_text and (known.nested in _OF_TEXT or known is TEXT):
         return known
-    if text.looks_like_text(path):  # also what instruments call .xls, and MATLAB's save -ascii
+    for row in ADDED.load().values():
+        if row.holds(path, head):
+            return row
+    known = known or suffixes().get(path.suffix.lower())
+    if is_text:  # also what instruments call .xls, and MATLAB's save -ascii
         return TEXT
     if known is not None:
         return known
