@@ -13,7 +13,7 @@ QUICK := tests/conformance tests/test_cli_streams.py tests/test_estimators.py te
 SOURCES := src tests perf examples studies docs/conf.py docs/_extensions
 
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
-RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths tracking forces band
+RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths tracking forces band sensitivity
 
 .PHONY: demo test lint types tests slow statistics coverage matrix bench study examples gallery site lock arviz notebooks tutorials app-pictures fuzz audit reliability clean
 
@@ -123,6 +123,7 @@ study: $(VENV)/.dev
 	$(BIN)/python -m studies.reliability --figures docs/figures > docs/tables/reliability.csv
 	$(BIN)/bayeq study figures docs/figures
 	for name in $(RECORD_STUDIES); do $(BIN)/python -m studies.$$name > docs/tables/$$name.csv || exit 1; done
+	$(BIN)/python -m studies.rules
 
 # The measured records behind docs/examples.md, from $BAYEQ_DATA or ../shared/data.
 examples: $(VENV)/.dev

@@ -26,12 +26,12 @@ from bayeq.cli.progress import Progress
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.equation.equation import Z95
 from bayeq.gram import Gram
-from bayeq.inference.auto import MOST_LEFT_OUT
 from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Draws, Posterior
 from bayeq.inference.prior import Prior
+from bayeq.inference.settings import INFERENCE
 from bayeq.systems import simulate
 from studies.tally import (
     BINS,
@@ -103,7 +103,7 @@ def _posterior(gram: Gram, seed: tuple[int, ...], rng: np.random.Generator) -> t
     """What averaging says, or chains where it leaves out too much, and 199 draws of theta and sigma^2."""
     fit = spike_slab_bma(gram, PRIOR)
     assert fit.average is not None
-    if fit.average.left_out <= MOST_LEFT_OUT:
+    if fit.average.left_out <= INFERENCE.most_left_out:
         theta, noise, _ = sample_average(Problem.of(gram, PRIOR), fit.average, DRAWS, rng)
     else:
         fit = spike_slab_gibbs(gram, PRIOR, seed=(*seed, 1))

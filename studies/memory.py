@@ -12,13 +12,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
-from unittest import mock
 
 import numpy as np
 
 import bayeq as bq
 from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
+from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.numerics.settings import overridden
 from studies import numbers_records as kinds
 from studies.adverse import judged_with_verdict
 from studies.judge import timed
@@ -52,7 +53,7 @@ def _judged(truth: Mapping[str, Mapping[str, float]], eqs: Equations) -> dict[st
 
 def _measure(share: float, draw: partial[kinds.Drawn], seed: int) -> Outcome:
     records, question, truth = draw(seed)
-    with mock.patch("bayeq.likelihood.levels.OWN_TIME", share):
+    with overridden(LIKELIHOOD, memory_share=share):
         return timed(partial(discover, records, **question), partial(_judged, truth))
 
 

@@ -11,8 +11,9 @@ import pytest
 import bayeq as bq
 from bayeq.errors import DataWarning, RecordError
 from bayeq.states import Roles
-from bayeq.states.bad_samples import SPIKE, find_bad_samples, without_bad_samples
+from bayeq.states.bad_samples import find_bad_samples, without_bad_samples
 from bayeq.states.prepare import missing_messages, without_empty_rows
+from bayeq.states.settings import STATES
 
 OSCILLATOR = Roles.parse("x:v:a", None, None, None, None, ["u"])
 
@@ -65,7 +66,7 @@ def test_spikes_in_all_channels_are_found_and_good_samples_stay(duffing):
         assert set(kinds) == {"spikes"}
         assert set(kinds["spikes"]) <= set(np.flatnonzero(hit[name]))
         # ten times next to nothing is next to nothing
-        large = np.abs(spoiled[name] - duffing[name]) > 2 * SPIKE * duffing.truth.noise_sd[name]
+        large = np.abs(spoiled[name] - duffing[name]) > 2 * STATES.spike * duffing.truth.noise_sd[name]
         assert len(set(kinds["spikes"]) & set(np.flatnonzero(large))) >= 0.8 * large.sum()
 
 

@@ -26,6 +26,8 @@ from studies.tally import (
 
 from bayeq.figures.style import style
 from bayeq.inference.posterior import Draws
+from bayeq.inference.settings import INFERENCE
+from bayeq.numerics.settings import overridden
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
 from bayeq.study.realise import draw
 
@@ -108,10 +110,10 @@ def test_correlation_time_of_an_autoregression():
     assert correlation_time(np.ones((2, 10))) == 1.0
 
 
-def test_chains_take_over_where_too_much_is_left_out(monkeypatch):
+def test_chains_take_over_where_too_much_is_left_out():
     averaged = joined([calibrate_one("correlated", 20, (8, k)) for k in range(5)])
-    monkeypatch.setattr(calibration, "MOST_LEFT_OUT", -1.0)
-    sampled = joined([calibrate_one("correlated", 20, (8, k)) for k in range(5)])
+    with overridden(INFERENCE, most_left_out=-1.0):
+        sampled = joined([calibrate_one("correlated", 20, (8, k)) for k in range(5)])
     assert (averaged.sampled, sampled.sampled) == (0, 5)
     assert sampled.rhat > 0.99
     assert sampled.slowest >= 1.0

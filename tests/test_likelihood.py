@@ -15,7 +15,9 @@ import bayeq as bq
 from bayeq.expressions import Evaluator, Expression, number, parse
 from bayeq.likelihood.blur import blur_of
 from bayeq.likelihood.layout import Layout, Series
+from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.signs import half_of_jump, jumps_of, mean_of_jumps, unresolved_share
+from bayeq.numerics.settings import overridden
 from bayeq.states import Roles
 from bayeq.systems import get_system
 
@@ -205,11 +207,11 @@ def test_terms_have_the_same_coefficients_found_typed_or_reached_by_a_limit():
     assert all(abs(limited.shown_coef[name] - fewer.coef[name]) < 0.2 * sd[name] for name in limited.shown)
 
 
-def test_a_long_record_from_stretches_is_the_whole_record(monkeypatch):
+def test_a_long_record_from_stretches_is_the_whole_record():
     record = bq.simulate("duffing", n=3000, seed=6)
     whole = quietly(record, **OSCILLATOR, holdout=0.0)[0]
-    monkeypatch.setattr("bayeq.likelihood.record_fit.ROWS_AT_FIRST", 1000)
-    first = quietly(record, **OSCILLATOR, holdout=0.0)[0]
+    with overridden(LIKELIHOOD, stretches_above=1000):
+        first = quietly(record, **OSCILLATOR, holdout=0.0)[0]
     assert first.shown == whole.shown
     sd = dict(zip(whole.posterior.names, whole.posterior.sd, strict=True))
     assert all(abs(first.coef[name] - whole.coef[name]) < 0.1 * sd[name] for name in whole.shown)

@@ -9,7 +9,8 @@ import pytest
 
 import bayeq as bq
 from bayeq.likelihood.fit import marginal
-from bayeq.likelihood.power import CLEARLY, _scores, excess_of
+from bayeq.likelihood.power import _scores, excess_of
+from bayeq.likelihood.settings import LIKELIHOOD
 from tests.statistical.limits import fewest
 
 
@@ -18,7 +19,7 @@ def test_scores_of_independent_samples_have_no_excess():
     for _ in range(400):
         excess, error = excess_of([rng.standard_normal((n, 4)) / np.sqrt(1300.0) for n in (900, 400)])
         assert 0.6 < excess < 1.6
-        beyond += excess > 1.0 + CLEARLY * error
+        beyond += excess > 1.0 + LIKELIHOOD.correlated_by * error
     # one-sided 3 standard errors: 0.13 % of a normal distribution, and lags are added while the sum grows
     assert beyond <= 8
 

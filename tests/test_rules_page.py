@@ -1,31 +1,38 @@
-"""docs/rules.md names constants by file and name: they are there."""
+"""docs/rules.md is what the settings say, and what they rest on is there."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
+import pytest
+from studies.rules import PAGE, STAGES, moves, page, sensitivity
+
 ROOT = Path(__file__).parent.parent
-ROW = re.compile(r"^\|([^|]*)\|([^|]*)\|", re.MULTILINE)
+EVERY = [pytest.param(stage, one, id=f"{stage}.{one.name}") for stage, own in STAGES.items() for one in fields(own)]
 
 
-def named():
-    """The rule, the file and the constants of every row."""
-    for rule, where in ROW.findall((ROOT / "docs/rules.md").read_text(encoding="utf-8")):
-        file = None
-        for word in re.findall(r"`([^`]+)`", where):
-            if word.endswith(".py"):
-                file = ROOT / "src/bayeq" / word
-            elif file is not None and re.fullmatch(r"[A-Z][A-Z_0-9]*", word):
-                yield rule.strip(), file, word
+def test_the_page_is_written_from_the_settings():
+    text = PAGE.read_text(encoding="utf-8")
+    assert page(text) == text, "python -m studies.rules"
+    assert set(STAGES) < set(re.findall(r"<!-- settings: (\w+) -->", text))
 
 
-def test_constants_of_the_rules_are_in_their_files():
-    found = list(named())
-    assert len(found) > 150
-    missing = [
-        (rule, file.name, name)
-        for rule, file, name in found
-        if not file.exists() or not re.search(rf"^[A-Z_0-9, ]*\b{name}\b[A-Z_0-9, ]*(:[^=]*)?=", file.read_text(), re.M)
-    ]
-    assert not missing
+@pytest.mark.parametrize(("stage", "one"), EVERY)
+def test_what_a_field_rests_on_is_there(stage, one):
+    head = PAGE.read_text(encoding="utf-8").split("\n## ")[0].lower()
+    for word in one.metadata["rests_on"].split("; "):
+        word = re.sub(r" \(.*\)$", "", word)
+        if word.startswith("`"):
+            name = word.strip("`")
+            assert (ROOT / ("docs/tables" if name.endswith(".csv") else "") / name).is_file(), name
+        else:
+            assert word.lower() in head, word
+    assert one.metadata["about"][0].isupper() or one.metadata["about"].startswith("...")
+
+
+def test_few_settings_and_fewer_that_move_an_answer():
+    lines = sensitivity()
+    assert len(EVERY) <= 120
+    assert sum(moves(lines.get((stage, one.name))) for stage, own in STAGES.items() for one in fields(own)) <= 25

@@ -9,6 +9,8 @@ import pytest
 
 import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionary
+from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.numerics.settings import overridden
 from bayeq.regression.design import explaining, screened
 from bayeq.states import Roles, estimate_motion
 
@@ -89,9 +91,8 @@ def test_true_terms_that_are_not_simple_are_kept(seed):
     assert "x**3*v**2" in names
 
 
-def test_discover_keeps_what_explains_and_says_so(monkeypatch):
-    monkeypatch.setattr("bayeq.discovery.question.MOST_CANDIDATES", 31)
-    with warnings.catch_warnings(record=True) as caught:
+def test_discover_keeps_what_explains_and_says_so():
+    with overridden(LIKELIHOOD, most_candidates=31), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         eq = bq.discover(
             record(1), **OSCILLATOR, dictionary="polynomial:12", smooth="none", constraints="v**12 == 0", holdout=0.0

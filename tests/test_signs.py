@@ -16,7 +16,9 @@ from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
+from bayeq.inference.settings import INFERENCE
 from bayeq.inference.signs.orthant import Orthants
+from bayeq.numerics.settings import overridden
 from tests import reference
 
 # ------------------------------------------------------------------------------------------------------------ orthants
@@ -290,11 +292,11 @@ def test_who_takes_signs():
             spike_slab_bma(gram, Prior(signs=bad))
 
 
-def test_auto_with_signs_is_model_averaging_alone(monkeypatch):
+def test_auto_with_signs_is_model_averaging_alone():
     gram, signs = agreeing(0)
     prior = Prior(signs=signs)
-    monkeypatch.setattr("bayeq.inference.auto.MOST_LEFT_OUT", -1.0)  # the sampler is not an alternative
-    auto, bma = spike_slab_auto(gram, prior), spike_slab_bma(gram, prior)
+    with overridden(INFERENCE, most_left_out=-1.0):  # the sampler is not an alternative
+        auto, bma = spike_slab_auto(gram, prior), spike_slab_bma(gram, prior)
     assert (auto.method, auto.elbo, auto.optimum, len(auto.elbo_trace)) == ("auto", None, None, 0)
     np.testing.assert_array_equal(auto.pip, bma.pip)
     np.testing.assert_array_equal(auto.covariance, bma.covariance)

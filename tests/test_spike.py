@@ -7,7 +7,8 @@ from studies.nearly_true import draw_record
 
 import bayeq as bq
 from bayeq.likelihood.fit import Quadratic
-from bayeq.likelihood.spike import IMPROBABLE, Soft, isotropic, softened
+from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.likelihood.spike import Soft, isotropic, softened
 
 
 def test_deviations_are_integrated_out():
@@ -76,6 +77,6 @@ def test_a_smooth_misfit_is_one_function():
     ask = {"chains": "x::a", "inputs": ["u"], "dictionary": "oscillator", "holdout": 0}
     equation = bq.discover(record.slice(0, 4000), **ask).equations[0]
     nearly = equation.fit.regression.record.nearly
-    assert nearly.exact[0] < IMPROBABLE**3
+    assert nearly.exact[0] < LIKELIHOOD.nearly_true**3
     assert nearly.tau[0] > 1e-3
     assert set(equation.included) == {"x", "dx", "x**3", "u"}

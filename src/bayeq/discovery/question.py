@@ -23,7 +23,8 @@ from bayeq.forecast.score import Scores
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.lags import first_lags
 from bayeq.likelihood.layout import Stated
-from bayeq.likelihood.record_fit import MOST_CANDIDATES, RecordFit, refit_record
+from bayeq.likelihood.record_fit import RecordFit, refit_record
+from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.unknowns import first_values
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, without_copies
 from bayeq.regression.by_likelihood import regressions_of
@@ -31,7 +32,8 @@ from bayeq.regression.constraints import Constraints, parse_constraints, parse_t
 from bayeq.regression.design import Design, build_design, screened
 from bayeq.regression.joint import fit_equations, lags_of_design, record_of
 from bayeq.resumable import Progress
-from bayeq.selection.select import TOLERANCE, Rules, Selection, select
+from bayeq.selection.select import Rules, Selection, select
+from bayeq.selection.settings import SELECTION
 from bayeq.states import (
     Motion,
     Roles,
@@ -143,7 +145,7 @@ class Question:
         units = _units(pieces, motion.roles, log)
         terms, known = _in_radians(self.terms, self.known, units, log)
         terms = self._with_values(terms, motion, whole)
-        allowed, most = self.allowed, MOST_CANDIDATES // len(motion.roles.chains) - 1
+        allowed, most = self.allowed, LIKELIHOOD.most_candidates // len(motion.roles.chains) - 1
         if len(terms) > most:
             constrained = parse_constraints(known, terms, motion.roles.targets)
             terms, allowed = _screened(terms, motion, allowed, constrained, most, log)
@@ -182,7 +184,7 @@ class Question:
             motion = replace(motion, sensors=replace(motion.sensors, lags=likelihood.lags))
         data = DataSummary.of(pieces, motion, found is not None)
         answer = Equations(
-            equations=EquationTuple(with_doubts(equations, selections, self.rules.tolerance or TOLERANCE)),
+            equations=EquationTuple(with_doubts(equations, selections, self.rules.tolerance or SELECTION.tolerance)),
             inputs=motion.roles.inputs,
             method=self.method,
             dictionary=written(self.dictionary),
@@ -262,7 +264,7 @@ class Question:
         if motion.sensors.lags.keys() >= {*motion.roles.measured, *motion.roles.inputs}:
             raise InputError("lag_sd: only lags against other channels show: leave out a channel that is the clock")
         terms, known = _in_radians(self.terms, self.known, _units(pieces, motion.roles, WarningLog()), WarningLog())
-        most, allowed = MOST_CANDIDATES // len(motion.roles.chains) - 1, self.allowed
+        most, allowed = LIKELIHOOD.most_candidates // len(motion.roles.chains) - 1, self.allowed
         if len(terms) > most:
             constrained = parse_constraints(known, terms, motion.roles.targets)
             terms, allowed = _screened(terms, motion, allowed, constrained, most, WarningLog())

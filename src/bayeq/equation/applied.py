@@ -13,7 +13,8 @@ import numpy as np
 
 from bayeq.equation import along
 from bayeq.equation.equations import Equations
-from bayeq.equation.verdict import AS_THE_MEAN, state_noise, window_errors
+from bayeq.equation.settings import EQUATION
+from bayeq.equation.verdict import state_noise, window_errors
 from bayeq.errors import DataWarning, InputError
 from bayeq.forecast.run import Forecast
 from bayeq.forecast.score import percentages
@@ -272,7 +273,7 @@ def _verdict(
     judged = free_run or one_step
     what = "free runs follow" if free_run else "single steps follow"
     worst = max((error.nrmse for error in judged.values()), default=math.inf)
-    if worst < AS_THE_MEAN:
+    if worst < EQUATION.as_the_mean:
         within = f"within {_percent(worst)} %"
         if worst <= ROUGHLY:
             return "follows", f"{what} the record {within}"

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
 from bayeq.equation.equation import Equation, RunnerUp
+from bayeq.equation.settings import EQUATION
 from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
 from bayeq.errors import (
     AmbiguityWarning,
@@ -34,9 +35,6 @@ __all__ = ["build_equations", "with_doubts"]
 
 # The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations.
 CONTRADICTED = 3.0
-
-# Share of the residuals of rows as measured that are worth an independent one, at least.
-INDEPENDENT = 0.5
 
 # Independent numbers whose variance is known to a third.
 LEAST_NUMBERS = 18.0
@@ -193,7 +191,7 @@ def _dependent(equation: Equation, regression: Regression) -> tuple[float, int] 
     """Effective number of residuals of rows as measured, and their number, where most do not tell anything new."""
     found = equation.residuals
     matters = regression.counts_rows and equation.train.nrmse > LEAST_SHOWN
-    return (found.n_eff, found.n) if matters and found.n_eff < INDEPENDENT * found.n else None
+    return (found.n_eff, found.n) if matters and found.n_eff < EQUATION.independent * found.n else None
 
 
 def _rule(selection: Selection, name: str) -> str:

@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
+from bayeq.equation.settings import EQUATION
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.normal import Z95, t95
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.mixture import mixture_of
 
 __all__ = ["Model", "OverModels", "over_models", "unlike"]
-
-# A width or an end that differs by more than this share of the width makes another interval: an end that is this much
-# too near leaves out 12 % in place of 2.5 %. Below, the interval is that of the coefficient and sd beside it.
-DIFFERENT = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,4 +111,4 @@ def unlike(one: Floats, other: Floats) -> Bools:
     """Where intervals (P, 2) differ in width or at an end by more than 20 % of the width of the other, (P,)."""
     width = other[:, 1] - other[:, 0]
     ends = np.abs(one - other).max(axis=1)
-    return np.maximum(ends, np.abs(one[:, 1] - one[:, 0] - width)) > DIFFERENT * width
+    return np.maximum(ends, np.abs(one[:, 1] - one[:, 0] - width)) > EQUATION.different * width

@@ -13,7 +13,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, log_ticks, new_panels, picture, term_label
-from bayeq.inference.auto import MOST_LEFT_OUT
+from bayeq.inference.settings import INFERENCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -79,7 +79,7 @@ class PipCurve:
     @property
     def listed(self) -> Bools:
         """Values at which the models listed hold at least 98 % of the posterior mass, (K,)."""
-        return self.left_out <= MOST_LEFT_OUT
+        return self.left_out <= INFERENCE.most_left_out
 
     def table(self) -> pd.DataFrame:
         """A row per value and term: the value, under `axis_name`; rows, where they vary; term, pip and left_out."""

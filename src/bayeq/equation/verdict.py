@@ -10,11 +10,12 @@ from typing import Literal
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.equation.settings import EQUATION
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.likelihood.adequacy import Discrepancy, Octave
-from bayeq.likelihood.spike import IMPROBABLE, LEAST
+from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
 from bayeq.selection.alternatives import Alternatives
@@ -33,11 +34,6 @@ __all__ = [
     "worst",
 ]
 
-# An equation explains at least this share of what stands above the noise of its target.
-LEAST_R2 = 0.5
-
-# More probability of equations that predict otherwise than this leaves an equation undetermined.
-DOUBT = 0.05
 
 Kind = Literal["none", "not determined", "nearly true", "found"]
 
@@ -50,14 +46,9 @@ NOTHING = 0.005
 # What terms leave is below any effect below this share of the target's standard deviation.
 LEAST_SHOWN = 1e-3
 
-# A run over a window that errs by the states' own spread is no better than their mean.
-AS_THE_MEAN = 1.0
-
-# Of a law that leaves more than this share of the target's standard deviation that is said first.
+# A law that leaves more than this share of the target's standard deviation is not found: no test need reject in a short
+# record.
 MUCH = 0.2
-
-# Rows are at rest where what stands above the noise has less than this share of the variance of the whole motion.
-AT_REST = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +116,7 @@ def judge(
     r2, of_all, limit = fit.r2, "", 3.0 * math.sqrt(2.0 / max(numbers * fit.n, 1.0))
     # the variance of n rows errs by sqrt(2/n) of itself: less than that tells nothing of what is above the noise
     signal, signal_of_all = 1.0 - noise, 1.0 - share * noise
-    if signal_of_all > limit and share * signal < AT_REST * signal_of_all:
+    if signal_of_all > limit and share * signal < EQUATION.at_rest * signal_of_all:
         r2, signal = 1.0 - share * (1.0 - r2), signal_of_all
         of_all = ", at rest, by the variance of the whole motion"
     explained = f"R2 {r2:.3g}" if r2 >= NOTHING else "R2 0.00"
@@ -133,14 +124,14 @@ def judge(
         explained = f"R2 {r2:.2g}, worse than the mean"
     above = r2 / signal if signal > limit else r2
     by_runs = target_estimated and window is not None and not signal > limit
-    if max(above, r2) < LEAST_R2 and not by_runs:
+    if max(above, r2) < EQUATION.least_r2 and not by_runs:
         failed = f"the terms explain little of {target} on {where} ({explained}{of_all})"
         return Verdict("none", f"no equation found: {failed}")
     rows = "" if by_runs else f"{explained} on {where}{of_all}"
     if window is None:
         return Verdict("found", rows)
     error, length = window
-    if not error < AS_THE_MEAN:
+    if not error < EQUATION.as_the_mean:
         though = f", though the terms explain {target} row by row ({rows})" if rows else ""
         failed = f"started from a measured state the equation is wrong within {length}"
         return Verdict("none", f"no equation found: {failed}{though}")
@@ -205,7 +196,7 @@ def doubted(
             f"{chain.measured[chain.lowest]} and {reversed_channel} contradict each other in sign",
             "reverse one of them",
         )
-    if others.probability > DOUBT:
+    if others.probability > EQUATION.doubt:
         change = [f"with {', '.join(others.enter)}"] if others.enter else []
         change += [f"without {', '.join(others.leave)}"] if others.leave else []
         return Verdict(
@@ -217,7 +208,7 @@ def doubted(
     share = left if left is not None else 0.0 if lacking is None else lacking.size
     unexplained = f"{100 * share:.2g} % of {target} is not explained by these terms"
     careful = "parameters may be off by more than their intervals say"
-    if exact < IMPROBABLE and not share < LEAST:
+    if exact < LIKELIHOOD.nearly_true and not share < LIKELIHOOD.misfit_least:
         return Verdict(
             "nearly true",
             f"{unexplained}; what is missing depends on the states",

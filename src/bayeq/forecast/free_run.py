@@ -10,6 +10,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.rows import Rows
+from bayeq.forecast.settings import FORECAST
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Drive, free_runs, interpolant, shoot
 from bayeq.states import rates
@@ -57,10 +58,6 @@ ENOUGH = 1e-6
 
 # Windows over all records.
 WINDOWS = 12
-
-# Autocorrelations have fallen below this one; motion that comes back above it within some periods repeats itself.
-FALLEN = math.exp(-1.0)
-RETURNS = 3.0
 
 
 def state_range(states: Floats) -> tuple[Floats, Floats]:
@@ -225,8 +222,8 @@ def correlation_time(dynamics: Dynamics, pieces: Sequence[Rows], period: float) 
     states = rows.stack(dynamics.states)
     states = (states - states.mean(axis=0)) / np.where(np.ptp(states, axis=0) > 0, states.std(axis=0), 1.0)
     power = np.mean(np.abs(np.fft.rfft(states, 2 * rows.n, axis=0)) ** 2, axis=1)
-    lags = min(round(RETURNS * period / step) + 1, rows.n // 2)
-    low = np.fft.irfft(power)[:lags] / (rows.n - np.arange(lags)) < FALLEN
+    lags = min(round(FORECAST.returns * period / step) + 1, rows.n // 2)
+    low = np.fft.irfft(power)[:lags] / (rows.n - np.arange(lags)) < FORECAST.fallen
     fallen = int(np.argmax(low))
     return max(fallen, LEAST_ROWS - 1) * step if low[fallen:].all() and low.any() else math.inf
 

@@ -12,6 +12,7 @@ from bayeq.inference.collapsed.listing import shares
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
+from bayeq.inference.settings import INFERENCE
 from bayeq.inference.vb import spike_slab_vb
 
 __all__ = ["spike_slab_auto"]
@@ -20,9 +21,7 @@ __all__ = ["spike_slab_auto"]
 # well: in 3,680 fits of the four systems of the study, raw and smoothed, that never led to a higher ELBO.
 VB_STARTS = 3
 
-# If the models listed say other probabilities than the average of those given the other terms by more than this, chains
-# of this many samples say more; fewer samples for many terms.
-MOST_LEFT_OUT = 0.02
+# Samples of chains where too much is left out of a listing; fewer for many terms.
 SAMPLES = 5000
 SAMPLED_TERMS = 2_000_000
 
@@ -45,7 +44,7 @@ def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: fl
     assert bma.average is not None
     best = list(bma.average.models[:VB_STARTS])
     listed = shares(bma.average.models, bma.average.probability)
-    if not bma.converged and float(np.abs(listed - bma.pip).max()) > MOST_LEFT_OUT:
+    if not bma.converged and float(np.abs(listed - bma.pip).max()) > INFERENCE.most_left_out:
         samples = min(SAMPLES, max(500, SAMPLED_TERMS // len(gram.names)))
         bma = spike_slab_gibbs(gram, prior, samples=samples, burn_in=samples // 5, seed=seed, keep_draws=False)
     vb = spike_slab_vb(gram, prior, models=best)

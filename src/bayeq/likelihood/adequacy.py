@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, adjoints, maximised, of_inputs
-from bayeq.likelihood.levels import LEAST_DISCREPANCY, MEMORY, Levels
+from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.search import Fitted, Task
+from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.numerics.beta import incomplete_beta
 from bayeq.numerics.normal import Z95
 
@@ -26,24 +27,18 @@ __all__ = ["Adequacy", "Discrepancy", "Octave", "adequacy_of", "chance_of", "oct
 
 Floats = NDArray[np.float64]
 
-# Level of all tests of a record together (Holm 1979).
-LEVEL = 0.01
-
-# Octaves below half the sampling rate, and the least number of bins of one.
-OCTAVES, LEAST_BINS = 9, 8
-
 # Memories of a discrepancy between which its test is followed.
 MEMORIES = 33
 
-# A memory above this share of the longest that a fit may have is learned again without that bound.
-AT_BOUND = 0.98
-
-# A likelihood that is greater than without a discrepancy by less than half of this is no evidence of one. Noise of an
-# input is tried in steps of this factor of its variance.
-LEAST_GAIN, NOISIER = 4.0, 1.5
-
 # Step in ln size that the curvature of the likelihood is read from, and the curvature below which it tells nothing.
 STEP, LEAST_BEND = 0.1, 1e-3
+
+# A memory above this share of the longest that a fit may have is learned again without that bound: a force that nobody
+# measured may be slow.
+AT_BOUND = 0.98
+
+# Bins of an octave, at least.
+LEAST_BINS = 8
 
 
 class Discrepancy(NamedTuple):
@@ -112,9 +107,9 @@ class Adequacy:
         """Probability below which a test rejects at 1 %, all tests together (Holm)."""
         p = sorted([one.p for one in self.discrepancies] + [one.p for one in self.octaves])
         for k, value in enumerate(p):
-            if value > LEVEL / (len(p) - k):
-                return LEVEL / (len(p) - k)
-        return LEVEL
+            if value > LIKELIHOOD.test_level / (len(p) - k):
+                return LIKELIHOOD.test_level / (len(p) - k)
+        return LIKELIHOOD.test_level
 
     def lacks(self, c: int) -> Discrepancy | None:
         """The discrepancy of equation c, if the motion needs it."""
@@ -154,7 +149,7 @@ def _discrepancy(task: Task, state: State, value: float, c: int, interval: float
         return task.value(replace(state, levels=levels.with_discrepancy(c, factor * levels.discrepancy[c])))
 
     gain = 2.0 * (value - log_likelihood(0.0))
-    if LEAST_GAIN < gain < math.inf:
+    if LIKELIHOOD.least_gain < gain < math.inf:
         gain = min(gain, 2.0 * gain_of(task, state, c))
     p = 0.0 if gain > 0.0 else 1.0
     if 0.0 < gain < math.inf:
@@ -181,10 +176,12 @@ def _octaves(task: Task, state: State, delta: Floats, interval: float) -> list[O
             innovation = found.innovation[measured, k]
             left.append((innovation[:, 0] - innovation[:, 1:] @ delta) / np.sqrt(found.variance[measured, k]))
         if k < noisy:
-            otherwise |= {(one.low, one.high) for one in octaves_of(channel, left, interval) if one.p < LEVEL}
+            otherwise |= {
+                (one.low, one.high) for one in octaves_of(channel, left, interval) if one.p < LIKELIHOOD.test_level
+            }
             continue
         # as of discrepancies, less than that is none
-        least = LEAST_DISCREPANCY * levels.scales.channels[order[k]] / levels.channels[order[k]]
+        least = LIKELIHOOD.least_discrepancy * levels.scales.channels[order[k]] / levels.channels[order[k]]
         tested = octaves_of(channel, left, interval, otherwise if kind < 0 else set())
         octaves += [one for one in tested if abs(one.ratio - 1.0) * one.share > least]
     return octaves
@@ -210,7 +207,7 @@ def gain_of(task: Task, state: State, c: int) -> float:
     for i in (np.flatnonzero(levels.learned[first:]) + first).tolist():
         most = _least_power(task, state, i)
         while levels.channels[i] < most:
-            other = levels.with_noise(i, min(NOISIER * float(levels.channels[i]), most))
+            other = levels.with_noise(i, min(LIKELIHOOD.noisier * float(levels.channels[i]), most))
             found = value(other)
             if found < best:
                 break
@@ -260,7 +257,7 @@ def _length(task: Task, state: State, c: int) -> float:
     """The `length` of `chance_of` for the discrepancy of equation c."""
     levels, d = state.levels, task.layout.discrepancy[c]
     memory = levels.memory.copy()
-    memory[c] = MEMORY[0]
+    memory[c] = LIKELIHOOD.shortest_memory
     # a small discrepancy without memory is, smoothed, what the likelihood would gain by a force at each sample
     little = replace(levels.with_discrepancy(c, 0.0), memory=memory)
     found = task.marginal(replace(state, levels=little))
@@ -283,7 +280,7 @@ def turn_of(pulls: Sequence[Floats]) -> float:
         weights.append(np.abs(lines) ** 2)
         angles.append(2.0 * np.pi * np.arange(1, len(lines) + 1) / len(values))
     power, angle = np.concatenate(weights), np.concatenate(angles)
-    low, high = (math.log(m / (1.0 - m)) for m in MEMORY)
+    low, high = (math.log(m / (1.0 - m)) for m in (LIKELIHOOD.shortest_memory, LIKELIHOOD.longest_memory))
     memory = 1.0 / (1.0 + np.exp(-np.linspace(low, high, MEMORIES)))[:, None]
     spectra = power * (1.0 - memory**2) / (1.0 - 2.0 * memory * np.cos(angle) + memory**2)
     units = spectra / np.linalg.norm(spectra, axis=1)[:, None]
@@ -310,7 +307,7 @@ def octaves_of(
     """
     power, below = _spectrum(pieces)
     highest, out = 0.5 / interval, []
-    edges = [(highest * 0.5 ** (k + 1), highest * 0.5**k) for k in range(OCTAVES)]
+    edges = [(highest * 0.5 ** (k + 1), highest * 0.5**k) for k in range(LIKELIHOOD.octaves)]
     kept = ~np.isin(below, [k for k, edge in enumerate(edges) if edge in without])
     power, below = power[kept], below[kept]
     total = float(power.sum())
@@ -333,7 +330,7 @@ def _spectrum(pieces: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
     for values in pieces:
         bins = np.arange(1, (len(values) + 1) // 2)
         power.append(np.abs(np.fft.rfft(values)[bins]) ** 2)
-        below.append(np.minimum(np.floor(-np.log2(2.0 * bins / len(values))).astype(np.int64), OCTAVES - 1))
+        below.append(np.minimum(np.floor(-np.log2(2.0 * bins / len(values))).astype(np.int64), LIKELIHOOD.octaves - 1))
     return np.concatenate(power), np.concatenate(below)
 
 

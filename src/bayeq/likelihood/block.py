@@ -19,8 +19,9 @@ from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, coeffic
 from bayeq.likelihood.layout import NOTHING
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.low_pass import SEGMENT, of_segments, periodograms
-from bayeq.likelihood.projection import ENOUGH, LEAST_ROWS, batched, time_around
+from bayeq.likelihood.projection import LEAST_ROWS, batched, time_around
 from bayeq.likelihood.search import Task
+from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.start import series_and_paths, with_spectra
 from bayeq.states import MotionRows
 
@@ -132,7 +133,7 @@ def _batches(task: Task, state: State, k: int, linear: Linear, found: Adjoint) -
     """Sums of record k for the projection: products, pulls, squares and weight."""
     columns, own = linear.terms[:, state.chosen.term], task.layout.discrepancy
     d, w = state.paths[k][:, own] + found.deviation[:, own], time_around(task.series[k].intervals)
-    count = max(1, min(ENOUGH, len(w) // LEAST_ROWS))
+    count = max(1, min(LIKELIHOOD.enough_batches, len(w) // LEAST_ROWS))
     return *batched(columns, d[:, state.chosen.chain], w, count), w @ d**2, float(w.sum())
 
 

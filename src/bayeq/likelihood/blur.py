@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bayeq.expressions import Call, Evaluator, Expression
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series
+from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.signs import SLOPE, half_of_jump, middle_of_jump, unresolved_share
 
 __all__ = ["Blur", "Hold", "blur_of", "crossings", "first_blur"]
@@ -29,9 +30,6 @@ UNIFORM = 1.0 / 12.0
 
 # Widths are no less than this share of the largest argument, and errors than this share of the widths.
 LEAST, LEAST_ERROR = 1e-9, 1e-3
-
-# A sample is on neither side of a jump if the mean leaves more than this share of the square of its half.
-UNRESOLVED = 0.5
 
 
 class Hold(NamedTuple):
@@ -212,7 +210,7 @@ def _held(
         rest += np.einsum("ni,ni->n", gradient[:, first : last + 1], below)
         pull += gradient[:, last] * rates[-1] * half[:, c]
     drawn = np.abs(rest) < -pull
-    return np.flatnonzero(drawn[:-1] & drawn[1:] & (share[1:] > UNRESOLVED))
+    return np.flatnonzero(drawn[:-1] & drawn[1:] & (share[1:] > LIKELIHOOD.unresolved))
 
 
 def _at_both_ends(values: Floats) -> Floats:

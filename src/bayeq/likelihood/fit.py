@@ -14,6 +14,7 @@ from bayeq.likelihood.filter import Filtered, run_filter
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series, Stated
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.linear import Linear, derivatives_along, linearise, targets_along, terms_at
+from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.numerics.minimise import minimise
 
 __all__ = [
@@ -33,9 +34,8 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-# Sizes of a discrepancy at which the likelihood is averaged at first: standard deviations a factor of about 4 apart.
-# More lie beside the likeliest, until it changes by less than SMOOTH nats from one to the next.
-SIZES, SMOOTH, MOST_HALVED = 8, 1.5, 8
+# Intervals between sizes of a discrepancy beside the likeliest are halved, at most this often.
+MOST_HALVED = 8
 
 # Levels move by no more than this in a step, of logarithms mostly.
 LONGEST = 2.0
@@ -246,15 +246,15 @@ def over_sizes(
 def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: float) -> tuple[float, float]:
     """ln of the mean of a positive function between two numbers, and where it was largest, given the place of a peak.
 
-    By the trapezoidal rule, intervals halved beside the largest value until it changes by less than `SMOOTH` there.
+    By the trapezoidal rule, intervals halved beside the largest value until it changes by less than `size_step` there.
     """
-    at = sorted({*np.linspace(low, high, SIZES).tolist(), min(max(peak, low), high)})
+    at = sorted({*np.linspace(low, high, LIKELIHOOD.discrepancy_sizes).tolist(), min(max(peak, low), high)})
     logs = [log_of(x) for x in at]
     for _ in range(MOST_HALVED):
         top = int(np.argmax(logs))
         beside = [k for k in (top - 1, top) if 0 <= k < len(at) - 1]
         k = max(beside, key=lambda k: abs(logs[k + 1] - logs[k]))
-        if abs(logs[k + 1] - logs[k]) < SMOOTH:
+        if abs(logs[k + 1] - logs[k]) < LIKELIHOOD.size_step:
             break
         at.insert(k + 1, 0.5 * (at[k] + at[k + 1]))
         logs.insert(k + 1, log_of(at[k + 1]))

@@ -14,33 +14,24 @@ from bayeq.likelihood.adjoint import Adjoint
 from bayeq.likelihood.filter import Noise
 from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.linear import Linear
+from bayeq.likelihood.settings import LIKELIHOOD
 
 __all__ = ["Levels", "Scales"]
 
 Floats = NDArray[np.float64]
 
-# The first state of a record is known to this many standard deviations of the channels, and no better.
-VAGUE = 10.0
-
-# Bounds: of noise and discrepancy as shares of the variance of channel and target, of what is left of a discrepancy
-# after a sample, and of what the course of an input errs by: at most as much as it bends.
+# Bounds: of noise and discrepancy as shares of the variance of channel and target, and of what the course of an input
+# errs by, as a share of what it bends.
 LEAST_NOISE, MOST_NOISE = 1e-10, 1e2
-LEAST_DISCREPANCY, MOST_DISCREPANCY = 1e-8, 1e2
-MOST_POSSIBLE = 1e1
-MEMORY = (0.02, 0.999)
-COURSES = (1e-6, 1.0)
+MOST_DISCREPANCY, MOST_POSSIBLE = 1e2, 1e1
+LEAST_COURSE = 1e-6
 
-# A discrepancy forgets in this share of the motion's own time: one that remembers longer relaxes as a law does, and
-# replaces it; one that forgets sooner leaves a slow force that nobody measured to false terms
-# (docs/tables/memory.csv).
-OWN_TIME = 0.4
+# What a search moves, in this order.
+PARTS = ("channels", "discrepancy", "memory", "slope", "courses", "drifts")
 
 # The likelihood is about as sharp in the size of an input's steps as this share of its samples makes it. On a small
 # discrepancy it may carry anywhere from no information to that of all samples: their geometric mean is taken.
 STEP_SHARPNESS = 0.25
-
-# What a search moves, in this order.
-PARTS = ("channels", "discrepancy", "memory", "slope", "courses", "drifts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +100,7 @@ class Levels:
         """The variances as the filter takes them."""
         layout = self.layout
         memory, steps = np.ones(layout.size), np.zeros(layout.size)
-        start = VAGUE**2 * self.scales.variance
+        start = LIKELIHOOD.first_state_sd**2 * self.scales.variance
         memory[layout.discrepancy] = self.memory
         steps[layout.discrepancy] = self.discrepancy * (1.0 - self.memory**2)
         start[layout.discrepancy] = self.discrepancy
@@ -160,7 +151,11 @@ class Levels:
         if any(chain.static for chain in layout.roles.chains):
             variance, i = self.scales.variance, layout.driven
             times = np.minimum(times, np.min([*times, *np.sqrt(variance[i] / variance[i + 1])])).tolist()
-        return np.clip(np.exp(-self.scales.interval / (OWN_TIME * np.array(times))), 2.0 * MEMORY[0], MEMORY[1])
+        return np.clip(
+            np.exp(-self.scales.interval / (LIKELIHOOD.memory_share * np.array(times))),
+            2.0 * LIKELIHOOD.shortest_memory,
+            LIKELIHOOD.longest_memory,
+        )
 
     @property
     def unbounded(self) -> Levels:
@@ -170,7 +165,7 @@ class Levels:
     @property
     def sizes(self) -> tuple[Floats, Floats]:
         """Least and most variance of a discrepancy that is taken to be possible, (C,)."""
-        return LEAST_DISCREPANCY * self.target, MOST_POSSIBLE * self.target
+        return LIKELIHOOD.least_discrepancy * self.target, MOST_POSSIBLE * self.target
 
     @property
     def learned(self) -> NDArray[np.bool_]:
@@ -212,10 +207,10 @@ class Levels:
         slope, drifting = self.scales.variance[self.layout.slope], self.scales.channels[: len(self.drifts)]
         low = [
             np.log(np.maximum(LEAST_NOISE * self.scales.channels, self.scales.rounding)),
-            np.log(LEAST_DISCREPANCY * target),
-            np.full(len(target), _logit(np.array(MEMORY[0]))),
-            np.log(LEAST_DISCREPANCY * slope),
-            np.full(len(slope), np.log(COURSES[0])),
+            np.log(LIKELIHOOD.least_discrepancy * target),
+            np.full(len(target), _logit(np.array(LIKELIHOOD.shortest_memory))),
+            np.log(LIKELIHOOD.least_discrepancy * slope),
+            np.full(len(slope), np.log(LEAST_COURSE)),
             np.log(LEAST_NOISE * drifting),
         ]
         high = [
@@ -223,7 +218,7 @@ class Levels:
             np.log(MOST_DISCREPANCY * target),
             _logit(self.longest),
             np.log(1e4 * slope),
-            np.full(len(slope), np.log(COURSES[1])),
+            np.full(len(slope), np.log(LIKELIHOOD.most_course)),
             np.log(MOST_NOISE * drifting),
         ]
         return np.concatenate(low), np.concatenate(high)

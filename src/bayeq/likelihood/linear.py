@@ -11,6 +11,7 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Evaluator, Expression
 from bayeq.likelihood.blur import Blur, Hold, crossings, first_blur
 from bayeq.likelihood.layout import Candidates, Layout, Series
+from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.steps import Steps, add_derivatives, arrays, integrate
 from bayeq.numerics.spline import spline_slopes
 
@@ -18,9 +19,6 @@ __all__ = ["Linear", "derivatives_along", "linearise", "sources_of", "targets_al
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-# Runge-Kutta steps, at least, of an interval in which a term of the model jumps: the jump is located among them.
-JUMP_STEPS = 8
 
 
 class Linear(NamedTuple):
@@ -119,7 +117,7 @@ def linearise(
     blur : Blur, optional
         Widths of the jumps; by default those between samples.
     substeps : int
-        Runge-Kutta steps between two samples; more, `JUMP_STEPS`, where a term of the model jumps.
+        Runge-Kutta steps between two samples; more, `jump_steps`, where a term of the model jumps.
     """
     n, size, chains = len(path), layout.size, layout.chains
     blur = first_blur(layout, series, path, substeps) if blur is None else blur
@@ -135,7 +133,7 @@ def linearise(
         series.bends,
         layout.driven,
         series.intervals,
-        np.where(jumping, max(substeps, JUMP_STEPS), substeps),
+        np.where(jumping, max(substeps, LIKELIHOOD.jump_steps), substeps),
         layout.last,
         layout.factors,
         layout.motion,

@@ -15,16 +15,11 @@ from numpy.typing import NDArray
 
 from bayeq.likelihood.filter import Filtered
 from bayeq.likelihood.search import Fitted, Task
+from bayeq.likelihood.settings import LIKELIHOOD
 
 __all__ = ["excess_of", "power_of"]
 
 Floats = NDArray[np.float64]
-
-# The sum over lags ends at this many times the excess that it has come to (Sokal 1997).
-WINDOW = 5.0
-
-# Standard errors above 1, were the innovations independent, beyond which the excess is used.
-CLEARLY = 3.0
 
 
 def power_of(task: Task, fitted: Fitted) -> float:
@@ -34,7 +29,7 @@ def power_of(task: Task, fitted: Fitted) -> float:
     found = task.marginal(fitted.state)
     root = np.linalg.cholesky(found.covariance)
     excess, error = excess_of([_scores(one, found.delta) @ root for one in found.filtered])
-    return 1.0 / excess if excess > 1.0 + CLEARLY * error else 1.0
+    return 1.0 / excess if excess > 1.0 + LIKELIHOOD.correlated_by * error else 1.0
 
 
 def _scores(filtered: Filtered, delta: Floats) -> Floats:
@@ -56,7 +51,7 @@ def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:
     """
     r, longest = scores[0].shape[1], max(map(len, scores))
     excess, square, lag = sum(float(np.sum(one**2)) for one in scores) / r, 0.0, 0
-    while lag < min(WINDOW * excess, longest - 1):
+    while lag < min(LIKELIHOOD.correlated_lags * excess, longest - 1):
         lag += 1
         products = [np.einsum("ti,ti->t", one[lag:], one[:-lag]) for one in scores if len(one) > lag]
         excess += 2.0 / r * sum(float(p.sum()) for p in products)

@@ -15,18 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.likelihood.fit import solved
+from bayeq.likelihood.settings import LIKELIHOOD
 
 __all__ = ["Leftover", "Projected", "batched", "leftover", "lines_of_equal_power", "projected", "time_around"]
 
 Floats = NDArray[np.float64]
 
-# A batch lasts this many times as long as scores are correlated, their integrated time: batches are then independent.
-# There are no more than the second number, and no fewer than the third: also of a slow force the scores with fast terms
-# are hardly correlated.
-BATCH, MOST_BATCHES, ENOUGH = 5.0, 64, 16
-
 # A batch has this many rows at least; from fewer batches no variance is estimated.
 LEAST_ROWS, LEAST_BATCHES = 8, 4
+
+# Batches, at most.
+MOST_BATCHES = 64
 
 # Frequencies that the spectrum of what is left is kept as.
 LINES = 12
@@ -99,7 +98,11 @@ def leftover(
     courses = tuple(d - D @ change for D, d in zip(columns, discrepancies, strict=True))
     scores = [D * r[:, None] for D, r in zip(columns, courses, strict=True)]
     total = sum(map(len, courses))
-    length = max(min(BATCH * _correlated(scores), total / ENOUGH), total / MOST_BATCHES, LEAST_ROWS)
+    length = max(
+        min(LIKELIHOOD.batch * _correlated(scores), total / LIKELIHOOD.enough_batches),
+        total / MOST_BATCHES,
+        LEAST_ROWS,
+    )
     pairs = [
         batched(D, d[:, None], w, max(1, int(len(d) / length)))
         for w, D, d in zip(weights, columns, discrepancies, strict=True)

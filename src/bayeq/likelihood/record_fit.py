@@ -24,8 +24,6 @@ from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.power import power_of
 from bayeq.likelihood.projection import Leftover, leftover
 from bayeq.likelihood.search import (
-    ADEQUATE,
-    WINDOW,
     Fitted,
     Task,
     among_neighbours,
@@ -37,26 +35,20 @@ from bayeq.likelihood.search import (
     search,
     with_model,
 )
-from bayeq.likelihood.spike import IMPROBABLE, Nearly, Soft, among_fitted, averaged, soft_of
+from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.likelihood.spike import Nearly, Soft, among_fitted, averaged, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from, with_courses
 from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms, first_members, joint_covariance, with_constants
 from bayeq.states import Lag, Motion
 
-__all__ = ["MOST_CANDIDATES", "RecordFit", "fit_record", "learned_lags", "refit_record"]
+__all__ = ["RecordFit", "fit_record", "learned_lags", "refit_record"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-# Candidates of all equations together, constants among them: of four channels and 4000 rows they take a minute.
-MOST_CANDIDATES = 1000
-
-# Longer records are searched at first in stretches: rows in all, and number of stretches.
-ROWS_AT_FIRST, STRETCHES = 16_000, 4
-
-# Coefficients that are reported have this share of the prior's precision: it makes no difference where the record tells
-# them, and shrinks them where it hardly does.
-UNSHRUNK = 1e-3
+# Stretches in which long records are searched at first.
+STRETCHES = 4
 
 # Where that moves no coefficient by this share of its standard deviation, the likelihood about the fit tells how far.
 HARDLY = 0.1
@@ -102,7 +94,7 @@ class RecordFit:
         fitted = replace(fitted, power=power_of(task, fitted))
         soft = soft_of(task, fitted)
         found = cls(task, fitted, *averaged(task, fitted, soft))
-        if fitted.power == 1.0 and not max(found.nearly.exact) < IMPROBABLE:
+        if fitted.power == 1.0 and not max(found.nearly.exact) < LIKELIHOOD.nearly_true:
             # otherwise to be likelier under an exact law, as more terms are, says nothing
             best = among_neighbours(task, fitted)
             soft = soft if best is fitted else soft_of(task, best)
@@ -110,7 +102,9 @@ class RecordFit:
         included = found.about(found.posterior.support)
         lost = fitted.evidence - included.fitted.evidence
         # where innovations are correlated a fit of another model is no more to be relied on than the raised Gram
-        if included.own and (fitted.power < 1.0 or lost < found.worse(included.fitted.model) + WINDOW):
+        if included.own and (
+            fitted.power < 1.0 or lost < found.worse(included.fitted.model) + LIKELIHOOD.neighbour_window
+        ):
             return included
         # what the Gram says of models far from the fitted one is not to be relied on
         revise = partial(among_fitted, fitted=fitted)
@@ -203,7 +197,7 @@ class RecordFit:
     def _jointly(self, power: float) -> tuple[Floats, tuple[ConstantEstimate, ...]] | None:
         if not any(term.unknowns for term in self.task.layout.terms):
             return None
-        task = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[])
+        task = replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision, recent=[])
         with np.errstate(all="ignore"):
             return joint_covariance(task, self._unshrunk[0], power)
 
@@ -217,7 +211,10 @@ class RecordFit:
     @cached_property
     def _unshrunk(self) -> tuple[State, Floats]:
         """The same with constants given."""
-        task, state = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[]), self.fitted.state
+        task, state = (
+            replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision, recent=[]),
+            self.fitted.state,
+        )
         included, q = np.flatnonzero(self.fitted.model), self.fitted.quadratic
         precision = task.precision[included]
         with np.errstate(all="ignore"):
@@ -237,7 +234,7 @@ class RecordFit:
     @cached_property
     def lags(self) -> Mapping[str, Lag]:
         """Of channels that may be late, what was taken out of the samples included."""
-        task = replace(self.task, precision=UNSHRUNK * self.task.precision, recent=[])
+        task = replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision, recent=[])
         with np.errstate(all="ignore"):
             return lags_of(task, self._unshrunk[0], self.fitted.power)
 
@@ -465,7 +462,7 @@ def refit_record(
             found: RecordFit | None = _resumed(motion, former.task, former.fitted, places)
     except np.linalg.LinAlgError:
         found = None
-    if found is not None and found.own and found.kappa.max() < ADEQUATE:
+    if found is not None and found.own and found.kappa.max() < LIKELIHOOD.adequate:
         return found
     task = former.task
     log_odds = task.log_odds if task.ranges is None else task.log_odds - task.ranges
@@ -489,10 +486,10 @@ def _checked(found: RecordFit) -> RecordFit:
 def _stretches(motion: Motion) -> tuple[Motion, list[tuple[int, int]]]:
     """Stretches of long records, and where each begins; short ones as they are."""
     total = sum(rows.n for rows in motion.train)
-    if total <= ROWS_AT_FIRST:
+    if total <= LIKELIHOOD.stretches_above:
         return motion, [(record, 0) for record in range(len(motion.train))]
     places, pieces = [], []
-    longest = ROWS_AT_FIRST // STRETCHES
+    longest = LIKELIHOOD.stretches_above // STRETCHES
     for record, count in _counts([rows.n for rows in motion.train], longest).items():
         rows = motion.train[record]
         length = min(longest, rows.n // count)
@@ -508,5 +505,7 @@ def _counts(rows: Sequence[int], longest: int) -> dict[int, int]:
     if len(rows) <= STRETCHES:
         return {k: max(1, round(STRETCHES * n / sum(rows))) for k, n in enumerate(rows)}
     typical = min(longest, int(np.median(rows)))
-    chosen = np.linspace(0, len(rows) - 1, min(len(rows), -(-ROWS_AT_FIRST // typical))).round().astype(int)
+    chosen = (
+        np.linspace(0, len(rows) - 1, min(len(rows), -(-LIKELIHOOD.stretches_above // typical))).round().astype(int)
+    )
     return dict.fromkeys(chosen.tolist(), 1)

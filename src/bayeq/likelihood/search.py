@@ -37,11 +37,10 @@ from bayeq.likelihood.fit import (
 )
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.linear import Linear
+from bayeq.likelihood.settings import LIKELIHOOD
 
 __all__ = [
-    "ADEQUATE",
     "COARSE",
-    "WINDOW",
     "Fitted",
     "Task",
     "among_neighbours",
@@ -74,31 +73,24 @@ MOST_STEPS = 6
 # Gauss-Newton steps to where the likelihood is not finite are halved, at most this often in a fit.
 MOST_HALVED = 4
 
-# Neighbours within WINDOW nats on the Gram are fitted, at most NEIGHBOURS of them from each model; at most MOVES moves.
-WINDOW = 6.0
-NEIGHBOURS = 8
-MOVES = 5
-
-# With more samples than this the Gram of a fit tells its neighbours apart, and they are not fitted.
-MOST_TO_MOVE = 100_000
-
 # Shares of the candidates that are looked at first, the smallest expressions of them.
 SIMPLEST = (0.25, 0.5)
 
-# A deviation from the path that grows by more than this factor in a sample, tried at CHECKED of them, or a step that
-# ends further from the path in standard deviations of a state: no motion that was measured.
-GROWTH = 3.0
+# Samples at which growth of deviations from the path is looked for.
 CHECKED = 500
 
 # All candidates together are a start if they are not more than this.
 MOST_AT_ONCE = 40
 
-# A neighbour is fitted from a discrepancy this many times smaller: with the right terms little of it is left.
-CALMED = 10.0
-EXPLAINS_MUCH, HARDLY_ANY = 0.3, 1e-3
+# With more samples than this the Gram of a fit tells its neighbours apart, and they are not fitted.
+MOST_TO_MOVE = 100_000
 
-# Steps that a discrepancy which explained much is kept away, while path and coefficients find each other.
-CALM_STEPS = 3
+# Moves to a neighbour, at most.
+MOVES = 5
+
+# A discrepancy that explained much is tried at this share of the target, and held there for some steps, while path and
+# coefficients find each other.
+HARDLY_ANY, CALM_STEPS = 1e-3, 3
 
 # Factors by which the variance of coefficients' priors may be wider, where that is likelier by this many nats.
 WIDER, CLEARLY = (10.0, 100.0), 3.0
@@ -106,20 +98,14 @@ WIDER, CLEARLY = (10.0, 100.0), 3.0
 # Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
 
-# Noise of inputs at first, as a share of their variance, where their spectrum does not tell it.
-INPUT_NOISE = 2.5e-3
-
 # The likelihood is flat near zero discrepancy, so that a search stays there: of many samples a fit is compared with one
 # that starts from a discrepancy of this share of its target, and this memory. If that is as likely it is taken: from
 # there more rows lead to less of it as well as to more. One that begins worse by FLAT nats is dropped.
 NOTICED, ITS_MEMORY = 0.01, 0.7
 FLAT = 0.5
 
-# A discrepancy below this share of its target leaves nothing for another start to explain.
-ADEQUATE = 0.05
-
 # Steps between samples are halved, up to this number, until this share of them errs by less than STEP_ERROR of the
-# standard deviation of each state.
+# standard deviation of each state; the others may hold a jump.
 MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-5
 
 
@@ -338,7 +324,7 @@ def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
 def calmed(state: State) -> State:
     """The state with smaller discrepancies: with hardly any where they explain much of the motion."""
     levels = state.levels
-    kappa = np.where(levels.kappa > EXPLAINS_MUCH, HARDLY_ANY, levels.kappa / CALMED)
+    kappa = np.where(levels.kappa > LIKELIHOOD.explains_much, HARDLY_ANY, levels.kappa / LIKELIHOOD.calmed)
     return replace(state, levels=replace(levels, discrepancy=kappa**2 * levels.target))
 
 
@@ -350,7 +336,7 @@ def from_all_levels(task: Task, state: State, beside: Fitted | None = None) -> F
     found = [fit(task, state, beside=beside)]
     if (state.levels.kappa < NOTICED).all():
         return found[0]
-    much = bool((state.levels.kappa > EXPLAINS_MUCH).any())
+    much = bool((state.levels.kappa > LIKELIHOOD.explains_much).any())
     try:
         found.append(fit(task, calmed(state), calm=CALM_STEPS if much else 0, beside=beside))
     except np.linalg.LinAlgError:
@@ -408,14 +394,17 @@ def likeliest(task: Task, fitted: Fitted) -> State:
 
 
 def steady(task: Task, state: State) -> bool:
-    """Whether a step multiplies deviations from the path by less than `GROWTH`, and ends near the path."""
+    """Whether a step multiplies deviations from the path by less than `most_growth`, and ends near the path."""
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
     for linear in task.linearised(state):
         missed = np.abs(linear.end - linear.path[1:])[:, : task.layout.motion] / spread
         few = linear.transition[:: max(1, len(missed) // CHECKED)]
         if not (np.isfinite(missed).all() and np.isfinite(few).all()):
             return False
-        if missed.max(initial=0.0) > GROWTH or np.abs(np.linalg.eigvals(few)).max() > GROWTH:
+        if (
+            missed.max(initial=0.0) > LIKELIHOOD.most_growth
+            or np.abs(np.linalg.eigvals(few)).max() > LIKELIHOOD.most_growth
+        ):
             return False
     return True
 
@@ -480,7 +469,7 @@ def from_the_simplest(task: Task, empty: State) -> State | None:
         log_odds = np.where(np.tile(simple, task.layout.chains), task.log_odds, -np.inf)
         _, found = settle(replace(task, log_odds=log_odds, recent=[]), empty if state is None else state)
         state = found.state
-        if state.levels.kappa.max() < ADEQUATE:
+        if state.levels.kappa.max() < LIKELIHOOD.adequate:
             break
     return state
 
@@ -515,7 +504,9 @@ def noisier(task: Task, state: State, k: int) -> State:
     levels, i = state.levels, task.layout.first_input + k
     if not levels.learned[i]:
         return state
-    return replace(state, levels=levels.with_noise(i, max(levels.channels[i], INPUT_NOISE * levels.scales.channels[i])))
+    return replace(
+        state, levels=levels.with_noise(i, max(levels.channels[i], LIKELIHOOD.input_noise * levels.scales.channels[i]))
+    )
 
 
 def with_other_inputs(task: Task, best: Fitted, others: Alternatives) -> tuple[Task, Fitted]:
@@ -560,7 +551,7 @@ def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]
                 settled.append(settle(task, start))
         except np.linalg.LinAlgError:
             continue
-        if settled and settled[-1][1].state.levels.kappa.max() < ADEQUATE:
+        if settled and settled[-1][1].state.levels.kappa.max() < LIKELIHOOD.adequate:
             break
     if not settled:
         raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
@@ -609,7 +600,9 @@ def among_neighbours(task: Task, best: Fitted) -> Fitted:
     tried = {best.model.tobytes(): best.evidence}
     for _ in range(MOVES):
         better = best
-        for move in neighbours(task.problem(best.quadratic), best.model, WINDOW)[:NEIGHBOURS]:
+        for move in neighbours(task.problem(best.quadratic), best.model, LIKELIHOOD.neighbour_window)[
+            : LIKELIHOOD.neighbours
+        ]:
             model = move.apply(best.model)
             if model.tobytes() in tried:
                 continue

@@ -36,9 +36,9 @@ from bayeq.likelihood.fit import (
 )
 from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.search import Fitted, Task
+from bayeq.likelihood.settings import LIKELIHOOD
 
 __all__ = [
-    "IMPROBABLE",
     "Nearly",
     "Soft",
     "among_fitted",
@@ -52,28 +52,20 @@ __all__ = [
 Floats = NDArray[np.float64]
 Sizes = tuple[float, ...]
 
-# Half of the prior probability is that of the first size, none at all by default. The other half is spread over sizes,
-# log-uniform from LEAST to at most MOST of the target's standard deviation, PER_DIRECTION of it in each of the span's.
-LEAST, PER_DIRECTION, MOST, SIZES = 1e-4, 0.0065, 0.04, 10
-
-# Directions in which candidates hardly differ from nothing, as a share of the largest, are none; nor are those of which
-# the motion along the path has less than this share of the power, the uncertainty of the states the rest.
-CUT, ALONG = 1e-7, 0.5
-
 # Samples, evenly chosen, that functions are isotropic on.
 ROWS, ROWS_PER_TERM = 4000, 10
 
-# Sizes whose likeliest model is less likely than that of the best by more nats are not averaged over.
-NEGLIGIBLE = 10.0
-
-# With a lower probability of no function at all a law is only nearly true.
-IMPROBABLE = 0.01
-
-# Equations of fewer candidates have hidden ones: monomials of the states, as many degrees as give FEW.
-FEW, MOST_DEGREE = 15, 6
-
 # Rounds over the equations; with more candidates all equations have one size.
 ROUNDS, MOST_APART = 3, 300
+
+# Directions in which candidates hardly differ from nothing, as a share of the largest, are none.
+CUT = 1e-7
+
+# Hidden candidates are monomials of this degree at most.
+MOST_DEGREE = 6
+
+# Sizes whose likeliest model is less likely than that of the best by more nats are not averaged over.
+NEGLIGIBLE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +127,7 @@ def isotropic(columns: Floats, moved: Sequence[Floats], deviation: float) -> Flo
     kept = size > CUT * size[0]
     alike = axes[kept].T / size[kept]
     _, share, turned = np.linalg.svd(np.linalg.qr(columns @ alike, mode="r") / unit, full_matrices=False)
-    known = share**2 > ALONG
+    known = share**2 > LIKELIHOOD.misfit_along
     if not known.any():
         raise np.linalg.LinAlgError("no function of the states is known")
     return np.asarray(alike @ turned[known].T / np.sqrt(known.sum()))
@@ -157,17 +149,19 @@ def sizes_of(tolerance: float | None, rank: int) -> Floats:
     first = tolerance or 0.0
     if tolerance == 0.0:
         return np.zeros(1)
-    most = min(MOST, PER_DIRECTION * np.sqrt(rank))
-    grid = np.geomspace(LEAST, most, SIZES)
+    most = min(LIKELIHOOD.misfit_most, LIKELIHOOD.misfit_per_direction * np.sqrt(rank))
+    grid = np.geomspace(LIKELIHOOD.misfit_least, most, LIKELIHOOD.misfit_sizes)
     return np.append(first, grid[grid > first])
 
 
 def hidden_terms(layout: Layout, fewest: int) -> tuple[Expression, ...]:
     """Monomials of the states that a function may need where a dictionary has few terms."""
-    if fewest >= FEW:
+    if fewest >= LIKELIHOOD.misfit_few:
         return ()
     states, own = layout.roles.variables, {term.text for term in layout.terms}
-    degree = next(d for d in range(1, MOST_DEGREE + 1) if count(len(states), d) > FEW or d == MOST_DEGREE)
+    degree = next(
+        d for d in range(1, MOST_DEGREE + 1) if count(len(states), d) > LIKELIHOOD.misfit_few or d == MOST_DEGREE
+    )
     return tuple(parse(text, states) for text in monomials(states, degree) if text not in own)
 
 

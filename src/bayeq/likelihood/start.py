@@ -20,9 +20,10 @@ from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, maximised
 from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout, Series, Stated
-from bayeq.likelihood.levels import COURSES, LEAST_NOISE, Levels, Scales
+from bayeq.likelihood.levels import LEAST_COURSE, LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
-from bayeq.likelihood.search import INPUT_NOISE, Fitted, Task
+from bayeq.likelihood.search import Fitted, Task
+from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.unequal import in_proportion
 from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
@@ -39,14 +40,6 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-# A coefficient that is not zero has a prior variance by which its term explains this many times the variance of the
-# target: terms may cancel each other. Of 1, 3, 5 and 10, those above 1 found Lorenz's equations most often.
-SLAB = 5.0
-
-# Channels whose squared mean is above this many times their variance, as a pressure or a preload, need a constant that
-# makes up for it.
-FAR_FROM_ZERO = 10.0
-
 # Noise of channels at first, as a share of their variance.
 FIRST_NOISE = 1e-3
 
@@ -58,12 +51,6 @@ INPUT_ROWS = 2000
 # Courses of an input between samples that its derivatives do not tell, and those of a random sequence.
 OTHERWISE: tuple[Course, ...] = ("linear", "hold")
 BENT: tuple[Course, ...] = ("cubic", "band-limited")
-
-# What courses err by at first, as a share of the square of their bends.
-FIRST_COURSE = 1e-2
-
-# The spectrum of a drift falls, as that of a random walk, from this share of the lowest frequency that is believed.
-SLOWEST = 0.1
 
 # A tie holds to this share of the prior's standard deviation of its first coefficient, whose log odds alone are -ALONE.
 TIED, ALONE = 1e-6, 3.0
@@ -124,7 +111,7 @@ def start_from(
         scales.variance[layout.discrepancy],
         np.clip(lag1, LEAST_MEMORY, MOST_MEMORY),
         np.array([one.slope for one in inputs]),
-        np.full(len(inputs), FIRST_COURSE),
+        np.full(len(inputs), LIKELIHOOD.first_course),
         noise[: len(layout.drifts)],
         held=held,
     )
@@ -200,7 +187,7 @@ def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -
     held[layout.first_input :] = True
     target = scales.variance[layout.discrepancy]
     slope = scales.variance[layout.driven] / interval**2
-    memory, exact = np.full(layout.chains, LEAST_MEMORY), np.full(count, COURSES[0])
+    memory, exact = np.full(layout.chains, LEAST_MEMORY), np.full(count, LEAST_COURSE)
     levels = Levels(layout, scales, noise, target, memory, slope, exact, np.zeros(0), held=held)
     precision = precision_of_terms(motion, layout)
     task = Task(layout, series, precision, np.zeros(len(precision)))
@@ -284,7 +271,7 @@ def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Inp
     scales.mean[:first], scales.variance[:first] = levels.scales.mean[:first], levels.scales.variance[:first]
     noise = np.append(levels.channels[: layout.first_input], [one.noise for one in inputs])
     slope = np.array([one.slope for one in inputs])
-    courses = np.full(len(inputs), FIRST_COURSE)
+    courses = np.full(len(inputs), LIKELIHOOD.first_course)
     levels = replace(levels, layout=layout, scales=scales, channels=noise, slope=slope, courses=courses, hessian=None)
     return replace(task, layout=layout, series=series, recent=[]), replace(state, paths=paths, blurs=(), levels=levels)
 
@@ -362,7 +349,7 @@ def _drift(motion: Motion) -> float:
     """Memory from sample to sample of a drift, slower than the band that the records are believed in; 0 without one."""
     low = motion.band[0] if motion.band else 0.0
     intervals = [np.diff(rows.time) for rows in motion.train if rows.time is not None]
-    return math.exp(-2.0 * math.pi * SLOWEST * low * _interval(intervals)) if low else 0.0
+    return math.exp(-2.0 * math.pi * LIKELIHOOD.slowest_drift * low * _interval(intervals)) if low else 0.0
 
 
 def _rounding(samples: Floats) -> float:
@@ -379,8 +366,8 @@ def precision_of_terms(motion: Motion, layout: Layout) -> Floats:
     own = targets.mean(axis=0) ** 2 / np.maximum(targets.var(axis=0), 1e-300)
     spread = np.tile(np.append(columns.var(axis=0), 1.0), (layout.chains, 1))
     # a target far from zero, as of a falling body, is a constant first of all
-    spread[:, -1] /= 1.0 + _offsets(motion, layout.terms) + np.where(own > FAR_FROM_ZERO, own, 0.0)
-    return np.asarray(spread / (SLAB * targets.var(axis=0)[:, None])).ravel()
+    spread[:, -1] /= 1.0 + _offsets(motion, layout.terms) + np.where(own > LIKELIHOOD.far_from_zero, own, 0.0)
+    return np.asarray(spread / (LIKELIHOOD.prior_share * targets.var(axis=0)[:, None])).ravel()
 
 
 def _offsets(motion: Motion, terms: Sequence[Expression]) -> float:
@@ -389,7 +376,7 @@ def _offsets(motion: Motion, terms: Sequence[Expression]) -> float:
     for name in sorted(set().union(*(term.names for term in terms))):
         values = np.concatenate([rows.columns[name] for rows in motion.train])
         share = float(values.mean() ** 2 / max(values.var(), 1e-300))
-        total += share if share > FAR_FROM_ZERO else 0.0
+        total += share if share > LIKELIHOOD.far_from_zero else 0.0
     return total
 
 
@@ -438,7 +425,7 @@ def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int, known: floa
     values = np.concatenate([rows.columns[name] for rows in pieces])
     mean, variance = float(values.mean()), float(values.var()) or 1.0
     step = _interval([np.diff(rows.time) for rows in pieces if rows.time is not None])
-    noise, corner, slope = INPUT_NOISE * variance, 0.0, variance / step**2
+    noise, corner, slope = LIKELIHOOD.input_noise * variance, 0.0, variance / step**2
     sizes = [variance, slope]
     if smoothness:
         order = smoothness + 1

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import InputError, UnknownNameError
+from bayeq.plan.settings import PLAN
 from bayeq.records import Record
 
 __all__ = ["Conditions", "Measured", "conditions_of"]
@@ -21,16 +22,8 @@ Amplitude = float | tuple[float, float]
 # A plan is made for this many samples by default: longer ones take longer to simulate and rank the same.
 SAMPLES = 4000
 
-# An input has both signs if its extremes are within this ratio: those of 100 samples of noise are; pulses are not.
-SIGNED = 0.5
-
 # Fewer samples than this are no spectrum.
 LEAST_SAMPLES = 16
-
-
-# The band of an input holds its power but for these shares below and above. Noise of the channel is spread up to half
-# of the sampling rate, so that more is left out there: 5 % is the power of 20 % noise.
-BELOW, ABOVE = 0.005, 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +71,8 @@ def band_of(samples: NDArray[np.float64], fs: float) -> tuple[float, float] | No
     if power.sum() <= 0.0:
         return None
     share = np.cumsum(power) / power.sum()
-    # the first line from which on more than BELOW has passed, and the one that completes all but ABOVE
-    low, high = np.searchsorted(share, (BELOW, 1.0 - ABOVE))
+    # the first line from which on more than a share has passed, and the one that completes all but one
+    low, high = np.searchsorted(share, (PLAN.power_below, 1.0 - PLAN.power_above))
     return float(low * fs / len(samples)), float(high * fs / len(samples))
 
 
@@ -179,7 +172,7 @@ def _span(
             raise InputError(f"the range of {name} is not known from the record: give amplitude")
         low, high = measured.ranges[name]
         least, most = sorted((-low, high))
-        if least > SIGNED * most:  # of both signs: as far as both go
+        if least > PLAN.signed * most:  # of both signs: as far as both go
             low, high = -least, least
     elif isinstance(amplitude, (int, float)):
         high = _positive(f"amplitude of {name}", amplitude)

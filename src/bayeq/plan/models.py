@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
+from bayeq.plan.settings import PLAN
 from bayeq.regression.fit import RegressionFit
 
 __all__ = ["CandidateModel", "likeliest_models"]
 
-# Models that are kept with an equation, and neighbours that are looked at, as for runners-up.
+# Models that are kept with an equation.
 KEPT = 10
-WINDOW = 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,9 @@ def _listed(fit: RegressionFit) -> tuple[NDArray[np.bool_], NDArray[np.float64]]
     posterior = fit.posterior
     if posterior.average is not None:
         return posterior.average.models, posterior.average.probability
-    moves = neighbours(fit.problem, posterior.support, WINDOW) if ENGINES[posterior.method].spike_slab else []
+    moves = (
+        neighbours(fit.problem, posterior.support, PLAN.models_within) if ENGINES[posterior.method].spike_slab else []
+    )
     models = np.array([posterior.support, *(move.apply(posterior.support) for move in moves)])
     log_odds = np.array([0.0, *(move.gain for move in moves)])
     order = np.argsort(-log_odds, kind="stable")

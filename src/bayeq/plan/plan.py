@@ -20,15 +20,13 @@ from bayeq.plan.designs import SHARES, Design, Motions, designs_for, largest_sha
 from bayeq.plan.information import coefficient_gain, seconds_to_halve, seconds_until, unexplained
 from bayeq.plan.models import CandidateModel
 from bayeq.plan.result import Compared, Outcome, Plan, Separation
+from bayeq.plan.settings import PLAN
 from bayeq.resumable import Progress
 from bayeq.states import Chain
 
 __all__ = ["Found", "plan_excitation"]
 
 Floats = NDArray[np.float64]
-
-# Rivals that a plan tells the leading model from, in all equations: each is simulated under every design.
-MOST_RIVALS = 4
 
 
 class Found(Protocol):
@@ -88,7 +86,7 @@ class _Planning:
         listed = [(k, model) for k, equation in enumerate(equations) for model in equation.models[1:]]
         self.listed = sorted(listed, key=lambda one: -one[1].probability / equations[one[0]].models[0].probability)
         within = [one for one in self.listed if one[1].probability * odds > equations[one[0]].models[0].probability]
-        self.rivals = [self._rival(*one) for one in within[:MOST_RIVALS]]
+        self.rivals = [self._rival(*one) for one in within[: PLAN.most_rivals]]
         if not self.rivals:  # the coefficients to learn are those of the terms shown
             self.leading = [equation.shown_posterior for equation in equations]
         self.lead = self._motions(self.leading)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.records.sampling import JITTER
+from bayeq.records.settings import RECORDS
 from bayeq.records.truth import FloatArray
 
 __all__ = ["Frames", "Relation", "Shift", "derivative_name", "relate", "shift_of", "uniform_frames"]
@@ -65,8 +65,8 @@ MOST_COHERENT = 0.9999
 MOST_DELAY = 32
 STEPS = 4
 
-# Of maxima that come so close to the best one the one nearest to no delay is taken: motion of nearly one frequency
-# looks alike after a period, and reversed after half of one.
+# Of delays that fit this share of the best the one nearest to none is taken: motion of one frequency looks the same
+# after a period.
 AS_GOOD = 0.98
 
 
@@ -111,7 +111,7 @@ def uniform_frames(time: FloatArray) -> Frames | None:
     steps = np.diff(time)
     if not len(steps):
         return None
-    even = np.abs(steps / np.median(steps) - 1.0) <= JITTER  # others end a frame
+    even = np.abs(steps / np.median(steps) - 1.0) <= RECORDS.jitter  # others end a frame
     dt = float(steps[even].mean())
     breaks = np.flatnonzero(~even) + 1
     hop = length // OVERLAP

@@ -18,23 +18,12 @@ from numpy.typing import NDArray
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, shift_of, uniform_frames
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
+from bayeq.records.settings import RECORDS
 from bayeq.records.units import derivative_ratio
 
 __all__ = ["Clipping", "Finding", "check_messages", "check_record", "clipped_levels", "equal_runs", "without_copies"]
 
 Floats = NDArray[np.float64]
-
-# An offset, or half the change by drift over the record, counts from this share of the channel's standard deviation,
-# a delay from this many samples, a gain from this ratio.
-LEAST_OFFSET = 0.01
-LEAST_DELAY = 0.2
-LEAST_GAIN = 1.03
-
-# ... and if it is this many standard errors from nothing.
-SIGNIFICANT = 4.0
-
-# If sign and delay explain a smaller share of the coherent signal, two channels are not what they are said to be.
-LEAST_FIT = 0.9
 
 # Gains that are mistakes of units, and how near a measured one must come.
 UNIT_GAINS = (
@@ -198,7 +187,7 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
         link = relate(record.time, record[p], record[q], high - low, frames)
         if link is None:
             return found
-        if link.fit < LEAST_FIT:
+        if link.fit < RECORDS.least_fit:
             message = (
                 f"{q} moves with {derivative_name(p, high - low)} but is not it: no sign and delay makes them fit"
                 f" (best: {100 * link.fit:.0f} %); check which channel is which"
@@ -264,7 +253,7 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
         return [Finding("gain", (q, p), message, links[0].gain)]
     steps = [math.log(link.gain / expected) for link, expected in zip(links, stated, strict=True)]
     found = []
-    for odd in _odd_ones(measured, steps, [_undecided(link) for link in links], math.log(LEAST_GAIN)):
+    for odd in _odd_ones(measured, steps, [_undecided(link) for link in links], math.log(RECORDS.least_gain)):
         between = stated[min(odd.k, odd.other) : max(odd.k, odd.other)]
         expected = math.prod(between) ** (1 if odd.k > odd.other else -1)
         gain = math.exp(odd.difference) * expected
@@ -277,7 +266,7 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
 
 def _undecided(link: Relation) -> float:
     """How far ln gain may be off by chance, and by noise, which leaves it between regression one way and the other."""
-    return SIGNIFICANT * link.gain_error + 0.5 * math.log(link.most_gain / link.least_gain)
+    return RECORDS.significant * link.gain_error + 0.5 * math.log(link.most_gain / link.least_gain)
 
 
 def _stated_gain(record: Record, p: str, q: str, order: int) -> float:
@@ -294,9 +283,9 @@ def _unit_hint(gain: float) -> str:
 
 
 def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: float) -> list[Finding]:
-    steps, errors = [link.delay for link in links], [SIGNIFICANT * link.delay_error for link in links]
+    steps, errors = [link.delay for link in links], [RECORDS.significant * link.delay_error for link in links]
     found = []
-    for odd in _odd_ones(measured, steps, errors, LEAST_DELAY * dt):
+    for odd in _odd_ones(measured, steps, errors, RECORDS.least_delay * dt):
         name, delay = odd.channels[0], odd.difference
         message = (
             f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {odd.against} by"
@@ -314,24 +303,24 @@ def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: 
     """
     assert record.time is not None
     stated = _stated_gain(record, p, q, order)
-    if abs(math.log(link.gain / stated)) <= max(math.log(LEAST_GAIN), _undecided(link)):
+    if abs(math.log(link.gain / stated)) <= max(math.log(RECORDS.least_gain), _undecided(link)):
         gain, gain_error = stated, 0.0
     else:
-        gain, gain_error = link.gain, link.gain * _undecided(link) / SIGNIFICANT
+        gain, gain_error = link.gain, link.gain * _undecided(link) / RECORDS.significant
     shift = shift_of(record[p], record[q], order, frames, link.sign * gain, gain_error)
     spread, span = float(np.std(record[q])), float(record.time[-1] - record.time[0])
     unit = f" {record.units[q]}" if q in record.units else ""
     what = derivative_name(p, order)
-    significant = _student(SIGNIFICANT, shift.freedom)
+    significant = _student(RECORDS.significant, shift.freedom)
     found = []
-    if abs(shift.offset_t) > significant and abs(shift.offset) > LEAST_OFFSET * spread:
+    if abs(shift.offset_t) > significant and abs(shift.offset) > RECORDS.least_offset * spread:
         message = (
             f"{q} has an offset of {shift.offset:.3g}{unit} against {what}"
             f" ({100.0 * abs(shift.offset) / spread:.2g} % of its deviation):"
             f" use --remove-offset {q}={shift.offset:.4g}"
         )
         found.append(Finding("offset", (q, p), message, shift.offset))
-    if abs(shift.drift_t) > significant and abs(shift.drift) * span > 2.0 * LEAST_OFFSET * spread:
+    if abs(shift.drift_t) > significant and abs(shift.drift) * span > 2.0 * RECORDS.least_offset * spread:
         message = (
             f"{q} drifts by {shift.drift * span:.3g}{unit} over the record against {what}"
             f" ({100.0 * abs(shift.drift) * span / spread:.2g} %):"

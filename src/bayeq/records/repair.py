@@ -10,19 +10,13 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError, RecordError
 from bayeq.records.record import Record
+from bayeq.records.settings import RECORDS
 from bayeq.records.truth import FloatArray
 
 __all__ = [
     "GAP", "LONG_GAP", "SAMPLES", "UNKNOWN_TIME", "correct_delay", "counts_rows", "remove_offset", "split_at_gaps",
     "with_row_numbers",
 ]  # fmt: skip
-
-# A gap is bridged up to this share of a channel's shortest period, 1/f for the frequency f that 99 % of its power lies
-# below: samples that near on either side still fix the wave between them (the sampling theorem). Measured on forced,
-# chaotic and decaying motion, what is filled in is wrong by up to 3 % (states) and 7 % (derivatives) of the standard
-# deviation at half a period, by 20 % and 50 % at a whole one.
-LONGEST_GAP = 0.5
-POWER = 0.99
 
 # The least level of this many bands of a spectrum is taken for white noise, which is no power of the signal. In more of
 # them, shorter ones, chance makes the least too low: noise of 20 % of the signal would count as motion.
@@ -97,7 +91,7 @@ def _ends(record: Record, channels: Sequence[str]) -> tuple[list[int], str]:
         return [], ""
     cuts = np.flatnonzero(steps > LONG_GAP * step) + 1
     half_periods = {
-        name: LONGEST_GAP * _shortest_period(np.split(record.time, cuts), np.split(record[name], cuts), step)
+        name: RECORDS.longest_gap * _shortest_period(np.split(record.time, cuts), np.split(record[name], cuts), step)
         for name in channels
         if name in record.channels and len(np.unique(record[name][np.isfinite(record[name])])) > 1
     }
@@ -123,7 +117,7 @@ def _shortest_period(times: Sequence[FloatArray], stretches: Sequence[FloatArray
         power += np.abs(np.fft.rfft(np.hanning(count) * (values - values.mean()), max(counts))[1:]) ** 2
     noise = min(float(band.mean()) for band in np.array_split(power, BANDS))
     below = np.cumsum(power - noise)
-    return max(counts) * step / (1 + int(np.argmax(below >= POWER * below[-1])))
+    return max(counts) * step / (1 + int(np.argmax(below >= RECORDS.gap_power * below[-1])))
 
 
 # --- rows without time -----------------------------------------------------------------------------------------------

@@ -7,14 +7,10 @@ from numpy.typing import NDArray
 
 from bayeq.records.truth import FloatArray
 
-__all__ = ["JITTER", "even_step", "is_step"]
+__all__ = ["even_step", "is_step"]
 
 # Steps that differ by a smaller share are the same: a sample of 6 per period is then wrong by 0.1 % of the amplitude.
 EVEN = 1e-3
-
-# Times that are off an even grid by a smaller share of a step are put on it: rounded to decimals or digits, or with a
-# jitter that makes a sample of 75 per period wrong by less than 0.5 % of the amplitude.
-JITTER = 0.05
 
 
 def is_step(time: FloatArray, step: float, tolerance: float = EVEN) -> NDArray[np.bool_]:

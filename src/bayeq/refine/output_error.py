@@ -25,17 +25,17 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, quadratic, solved
 from bayeq.likelihood.layout import Candidates
-from bayeq.likelihood.levels import LEAST_DISCREPANCY
 from bayeq.likelihood.search import Task, finer
 from bayeq.likelihood.start import start_of_runs
 from bayeq.ode.rk4 import Interpolation
+from bayeq.refine.settings import REFINE
 from bayeq.regression.constraints import Constraints
 from bayeq.states import Motion
 
 __all__ = ["Known", "OutputError", "Unrefined", "output_error"]
 
 # Sizes of discrepancies from fit to fit, as shares of the target.
-SIZES = (1e-2, 1e-3, LEAST_DISCREPANCY**0.5)
+SIZES = (1e-2, 1e-3, 1e-4)
 
 # Steps of each fit at most, and the step that ends it, in standard deviations of the parameters. Steps to where the
 # likelihood is not finite are halved, at most so often.
@@ -44,22 +44,10 @@ MOST_STEPS, STEP, MOST_HALVED = 30, 1e-2, 8
 # Coefficients have this share of the precision that searches give them.
 FLAT = 1e-9
 
-# A run is lost where it leaves more than this share of a channel's spread, a quarter of its variance.
-LOST = 0.5
-
-# Other inputs are taken where they make 2 log likelihood greater by this, very strong evidence (Kass and Raftery 1995).
-CLOSER = 10.0
-
-# Known noise of a channel is not believed where runs leave more than this multiple of its power.
-MISFIT = 1.75
-
 # Blocks of rows that the covariance is tested with: enough for a variance of some certainty, and yet long against the
 # memory of the noise; fewer where one would have fewer rows than this.
 BLOCKS = 16
 BLOCK_ROWS = 8
-
-# The covariance is widened where independent noise fails it with this probability.
-CHANCE = 0.01
 
 # Parameters are not told apart where the condition number of their scaled information exceeds this: three digits are
 # left of sixteen.
@@ -164,7 +152,7 @@ def output_error(
             found = _of_course(motion, dynamics, parameters if best is None else best.parameters, known, kind)
         if isinstance(found, Unrefined):
             failed = failed or found
-        elif best is None or 2.0 * (found.log_likelihood - best.log_likelihood) > CLOSER:
+        elif best is None or 2.0 * (found.log_likelihood - best.log_likelihood) > REFINE.closer:
             best = found
     if best is None:
         assert failed is not None
@@ -193,7 +181,7 @@ def _of_course(
         innovations = _sensitivity(run.found, known.basis)[1]
         power = (innovations**2).sum(axis=0) / np.maximum(np.count_nonzero(innovations, axis=0), 1)
         given = np.sqrt(run.state.levels.channels)
-        distrusted = [i for i in range(measured) if not run.state.levels.learned[i] and power[i] > MISFIT]
+        distrusted = [i for i in range(measured) if not run.state.levels.learned[i] and power[i] > REFINE.misfit]
         if distrusted:
             held = ~run.state.levels.learned
             held[distrusted] = False
@@ -205,7 +193,7 @@ def _of_course(
     except np.linalg.LinAlgError:
         return NO_RUN
     levels = run.state.levels
-    if (levels.channels > LOST**2 * levels.scales.channels)[:measured].any():
+    if (levels.channels > REFINE.lost**2 * levels.scales.channels)[:measured].any():
         return NO_RUN
     A, scale = free.information, 1.0 / np.sqrt(np.diagonal(free.information))
     if not np.isfinite(scale).all() or np.linalg.cond(A * scale[:, None] * scale) > SINGULAR:
@@ -228,7 +216,7 @@ def _of_course(
         free=known.free,
         excess=excess,
         at_bound=at_bound,
-        contradicted=2.0 * (free.found.value - run.found.value) > excess * CLOSER,
+        contradicted=2.0 * (free.found.value - run.found.value) > excess * REFINE.closer,
         noise_sd={name: float(np.sqrt(levels.channels[i])) for i, name in enumerate(names)},
         misfit=misfit,
         interpolation=kind,
@@ -333,4 +321,4 @@ def _excess(J: Floats, residuals: Floats) -> float:
     spread = block_diag(*A) - np.concatenate(A) @ np.concatenate(A).T
     mean, scale = float(np.trace(spread)), float(np.sum(spread**2) / np.trace(spread))
     squares = sum(float(np.sum(np.einsum("nmp,nm->p", part, e) ** 2)) for part, e in zip(parts, left, strict=True))
-    return squares / mean if squares > scale * chdtri(mean / scale, CHANCE) else 0.0
+    return squares / mean if squares > scale * chdtri(mean / scale, REFINE.wider_chance) else 0.0

@@ -18,6 +18,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
 from bayeq.refine.output_error import Known, OutputError, Unrefined, output_error
+from bayeq.refine.settings import REFINE
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
 from bayeq.states import Sensors, Smooth, estimate_motion
@@ -27,14 +28,6 @@ __all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "Refinement", "r
 
 # With fewer rows there is no free run to speak of.
 LEAST_ROWS = 8
-
-# Length of the windows that runs are compared over: long enough for an error of the stiffness to add up, and several of
-# them in a record.
-PERIODS = 10.0
-
-# Runs are worse where they are so over more windows than would be by chance with this probability: each starts from a
-# noisy state, so that where both are close to the truth the better coefficients, too, run worse over half of them.
-CHANCE = 0.025
 
 # Errors that differ by less than this share are the same: it is what a run's own errors may do.
 SAME = 0.01
@@ -146,7 +139,7 @@ def refine(
         return found
     whole = [one.interpolated(dynamics.roles, found.interpolation) for one in rows]
     train, held_out = divided(measured, whole)
-    duration = PERIODS * typical_period(dynamics, train)
+    duration = REFINE.windows * typical_period(dynamics, train)
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
     former, now = (apart(pairs) for pairs in runs)
     # forces that nobody measured drive the motion: coefficients of runs are worse then, unless the runs say otherwise
@@ -224,7 +217,7 @@ def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tupl
         return True
     more = sum(now > (1.0 + SAME) * former for former, now in errors)
     n = more + sum(former > (1.0 + SAME) * now for former, now in errors)
-    return sum(math.comb(n, k) for k in range(more, n + 1)) < CHANCE * 2**n
+    return sum(math.comb(n, k) for k in range(more, n + 1)) < REFINE.worse_chance * 2**n
 
 
 def _worse_scores(before: Scores, after: Scores) -> list[str]:

@@ -21,7 +21,7 @@ __all__ = ["RecordRegression", "regressions_of"]
 
 Floats = NDArray[np.float64]
 
-# Degrees of freedom of an interval, at least.
+# Degrees of freedom of an interval, at least, by Satterthwaite: of few batches a variance is hardly known.
 LEAST_FREEDOM = 3.0
 
 

@@ -13,6 +13,7 @@ from bayeq.expressions import Expression
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.fit import solved
 from bayeq.regression.regression import Regression
+from bayeq.regression.settings import REGRESSION
 from bayeq.states.kinematic.fit import lowest_level
 from bayeq.states.sensors import scaled_with
 
@@ -20,14 +21,11 @@ __all__ = ["calibrated", "changes_by_noise", "inputs_of_hidden_noise"]
 
 Floats = NDArray[np.float64]
 
-# Noise of an input that is worth a sentence, as a share of its standard deviation: it attenuates by 0.01 %.
-LEAST_HIDDEN = 0.01
+# Half of the step of central differences, as a share of what is changed: their error is about its square.
+STEP = 1e-4
 
 # An input of which more than this share of the samples repeats the one before is a command, not a measurement.
 REPEATED = 0.1
-
-# Half of the step of central differences, as a share of what is changed: their error is about its square.
-STEP = 1e-4
 
 
 def calibrated(regression: Regression, posterior: Posterior, basis: Floats) -> Posterior:
@@ -101,7 +99,7 @@ def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tupl
 
 
 def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
-    """Whether white noise of `LEAST_HIDDEN` could be in a channel: its spectrum is nowhere lower.
+    """Whether white noise of `hidden_noise` could be in a channel: its spectrum is nowhere lower.
 
     A command that is held, whose samples repeat, has none.
     """
@@ -109,7 +107,7 @@ def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
     if repeated > REPEATED * sum(map(len, pieces)):
         return False
     levels = [lowest_level(np.arange(len(values), dtype=np.float64), values) for values in pieces if len(values) > 2]
-    return not levels or min(levels) > LEAST_HIDDEN**2 * float(np.var(np.concatenate(pieces)))
+    return not levels or min(levels) > REGRESSION.hidden_noise**2 * float(np.var(np.concatenate(pieces)))
 
 
 def changes_by_noise(

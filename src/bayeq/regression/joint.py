@@ -25,6 +25,7 @@ from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design
 from bayeq.regression.fit import RegressionFit, fit_regression
 from bayeq.regression.regression import Regression
+from bayeq.regression.settings import REGRESSION
 from bayeq.states import Lag
 
 __all__ = ["fit_equations", "fit_jointly", "lags_of_design", "record_of", "refitted"]
@@ -39,10 +40,6 @@ VB_STARTS = 3
 # Methods that average over the models of all equations together.
 JOINT = ("auto", "bma")
 
-
-# Polynomials: log odds of a term of degree d are FIRST - PER_DEGREE d, of the constant FIRST: of the many terms of high
-# degree about as many are expected as of the few of low degree.
-FIRST, PER_DEGREE = 1.0, 2.0
 
 # Log odds of the constant otherwise: those of a term, p_0 = 0.1.
 CONSTANT = math.log(0.1 / 0.9)
@@ -99,7 +96,7 @@ def _of_dictionary(design: Design, dictionary: Specification, prior: Prior | Non
     terms, inputs = design.terms, design.motion.roles.inputs
     if prior is None and isinstance(dictionary, str) and dictionary.partition(":")[0] == "polynomial":
         degrees = [1 if term.text in inputs else degree(term) for term in terms]
-        return FIRST - PER_DEGREE * np.array([*degrees, 0])
+        return REGRESSION.first_odds - REGRESSION.odds_per_degree * np.array([*degrees, 0])
     return np.append((prior or Prior()).log_odds(len(terms)), CONSTANT)
 
 

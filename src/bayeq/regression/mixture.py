@@ -12,15 +12,15 @@ from bayeq.inference.mixture import Mixture
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.normal import Z95, t95
 from bayeq.regression.fit import RegressionFit
+from bayeq.regression.settings import REGRESSION
 
 __all__ = ["mixture_of"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-# The likeliest models, up to this share of the mass and this many: 0.1 % hardly moves quantiles of 2.5 %, and a model
-# takes some 0.05 ms.
-MASS, MOST_MODELS = 0.999, 300
+# The likeliest models, at most: one takes some 0.05 ms.
+MOST_MODELS = 300
 
 
 def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = None) -> Mixture | None:
@@ -47,7 +47,7 @@ def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = N
         return None
     whole = fit.expanded(posterior)
     if average is not None:
-        count = min(int(np.searchsorted(np.cumsum(average.probability), MASS)) + 1, MOST_MODELS)
+        count = min(int(np.searchsorted(np.cumsum(average.probability), REGRESSION.mixture_mass)) + 1, MOST_MODELS)
         models = average.models[:count]
         inside, mean, sd = _given_models(fit, models & ~struck if struck is not None else models, reported)
         share = average.probability[: len(models)]

@@ -19,6 +19,7 @@ from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms
 from bayeq.regression.design import Design
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
+from bayeq.regression.settings import REGRESSION
 from bayeq.regression.thinning import thinned_gram, without_noise
 from bayeq.states import Chain, ChainSmoothing, Motion, MotionRows
 
@@ -28,10 +29,6 @@ Floats = NDArray[np.float64]
 
 # Residuals smaller than this share of the target are rounding of the Gram, and correlated.
 ROUNDING = 1e-6
-
-# With more candidates than this, correlation of the residuals is reported but not used to reduce the effective sample
-# size: the fits that find it would take too long.
-MOST_TERMS_TO_THIN = 500
 
 # Noise is seen where the highest parts of the spectrum, of BANDS, have less than a share of the strongest, if records
 # are longer than this.
@@ -139,7 +136,7 @@ class Regression:
 
     def thinned(self) -> Regression:
         """The regression with rows that count for the effective sample size, where their residuals are correlated."""
-        if len(self.design.terms) > MOST_TERMS_TO_THIN:
+        if len(self.design.terms) > REGRESSION.most_terms_to_thin:
             return self
         return replace(self, gram=thinned_gram(self.gram, self._all_residuals))
 

@@ -9,23 +9,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.regression.settings import REGRESSION
+
 __all__ = ["Driver", "Fit", "Residuals", "inspect_residuals"]
 
 Floats = NDArray[np.float64]
 
-# Residuals count as correlated if less than this share of the rows is left as effective sample size ...
-LEAST_EFFECTIVE_SHARE = 0.67
-# ... and the first autocorrelation exceeds this many of its standard errors.
-SIGNIFICANT = 3.0
+# Cross-correlations are looked at up to this many lags, and up to this share of the longest piece.
+MOST_LAGS = 100
+SHARE_OF_LAGS = 0.25
 
 # Residuals follow a channel if their largest cross-correlation has a smaller probability than this by chance ...
 CHANCE = 1e-4
 # ... and so large that it matters.
 LEAST_CORRELATION = 0.1
-
-# Cross-correlations are looked at up to this many lags, and up to this share of the longest piece.
-MOST_LAGS = 100
-SHARE_OF_LAGS = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +106,10 @@ class Residuals:
     @property
     def correlated(self) -> bool:
         """Whether standard deviations that assume white residuals are too small to be trusted."""
-        return bool(self.n_eff < LEAST_EFFECTIVE_SHARE * self.n and self.lag1 > SIGNIFICANT / math.sqrt(self.n))
+        return bool(
+            self.n_eff < REGRESSION.effective_share * self.n
+            and self.lag1 > REGRESSION.lag1_significant / math.sqrt(self.n)
+        )
 
     @property
     def driven(self) -> bool:

@@ -15,14 +15,12 @@ from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.regression.residuals import Residuals
+from bayeq.regression.settings import REGRESSION
 
 __all__ = ["thinned_gram", "without_noise"]
 
 # Fits that find what residuals are worth, and the coefficients of the inputs.
 PILOTS = 3
-
-# A model that leaves more of the target's variance is rejected.
-REJECTED = 0.5
 
 # No more than this share of a column's sum of squares is subtracted as noise.
 MOST_NOISE = 0.5
@@ -71,7 +69,7 @@ def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gra
     share = 1.0
     for _ in range(PILOTS):
         model = _pilot(gram.raised(_least(gram, share)))
-        if gram.squared_error(model.coef) > REJECTED * gram.yty:
+        if gram.squared_error(model.coef) > REGRESSION.rejected * gram.yty:
             return gram
         found = residuals(model)
         share = found.n_eff / found.n if found.correlated else 1.0

@@ -25,7 +25,7 @@ from bayeq.inference.collapsed.problem import all_rows
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.normal import Z95
 from bayeq.regression.fit import RegressionFit
-from bayeq.selection.select import TOLERANCE
+from bayeq.selection.settings import SELECTION
 from bayeq.states import Motion
 
 __all__ = ["Alternatives", "alternatives_to", "bounds", "undetermined"]
@@ -60,7 +60,7 @@ class Alternatives:
     leave: tuple[str, ...] = ()
 
 
-def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float = TOLERANCE) -> Alternatives:
+def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float) -> Alternatives:
     """Models of the posterior whose predictions differ from those of the equation shown by more than a tolerance.
 
     Parameters
@@ -183,7 +183,7 @@ def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> 
         effect = np.maximum(effect, bound[others] * np.sqrt(np.mean(change**2, axis=0)) / spread)
     found_terms = terms[len(inside) :]
     order = sorted(
-        np.flatnonzero(effect > TOLERANCE).tolist(),
+        np.flatnonzero(effect > SELECTION.tolerance).tolist(),
         key=lambda k: (found_terms[k].size, degree(found_terms[k]), -effect[k]),
     )
     return tuple(found_terms[k].text for k in order)

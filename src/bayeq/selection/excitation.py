@@ -18,27 +18,18 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import TIME
 from bayeq.numerics.beta import incomplete_beta
+from bayeq.selection.settings import SELECTION
 from bayeq.states import Motion, MotionRows
 
 __all__ = ["Repeating", "repeating"]
 
 Floats = NDArray[np.float64]
 
-# Fewer periods may be part of anything.
-LEAST_PERIODS = 5.0
-
-# Harmonics of which a closed curve is made, at most; those count that chance makes with less than this probability.
-HARMONICS, CHANCE = 12, 1e-3
+# Harmonics count that chance makes with less than this probability.
+CHANCE = 1e-3
 
 # The period is looked for among this many within a line of the spectrum, then among as many beside the best.
 FREQUENCIES = 41
-
-# What is left beside a closed curve is noise unless its share of the power below the last harmonic is greater by
-# chance with less than this probability.
-NOT_NOISE = 1e-6
-
-# Motion runs along a closed curve up to this share beside it, as of a transient that has not died out.
-TRANSIENT = 0.03
 
 # Points of the curve; variance of a coefficient's prior in units of the target's, as in the likelihood of the record.
 POINTS, PRIOR = 720, 5.0
@@ -99,7 +90,7 @@ def _closed_curve(
     """States and inputs along the curve, its frequency, and the least noise of a target as a share of its variance;
     whether the states have that frequency alone."""
     assert rows.time is not None
-    if rows.n < 8 * LEAST_PERIODS:
+    if rows.n < 8 * SELECTION.least_periods:
         return None
     time = rows.time - rows.time[0]
     step = float(np.median(np.diff(time)))
@@ -115,12 +106,12 @@ def _closed_curve(
     noise, single = math.inf, True
     phases = np.linspace(0.0, 1.0 / frequency, POINTS, endpoint=False)
     for name, values in samples.items():
-        harmonics = max(1, min(HARMONICS, int(0.25 / (step * frequency))))
+        harmonics = max(1, min(SELECTION.harmonics, int(0.25 / (step * frequency))))
         design = _harmonics(time, frequency, harmonics)
         coef = np.linalg.lstsq(design, values, rcond=None)[0]
         left = values - design @ coef
         beside = name in rows.samples and not _is_noise(left, step, frequency * (harmonics + 0.5))
-        if beside and left.std() > TRANSIENT * values.std():
+        if beside and left.std() > SELECTION.transient * values.std():
             return None
         level = float(left.var()) * len(values) / max(len(values) - len(coef), 1)
         power = 0.5 * len(values) * (coef[1::2] ** 2 + coef[2::2] ** 2)
@@ -139,7 +130,7 @@ def _frequency(time: Floats, columns: Floats) -> float | None:
     power = (np.abs(np.fft.rfft(columns, axis=0)) ** 2).sum(axis=1)
     power[0] = 0.0
     peak = int(np.argmax(power))
-    if peak < LEAST_PERIODS or peak > n // 8:
+    if peak < SELECTION.least_periods or peak > n // 8:
         return None
 
     def left(frequency: float) -> float:
@@ -171,7 +162,7 @@ def _is_noise(left: Floats, step: float, below: float) -> bool:
     if inside < 8 or inside > len(power) - 8 or not power.sum() > 0.0:
         return True
     share = float(power[:inside].sum() / power.sum())
-    return 1.0 - incomplete_beta(inside, len(power) - inside, share) > NOT_NOISE
+    return 1.0 - incomplete_beta(inside, len(power) - inside, share) > SELECTION.not_noise
 
 
 def _standard(values: Floats) -> Floats:

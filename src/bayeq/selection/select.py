@@ -35,27 +35,16 @@ from bayeq.gram import Gram
 from bayeq.inference.collapsed.path import best_of_each_size, partial_shares, path_sizes
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.spike import IMPROBABLE
+from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.joint import refitted
+from bayeq.selection.settings import SELECTION
 from bayeq.states import Motion
 
-__all__ = ["TOLERANCE", "LeftOut", "Rules", "Selection", "select"]
+__all__ = ["LeftOut", "Rules", "Selection", "select"]
 
 Bools = NDArray[np.bool_]
 Errors = Mapping[float, float]
-
-# Share of the target's standard deviation, and of the states' spread, below which a difference makes no practical one:
-# half of the 1 % to which sensors are usually calibrated: what changes a prediction by less cannot be claimed from what
-# they measured. (With 1 % the paper's Coulomb friction, 0.7 to 1.2 % of the acceleration, was left out in 31 of 100
-# records.)
-TOLERANCE = 0.005
-
-# Lengths of free runs in typical periods (at most half a record): one, which chaotic motion can be followed for too,
-# and ten. They count where the full model's run keeps to the record to better than FOLLOWS of the spread: beyond, it is
-# out of step, and its error says nothing about the equation.
-SHORT, LONG = 1.0, 10.0
-FOLLOWS = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +185,7 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
     """
     chosen = [Selection(fit, fit.posterior) for fit in fits]
     compared = rules.tolerance != 0.0 and all(ENGINES[fit.posterior.method].spike_slab for fit in fits)
-    tolerance = rules.tolerance or TOLERANCE
+    tolerance = rules.tolerance or SELECTION.tolerance
     if compared:
         moves = motion.timed and bool(motion.roles.states)
         chosen = _decided(chosen, tolerance, FreeRuns(motion, fits) if moves else None)
@@ -204,7 +193,7 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
     nearly = [
         k
         for k, fit in enumerate(fits)
-        if (rules.tolerance or fit.regression.exact < IMPROBABLE) and not fit.regression.chain.static
+        if (rules.tolerance or fit.regression.exact < LIKELIHOOD.nearly_true) and not fit.regression.chain.static
     ]
     return _simplified(chosen, nearly, tolerance, motion) if compared and motion.timed else chosen
 
@@ -225,13 +214,16 @@ class FreeRuns:
         expanded = [fit.expanded(one) for fit, one in zip(self.fits, posteriors, strict=True)]
         dynamics = Dynamics.on(self.motion, self.fits[0].regression.design.terms, expanded)
         period = typical_period(dynamics, self.pieces)
-        return {periods: apart(window_runs(dynamics, self.pieces, periods * period)) for periods in (SHORT, LONG)}
+        return {
+            periods: apart(window_runs(dynamics, self.pieces, periods * period))
+            for periods in (SELECTION.short_run, SELECTION.long_run)
+        }
 
 
 def hardly_worse(fewer: Errors, whole: Errors, tolerance: float) -> bool:
     """Whether errors exceed others by no more than a tolerance; not where these are out of step with the record."""
-    compared = [periods for periods in whole if whole[periods] < FOLLOWS]
-    return SHORT in compared and all(fewer[periods] <= whole[periods] + tolerance for periods in compared)
+    compared = [periods for periods in whole if whole[periods] < SELECTION.follows]
+    return SELECTION.short_run in compared and all(fewer[periods] <= whole[periods] + tolerance for periods in compared)
 
 
 def _decided(chosen: Sequence[Selection], tolerance: float, runs: FreeRuns | None) -> list[Selection]:
@@ -294,7 +286,7 @@ def likeliest_instead(
     if runs is None:
         return None
     errors = runs.errors(_with(found, k, mean))
-    if not errors[SHORT] < FOLLOWS or hardly_worse(runs.errors(found), errors, tolerance):
+    if not errors[SELECTION.short_run] < SELECTION.follows or hardly_worse(runs.errors(found), errors, tolerance):
         return None
     instead = runs.errors(_with(found, k, likeliest))
     return likeliest if hardly_worse(instead, runs.errors(found), 0.0) else None
@@ -323,7 +315,7 @@ def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float
             model, _ = best_of_each_size(problem, int(inside.sum()) - 1, [inside], fit.prior.known_signs)[-1]
             fewer = list(out)
             fewer[k] = replace(one.given(fit.conditional(model), "tolerance"), full=one.full or one)
-            if not _errors(motion, fewer)[SHORT] < FOLLOWS:
+            if not _errors(motion, fewer)[SELECTION.short_run] < SELECTION.follows:
                 break  # no fit of its own makes up for that
             fewer = _refitted(fewer)
             if not hardly_worse(_errors(motion, fewer), whole, tolerance):

@@ -4,13 +4,12 @@ from bayeq.states.derive import Smooth, derive_states, require_in_range, require
 from bayeq.states.derived_channels import measured_apart
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing
 from bayeq.states.lags import without_lags
-from bayeq.states.motion import FEW_ROWS, Motion, MotionRows, estimate_motion
+from bayeq.states.motion import Motion, MotionRows, estimate_motion
 from bayeq.states.roles import Chain, Roles, parse_chain, parse_chains
 from bayeq.states.sensors import Lag, Sensors, Tails, check_sensors, force_of_blows, known_sensors
 from bayeq.states.unit_gains import rates, unit_gains
 
 __all__ = [
-    "FEW_ROWS",
     "Chain",
     "ChainSmoothing",
     "Lag",

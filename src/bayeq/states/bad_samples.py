@@ -22,6 +22,7 @@ from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel
 from bayeq.states.kinematic.smoother import leave_one_out, one_sided, smooth_kinematic
 from bayeq.states.roles import Chain, Roles
+from bayeq.states.settings import STATES
 from bayeq.states.unit_gains import unit_gains
 
 __all__ = ["ADVICE", "BAD", "Learned", "find_bad_samples", "listed", "without_bad_samples"]
@@ -31,9 +32,6 @@ Bools = NDArray[np.bool_]
 
 # Kinds of bad samples.
 BAD = ("spikes", "stuck", "clipped")
-
-# A spike errs by this many standard deviations: two Gaussian samples in 1e9 do.
-SPIKE = 6.0
 
 # ... by this share of the channel's (friction in records of 0.1 % noise jumps by 2 %, and a few samples that err by so
 # little do no harm), and by this many levels, in a channel of few.
@@ -50,16 +48,12 @@ MEDIAN_NORMAL = 0.6745
 # Where more than half of the samples are predicted exactly, their errors count as this share of the model's.
 ROUNDING = 1e-9
 
-# With a spike left out, the samples of its channel within NEAR rows err by less than SPIKE standard deviations, or by a
+# With a spike left out, the samples of its channel within NEAR rows err by less than a spike, or by a
 # fraction 1/STANDS_OUT of the spike, and those of other channels by no more than WORSE times what they did: of a jump
 # half is left.
 NEAR = 5
 STANDS_OUT = 5.0
 WORSE = 1.5
-
-# Neither the nearest sample on one side, nor what all of that side predict, comes nearer to a spike than this share of
-# its error: before and after a jump one side does.
-AGREES = 0.5
 
 # Errors this near to each other have one cause, of a few samples at most.
 TOGETHER = 8
@@ -71,9 +65,6 @@ MOSTLY = 0.75
 
 # Noise levels are learned again without what was found, up to this many times.
 PASSES = 6
-
-# Where there are more spikes, as a share of a channel, they are what it measures.
-MOST_SPIKES = 0.05
 
 # A stretch that may be stuck: this many equal samples, and this many times as many as the usual sample has beside it.
 LEAST_STUCK = 10
@@ -96,6 +87,9 @@ ONLY_NOISE = 0.7
 
 # Fewer rows tell nothing.
 LEAST_ROWS = 40
+
+# Where there are more spikes, as a share of a channel, they are what it measures.
+MOST_SPIKES = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +255,7 @@ class _Group:
             bad["clipped"] = _clipped(_without(s, bad["spikes"]))
             bad["stuck"] = _stuck(s, runs & ~bad["clipped"], calm, model)
             errors = leave_one_out(calm, model)
-            self.missed[i] = np.any(_standard(errors) > SPIKE * _factor(errors), axis=1)
+            self.missed[i] = np.any(_standard(errors) > STATES.spike * _factor(errors), axis=1)
         return self
 
     def _search_spikes(self, doubtful: Sequence[Bools], known: KinematicModel | None) -> KinematicModel | None:
@@ -422,7 +416,7 @@ def _judged(series: ChainSeries, model: KinematicModel, least: Floats) -> list[_
     errors = leave_one_out(series, model)
     factor = _factor(errors)
     before = _standard(errors) / factor
-    high = (before > SPIKE) & (np.abs(np.nan_to_num(errors[..., 0])) > least)
+    high = (before > STATES.spike) & (np.abs(np.nan_to_num(errors[..., 0])) > least)
     # at the ends there is but one side
     high[[0, -1]] = False
     rows = np.flatnonzero(high.any(axis=1))
@@ -481,16 +475,16 @@ def _goes_on(at: Place, samples: Floats, predicted: Sequence[Floats], usable: Bo
     beside = [np.flatnonzero(usable[max(row - LOCAL, 0) : row, k])[-1:] + max(row - LOCAL, 0)]
     beside += [np.flatnonzero(usable[row + 1 : row + 1 + LOCAL, k])[:1] + row + 1]
     sides = [*(samples[rows[0], k] for rows in beside if len(rows)), *(mean[at] for mean in predicted[1:])]
-    return bool(np.abs(samples[at] - np.array(sides)).min() < AGREES * abs(samples[at] - predicted[0][at]))
+    return bool(np.abs(samples[at] - np.array(sides)).min() < STATES.agrees * abs(samples[at] - predicted[0][at]))
 
 
 def _left_over(cause: Sequence[Place], before: Floats, after: Floats) -> Place | None:
     """The sample nearby that errs most once those of the cause are left out; None if all is well."""
     rows = [row for row, _ in cause]
     first, last = max(min(rows) - NEAR, 0), max(rows) + NEAR
-    limit = np.maximum(SPIKE, WORSE * before[first : last + 1])
+    limit = np.maximum(STATES.spike, WORSE * before[first : last + 1])
     for k in {k for _, k in cause}:
-        limit[:, k] = max(SPIKE, min(after[at] for at in cause if at[1] == k) / STANDS_OUT)
+        limit[:, k] = max(STATES.spike, min(after[at] for at in cause if at[1] == k) / STANDS_OUT)
     excess = after[first : last + 1] / limit
     for row, k in cause:
         excess[row - first, k] = 0.0
@@ -507,7 +501,7 @@ def _stands_out(at: Place, cause: Sequence[Place], after: Floats) -> bool:
         if channel == k and first <= other < first + len(around):
             around[other - first] = np.nan
     usual = float(np.nanquantile(around, UPPER)) / UPPER_NORMAL
-    return bool(after[at] > SPIKE * max(1.0, usual))
+    return bool(after[at] > STATES.spike * max(1.0, usual))
 
 
 # --- stretches -------------------------------------------------------------------------------------------------------

@@ -15,13 +15,11 @@ from bayeq.errors import RecordError
 from bayeq.records import Record
 from bayeq.records.sampling import even_step
 from bayeq.states.prepare import on_grid
+from bayeq.states.settings import STATES
 
 __all__ = ["without_hum"]
 
 Floats = NDArray[np.float64]
-
-# A line has more than this many times the median power of the bins on either side: one bin of white noise in 2^30 does.
-LINE = 30.0
 
 # ... and this share of the channel's power: less is nothing, which channels without noise have much of.
 LEAST = 1e-6
@@ -102,7 +100,7 @@ def _without_lines(values: Floats, above: float) -> tuple[Floats, list[float]]:
         ratios = np.column_stack([_above_both_sides(own) for own in power.T])
         ratios[: int(np.ceil(above * len(values)))] = 0.0
         best, channel = np.unravel_index(int(np.argmax(ratios)), ratios.shape)
-        if not ratios[best, channel] > LINE:
+        if not ratios[best, channel] > STATES.hum_line:
             break
         lines.append(_refined(windowed[:, channel], float(best) / len(values)))
         waves = 2.0 * np.pi * rows[:, None] * np.array(lines)

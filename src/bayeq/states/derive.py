@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
 from bayeq.records import Record
 from bayeq.states.roles import Chain
+from bayeq.states.settings import STATES
 
 __all__ = [
     "Smooth",
@@ -39,10 +40,6 @@ LEAST_ROWS_TO_DIFFERENTIATE = 5
 # refused there, as are steps of time beyond a power of it.
 LARGEST = 1e50
 LONGEST_STEP = 1e20
-
-# Channels that lie this many times their range from zero keep too few digits of what varies: sums of squares of rows
-# have sixteen, and lose twice those of the offset.
-FARTHEST = 1e4
 
 
 def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str] = ()) -> dict[str, Floats]:
@@ -146,7 +143,7 @@ def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
                 " channel in a smaller unit"
             )
         far = max(abs(low), abs(high))
-        if rows > 1 and far > FARTHEST * (high - low):
+        if rows > 1 and far > STATES.farthest * (high - low):
             raise RecordError(
                 f"{where}: channel {name!r} lies {far / (high - low):.0e} times its range from zero, which leaves too"
                 f" few digits of what varies; take the offset off (bayeq.remove_offset(record, {name!r}),"

@@ -23,20 +23,15 @@ from bayeq.states.kinematic.chain_smoother import smooth_chain
 from bayeq.states.motion import cut_at
 from bayeq.states.prepare import on_grid
 from bayeq.states.roles import Chain
+from bayeq.states.settings import STATES
 
 __all__ = ["measured_apart"]
 
 Floats = NDArray[np.float64]
 
-# Samples on either side that a filter takes in, and rows per sample without which none is fitted; more rows than so
-# many are not needed.
-REACH = 16
+# A filter is fitted to this many rows for each sample that it takes in, at least; more than this many are not needed.
 ROWS_PER_SAMPLE = 10
 MOST_ROWS = 20_000
-
-# What is left is computed if it is less than this share of the noise that the filter lets through. Measured channels
-# leave more than all of it.
-COMPUTED = 0.5
 
 # Noise smaller than this share of a channel is not told from rounding.
 ROUNDING_NOISE = 1e-4
@@ -101,7 +96,7 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int
         if name is None or name == source:
             continue
         fitted = _filter(even, cuts, source, name)
-        if fitted is not None and fitted[0] < COMPUTED * fitted[1] * noise:
+        if fitted is not None and fitted[0] < STATES.computed * fitted[1] * noise:
             suspected.append((k, *fitted))
     if not suspected:
         return []
@@ -114,7 +109,7 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int
     noise = float(alone.model.noise_sd[chain.lowest] or 0.0)
     if noise / float(np.nanstd(np.concatenate(samples))) < ROUNDING_NOISE:
         return []
-    return [k for k, left, gain in suspected if left < COMPUTED * gain * noise]
+    return [k for k, left, gain in suspected if left < STATES.computed * gain * noise]
 
 
 def _rough_noise(pieces: Sequence[Floats]) -> float:
@@ -131,15 +126,15 @@ def _filter(records: Sequence[Record], cuts: Sequence[int], source: str, name: s
     rows = 0
     for record, cut in zip(records, cuts, strict=True):
         x, y = np.asarray(record[source][:cut]), np.asarray(record[name][:cut])
-        if len(x) <= 2 * REACH or rows > MOST_ROWS:
+        if len(x) <= 2 * STATES.filter_reach or rows > MOST_ROWS:
             continue
-        X = np.lib.stride_tricks.sliding_window_view(x[:MOST_ROWS], 2 * REACH + 1)
-        Y = y[REACH : REACH + len(X)]
+        X = np.lib.stride_tricks.sliding_window_view(x[:MOST_ROWS], 2 * STATES.filter_reach + 1)
+        Y = y[STATES.filter_reach : STATES.filter_reach + len(X)]
         known = np.isfinite(X).all(axis=1) & np.isfinite(Y)
         blocks.append(X[known])
         targets.append(Y[known])
         rows += int(known.sum())
-    taps = 2 * REACH + 1
+    taps = 2 * STATES.filter_reach + 1
     if rows < ROWS_PER_SAMPLE * taps:
         return None
     X, Y = np.concatenate(blocks), np.concatenate(targets)

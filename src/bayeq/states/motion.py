@@ -18,18 +18,13 @@ from bayeq.states.lags import without_lags
 from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid
 from bayeq.states.roles import Chain, Roles
 from bayeq.states.sensors import Sensors
+from bayeq.states.settings import STATES
 from bayeq.states.unit_gains import unit_gains
 
-__all__ = ["FEW_ROWS", "Motion", "MotionRows", "cut_at", "estimate_motion", "further_rows", "held_out_share"]
+__all__ = ["Motion", "MotionRows", "cut_at", "estimate_motion", "further_rows", "held_out_share"]
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-# In fewer rows of all records together nothing distinguishes noise from motion: they are differentiated as they are.
-FEW_ROWS = 10
-
-# With fewer rows in all none are held out.
-LEAST_ROWS_TO_HOLD_OUT = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +144,7 @@ class Motion:
 
 def held_out_share(holdout: float, rows: int) -> float:
     """Hold-out share: 0 for short records."""
-    return holdout if rows >= LEAST_ROWS_TO_HOLD_OUT else 0.0
+    return holdout if rows >= STATES.rows_to_hold_out else 0.0
 
 
 def cut_at(rows: int, share: float) -> int:
@@ -195,7 +190,7 @@ def estimate_motion(
     """
     whole, sensors = smooth == "none", sensors or Sensors()
     records = [without_lags(record, sensors.lags) for record in records] if sensors.lags else records
-    if all(record.time is not None for record in records) and sum(record.n for record in records) < FEW_ROWS:
+    if all(record.time is not None for record in records) and sum(record.n for record in records) < STATES.few_rows:
         smooth = "none"
         records = records if whole else [complete_rows(record, roles) for record in records]
     smoothed = _smoothed(records, roles, smooth, share, sensors)
@@ -300,8 +295,8 @@ def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth)
     lacking = None
     if any(record.time is None for record in records):
         lacking = "a time column or fs"
-    elif sum(record.n for record in records) < FEW_ROWS:
-        lacking = f"{FEW_ROWS} rows or more"
+    elif sum(record.n for record in records) < STATES.few_rows:
+        lacking = f"{STATES.few_rows} rows or more"
     elif smooth == "none":
         lacking = "smooth='auto'"
     if lacking is not None:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record, split_at_gaps
-from bayeq.records.sampling import JITTER, is_step
+from bayeq.records.sampling import is_step
+from bayeq.records.settings import RECORDS
 from bayeq.states.bad_samples import Learned, listed, without_bad_samples
 from bayeq.states.derive import LARGEST, Smooth, require_usable
 from bayeq.states.kinematic.fit import fit_kinematic
@@ -240,7 +241,7 @@ def on_grid(record: Record, names: Sequence[str]) -> Record:
         return record
     start, step = _fitted(time, index)
     off = float(np.abs(time - start - step * index).max())
-    if off > JITTER * step and not _is_rounding(time, off, step):
+    if off > RECORDS.jitter * step and not _is_rounding(time, off, step):
         return record
     if record.n == n and is_step(time, float(time[-1] - time[0]) / (n - 1), 0.0).all():
         return record

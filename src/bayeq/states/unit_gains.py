@@ -17,6 +17,7 @@ from bayeq.records import Record
 from bayeq.records.sampling import even_step
 from bayeq.records.units import derivative_ratio
 from bayeq.states.roles import Chain
+from bayeq.states.settings import STATES
 
 __all__ = ["bridged", "rates", "unit_gains"]
 
@@ -44,10 +45,6 @@ ENDS = 2.0
 
 # An estimate is used if its error is a smaller factor than exp of this.
 MOST_ERROR = 1.0
-
-# What is out of calibration, or lost in a filter, is not another unit: smaller differences do not count against stated
-# units, nor against usual ones.
-CALIBRATION = math.log(1.1)
 
 # Ratios of units that are mixed without being stated, the most plausible first: none; prefixes; accelerations in g with
 # lengths in m, mm, um or cm; degrees or turns with radians; other powers of ten.
@@ -143,9 +140,9 @@ def _decided(stated: float | None, found: _Estimate | None, acceleration: bool) 
     usual = (1.0, *PREFIXES, *(IN_G if acceleration else ()), *ANGLES, *OTHERS)
     agreeing = [gain for gain in usual if found.distance(gain) <= found.error]
     ratio = (agreeing or [min(usual, key=found.distance)])[0]
-    if stated is not None and found.distance(stated) <= CALIBRATION + found.error:
+    if stated is not None and found.distance(stated) <= STATES.calibration + found.error:
         ratio = stated
-    return math.copysign(ratio, found.gain) if found.distance(ratio) <= CALIBRATION + found.error else found.gain
+    return math.copysign(ratio, found.gain) if found.distance(ratio) <= STATES.calibration + found.error else found.gain
 
 
 def _estimated(records: Sequence[Record], cuts: Sequence[int], below: str, above: str, order: int) -> _Estimate | None:

@@ -20,13 +20,14 @@ from bayeq.records import Record, counts_rows, with_row_numbers
 from bayeq.records.stream import Stream, units_between
 from bayeq.resumable import Progress
 from bayeq.states.motion import cut_at
+from bayeq.streaming.settings import STREAMING
 
 __all__ = ["Executor", "Extent", "Threads", "Unit", "Work", "fold", "of_channels", "stretches", "units_of"]
 
 Of = TypeVar("Of")
 
-#: Stretches that are looked at first, and rows of each.
-STRETCHES, ROWS_EACH = 20, 5000
+#: Rows of each of the stretches that are looked at first.
+ROWS_EACH = 5000
 
 
 @dataclass(frozen=True)
@@ -91,11 +92,11 @@ def stretches(extents: Sequence[Extent]) -> list[Record]:
     total = sum(one.n for one in extents)
     out: list[Record] = []
     for one in extents:
-        length = min(ROWS_EACH, one.n) if total > STRETCHES * ROWS_EACH else one.n
+        length = min(ROWS_EACH, one.n) if total > STREAMING.stretches * ROWS_EACH else one.n
         if length == one.n:
             out.append(one.read(one.start, one.stop))
             continue
-        count = max(1, round(STRETCHES * one.n / total))
+        count = max(1, round(STREAMING.stretches * one.n / total))
         for first in np.linspace(one.start, one.stop - length, count).round().astype(int).tolist():
             record = one.read(first, first + length)
             name = f"{record.name}, rows {first + 1:,} to {first + record.n:,}"

@@ -21,6 +21,7 @@ from bayeq.resumable import Progress
 from bayeq.states import Motion
 from bayeq.states.bad_samples import Learned
 from bayeq.streaming.checkpoint import Checkpoints
+from bayeq.streaming.settings import STREAMING
 from bayeq.streaming.units import Executor, Extent, Of, Unit, Work, fold, units_of
 from bayeq.streaming.work import BLOCK_ROWS, AsMeasured, ByLikelihood, LaggedResiduals, with_all_rows
 
@@ -33,9 +34,6 @@ SPREAD = 16
 
 # Passes over all rows until the included terms stay.
 PASSES = 3
-
-# Converged when a pass changes the logarithm of every level by less than this: convergence is quadratic.
-NEAR = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +101,7 @@ class Whole:
         for _ in range(PASSES):
             before = found
             found, block, moved = self._about(before, curve, motion, units, "likelihood of all rows")
-            if moved < NEAR and (found.posterior.support == before.posterior.support).all():
+            if moved < STREAMING.near and (found.posterior.support == before.posterior.support).all():
                 break
         self._warn(block, motion, log)
         return found

@@ -11,6 +11,7 @@ from bayeq.inference.collapsed.problem import Bools, Problem, gram_block
 from bayeq.inference.collapsed.search import best_models, greedy_start
 from bayeq.inference.collapsed.tableau import residual_sum, swept
 from bayeq.inference.prior import Prior
+from bayeq.inference.settings import INFERENCE
 
 __all__ = ["learn_slab_variance", "residual_scale"]
 
@@ -23,8 +24,7 @@ GRIDS = 6
 # Turns of maximising the model, then v_s.
 MAX_TURNS = 10
 
-# Most terms of a forward selection, and a slab that does not shrink their coefficients.
-MOST_SELECTED = 30
+# A slab that does not shrink coefficients.
 UNSHRUNK = 1e12
 
 # Below this share of the target's standard deviation a residual is rounding of the Gram matrix.
@@ -91,7 +91,7 @@ def residual_scale(gram: Gram) -> float:
         return 1.0
     problem = Problem.of(gram.standardise(sd).gram, Prior(slab_variance=UNSHRUNK))
     if spare < max(10, 0.1 * gram.n):
-        active = greedy_start(problem, min(int(gram.n) // 4, MOST_SELECTED))
+        active = greedy_start(problem, min(int(gram.n) // 4, INFERENCE.most_selected))
         rss = float(swept(problem, active).diagonal[-1]) - 2.0 * problem.noise_rate
         spare = gram.n - 1 - int(active.sum())
     else:

@@ -20,6 +20,7 @@ from bayeq.inference.collapsed.listing import KEEP, ModelSet, list_models
 from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, score, swept
+from bayeq.inference.settings import INFERENCE
 from bayeq.inference.signs.orthant import NEGLIGIBLE, Orthants, carried
 from bayeq.kernels import kernel
 
@@ -32,9 +33,6 @@ BATCH = 256
 # Room for models of the search, some two seconds; and models that it starts from.
 MOST_MODELS = 20_000
 STARTS = 100
-
-# The data contradict the signs if the Bayes factor against these is more than a hundred.
-CONTRADICTED = math.log(100.0)
 
 
 @kernel
@@ -194,7 +192,7 @@ def list_signed(p: Problem, signs: Ints, tolerance: float, enumerate_up_to: int)
     listed = _search(p, signs, either, [*found.models[order[:STARTS]], *_starts(either, signs)], tolerance)
     # where its sign is not known a constrained term has the odds of any other
     free = without - math.log(2.0) * np.count_nonzero(found.models & (signs != 0), axis=1)
-    if logsumexp(free) - logsumexp(listed.log_posterior) < CONTRADICTED:
+    if logsumexp(free) - logsumexp(listed.log_posterior) < INFERENCE.signs_contradicted:
         return listed
     truncation, wrong = Truncation(p, signs, found.models[:STARTS]), np.zeros(len(signs))
     np.add.at(wrong, truncation.terms, found.weights[:STARTS, None] * truncation.wrong)

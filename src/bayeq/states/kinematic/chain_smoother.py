@@ -17,30 +17,22 @@ from bayeq.states.kinematic.model import ChainSeries, KinematicModel
 from bayeq.states.kinematic.smoother import smooth_kinematic
 from bayeq.states.roles import Chain
 from bayeq.states.sensors import LEAST_SHARE
+from bayeq.states.settings import STATES
 from bayeq.states.unit_gains import bridged, unit_gains
 
 __all__ = ["ChainSmoothing", "smooth_chain", "smooth_further"]
 
 Floats = NDArray[np.float64]
 
-# The smoother is trusted to follow the motion where its gain exceeds this.
-LEAST_GAIN = 0.9
-
 # A smoother's filter reaches over this many times as many samples as the inverse of its band's width.
 REACH = 4.0
 
-# A signal comes out of its noise where its density, averaged over this many bins on either side (at most this share of
-# them), exceeds that of the noise by this factor, and by what chance exceeds with this probability.
+# Densities are averaged over this many bins on either side, at most this share of them.
 LOW_SMOOTHING = 8
 SHARE_OF_BINS = 1 / 16
-EMERGED = 3.0
-CHANCE = 1e-3
 
 # Share of the bins that a Hann window leaves independent.
 INDEPENDENT = 0.6
-
-# Fewer rows in all, per derivative and one, do not tell noise from motion.
-LEAST_ROWS_PER_ORDER = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,11 +112,11 @@ class ChainSmoothing:
         assert self.fs is not None
         grid = np.linspace(0.0, 0.5 * self.fs, 4000)[1:]
         gain = self.gain(grid)
-        above = np.flatnonzero(gain >= LEAST_GAIN)
+        above = np.flatnonzero(gain >= STATES.least_gain)
         if not len(above):
             return 0.0, 0.0
         first = int(above[0]) if self.coordinate_sd is not None else 0
-        below = np.flatnonzero(gain[first:] < LEAST_GAIN)
+        below = np.flatnonzero(gain[first:] < STATES.least_gain)
         low = float(grid[first]) if first else 0.0
         return low, (float(grid[first + below[0]]) if len(below) else 0.5 * self.fs)
 
@@ -174,7 +166,7 @@ def smooth_chain(
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
     where = records[0].name or "record"
-    least = LEAST_ROWS_PER_ORDER * (chain.order + 1)
+    least = STATES.rows_per_order * (chain.order + 1)
     if sum(cuts) < least or min(cuts) < 2:
         raise RecordError(
             f"{where}: {sum(cuts)} training rows are too few to smooth chain {str(chain)!r} (at least {least}, and 2 in"
@@ -263,8 +255,8 @@ def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicM
     samples = longest.channels[lowest]
     assert samples is not None
     level, freedom = _density(bridged(samples))
-    by_chance = float(chdtri(freedom, CHANCE / len(level))) / freedom
-    emerged = max(EMERGED, by_chance)
+    by_chance = float(chdtri(freedom, STATES.emerged_chance / len(level))) / freedom
+    emerged = max(STATES.emerged, by_chance)
     if not (level[1:] > emerged * noise**2).any():
         raise RecordError("it does not stand out of its noise at any frequency; measure with less noise")
     peak = 1 + int(np.argmax(level[1:]))

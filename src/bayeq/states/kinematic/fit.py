@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.numerics.minimise import minimise
 from bayeq.states.kinematic.kalman import LONG_GAP
-from bayeq.states.kinematic.model import MOST_EXTRA, ChainSeries, KinematicModel, Sizes, check_order, sizes_of
+from bayeq.states.kinematic.model import ChainSeries, KinematicModel, Sizes, check_order, sizes_of
 from bayeq.states.kinematic.smoother import Rows, prepare
+from bayeq.states.settings import STATES
 
 __all__ = ["fit_kinematic", "lowest_level"]
 
@@ -114,7 +115,7 @@ def fit_kinematic(
     if order is not None:
         return fitted(order)
     highest = len(known) - 1
-    return _best_order(fitted, highest + FIRST_EXTRA, range(highest + 1, highest + 1 + MOST_EXTRA))
+    return _best_order(fitted, highest + FIRST_EXTRA, range(highest + 1, highest + 1 + STATES.most_extra))
 
 
 def _known(series: Sequence[ChainSeries], order: int | None, noise_sd: Sequence[float | None] | None) -> Floats:

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import InputError
+from bayeq.states.settings import STATES
 
-__all__ = ["MOST_EXTRA", "ChainSeries", "KinematicModel", "Sizes", "check_order", "sizes_of"]
+__all__ = ["ChainSeries", "KinematicModel", "Sizes", "check_order", "sizes_of"]
 
 Floats = NDArray[np.float64]
-
-# The order of a chain with K derivatives goes from K + 1 up to K + this.
-MOST_EXTRA = 4
 
 # Standard deviations of the first state, in the size of the measured derivatives: it is unknown.
 DIFFUSE = 1e3
@@ -144,10 +142,10 @@ class KinematicModel:
 
 def check_order(order: int, derivatives: int) -> None:
     """Raise an InputError unless a chain of this many derivatives, q included, can have this order."""
-    if not derivatives <= order < derivatives + MOST_EXTRA:
+    if not derivatives <= order < derivatives + STATES.most_extra:
         raise InputError(
             f"a chain of {derivatives - 1} derivatives has an order from {derivatives} to"
-            f" {derivatives + MOST_EXTRA - 1}, not {order!r}"
+            f" {derivatives + STATES.most_extra - 1}, not {order!r}"
         )
 
 
