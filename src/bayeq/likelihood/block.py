@@ -164,7 +164,8 @@ def at_its_path(task: Task, state: State) -> tuple[State, list[Linear], list[Adj
 def adjoints_of(state: State, linears: Sequence[Linear]) -> list[Adjoint]:
     """The adjoints of records at the coefficients that they are linearised about."""
     none, square = np.zeros(0), np.zeros((0, 0))
-    about = Statistics(0.0, none, square, tuple(run_filter(linear, NOTHING, state.levels.noise) for linear in linears))
+    filtered = tuple(run_filter(linear, NOTHING, state.levels.noise) for linear in linears)
+    about = Statistics(0.0, 0.0, none, square, filtered)
     return adjoints(linears, state.levels, about, none, square, True, bool(state.levels.layout.jumps))
 
 

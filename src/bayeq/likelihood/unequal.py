@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State
@@ -109,6 +108,8 @@ def proportion_of(squares: Floats, readings: Floats) -> tuple[Floats, float]:
     >>> round(float(np.sqrt(variance / np.mean(x**2))), 3)
     0.05
     """
+    from scipy.optimize import minimize_scalar
+
     own = readings / readings.mean()
 
     def spread(log_constant: float) -> Floats:

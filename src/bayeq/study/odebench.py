@@ -248,7 +248,7 @@ def summary(done: Cells) -> Iterator[dict[str, object]]:
 
 def by_record(done: Cells) -> Iterator[dict[str, object]]:
     """A line for every cell, failures first."""
-    lines = []
+    lines: list[tuple[bool, bool, dict[str, object]]] = []
     for (name, start, noise, points, dictionary, method), outcomes in zip(done.cells, done.outcomes, strict=True):
         for one in outcomes:
             scores = one.get("R2", [0.0, 0.0])

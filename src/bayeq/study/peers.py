@@ -114,8 +114,8 @@ def of_grid(record: Record, functions: bool) -> tuple[Run | None, float]:
     best: tuple[float, Any] = (-np.inf, None)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for *numbers, more in itertools.product(*GRID, (False, True) if functions else (False,)):
-            model = _model(pysindy, *numbers, more)
+        for numbers in itertools.product(*GRID, (False, True) if functions else (False,)):
+            model = _model(pysindy, *numbers)
             try:
                 model.fit(values[:split], t=times[:split])
                 score = float(model.score(values[split:], t=times[split:]))
