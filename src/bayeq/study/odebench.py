@@ -252,7 +252,7 @@ def by_record(done: Cells) -> Iterator[dict[str, object]]:
     for (name, start, noise, points, dictionary, method), outcomes in zip(done.cells, done.outcomes, strict=True):
         for one in outcomes:
             scores = one.get("R2", [0.0, 0.0])
-            line = {
+            line: dict[str, object] = {
                 "system": name,
                 "start": start,
                 "noise": noise,
