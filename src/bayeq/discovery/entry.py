@@ -407,8 +407,8 @@ def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, 
     proportional = any("reading" in str(amount) for amount in question.noise.values())
     if question.band is not None or question.tails == "student" or proportional:
         raise NotStreamed(
-            "records that are read some rows at a time are fitted with equal noise of all samples, in no band; use"
-            " some rows (--rows), or leave these options out"
+            "records that are read some rows at a time are fitted with tails='gauss', equal noise of all samples and"
+            " in no band; use some rows (--rows), or leave these options out"
         )
     place = cache_folder() if folder is None else Path(folder)
     if folder is None:

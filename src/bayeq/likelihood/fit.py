@@ -116,9 +116,7 @@ class Statistics:
     value : float
         ln p(data | levels), coefficients integrated out.
     here : float
-        The same by Laplace's approximation about the coefficients as they are, which a converged fit is the mode of:
-        without what moving them by `delta` promises. The linearised model promises too much where determinants change
-        with the coefficients, and where steps go to and fro.
+        The same without what moving the coefficients by `delta` promises.
     delta, covariance : (r,) and (r, r) arrays
         Posterior mean of the coefficients' deviations, and their covariance.
     filtered : tuple of Filtered

@@ -68,7 +68,7 @@ COARSE: dict[str, Any] = {"steps": 15, "tolerance": 1e-4, "steepest": 0.1}
 
 # A fit has converged when its evidence changes by less [nats]; steps at most.
 SETTLED = 0.05
-MOST_STEPS = 6
+MOST_STEPS = 12
 
 # Gauss-Newton steps to where the likelihood is not finite are halved, at most this often in a fit.
 MOST_HALVED = 4
@@ -290,11 +290,13 @@ def fit(
         if moved > length:  # to and fro, further each time
             state = state.halfway(last)
         length = moved
-        if abs(found.value - before) < SETTLED and step >= calm:
+        if abs(found.value - before) < SETTLED and 0.5 * moved**2 < FLAT and step >= calm:
             break
         before = found.value
     last_found = task.marginal(state, keep=False)
-    value, evidence = last_found.value, last_found.here
+    value = last_found.value
+    # where steps go to and fro, what the next one promises is not kept; coarse fits have few steps, and are on the way
+    evidence = value if coarse else value - min(value - last_found.here, 0.5 * length**2)
     model, averages = task.model(state.chosen), np.zeros(layout.chains)
     if not coarse:
         former = np.full(layout.chains, np.nan)
