@@ -40,7 +40,9 @@ class Table(dict[str, Row]):
                 package = point.dist.name if point.dist else point.module
                 why = shorten(f"{type(error).__name__}: {error}", 60, placeholder=" ...")
                 warnings.warn(
-                    f"{package}: {point.name!r} of {self._group} is left out: {why}; check that package", BayeqWarning, stacklevel=3
+                    f"{package}: {point.name!r} of {self._group} is left out: {why}; check that package",
+                    BayeqWarning,
+                    stacklevel=3,
                 )
         self._loaded = True
         return self
