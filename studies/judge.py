@@ -13,12 +13,10 @@ import numpy as np
 
 from bayeq.equation.equations import Equations
 from bayeq.errors import BayeqError, BayeqWarning, InputError
+from bayeq.study.cells import CONSTANT
 from studies.resumable import Outcome, percent
 
 __all__ = ["CONSTANT", "coefficient_lines", "judged", "rates", "timed"]
-
-# The name under which a truth holds the constant of an equation.
-CONSTANT = "1"
 
 Truth = Mapping[str, Mapping[str, float]]
 

@@ -169,7 +169,7 @@ def dysts(noise: str, methods: str, **how: Any) -> None:
     from bayeq.study import dysts as benchmark
 
     given = {"noises": [number("--noise", one) for one in _names(noise)], "methods": _names(methods)}
-    _run_of_others(benchmark.run_dysts, benchmark.summary, benchmark.by_system, given, **how)
+    _run_of_others("dysts", benchmark, benchmark.by_system, given, **how)
 
 
 @study.command(cls=Command)
@@ -190,12 +190,12 @@ def odebench(noise: str, points: str, dictionaries: str, methods: str, **how: An
         "dictionaries": _names(dictionaries),
         "methods": _names(methods),
     }
-    _run_of_others(benchmark.run_odebench, benchmark.summary, benchmark.by_record, given, **how)
+    _run_of_others("odebench", benchmark, benchmark.by_record, given, **how)
 
 
 def _run_of_others(
-    run: Callable[..., Any],
-    summary: Callable[[Any], Iterable[Mapping[str, object]]],
+    name: str,
+    benchmark: Any,
     by_system: Callable[[Any], Iterable[Mapping[str, object]]],
     given: dict[str, Any],
     *,
@@ -207,17 +207,22 @@ def _run_of_others(
     each: bool,
     form: str,
 ) -> None:
-    """Run a benchmark, and print its table."""
+    """Run the cells that are asked for, and print their table."""
+    from bayeq.study.cells import run_cells
+
     names = None if systems is None else _names(systems)
     with Progress() as progress:
         shown = partial(progress, "records")
         try:
-            done = run(store, names=names, records=seeds, first_seed=seed, jobs=jobs, progress=shown, **given)
+            cells = benchmark.cells_of(names, **given)
+            done = run_cells(
+                store, name, cells, benchmark.measure, records=seeds, first_seed=seed, jobs=jobs, progress=shown
+            )
         except KeyboardInterrupt:
             raise InterruptedRun(f"interrupted: what was done is in {store}; the same command continues") from None
     import pandas as pd
 
-    table = pd.DataFrame(list((by_system if each else summary)(done)))
+    table = pd.DataFrame(list((by_system if each else benchmark.summary)(done)))
     if form == "csv":
         click.echo(table.to_csv(index=False, lineterminator="\n").rstrip("\n"))
     else:

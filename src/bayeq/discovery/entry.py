@@ -33,6 +33,7 @@ from bayeq.resumable import Progress, silent
 from bayeq.selection.select import Rules
 from bayeq.states import Roles, Smooth, Tails, check_sensors
 from bayeq.states.derive import current
+from bayeq.states.sensors import share_of_reading
 from bayeq.streaming.checkpoint import Checkpoints, cache_folder
 from bayeq.streaming.cluster import Cluster
 from bayeq.streaming.partitions import dask_streams, is_dask
@@ -404,7 +405,7 @@ def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, 
         raise NotStreamed("static laws need the record in memory; choose some rows (--rows)")
     if question.roles.timed:
         raise NotStreamed("a term uses t, the time, which is not known from row to row of long records; use some rows")
-    proportional = any("reading" in str(amount) for amount in question.noise.values())
+    proportional = any(share_of_reading(amount) is not None for amount in question.noise.values())
     if question.band is not None or question.tails == "student" or proportional:
         raise NotStreamed(
             "records that are read some rows at a time are fitted with tails='gauss', equal noise of all samples and"

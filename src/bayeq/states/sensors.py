@@ -14,7 +14,17 @@ from bayeq.errors import InputError, UnknownNameError, require_mapping
 from bayeq.records import Record
 from bayeq.states.roles import Chain, Roles
 
-__all__ = ["LEAST_SHARE", "Lag", "Sensors", "Tails", "check_sensors", "force_of_blows", "known_sensors", "scaled_with"]
+__all__ = [
+    "LEAST_SHARE",
+    "Lag",
+    "Sensors",
+    "Tails",
+    "check_sensors",
+    "force_of_blows",
+    "known_sensors",
+    "scaled_with",
+    "share_of_reading",
+]
 
 Floats = NDArray[np.float64]
 Tails = Literal["gauss", "student"]
@@ -105,7 +115,7 @@ def check_sensors(
         for name, value in given.items():
             if name not in known:
                 raise UnknownNameError("channel", name, known, where=what)
-            _amount(what, name, _share_of_reading(value) or value)
+            _amount(what, name, (share_of_reading(value) if what == "noise" else None) or value)
 
 
 def known_sensors(
@@ -132,7 +142,7 @@ def known_sensors(
         if name not in used:
             continue
         values = np.concatenate([np.asarray(record[name]) for record in records])
-        text = _share_of_reading(value)
+        text = share_of_reading(value)
         if text is not None:
             readings[name] = _amount("noise", name, text)[0]
             if readings[name] >= 1.0:
@@ -170,7 +180,7 @@ def force_of_blows(name: str, records: Sequence[Record]) -> Floats | None:
     return blows
 
 
-def _share_of_reading(value: float | str) -> str | None:
+def share_of_reading(value: float | str) -> str | None:
     """The share of ``"5% of reading"``, 0 where none is given; None of other amounts."""
     share, words, rest = value.partition("of reading") if isinstance(value, str) else ("", "", "")
     if not words or rest.strip():

@@ -20,7 +20,19 @@ from bayeq.expressions import parse
 from bayeq.resumable.store import Key, ResultStore
 from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
 
-__all__ = ["CONSTANT", "MOST_RECORDS", "Cell", "Measure", "Outcome", "facts", "judged", "percent", "run_cells", "timed"]
+__all__ = [
+    "CONSTANT",
+    "MOST_RECORDS",
+    "Cell",
+    "Measure",
+    "Outcome",
+    "facts",
+    "judged",
+    "matrix_error",
+    "percent",
+    "run_cells",
+    "timed",
+]
 
 Floats = NDArray[np.float64]
 
@@ -158,7 +170,7 @@ def judged(eqs: Any, laws: Sequence[Law] | None) -> Outcome:
     found = [_coefficients(eq) for eq in eqs]
     names = list(dict.fromkeys(name for law in (*laws, *found) for name in law))
     true, here = (np.array([[law.get(name, 0.0) for name in names] for law in some]) for some in (laws, found))
-    out: Outcome = {"verdicts": verdicts, "E": float(np.linalg.norm(here - true, 2) / np.linalg.norm(true, 2))}
+    out: Outcome = {"verdicts": verdicts, "E": matrix_error(here, true)}
     wrong, false, covers = [], 0, []
     for eq, law, own in zip(eqs, laws, found, strict=True):
         wrong += [f"{eq.target}: +{name}" for name in own if name not in law]
@@ -169,6 +181,11 @@ def judged(eqs: Any, laws: Sequence[Law] | None) -> Outcome:
         covers += [intervals[name][0] <= law[name] <= intervals[name][1] for name in own if name in law]
     out |= {"exact": not wrong, "wrong": wrong, "false_found": false}
     return out | {"covered": sum(covers), "intervals": len(covers)}
+
+
+def matrix_error(found: Floats, true: Floats) -> float:
+    """Error of a matrix of coefficients (C, P) in the spectral norm, relative to the true one."""
+    return float(np.linalg.norm(found - true, 2) / np.linalg.norm(true, 2))
 
 
 def _coefficients(eq: Any) -> dict[str, float]:

@@ -11,10 +11,9 @@ stand beside.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,14 +28,14 @@ from bayeq.study.cells import (
     Outcome,
     facts,
     judged,
+    matrix_error,
     percent,
-    run_cells,
     timed,
 )
 from bayeq.study.config import choose
 from bayeq.systems import System, simulate
 
-__all__ = ["METHODS", "NOISES", "by_system", "draw", "run_dysts", "summary", "systems"]
+__all__ = ["METHODS", "NOISES", "by_system", "cells_of", "draw", "measure", "summary", "systems"]
 
 #: In per cent.
 NOISES = (0.0, 0.1, 1.0, 10.0, 25.0, 50.0)
@@ -85,14 +84,14 @@ def _system(name: str) -> tuple[System, Sequence[Law]]:
 
 
 @lru_cache(maxsize=8)
-def _clean(name: str, seed: int) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
-    """Trajectories without noise, and further ones."""
+def _clean(name: str, seed: int, further: bool = False) -> list[Record]:
+    """Trajectories without noise, or `further` ones, on which peers choose their thresholds."""
     system, _ = _system(name)
     long = simulate(system, n=(TRANSIENT + LONG) * PER_PERIOD)
     rng = np.random.default_rng([seed, systems().index(name)])
     rows = rng.choice(np.arange(TRANSIENT * PER_PERIOD, (TRANSIENT + LONG) * PER_PERIOD), 2 * RUNS, replace=False)
-    runs = [simulate(replace(system, initial={s: float(long[s][row]) for s in system.states})) for row in rows]
-    return tuple(runs[:RUNS]), tuple(runs[RUNS:])
+    own = rows[RUNS:] if further else rows[:RUNS]
+    return [simulate(replace(system, initial={s: float(long[s][row]) for s in system.states})) for row in own]
 
 
 def draw(name: str, noise: float, seed: int) -> list[Record]:
@@ -107,7 +106,7 @@ def draw(name: str, noise: float, seed: int) -> list[Record]:
     seed : int
         Draws starts, and noise.
     """
-    clean, _ = _clean(name, seed)
+    clean = _clean(name, seed)
     states = clean[0].channels
     size = np.sqrt(np.mean([np.square(one[state]) for one in clean for state in states]))
     rng = np.random.default_rng([seed, systems().index(name), 1])
@@ -126,16 +125,15 @@ def measure(cell: Cell, seed: int) -> Outcome:
     from bayeq.study.peers import fits
 
     _, laws = _system(name)
-    clean, test = _clean(name, seed)
-    states = list(clean[0].channels)
-    records = draw(name, noise, seed)
+    records, test = draw(name, noise, seed), _clean(name, seed, further=True)
+    states = list(records[0].channels)
     out = fits(method, records, states, DEGREE, seed)
     errors, scores = [], []
     rates = np.concatenate([_rates(laws, one, states) for one in test])
     columns = np.concatenate([out.columns(np.column_stack([one[s] for s in states])) for one in test])
     true = np.array([[law.get(t, 0.0) for t in out.terms] for law in laws])
     for coef in out.coefficients:
-        errors.append(float(np.linalg.norm(coef - true, 2) / np.linalg.norm(true, 2)))
+        errors.append(matrix_error(coef, true))
         scores.append(_aicc(rates - columns @ coef.T, int(np.count_nonzero(coef))))
     rule, oracle = int(np.argmin(scores)), int(np.argmin(errors))
     exact = [bool(np.array_equal(coef != 0.0, true != 0.0)) for coef in out.coefficients]
@@ -180,43 +178,17 @@ def _aicc(residuals: Floats, terms: int) -> float:
     return float(level + 2 * terms + 2 * terms * (terms + 1) / (rows - terms - 1))
 
 
-def run_dysts(
-    store: str | Path,
-    *,
-    names: Sequence[str] | None = None,
-    noises: Sequence[float] = NOISES,
-    methods: Sequence[str] = ("bayeq",),
-    records: int = 5,
-    first_seed: int = 0,
-    jobs: int = 1,
-    progress: Callable[[int, int], None] | None = None,
-) -> Cells:
-    """Run the benchmark, or what is missing of it; see `bayeq.study.cells.run_cells`.
-
-    Parameters
-    ----------
-    store : path
-        SQLite file.
-    names, noises, methods : sequence
-        Of `systems`, in per cent, and of `METHODS`.
-    records, first_seed, jobs, progress
-        Seeds of every system and noise, the first one, worker processes, and whom to tell.
+def cells_of(names: Sequence[str] | None, noises: Sequence[float], methods: Sequence[str]) -> list[Cell]:
+    """The cells of some systems (None: all), noises in per cent, and `METHODS`.
 
     Raises
     ------
     InputError
-        A name or number that cannot be used.
+        A name that is not known.
     """
     chosen = choose("system", systems() if names is None else names, systems())
-    cells = [
-        (name, float(noise), method)
-        for name in chosen
-        for noise in noises
-        for method in choose("method", methods, METHODS)
-    ]
-    return run_cells(
-        store, "dysts", cells, measure, records=records, first_seed=first_seed, jobs=jobs, progress=progress
-    )
+    kinds = choose("method", methods, METHODS)
+    return [(name, float(noise), method) for name in chosen for noise in noises for method in kinds]
 
 
 def summary(done: Cells) -> Iterator[dict[str, object]]:

@@ -13,20 +13,19 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayeq.errors import BayeqError, BayeqWarning
 from bayeq.records import Record
-from bayeq.study.cells import CONSTANT, Cell, Cells, Floats, Outcome, facts, judged, percent, run_cells, timed
+from bayeq.study.cells import CONSTANT, Cell, Cells, Floats, Outcome, facts, judged, percent, timed
 from bayeq.study.config import choose
 from bayeq.systems import System, simulate
 
-__all__ = ["DICTIONARIES", "METHODS", "NOISES", "by_record", "draw", "run_odebench", "summary", "systems"]
+__all__ = ["DICTIONARIES", "METHODS", "NOISES", "by_record", "cells_of", "draw", "measure", "summary", "systems"]
 
 #: Kind and per cent.
 NOISES = ("none 0", "multiplied 1", "multiplied 5", "added 1", "added 5")
@@ -192,36 +191,21 @@ def _stlsq(record: Record, truth: Sequence[Record], functions: bool) -> Outcome:
     return {"cpu": cpu, "R2": [_r2(values, clean) for values, clean in zip(runs, truth, strict=True)]}
 
 
-def run_odebench(
-    store: str | Path,
-    *,
-    names: Sequence[str] | None = None,
-    noises: Sequence[str] = NOISES,
-    points: Sequence[float] = (1.0, 0.5),
-    dictionaries: Sequence[str] = DICTIONARIES,
-    methods: Sequence[str] = ("bayeq",),
-    records: int = 1,
-    first_seed: int = 0,
-    jobs: int = 1,
-    progress: Callable[[int, int], None] | None = None,
-) -> Cells:
-    """Run the benchmark, or what is missing of it; see `bayeq.study.cells.run_cells`.
-
-    Parameters
-    ----------
-    store : path
-        SQLite file.
-    names, noises, points, dictionaries, methods : sequence
-        Of `systems`, `NOISES`, shares of the points, `DICTIONARIES`, and `METHODS`.
-    records, first_seed, jobs, progress
-        Seeds of every cell, the first one, worker processes, and whom to tell.
+def cells_of(
+    names: Sequence[str] | None,
+    noises: Sequence[str],
+    points: Sequence[float],
+    dictionaries: Sequence[str],
+    methods: Sequence[str],
+) -> list[Cell]:
+    """The cells of some systems (None: all), `NOISES`, shares of the points, `DICTIONARIES` and `METHODS`.
 
     Raises
     ------
     InputError
-        A name or number that cannot be used.
+        A name that is not known.
     """
-    cells = [
+    return [
         (name, start, noise, float(share), dictionary, method)
         for name in choose("system", systems() if names is None else names, systems())
         for start in (0, 1)
@@ -230,9 +214,6 @@ def run_odebench(
         for dictionary in choose("dictionary", dictionaries, DICTIONARIES)
         for method in choose("method", methods, METHODS)
     ]
-    return run_cells(
-        store, "odebench", cells, measure, records=records, first_seed=first_seed, jobs=jobs, progress=progress
-    )
 
 
 def summary(done: Cells) -> Iterator[dict[str, object]]:
