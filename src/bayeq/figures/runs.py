@@ -136,9 +136,9 @@ def draw_states(axes: Sequence[Axes], run: Run) -> None:
 
 
 @picture
-def draw_forecasts(runs: Sequence[tuple[str, Run]]) -> Figure:
-    """Free runs under each other, with their titles, which may be empty; a panel for each state, as wide as a journal's
-    page.
+def draw_forecasts(runs: Sequence[tuple[str, Run]], time: str = "time [s]") -> Figure:
+    """Free runs under each other, with their titles, which may be empty, and a label of their time; a panel for each
+    state, as wide as a journal's page.
     """
     heights = [height for _, run in runs for name in run.mean for height in LOW[: 1 + (name in run.measured)]]
     titles = sum(bool(title) for title, _ in runs)
@@ -157,7 +157,7 @@ def draw_forecasts(runs: Sequence[tuple[str, Run]]) -> Figure:
                 _residual(ax, run.time, run.measured[name], _curve(run, name), "free run")
                 ax.set_ylabel("residual")
             ax.tick_params(axis="x", labelbottom=k == len(run.mean) - 1)
-        ax.set_xlabel("time [s]")
+        ax.set_xlabel(time)
     figure.align_ylabels()
     figure.legend(handles=labelled(axes.flat), loc="outside upper right", ncols=4, handlelength=2.2)
     return figure
