@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from scipy.special import logsumexp
 from scipy.stats import beta
 
+from bayeq.arrays import Bools, Ints
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.errors import InputError
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.listing import enumerate_models, search_models
-from bayeq.inference.collapsed.problem import Bools, Columns, Ints, Problem
+from bayeq.inference.collapsed.problem import Columns, Problem
 from bayeq.inference.collapsed.search import best_models, log_evidence, neighbours
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.collapsed.tableau import (

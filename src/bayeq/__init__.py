@@ -27,7 +27,8 @@ _NAMES = {
     "forecast.run": "Forecast",
     "gram": "Gram",
     "inference.posterior": "Posterior",
-    "inspection.info": "RecordInfo info",
+    "inspection.contents": "RecordInfo",
+    "inspection.info": "info",
     "inference.prior": "Prior",
     "plan.result": "Plan",
     "records": "Finding Record Truth check_record correct_delay join read remove_offset write",
@@ -57,7 +58,8 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.gram import Gram as Gram
     from bayeq.inference.posterior import Posterior as Posterior
     from bayeq.inference.prior import Prior as Prior
-    from bayeq.inspection.info import RecordInfo as RecordInfo, info as info
+    from bayeq.inspection.contents import RecordInfo as RecordInfo
+    from bayeq.inspection.info import info as info
     from bayeq.plan.result import Plan as Plan
     from bayeq.records import Finding as Finding, Record as Record, Truth as Truth, check_record as check_record
     from bayeq.records import correct_delay as correct_delay, join as join, read as read

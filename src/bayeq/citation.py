@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["PAPER", "PAPER_AUTHORS", "PAPER_TITLE", "citation"]
-
 PAPER_AUTHORS = ("Rajdip Nayek", "Keith Worden", "Elizabeth J. Cross")
 PAPER_TITLE = "Equation Discovery Using an Efficient Variational Bayesian Approach with Spike-and-Slab Priors"
 PAPER = f"{', '.join(PAPER_AUTHORS)}, {PAPER_TITLE}"

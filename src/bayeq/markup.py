@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["aligned", "code", "items", "join", "paragraph", "printed", "table", "text_console"]
-
 # Left of text, right of numbers, whatever the notebook's own style is.
 CELL = "padding:2px 8px;text-align:{side};white-space:pre"
 

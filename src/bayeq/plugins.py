@@ -12,8 +12,6 @@ from typing import TypeVar
 
 from bayeq.errors import BayeqWarning
 
-__all__ = ["Table"]
-
 Row = TypeVar("Row")
 
 

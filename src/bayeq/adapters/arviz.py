@@ -17,8 +17,6 @@ from bayeq.inference.posterior import Draws, Posterior
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["convergence", "to_arviz"]
-
 
 def _arviz(purpose: str) -> Any:
     try:

@@ -12,11 +12,6 @@ from typing import Any
 
 from bayeq.errors import InputError
 
-__all__ = [
-    "EQUATION", "READING", "REPORT", "ROLES", "Choice", "Choices", "as_typed", "chains_of", "discover_command",
-    "inputs_of", "proposed",
-]  # fmt: skip
-
 #: Names of the files that are written.
 EQUATION, REPORT = "equation.json", "report.html"
 

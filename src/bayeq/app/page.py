@@ -14,8 +14,6 @@ from bayeq.app.session import LARGEST, LOOKING, Session, safe_name
 from bayeq.equation.report.look import STYLE
 from bayeq.errors import InputError
 
-__all__ = ["build", "refresh"]
-
 # Makes a frame as high as what is in it, also when that grows.
 FIT = """(event) => {
   const frame = event.target, page = frame.contentDocument;

@@ -22,8 +22,6 @@ from bayeq.app.session import LARGEST, Session, Workspace
 from bayeq.errors import InputError, MissingExtraError
 from bayeq.posix import POSIX, on_signal
 
-__all__ = ["HOST", "Guard", "serve"]
-
 # Of an upload, beside the file [bytes].
 AROUND = 100_000
 

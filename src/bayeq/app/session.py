@@ -23,8 +23,6 @@ from bayeq.app.choices import EQUATION, REPORT, Choices, discover_command
 from bayeq.errors import InputError
 from bayeq.posix import KILL, has_ended, is_of_this_user, signal_group
 
-__all__ = ["LARGEST", "LOOKING", "READING", "Child", "Opened", "Outcome", "Result", "Session", "Workspace", "safe_name"]
-
 # Folders begin so, the number of the process follows.
 _PREFIX = "bayeq-app-"
 

@@ -22,8 +22,6 @@ from bayeq.records.formats import suffixes
 from bayeq.records.formats.excel import without_sheet
 from bayeq.records.stream import files_in
 
-__all__ = ["Identity", "Read", "digest", "files_of", "fixed_terms", "question"]
-
 #: From a file to what `discover` takes; its text says how files are read.
 Read = Callable[[Path], Any]
 

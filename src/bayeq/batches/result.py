@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Batch", "BatchFile"]
-
 COLUMNS = (
     "order", "file", "target", "term", "coef", "sd", "ci_low", "ci_high", "pip", "included", "shown", "verdict", "unit",
 )  # fmt: skip

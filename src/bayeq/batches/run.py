@@ -33,8 +33,6 @@ from bayeq.resumable import Progress, silent
 from bayeq.resumable.store import Key, ResultStore
 from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
 
-__all__ = ["COMMON", "FILES", "BatchStore", "batch", "run_batch"]
-
 #: Stages of a batch: the equation that files have in common, and the files.
 COMMON, FILES = "common equation", "files"
 

@@ -39,9 +39,7 @@ from bayeq.errors import (
 from bayeq.posix import address_space
 
 if TYPE_CHECKING:
-    from bayeq.inspection.info import RecordInfo
-
-__all__ = ["app", "main"]
+    from bayeq.inspection.contents import RecordInfo
 
 # The variable in which the script of `bayeq completion` asks for completions, after click's rule.
 COMPLETE = "_BAYEQ_COMPLETE"

@@ -21,8 +21,6 @@ from bayeq.errors import BayeqError, InputError, InterruptedRun
 if TYPE_CHECKING:
     from bayeq.batches.result import Batch, BatchFile
 
-__all__ = ["batch"]
-
 MANY = "Many files"
 
 # Files that are named where they have no equations; all are in --json.

@@ -14,8 +14,6 @@ from bayeq.cli.reading import Reading
 from bayeq.cli.saved import paths_of
 from bayeq.errors import InputError
 
-__all__ = ["benchmark"]
-
 EXAMPLES = """
 Example:
 

@@ -18,8 +18,6 @@ from bayeq.inference.engines import ENGINES
 if TYPE_CHECKING:
     from bayeq.records import Record
 
-__all__ = ["cleaned", "discover", "source_of", "used_channels"]
-
 EXAMPLES = """
 Examples:
 

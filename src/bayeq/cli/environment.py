@@ -14,8 +14,6 @@ from io import TextIOWrapper
 from bayeq.errors import BayeqError
 from bayeq.posix import address_space
 
-__all__ = ["INTERRUPTED", "no_memory", "prepare_streams", "require_address_space", "say"]
-
 # Exit code of an interrupted command, as shells count it.
 INTERRUPTED = 130
 

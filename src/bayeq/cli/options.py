@@ -19,12 +19,6 @@ from bayeq.cli.progress import COMPILING
 from bayeq.errors import InputError
 from bayeq.kernels import announce_compiling
 
-__all__ = [
-    "FILE", "ROLES", "WRITTEN", "Command", "altered", "by_name", "channel_name", "cluster_client", "file_written",
-    "in_terms", "json_option", "measured", "named_channels", "number", "option", "pair_of_numbers", "path_of", "sure",
-    "written",
-]  # fmt: skip
-
 # The group of options that say what is written.
 WRITTEN = "What to write"
 

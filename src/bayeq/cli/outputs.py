@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from bayeq.records import Record
     from bayeq.records.files import FileState
 
-__all__ = ["OUTPUTS", "Outputs", "require_output", "show_equations"]
-
 Kind = Literal["any", "table", "figure", "table or figure", "page"]
 
 # What parameters of several coordinates together are called.

@@ -13,8 +13,6 @@ from types import FrameType
 from bayeq.cli.environment import INTERRUPTED, say
 from bayeq.posix import alarm, on_signal
 
-__all__ = ["run"]
-
 # Frames of an import have this file name.
 IMPORTING = "<frozen importlib._bootstrap>"
 

@@ -9,8 +9,6 @@ from typing import Any, Self
 
 from bayeq.cli.environment import say
 
-__all__ = ["COMPILING", "PROGRESS", "Progress"]
-
 COMPILING = "compiling what runs for the first time after installation: up to a minute ..."
 
 #: Lines about progress begin so.

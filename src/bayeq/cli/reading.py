@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from bayeq.records import Record
     from bayeq.streaming.units import Extent
 
-__all__ = ["STANDARD_INPUT", "Reading", "plain_files", "reading_options"]
-
 #: The argument that means standard input, and what messages call it.
 STANDARD_INPUT = Path("-")
 _CALLED = "standard input"

@@ -16,8 +16,6 @@ from bayeq.cli.progress import Progress
 from bayeq.cli.reading import Reading, plain_files, reading_options
 from bayeq.errors import DataWarning, InputError, UnknownNameError
 
-__all__ = ["paths_of", "plan", "predict", "show"]
-
 EXAMPLES = """
 Examples:
 

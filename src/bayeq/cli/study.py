@@ -15,8 +15,6 @@ from bayeq.cli.progress import Progress
 from bayeq.errors import InputError, InterruptedRun
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig
 
-__all__ = ["study"]
-
 SYSTEMS = ",".join(STUDY_SYSTEMS)
 
 

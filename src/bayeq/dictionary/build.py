@@ -33,8 +33,6 @@ from bayeq.expressions.nodes import arguments_of, nodes_of
 from bayeq.plugins import Table
 from bayeq.records.io import near_files
 
-__all__ = ["FAMILIES", "MAX_TERMS", "Family", "build_dictionaries", "build_dictionary", "evaluate_terms", "read_terms"]
-
 
 class Family(NamedTuple):
     """A row of `FAMILIES`.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from bayeq.dictionary.specification import Variables
 
-__all__ = ["terms"]
-
 DEFAULT_HARMONICS = 1
 
 

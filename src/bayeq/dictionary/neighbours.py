@@ -5,8 +5,6 @@ from __future__ import annotations
 from bayeq.dictionary.specification import Variables
 from bayeq.errors import InputError
 
-__all__ = ["terms"]
-
 
 def terms(variables: Variables, argument: str | None = None) -> list[str]:
     """Linear and cubic springs and dampers at one mass of a row, in the order of the chains, and the inputs.

@@ -5,8 +5,6 @@ from __future__ import annotations
 from bayeq.dictionary.polynomial import monomials
 from bayeq.dictionary.specification import Variables
 
-__all__ = ["MAX_DEGREE", "terms"]
-
 MAX_DEGREE = 6
 
 

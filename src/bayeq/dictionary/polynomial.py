@@ -9,8 +9,6 @@ from math import comb
 from bayeq.dictionary.specification import Variables
 from bayeq.expressions import Binary, Expression, Node, Number
 
-__all__ = ["count", "degree", "monomials", "terms"]
-
 DEFAULT_DEGREE = 3
 
 

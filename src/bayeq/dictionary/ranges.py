@@ -22,20 +22,6 @@ from bayeq.expressions import Binary, Call, Evaluator, Expression, Negate, Node,
 from bayeq.expressions.functions import COMPARISONS
 from bayeq.expressions.nodes import arguments_of, is_comparison, unknowns_of
 
-__all__ = [
-    "JUMP_NODES",
-    "NODES",
-    "beside",
-    "families",
-    "grids",
-    "is_scale",
-    "jumps_at",
-    "located",
-    "to_plain",
-    "to_scale",
-    "with_ranges",
-]
-
 Columns = Sequence[Mapping[str, Floats]]
 
 # Scales reach from this share of the step between samples to the largest value, and what is added to a state to this

@@ -10,8 +10,6 @@ from typing import NamedTuple, TypeAlias
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions.functions import TIME
 
-__all__ = ["Member", "Specification", "Variables", "members", "of_equations", "split_at", "split_at_commas", "written"]
-
 # A family, a file, terms or unions of them; or one of these by the target of each equation.
 Specification: TypeAlias = str | Sequence[str] | Mapping[str, str | Sequence[str]]
 

@@ -9,16 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools
 from bayeq.dictionary.specification import split_at_commas
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Binary, Expression, Symbol, parse
 from bayeq.records import Record
-
-__all__ = ["ALL", "with_differences"]
-
-Bools = NDArray[np.bool_]
 
 #: What stands for all terms.
 ALL = "all"

@@ -40,8 +40,6 @@ from bayeq.streaming.partitions import dask_streams, is_dask
 from bayeq.streaming.units import Executor, Extent, Threads, of_channels, stretches
 from bayeq.streaming.whole import Whole
 
-__all__ = ["discover", "question_of"]
-
 # Longer records in memory are taken in units, as large files are.
 MOST_ROWS = 200_000
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools
 from bayeq.dictionary import Specification, written
 from bayeq.discovery.differs import with_differences
+from bayeq.equation.answer import DataSummary, EquationTuple
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
-from bayeq.equation.equations import DataSummary, Equations, EquationTuple
+from bayeq.equation.equations import Equations
 from bayeq.equation.units import arguments_with_units, channel_units, in_radians
 from bayeq.errors import AmbiguityWarning, DataWarning, InputError, RecordError, TermWarning, WarningLog, some_of
 from bayeq.expressions import Expression
@@ -54,9 +55,6 @@ from bayeq.states.motion import held_out_share
 from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, require_enough
 from bayeq.streaming.whole import Whole
 
-__all__ = ["NotStreamed", "Question"]
-
-Bools = NDArray[np.bool_]
 NO_LIKELIHOOD = (
     "the full fit failed, a simpler one was used: intervals and probabilities are less sure; give fewer terms"
 )

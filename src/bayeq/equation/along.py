@@ -22,8 +22,6 @@ from bayeq.states.prepare import cleaned, divided_at_gaps, has_all
 if TYPE_CHECKING:
     from bayeq.ode.rk4 import Interpolation
 
-__all__ = ["free_run", "predictions", "prepared", "refinement", "scores"]
-
 Found = TypeVar("Found", bound=Answer)
 
 # Share of the rows that is scored where none were held out.

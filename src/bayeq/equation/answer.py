@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from bayeq.forecast.dynamics import Dynamics
 
-__all__ = ["Answer", "DataSummary", "EquationTuple"]
-
 # The constant as a term, as libraries of polynomials call it.
 CONSTANT = "1"
 

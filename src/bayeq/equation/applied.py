@@ -23,8 +23,6 @@ from bayeq.records import Record, counts_rows
 from bayeq.records.units import conversion
 from bayeq.states import estimate_motion
 
-__all__ = ["Error", "Prediction", "apply_to", "as_equations_have_them"]
-
 # Runs that err by more than this share of the spread follow a record only roughly.
 ROUGHLY = 0.3
 

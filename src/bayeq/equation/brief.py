@@ -26,8 +26,6 @@ from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import aligned
 
-__all__ = ["brief", "checks", "failed", "in_symbols", "sentence", "what_to_try"]
-
 WIDTH = 100
 
 # Runners-up of more than this probability against the equation are rivals, and then probabilities are printed.

@@ -31,8 +31,6 @@ from bayeq.selection.alternatives import alternatives_to, bounds, undetermined
 from bayeq.selection.excitation import Repeating, repeating
 from bayeq.selection.select import Selection
 
-__all__ = ["build_equations", "with_doubts"]
-
 # The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations.
 CONTRADICTED = 3.0
 

@@ -12,8 +12,6 @@ from bayeq.inference.posterior import LARGEST, Posterior
 from bayeq.numerics.normal import Z95
 from bayeq.states import Chain
 
-__all__ = ["check_content", "check_restored"]
-
 Saved = Mapping[str, Any]
 
 # Covariances of files written with all digits are symmetric, and have no negative eigenvalue, but for rounding; of

@@ -14,8 +14,6 @@ from bayeq.inference.posterior import Draws
 if TYPE_CHECKING:
     from bayeq.equation.equation import Equation
 
-__all__ = ["draws_of"]
-
 
 def draws_of(equation: Equation, draws: int, seed: int) -> Any:
     """As `bayeq.equation.equations.Equations.to_arviz`, of one equation."""

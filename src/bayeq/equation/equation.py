@@ -37,8 +37,6 @@ from bayeq.states import Chain
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Equation", "Fit", "RunnerUp"]
-
 # Rules that leave out terms to have a simpler equation, not because they are in doubt.
 SIMPLER = ("max_terms", "tolerance")
 

@@ -10,7 +10,7 @@ from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from bayeq.equation.answer import Answer, DataSummary, EquationTuple
+from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.errors import DataWarning, FileFormatError, InputError, UnknownNameError, as_path
 from bayeq.forecast.score import Scores
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from bayeq.ode.rk4 import Interpolation
     from bayeq.plan.conditions import Amplitude
     from bayeq.plan.result import Plan
-
-__all__ = ["DataSummary", "EquationTuple", "Equations"]
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,6 @@ from bayeq.equation.text import DOUBTFUL, MARK, left_beside_noise
 from bayeq.equation.written import round_to
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 
-__all__ = ["explanation"]
-
 WIDTH = 100
 
 VERDICTS = {

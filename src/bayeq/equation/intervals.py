@@ -14,8 +14,6 @@ from bayeq.numerics.normal import Z95, t95
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.mixture import mixture_of
 
-__all__ = ["Model", "OverModels", "over_models", "unlike"]
-
 
 @dataclass(frozen=True, slots=True)
 class OverModels:

@@ -18,9 +18,10 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
+from bayeq.equation.answer import DataSummary, EquationTuple
 from bayeq.equation.check_saved import check_content, check_restored
 from bayeq.equation.equation import Equation
-from bayeq.equation.equations import DataSummary, Equations, EquationTuple
+from bayeq.equation.equations import Equations
 from bayeq.equation.intervals import OverModels
 from bayeq.equation.schema import first_fault
 from bayeq.equation.to_json import FORMAT
@@ -34,8 +35,6 @@ from bayeq.records.io import near_files
 from bayeq.records.validate import check_name
 from bayeq.regression.design import DroppedTerm
 from bayeq.states import Chain, Roles, check_sensors
-
-__all__ = ["load", "restored"]
 
 #: No file of equations is longer; the greatest dictionary makes 40 MB.
 MOST_BYTES = 256 * 2**20

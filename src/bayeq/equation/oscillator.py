@@ -31,8 +31,6 @@ from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
 
-__all__ = ["oscillator_parameters", "own_parameters", "system_parameters"]
-
 # Draws of parameters that nobody has asked for.
 DRAWS = 2000
 

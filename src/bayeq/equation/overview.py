@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from bayeq.forecast.run import Forecast
 
-__all__ = ["as_html", "plot_run", "plot_terms"]
-
 # Candidates that are not in the equation are listed up to this many.
 MOST_OTHERS = 10
 

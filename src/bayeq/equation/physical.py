@@ -27,16 +27,6 @@ from bayeq.states import Chain
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "Mode",
-    "PhysicalParameters",
-    "Quantity",
-    "first_order_parameters",
-    "force_of",
-    "physical_parameters",
-    "quantity",
-]
-
 # Highest power of the displacement that is a stiffness by a name of its own.
 HIGHEST_POWER = 9
 

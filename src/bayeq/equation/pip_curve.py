@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["PipCurve", "PriorSensitivity", "draw_pip_curves"]
-
 # What varies, by its column in tables.
 LABELS = {
     "slab_variance": "slab variance $v_s$",

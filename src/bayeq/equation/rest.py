@@ -17,9 +17,6 @@ from bayeq.errors import InputError
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
 from bayeq.likelihood.signs import jumps_of
 
-__all__ = ["about_rest", "is_displaced"]
-
-
 # Places at which a zero of the force is looked for, and how far beyond the record's range, as a share of that.
 PLACES, BEYOND = 2001, 0.5
 

@@ -12,8 +12,6 @@ from bayeq.equation.size_path import percent
 from bayeq.equation.written import plain_sd, round_to
 from bayeq.inference.engines import NOTEWORTHY_PIP
 
-__all__ = ["Row", "rows_of", "short_names", "with_names"]
-
 _NAME = re.compile(r"[^\W\d]\w*")
 
 

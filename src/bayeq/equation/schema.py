@@ -14,8 +14,6 @@ from typing import Any
 
 from bayeq.inference.engines import ENGINES
 
-__all__ = ["first_fault", "json_schema"]
-
 Schema = Mapping[str, Any]
 
 MOST = sys.float_info.max

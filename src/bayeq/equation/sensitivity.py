@@ -18,8 +18,6 @@ from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 
-__all__ = ["power_sensitivity", "prior_sensitivity", "require_spike_slab"]
-
 # v_s varies over two decades either way. A term costs 1/2 ln v_s, so that its log-odds vary by 2.3 nats either way.
 FACTORS = 10.0 ** np.linspace(-2.0, 2.0, 9)
 # A slab of variance v_s shrinks coefficients as 1/v_s rows of zeros would: with more than ten it does more than select.

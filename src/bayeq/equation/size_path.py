@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["ParsimonyPath", "draw_paths", "parsimony_path", "percent"]
-
 # Terms added, and terms removed.
 Step = tuple[tuple[str, ...], tuple[str, ...]]
 

@@ -12,8 +12,6 @@ from bayeq.equation.equations import Equations
 from bayeq.errors import InputError
 from bayeq.records import Record
 
-__all__ = ["TestError", "test_errors"]
-
 # Rows from which an initial state can be estimated.
 LEAST_ROWS = 10
 

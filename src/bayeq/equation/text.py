@@ -23,8 +23,6 @@ from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import printed, text_console
 from bayeq.states import rates
 
-__all__ = ["forms_of", "given_of", "left_beside_noise", "render", "source_of", "undecided", "unseen"]
-
 # No table is as wide: in a pipe none is broken.
 WIDE = 10_000
 # Longer names are shortened in tables; to half of this on terminals with less columns than these.

@@ -19,8 +19,6 @@ from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.unknowns import ConstantEstimate
 from bayeq.numerics.normal import Z95
 
-__all__ = ["FORMAT", "to_dict", "to_saved"]
-
 FORMAT = "bayeq-equations-1"
 
 

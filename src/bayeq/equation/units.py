@@ -19,16 +19,6 @@ from bayeq.expressions.nodes import arguments_of, with_arguments
 from bayeq.records.units import Unit, derivative_ratio, in_si, multiply_units, parse_unit, written_unit
 from bayeq.states import Chain
 
-__all__ = [
-    "OscillatorUnits",
-    "arguments_with_units",
-    "channel_units",
-    "constant_units",
-    "derivative_unit",
-    "in_radians",
-    "quotient_unit",
-]
-
 # Functions of numbers without a unit; those of angles, and units of these.
 PURE = [
     "sin",

@@ -22,19 +22,6 @@ from bayeq.selection.alternatives import Alternatives
 from bayeq.selection.excitation import Repeating
 from bayeq.states import Chain, Motion
 
-__all__ = [
-    "KINDS",
-    "LEAST_SHOWN",
-    "Verdict",
-    "doubted",
-    "judge",
-    "noise_share",
-    "state_noise",
-    "window_errors",
-    "worst",
-]
-
-
 Kind = Literal["none", "not determined", "nearly true", "found"]
 
 # The worst first.

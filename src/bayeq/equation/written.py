@@ -8,8 +8,6 @@ from typing import Any
 
 from bayeq.likelihood.unknowns import ConstantEstimate
 
-__all__ = ["at_end", "factor_of", "plain_sd", "round_to", "row_of"]
-
 # A value is at the end of its range within this share of it.
 AT_END = 0.01
 

@@ -22,8 +22,6 @@ from bayeq.gram.lazy import LazyGram, grams_of
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 
-__all__ = ["Floats", "SparseRegressor", "SpikeSlabRegressor"]
-
 
 class _SeveralTargetsError(InputError, AttributeError):
     """An attribute that a fit to several targets does not have: also an AttributeError, as `hasattr` expects."""

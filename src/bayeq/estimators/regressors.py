@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from bayeq.adapters.arviz import to_arviz
+from bayeq.arrays import Floats
 from bayeq.equation.pip_curve import PriorSensitivity
 from bayeq.equation.sensitivity import prior_sensitivity
 from bayeq.errors import DataWarning, InputError
-from bayeq.estimators.base import Floats, SparseRegressor, SpikeSlabRegressor
+from bayeq.estimators.base import SparseRegressor, SpikeSlabRegressor
 from bayeq.gram import Gram, GramLike
 from bayeq.gram.lazy import LazyGram
 from bayeq.inference.bma import sample_average, spike_slab_bma
@@ -31,8 +32,6 @@ from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm
 from bayeq.inference.stlsq import stlsq
 from bayeq.inference.vb import spike_slab_vb
-
-__all__ = ["RVM", "STLSQ", "SpikeSlabBMA", "SpikeSlabGibbs", "SpikeSlabVB"]
 
 
 @dataclass(eq=False, repr=False)

@@ -20,8 +20,6 @@ from bayeq.expressions.parse import substituted, template
 from bayeq.forecast.dynamics import Law, solved_laws
 from bayeq.states import rates
 
-__all__ = ["LANGUAGES", "MODULES", "Language", "to_callable", "to_code"]
-
 MODULES = ("numpy", "jax")
 
 

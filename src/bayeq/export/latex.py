@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from math import floor, isfinite, log10
 from typing import Literal
 
-__all__ = ["Uncertainty", "sum_in_latex"]
-
 Uncertainty = Literal["none", "brackets", "plus-minus"]
 
 # Numbers of other powers of ten are written with one.

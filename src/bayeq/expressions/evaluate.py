@@ -12,8 +12,6 @@ from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 
-__all__ = ["ARITHMETIC", "MAX_INTEGER_POWER", "Evaluator"]
-
 # Integer powers up to here are products, x**5 = x**4*x, so that the monomials of a dictionary share them.
 MAX_INTEGER_POWER = 16
 

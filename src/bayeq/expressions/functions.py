@@ -15,19 +15,6 @@ import numpy as np
 
 from bayeq.kernels import kernel
 
-__all__ = [
-    "ALIASES",
-    "COMPARISONS",
-    "CONSTANTS",
-    "FUNCTIONS",
-    "SQUARE",
-    "TIME",
-    "Comparison",
-    "Function",
-    "apply_function",
-    "apply_pair",
-]
-
 # The time [s], where no channel has that name.
 TIME = "t"
 

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 
 from bayeq.expressions.nodes import Binary, Expression, Negate, Node, Number, Symbol
 
-__all__ = ["MOST_COUPLED", "inverse", "multiplied", "product", "solved", "total"]
-
 #: Equations that are solved together, at most: the entries of the inverse grow with each.
 MOST_COUPLED = 4
 

@@ -11,26 +11,6 @@ from typing import Any, TypeAlias
 from bayeq.errors import ExpressionError
 from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
 
-__all__ = [
-    "OPERATORS",
-    "Binary",
-    "Call",
-    "Constant",
-    "Expression",
-    "Negate",
-    "Node",
-    "Number",
-    "Symbol",
-    "Unknown",
-    "arguments_of",
-    "is_comparison",
-    "nodes_of",
-    "number",
-    "replaced",
-    "unknowns_of",
-    "with_arguments",
-]
-
 # Binding strength of the operators in Python's grammar; unary minus stands between * and **.
 OPERATORS = {**dict.fromkeys(COMPARISONS, 0), "+": 1, "-": 1, "*": 2, "/": 2, "**": 4}
 _UNARY, _ATOM = 3, 5

@@ -34,8 +34,6 @@ from bayeq.expressions.nodes import (
     replaced,
 )
 
-__all__ = ["MAX_DEPTH", "MAX_LENGTH", "MAX_NODES", "parse", "substituted", "template"]
-
 MAX_LENGTH = 1000
 MAX_DEPTH = 50
 MAX_NODES = 500

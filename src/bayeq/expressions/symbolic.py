@@ -11,8 +11,6 @@ from bayeq.expressions.functions import COMPARISONS, FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 from bayeq.expressions.parse import substituted, template
 
-__all__ = ["mathml", "number_mathml", "symbol_mathml", "to_sympy"]
-
 # SymPy computes powers of numbers exactly, 9**9**9 with all its digits. Numbers that do not fit into a float
 # are computed in floating point instead, as they are everywhere else.
 _MAX_BITS = 1024

@@ -36,8 +36,6 @@ from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, 
 from bayeq.expressions.parse import substituted, template
 from bayeq.kernels import kernel
 
-__all__ = ["IndexArray", "Program", "Tape", "registers_for", "run_on_rows", "run_tape"]
-
 IndexArray: TypeAlias = NDArray[np.uint32]
 
 ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, NEGATE = range(6)

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_drift"]
-
 # Height of the panel of a term, and of what is around all panels [mm].
 PANEL, AROUND = 35.0, 30.0
 

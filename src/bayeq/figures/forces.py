@@ -32,8 +32,6 @@ from bayeq.records import Record
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["restoring_force_curve", "restoring_force_surface"]
-
 FORCE = "restoring force per mass"
 
 # Places along the curve; rings and rays of the surface, which more points would hide.

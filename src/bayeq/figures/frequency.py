@@ -25,8 +25,6 @@ from bayeq.records import Record
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["frequency_response", "spectra"]
-
 # Segments of a spectrum, which overlap by half.
 SEGMENTS = 8
 

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Inclusion", "JointPosterior", "draw_inclusion", "draw_joint"]
-
 # Height of the triangle of a system [mm].
 BLOCK = 90.0
 

@@ -22,26 +22,6 @@ if TYPE_CHECKING:
     from bayeq.states import Chain
     from bayeq.states.motion import MotionRows
 
-__all__ = [
-    "Answer",
-    "EquationLike",
-    "Run",
-    "above",
-    "axes_for",
-    "bracketed",
-    "channel_of",
-    "equation_of",
-    "frequency_label",
-    "given_as",
-    "label_of",
-    "likely_terms",
-    "thinned",
-    "time_label",
-    "titled",
-    "unit_text",
-    "units_of",
-]
-
 # Terms that are drawn, at most.
 MOST_TERMS = 24
 

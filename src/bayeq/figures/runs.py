@@ -45,16 +45,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "BAND",
-    "draw_forecasts",
-    "draw_states",
-    "free_run",
-    "measured_against_predicted",
-    "one_step",
-    "phase_portrait",
-]
-
 # Mean, low and high; the ends are None where there is no band.
 Curve = tuple[Floats, Floats | None, Floats | None]
 

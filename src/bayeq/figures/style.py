@@ -24,34 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-__all__ = [
-    "BLACK",
-    "BLUE",
-    "DASHED",
-    "FULL_WIDTH",
-    "GREY",
-    "ORANGE",
-    "PALE",
-    "RED",
-    "SINGLE_COLUMN",
-    "UNSIGNED",
-    "labelled",
-    "log_ticks",
-    "mathtext",
-    "new_figure",
-    "new_panels",
-    "picture",
-    "plain",
-    "require_matplotlib",
-    "require_suffix",
-    "save",
-    "shortened",
-    "style",
-    "term_label",
-    "write_by_target",
-    "write_output",
-]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 

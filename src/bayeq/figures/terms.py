@@ -19,8 +19,6 @@ from bayeq.records import Record
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["candidate_correlation", "coefficient_forest", "draw_terms", "pip_bars"]
-
 # A term beside the least that are drawn, so that the map is not of a single one.
 LEAST_TERMS = 6
 

@@ -18,8 +18,6 @@ from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Drive, local_errors
 from bayeq.states import Chain, Motion, Roles, rates
 
-__all__ = ["Dynamics", "Law", "finest_step", "normal_draws", "solved_laws"]
-
 # A step is halved until this share (of the intervals) errs by less than TOLERANCE of the states' spread in an interval,
 # at most MOST_SUBSTEPS times. Where a term jumps, no step is short enough: such intervals are the others.
 SHARE = 0.75

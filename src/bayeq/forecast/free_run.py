@@ -15,21 +15,6 @@ from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Drive, free_runs, interpolant, shoot
 from bayeq.states import rates
 
-__all__ = [
-    "ANYWHERE",
-    "GENEROUS",
-    "apart",
-    "correlation_time",
-    "drawn_sines",
-    "fitted_start",
-    "mean_run",
-    "pushed",
-    "run_bands",
-    "state_range",
-    "typical_period",
-    "window_runs",
-]
-
 # A run has blown up where a state is further from its measured range than this many times the range.
 GENEROUS = 1e3
 

@@ -17,19 +17,6 @@ from bayeq.ode.rk4 import Drive, Interpolation, interpolant, with_time
 from bayeq.records import Record
 from bayeq.states import ChainSmoothing, Motion, Roles
 
-__all__ = [
-    "Rows",
-    "between",
-    "check_interpolation",
-    "divided",
-    "normalised_error",
-    "predicted_target",
-    "require_time",
-    "rows_of",
-    "side_by_side",
-    "window_of",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Rows:

@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Forecast", "forecast", "write_forecasts"]
-
 # More records do not fit on a page.
 MOST_DRAWN = 6
 

@@ -25,8 +25,6 @@ from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
 from bayeq.states import Motion, Sensors, Smooth, estimate_motion
 
-__all__ = ["Scores", "held_out_scores", "percentages", "score_records", "score_rows"]
-
 # A free run over fewer rows says nothing.
 LEAST_ROWS = 2
 

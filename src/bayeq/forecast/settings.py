@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from bayeq.numerics.settings import setting
 
-__all__ = ["FORECAST", "ForecastSettings"]
-
 
 @dataclass(frozen=True)
 class ForecastSettings:

@@ -15,25 +15,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.gram.products import shifted_products
 from bayeq.kernels import kernel
-
-__all__ = [
-    "Gram",
-    "GramLike",
-    "Moments",
-    "Standardised",
-    "checked_weights",
-    "require_squares",
-    "default_names",
-    "dense",
-    "from_moments",
-    "grams_from_blocks",
-    "grams_from_data",
-]
-
-Floats = NDArray[np.float64]
 
 # Rows that are centred and multiplied at a time: large enough for BLAS, small enough for the cache.
 BLOCK_ROWS = 8192

@@ -10,14 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.gram.gram import Gram, Standardised, checked_weights, default_names, grams_from_data, require_squares
-
-__all__ = ["LazyGram", "grams_of"]
-
-Floats = NDArray[np.float64]
 
 # With fewer columns than this D'D is small, however few the rows.
 LEAST_COLUMNS = 500

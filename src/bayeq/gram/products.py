@@ -7,13 +7,9 @@ the sixteen sums stay in registers. Unlike those of BLAS they are the same to th
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.kernels import kernel
-
-__all__ = ["add_products", "block_for", "shifted_products"]
-
-Floats = NDArray[np.float64]
 
 # Rows that are multiplied at a time: forty columns of them are 80 kB.
 CACHED_ROWS = 256

@@ -15,8 +15,6 @@ from bayeq.inference.prior import Prior
 from bayeq.inference.settings import INFERENCE
 from bayeq.inference.vb import spike_slab_vb
 
-__all__ = ["spike_slab_auto"]
-
 # The ascent of VB starts from this many of the best models, and from those near them. It does not start from the RVM as
 # well: in 3,680 fits of the four systems of the study, raw and smoothed, that never led to a higher ELBO.
 VB_STARTS = 3

@@ -12,17 +12,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.listing import ENUMERATE, ModelSet, list_models, shares
-from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
+from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, swept
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
-
-__all__ = ["average_models", "sample_average", "spike_slab_bma"]
 
 # Models beyond this share of the mass add nothing to moments that a user could see. Truncated ones take some 0.1 ms
 # each: of more than this many only those up to a larger share, still less than a listing leaves out.

@@ -17,8 +17,6 @@ from bayeq.plugins import Table
 if TYPE_CHECKING:
     from bayeq.inference.posterior import Posterior
 
-__all__ = ["ENGINES", "NOTEWORTHY_PIP", "Engine"]
-
 # Candidates that are not in an equation are listed and drawn from this probability on.
 NOTEWORTHY_PIP = 0.01
 

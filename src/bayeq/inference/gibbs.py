@@ -12,10 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
 from bayeq.inference.collapsed.conditional import given_model
-from bayeq.inference.collapsed.problem import Bools, Floats, Problem
+from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import greedy_start
 from bayeq.inference.collapsed.tableau import (
     LOOK,
@@ -34,15 +35,6 @@ from bayeq.inference.collapsed.tableau import (
 from bayeq.inference.posterior import Draws, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
-
-__all__ = [
-    "draw_theta",
-    "exchange_terms",
-    "multivariate_rhat",
-    "sample_chain",
-    "sample_posterior",
-    "spike_slab_gibbs",
-]
 
 # Multivariate R-hat below which chains count as converged (the paper, section 4).
 RHAT_LIMIT = 1.1

@@ -10,8 +10,6 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.kernels import kernel
 
-__all__ = ["Mixture"]
-
 # Probability below a 95 % interval, and above it.
 TAIL = 0.025
 

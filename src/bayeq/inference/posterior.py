@@ -13,9 +13,6 @@ from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.gram import Standardised
 
-__all__ = ["Draws", "ModelAverage", "Posterior"]
-
-
 # Coefficients between these have squares: variances.
 SMALLEST, LARGEST = 1e-150, 1e150
 

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from bayeq.arrays import Floats, Ints
 from bayeq.errors import InputError
 
-__all__ = ["SIGNED", "Prior"]
-
 # Methods that take signs of coefficients.
 SIGNED = ("auto", "bma")
 

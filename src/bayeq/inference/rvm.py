@@ -15,14 +15,13 @@ import math
 
 import numpy as np
 
+from bayeq.arrays import Bools, Floats
 from bayeq.gram import GramLike
-from bayeq.inference.collapsed.problem import Bools, Columns, Floats, Problem, gram_columns
+from bayeq.inference.collapsed.problem import Columns, Problem, gram_columns
 from bayeq.inference.collapsed.tableau import LOOK, Tableau, active_block, build, enter, leave, strayed
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
-
-__all__ = ["rvm", "rvm_ascent", "rvm_gamma"]
 
 # A step that raises the log marginal likelihood by less is not taken.
 MIN_GAIN = 1e-6

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from bayeq.numerics.settings import setting
 
-__all__ = ["INFERENCE", "InferenceSettings"]
-
 
 @dataclass(frozen=True)
 class InferenceSettings:

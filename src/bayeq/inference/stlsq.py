@@ -11,14 +11,12 @@ from typing import Literal
 
 import numpy as np
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.gram.gram import Gram, GramLike, dense
-from bayeq.inference.collapsed.problem import Bools, Floats
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
-
-__all__ = ["least_squares", "stlsq", "sweep_stlsq"]
 
 # A pivot that is a smaller share of its column's sum of squares is a column that depends on the others.
 DEPENDENT = 1e-13

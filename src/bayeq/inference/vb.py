@@ -15,17 +15,16 @@ from typing import Literal
 
 import numpy as np
 
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
-from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem, fetch
+from bayeq.inference.collapsed.problem import Problem, fetch
 from bayeq.inference.collapsed.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
 from bayeq.inference.collapsed.tableau import GAIN_TOLERANCE, expit
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm_gamma
 from bayeq.kernels import kernel
-
-__all__ = ["spike_slab_vb"]
 
 # What `vb_ascent` returns.
 Ascent = tuple[Floats, Floats, Ints, float, float, Floats]

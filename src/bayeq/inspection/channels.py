@@ -13,8 +13,6 @@ from bayeq.records import Record
 from bayeq.records.findings import equal_runs
 from bayeq.records.truth import FloatArray
 
-__all__ = ["ChannelInfo", "Spectrum", "bars", "describe_channels", "spectrum"]
-
 # Rows by which a channel's levels and repeated samples are judged: enough to see how it was sampled.
 JUDGED = 20_000
 

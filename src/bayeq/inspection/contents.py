@@ -15,8 +15,6 @@ from bayeq.inspection.roles import Clue, Guess
 from bayeq.inspection.rows import Bad, Experiments, Gap
 from bayeq.markup import code, items, join, paragraph, table
 
-__all__ = ["RecordInfo", "as_text"]
-
 HEADER = (
     "channel", "unit", "likely", "min", "max", "mean", "sd", "missing", "power by octave", "most at", "99 % below",
 )  # fmt: skip

@@ -23,8 +23,6 @@ from bayeq.records.names import is_time_name
 from bayeq.records.record import with_only
 from bayeq.states.bad_samples import ADVICE
 
-__all__ = ["RecordInfo", "copies_among", "info", "proposal_for_all"]
-
 # Of longer records channels are checked against each other on this many rows, the middle ones.
 CHECKED = 40_000
 

@@ -20,8 +20,6 @@ from bayeq.records.consistency import Frames, Relation, derivative_name, relate,
 from bayeq.records.truth import FloatArray
 from bayeq.records.units import derivative_ratio
 
-__all__ = ["Link", "correlations", "drivers", "find_links", "first_order", "rough_channels", "short_record"]
-
 # Channels are compared on at most this many rows, the middle ones. A faster record is first averaged over blocks of
 # rows, as many as leave this many to a period of the fastest channel: a block mean is a filter, alike for all channels,
 # that leaves a derivative a derivative.

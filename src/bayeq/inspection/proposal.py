@@ -11,8 +11,6 @@ from typing import Any
 from bayeq.errors import some_of
 from bayeq.inspection.roles import Clue, Guess
 
-__all__ = ["Proposal", "Reading", "propose"]
-
 # Products of up to three states and inputs for first-order states; up to two where there are fewer rows for each term.
 CUBIC, QUADRATIC = "polynomial:3", "polynomial:2"
 ROWS_PER_TERM = 10

@@ -12,8 +12,6 @@ from fractions import Fraction
 from bayeq.inspection.links import CLEARLY, Link
 from bayeq.records.units import in_si, parse_unit
 
-__all__ = ["INPUT", "REFERENCE", "STATE", "Clue", "Guess", "clue_of", "guess_roles"]
-
 # What a channel is: the derivative of its coordinate, 0 to 2, or an input, a reference, a state of first order.
 INPUT, REFERENCE, STATE = -1, -2, -3
 TITLES = {0: "displacement", 1: "velocity", 2: "acceleration", INPUT: "force or input"}

@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Bools
 from bayeq.inspection.roles import Guess
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
@@ -24,8 +25,6 @@ from bayeq.records.validate import SECONDS
 from bayeq.states import Roles
 from bayeq.states.bad_samples import BAD, find_bad_samples
 from bayeq.states.kinematic.model import LARGEST
-
-__all__ = ["Bad", "Experiments", "Gap", "find_bad", "gaps_of", "sort_rows", "starts_from_rest"]
 
 Ints = NDArray[np.intp]
 
@@ -208,7 +207,6 @@ def starts_from_rest(record: Record, names: Sequence[str], period: float) -> lis
 
 # --- bad samples -----------------------------------------------------------------------------------------------------
 
-Bools = NDArray[np.bool_]
 
 #: Rows that are bad, counted from 1, by channel and kind ("spikes", "stuck", "clipped").
 Bad = dict[str, dict[str, list[int]]]

@@ -9,8 +9,6 @@ from collections.abc import Callable
 from functools import cached_property, update_wrapper
 from typing import Any, TypeVar, cast, overload
 
-__all__ = ["Kernel", "announce_compiling", "kernel"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 # Called once, before the first kernel that is not in the cache is compiled.

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, adjoints, maximised, of_inputs
 from bayeq.likelihood.levels import Levels
@@ -22,10 +23,6 @@ from bayeq.likelihood.search import Fitted, Task
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.numerics.beta import incomplete_beta
 from bayeq.numerics.normal import Z95
-
-__all__ = ["Adequacy", "Discrepancy", "Octave", "adequacy_of", "chance_of", "octaves_of", "turn_of"]
-
-Floats = NDArray[np.float64]
 
 # Memories of a discrepancy between which its test is followed.
 MEMORIES = 33

@@ -9,16 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats, Ints
 from bayeq.kernels import kernel
 from bayeq.likelihood.filter import Filtered, Noise, close, combine, multiply, padded, rows_together
 from bayeq.likelihood.linear import Linear
-
-__all__ = ["Adjoint", "adjoint"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Adjoint(NamedTuple):

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats, Ints
 from bayeq.likelihood.adjoint import Adjoint
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, coefficients, corrections, information
@@ -24,11 +24,6 @@ from bayeq.likelihood.search import Task
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.start import series_and_paths, with_spectra
 from bayeq.states import MotionRows
-
-__all__ = ["Block", "Curvature", "Relearned", "at_its_path", "block_of", "curvature", "relearned"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Steps of the path at most, and the deviation, in standard deviations of a state, that ends them.
 STEPS, NEAR = 6, 3e-3

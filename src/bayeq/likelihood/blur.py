@@ -15,15 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.expressions import Call, Evaluator, Expression
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.signs import SLOPE, half_of_jump, middle_of_jump, unresolved_share
-
-__all__ = ["Blur", "Hold", "blur_of", "crossings", "first_blur"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # Variance of a uniform distribution over an interval of length 1.
 UNIFORM = 1.0 / 12.0

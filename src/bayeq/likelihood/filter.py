@@ -14,17 +14,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats, Ints
 from bayeq.kernels import kernel
 from bayeq.likelihood.layout import Candidates
 from bayeq.likelihood.linear import Linear, sources_of
 from bayeq.likelihood.steps import arrays
-
-__all__ = ["Filtered", "Noise", "close", "combine", "multiply", "padded", "rows_together", "run_filter"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Numbers that a processor handles at once, at least.
 LANES = 16

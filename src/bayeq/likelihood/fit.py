@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.likelihood.adjoint import Adjoint, adjoint
 from bayeq.likelihood.blur import Blur, blur_of
 from bayeq.likelihood.filter import Filtered, run_filter
@@ -16,23 +17,6 @@ from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.linear import Linear, derivatives_along, linearise, targets_along, terms_at
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.numerics.minimise import minimise
-
-__all__ = [
-    "Quadratic",
-    "State",
-    "Statistics",
-    "candidates",
-    "coefficients",
-    "improved",
-    "information",
-    "marginal",
-    "maximised",
-    "of_inputs",
-    "over_sizes",
-    "solved",
-]
-
-Floats = NDArray[np.float64]
 
 # Intervals between sizes of a discrepancy beside the likeliest are halved, at most this often.
 MOST_HALVED = 8

@@ -18,8 +18,6 @@ from bayeq.likelihood.fit import State
 from bayeq.likelihood.search import Task
 from bayeq.states import Lag, Motion
 
-__all__ = ["first_lags", "lags_of"]
-
 # Lags of inputs are first sought among whole samples, up to this many standard deviations, this many of them each way
 # at most, in this many rows of the longest record.
 REACH, EACH_WAY, ROWS = 3.0, 50, 4000

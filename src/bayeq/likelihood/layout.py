@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats, Ints
 from bayeq.expressions import Binary, Call, Expression, Node, Number, Symbol, Tape, number
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.implicit import solved
@@ -22,11 +23,6 @@ from bayeq.expressions.nodes import replaced
 from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import jumps_of, mean_of_jumps
 from bayeq.states import Lag, Roles, rates
-
-__all__ = ["HELD", "NOTHING", "SMOOTH", "STRAIGHT", "Candidates", "Course", "Layout", "Series", "Stated"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 Course = Literal["smooth", "linear", "hold", "cubic", "band-limited"]
 

@@ -10,15 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.likelihood.adjoint import Adjoint
 from bayeq.likelihood.filter import Noise
 from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.settings import LIKELIHOOD
-
-__all__ = ["Levels", "Scales"]
-
-Floats = NDArray[np.float64]
 
 # Bounds: of noise and discrepancy as shares of the variance of channel and target, and of what the course of an input
 # errs by, as a share of what it bends.

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats, Ints
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Evaluator, Expression
 from bayeq.likelihood.blur import Blur, Hold, crossings, first_blur
@@ -14,11 +15,6 @@ from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.steps import Steps, add_derivatives, arrays, integrate
 from bayeq.numerics.spline import spline_slopes
-
-__all__ = ["Linear", "derivatives_along", "linearise", "sources_of", "targets_along", "terms_at"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Linear(NamedTuple):

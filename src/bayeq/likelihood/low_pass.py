@@ -13,22 +13,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.numerics.minimise import minimise
-
-__all__ = [
-    "SEGMENT",
-    "Spectrum",
-    "feedback",
-    "mean_spectrum",
-    "of_segments",
-    "periodograms",
-    "spectrum_of",
-    "step_variance",
-]
-
-Floats = NDArray[np.float64]
 
 #: Rows of a segment of which a periodogram is taken.
 SEGMENT = 2000

@@ -11,15 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.likelihood.filter import Filtered
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.likelihood.settings import LIKELIHOOD
-
-__all__ = ["excess_of", "power_of"]
-
-Floats = NDArray[np.float64]
 
 
 def power_of(task: Task, fitted: Fitted) -> float:

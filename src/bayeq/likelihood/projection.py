@@ -12,14 +12,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.likelihood.fit import solved
 from bayeq.likelihood.settings import LIKELIHOOD
-
-__all__ = ["Leftover", "Projected", "batched", "leftover", "lines_of_equal_power", "projected", "time_around"]
-
-Floats = NDArray[np.float64]
 
 # A batch has this many rows at least; from fewer batches no variance is estimated.
 LEAST_ROWS, LEAST_BATCHES = 8, 4

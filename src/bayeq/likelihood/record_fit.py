@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.expressions import Expression
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.bma import spike_slab_bma
@@ -41,11 +42,6 @@ from bayeq.likelihood.start import carried_over, series_and_paths, start_from, w
 from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms, first_members, joint_covariance, with_constants
 from bayeq.states import Lag, Motion
-
-__all__ = ["RecordFit", "fit_record", "learned_lags", "refit_record"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # Stretches in which long records are searched at first.
 STRETCHES = 4

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
@@ -38,26 +39,6 @@ from bayeq.likelihood.fit import (
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.settings import LIKELIHOOD
-
-__all__ = [
-    "COARSE",
-    "Fitted",
-    "Task",
-    "among_neighbours",
-    "calmed",
-    "finer",
-    "fit",
-    "from_all_levels",
-    "from_starts",
-    "of_motion",
-    "resumed",
-    "search",
-    "settle",
-    "with_model",
-]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # Linearisations until the support stays, and Gauss-Newton steps about each support.
 ROUNDS = 8

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from bayeq.numerics.settings import setting
 
-__all__ = ["LIKELIHOOD", "LikelihoodSettings"]
-
 
 @dataclass(frozen=True)
 class LikelihoodSettings:

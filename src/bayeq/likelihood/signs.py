@@ -13,14 +13,10 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.expressions import Binary, Call, Evaluator, Expression, Negate, Node, Number, number
 from bayeq.expressions.nodes import arguments_of, is_comparison, with_arguments
-
-__all__ = ["SLOPE", "half_of_jump", "jumps_of", "mean_of_jumps", "middle_of_jump", "unresolved_share"]
-
-Floats = NDArray[np.float64]
 
 # Slope of the mean of a sign at zero: sqrt(2 / pi) / w.
 SLOPE = math.sqrt(2.0 / math.pi)

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary.polynomial import count, monomials
 from bayeq.expressions import Expression, parse
 from bayeq.gram import Gram
@@ -38,18 +39,6 @@ from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.search import Fitted, Task
 from bayeq.likelihood.settings import LIKELIHOOD
 
-__all__ = [
-    "Nearly",
-    "Soft",
-    "among_fitted",
-    "averaged",
-    "isotropic",
-    "soft_of",
-    "softened",
-    "softened_rows",
-]
-
-Floats = NDArray[np.float64]
 Sizes = tuple[float, ...]
 
 # Samples, evenly chosen, that functions are isotropic on.

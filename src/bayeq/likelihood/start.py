@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.gram import Gram
@@ -27,18 +28,6 @@ from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.unequal import in_proportion
 from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
-
-__all__ = [
-    "carried_over",
-    "precision_of_terms",
-    "series_and_paths",
-    "start_from",
-    "start_of_runs",
-    "with_courses",
-    "with_spectra",
-]
-
-Floats = NDArray[np.float64]
 
 # Noise of channels at first, as a share of their variance.
 FIRST_NOISE = 1e-3

@@ -8,15 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats, Ints
 from bayeq.expressions.tape import Program, run_tape
 from bayeq.kernels import kernel
 from bayeq.likelihood.layout import HELD, SMOOTH, STRAIGHT, Candidates
 from bayeq.ode.rk4 import STAGES
-
-__all__ = ["Steps", "add_derivatives", "arrays", "integrate"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # From these many numbers on, 4 MB, numpy asks for large pages of memory; from a fourth on it is worth to have them.
 LARGE = 2**19

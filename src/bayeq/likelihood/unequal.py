@@ -12,17 +12,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.layout import Layout, Series
 from bayeq.likelihood.search import Task, fit
 from bayeq.states import Sensors
-
-__all__ = ["Tails", "in_proportion", "proportion_of", "tails_of", "with_unequal_noise"]
-
-Floats = NDArray[np.float64]
 
 # Degrees of freedom that are compared; infinitely many are Gaussian noise.
 FREEDOM = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 20.0, np.inf)

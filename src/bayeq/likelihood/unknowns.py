@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.ranges import (
     JUMP_NODES,
@@ -48,11 +48,6 @@ from bayeq.likelihood.search import COARSE, Fitted, Task, calmed, fit, settle
 from bayeq.likelihood.start import precision_of_terms
 from bayeq.numerics.normal import Z95
 from bayeq.states import Motion
-
-__all__ = ["ConstantEstimate", "Forms", "first_members", "first_values", "joint_covariance", "with_constants"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # Log posterior of each member of an either-or, by the text of both.
 Forms = Mapping[str, Mapping[str, float]]

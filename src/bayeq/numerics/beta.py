@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["incomplete_beta"]
-
 # Lentz's method ends where a factor changes the fraction by less.
 CLOSE = 1e-14
 MOST_STEPS = 10_000

@@ -10,11 +10,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-__all__ = ["Minimum", "minimise"]
-
-Floats = NDArray[np.float64]
+from bayeq.arrays import Floats
 
 # What is minimised: its value, or the value and the gradient.
 Objective = Callable[[Floats], float | tuple[float, Floats]]

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Z95", "t95"]
-
 #: Half-width of a 95 % interval, in standard deviations.
 Z95 = 1.959963984540054
 

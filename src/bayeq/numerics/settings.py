@@ -10,8 +10,6 @@ from contextlib import contextmanager
 from dataclasses import field
 from typing import Any, TypeVar
 
-__all__ = ["overridden", "setting"]
-
 T = TypeVar("T")
 
 

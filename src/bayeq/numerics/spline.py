@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.kernels import kernel
-
-__all__ = ["spline_slopes"]
-
-Floats = NDArray[np.float64]
 
 
 @kernel

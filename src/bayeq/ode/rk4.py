@@ -17,19 +17,6 @@ from bayeq.expressions.tape import IndexArray, Program, run_tape
 from bayeq.kernels import kernel
 from bayeq.numerics.spline import spline_slopes
 
-__all__ = [
-    "STAGES",
-    "Drive",
-    "Interpolation",
-    "advance",
-    "free_runs",
-    "interpolant",
-    "local_errors",
-    "shoot",
-    "slope_at",
-    "with_time",
-]
-
 Interpolation = Literal["cubic", "linear", "hold", "band-limited"]
 
 # Steps that differ by a smaller share are even.

@@ -10,13 +10,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.plan.settings import PLAN
 from bayeq.records import Record
 
-__all__ = ["Conditions", "Measured", "conditions_of"]
-
-Floats = NDArray[np.float64]
 Amplitude = float | tuple[float, float]
 
 # A plan is made for this many samples by default: longer ones take longer to simulate and rank the same.

@@ -7,18 +7,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import ANYWHERE, mean_run, state_range
 from bayeq.ode.rk4 import Drive, interpolant, slope_at
 from bayeq.plan.conditions import Conditions
 from bayeq.plan.excitations import EXCITATIONS, lines_within
-
-__all__ = ["SHARES", "Design", "Motions", "designs_for", "largest_share", "shapes"]
-
-Floats = NDArray[np.float64]
 
 # Amplitudes, as shares of the range allowed: where the range is the best amplitude, the half says by how much.
 SHARES = (1.0, 0.5)

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError
 
-__all__ = ["EXCITATIONS", "Excitation", "lines_within"]
-
-Floats = NDArray[np.float64]
 Band = tuple[float, float]
 
 # A line at the end of a band belongs to it, in spite of rounding.

@@ -17,11 +17,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["coefficient_gain", "seconds_to_halve", "seconds_until", "unexplained"]
-
-Floats = NDArray[np.float64]
+from bayeq.arrays import Floats
 
 # Directions of the centred and scaled terms below this share of the largest are rounding.
 RANK = 1e-10

@@ -13,8 +13,6 @@ from bayeq.inference.posterior import Posterior
 from bayeq.plan.settings import PLAN
 from bayeq.regression.fit import RegressionFit
 
-__all__ = ["CandidateModel", "likeliest_models"]
-
 # Models that are kept with an equation.
 KEPT = 10
 

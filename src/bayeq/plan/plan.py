@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError, whole_number
 from bayeq.expressions import Expression
@@ -23,10 +23,6 @@ from bayeq.plan.result import Compared, Outcome, Plan, Separation
 from bayeq.plan.settings import PLAN
 from bayeq.resumable import Progress
 from bayeq.states import Chain
-
-__all__ = ["Found", "plan_excitation"]
-
-Floats = NDArray[np.float64]
 
 
 class Found(Protocol):

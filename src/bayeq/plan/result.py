@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, RED, log_ticks, new_figure, picture
 from bayeq.markup import printed, text_console
 from bayeq.plan.designs import Design
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Compared", "Outcome", "Plan", "Separation", "advice", "duration", "render"]
-
-Floats = NDArray[np.float64]
 
 PLAIN_WIDTH = 130
 

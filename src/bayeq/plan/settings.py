@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from bayeq.numerics.settings import setting
 
-__all__ = ["PLAN", "PlanSettings"]
-
 
 @dataclass(frozen=True)
 class PlanSettings:

@@ -17,8 +17,6 @@ from bayeq.records.truth import FloatArray
 from bayeq.records.units import gain_and_unit
 from bayeq.records.validate import SECONDS, check_time, time_from, trial_starts
 
-__all__ = ["RATE_NAMES", "STEP_NAMES", "Trial", "assemble", "find_time"]
-
 #: Names of a single number that is the time step [s], or the sampling rate [Hz].
 STEP_NAMES = ("dt", "Dt", "DT", "Ts", "dT", "delta_t", "time_step", "sampling_time", "sample_time", "wf_increment")
 RATE_NAMES = (

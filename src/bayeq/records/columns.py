@@ -21,8 +21,6 @@ from bayeq.records.validate import SECONDS, as_column, as_time
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["STAR", "Columns", "Headers", "Names", "Request", "Select", "listed"]
-
 #: Names of columns; a string is split at commas.
 Names = Sequence[str] | str | None
 

@@ -16,15 +16,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Complexes, Ints
 from bayeq.records.settings import RECORDS
 from bayeq.records.truth import FloatArray
-
-__all__ = ["Frames", "Relation", "Shift", "derivative_name", "relate", "shift_of", "uniform_frames"]
-
-Complexes = NDArray[np.complex128]
-Ints = NDArray[np.int64]
 
 TINY = float(np.finfo(np.float64).tiny)
 

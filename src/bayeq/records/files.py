@@ -9,8 +9,6 @@ from pathlib import Path
 
 from bayeq.errors import FileFormatError
 
-__all__ = ["FileState", "replacing", "require_unchanged", "state_of", "unchanged"]
-
 #: Size, and time of change.
 FileState = tuple[int, int]
 

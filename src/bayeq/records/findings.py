@@ -15,15 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, shift_of, uniform_frames
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
 from bayeq.records.settings import RECORDS
 from bayeq.records.units import derivative_ratio
-
-__all__ = ["Clipping", "Finding", "check_messages", "check_record", "clipped_levels", "equal_runs", "without_copies"]
-
-Floats = NDArray[np.float64]
 
 # Gains that are mistakes of units, and how near a measured one must come.
 UNIT_GAINS = (

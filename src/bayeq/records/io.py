@@ -27,8 +27,6 @@ from bayeq.records.formats.excel import without_sheet
 from bayeq.records.formats.nested import read_pieces
 from bayeq.records.record import Record
 
-__all__ = ["as_record", "as_records", "near_files", "read", "write"]
-
 
 @overload
 def read(

@@ -13,8 +13,6 @@ from bayeq.records.truth import FloatArray
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["join"]
-
 #: Sampling rates that differ by less than this share are the same.
 SAME_RATE = 0.01
 #: A channel with more than this share of its variance above half the first record's rate would alias.

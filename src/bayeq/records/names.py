@@ -11,8 +11,6 @@ import re
 import unicodedata
 from collections.abc import Iterable
 
-__all__ = ["RESERVED", "channel_name", "clean_name", "clean_names", "is_time_name", "time_unit"]
-
 #: Names that a channel cannot have: functions and constants of terms.
 RESERVED: frozenset[str] = frozenset(
     {

@@ -20,8 +20,6 @@ from bayeq.records.validate import as_column, as_time, check_name, check_time, c
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Record", "with_only"]
-
 # Channels that a notebook shows.
 SHOWN = 50
 

@@ -13,11 +13,6 @@ from bayeq.records.record import Record
 from bayeq.records.settings import RECORDS
 from bayeq.records.truth import FloatArray
 
-__all__ = [
-    "GAP", "LONG_GAP", "SAMPLES", "UNKNOWN_TIME", "correct_delay", "counts_rows", "remove_offset", "split_at_gaps",
-    "with_row_numbers",
-]  # fmt: skip
-
 # The least level of this many bands of a spectrum is taken for white noise, which is no power of the signal. In more of
 # them, shorter ones, chance makes the least too low: noise of 20 % of the signal would count as motion.
 BANDS = 4

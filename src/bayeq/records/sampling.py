@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from bayeq.records.truth import FloatArray
 
-__all__ = ["even_step", "is_step"]
-
 # Steps that differ by a smaller share are the same: a sample of 6 per period is then wrong by 0.1 % of the amplitude.
 EVEN = 1e-3
 

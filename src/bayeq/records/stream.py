@@ -18,10 +18,6 @@ from bayeq.records.formats import FORMATS, format_of
 from bayeq.records.formats.protocol import FileRows, grid
 from bayeq.records.record import Record, with_only
 
-__all__ = [
-    "LARGE", "FileStream", "RecordStream", "Stream", "files_in", "open_streams", "streamed_unasked", "units_between",
-]  # fmt: skip
-
 #: Files of more bytes together are streamed unasked.
 LARGE = 256 * 2**20
 

@@ -10,11 +10,6 @@ from fractions import Fraction
 
 from bayeq.errors import InputError
 
-__all__ = [
-    "Unit", "conversion", "derivative_ratio", "gain_and_unit", "in_si", "multiply_units", "parse_unit",
-    "require_unit", "written_unit",
-]  # fmt: skip
-
 # Exponents of symbols, in the order in which they occur.
 Unit = dict[str, Fraction]
 

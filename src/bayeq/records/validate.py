@@ -13,8 +13,6 @@ from bayeq.errors import RecordError, UnknownNameError, require_mapping
 from bayeq.records.names import clean_name
 from bayeq.records.truth import FloatArray
 
-__all__ = ["SECONDS", "as_column", "as_time", "check_name", "check_time", "checked_units", "time_from", "trial_starts"]
-
 
 def _prefix(where: str) -> str:
     return f"{where}: " if where else ""

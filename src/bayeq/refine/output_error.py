@@ -32,8 +32,6 @@ from bayeq.refine.settings import REFINE
 from bayeq.regression.constraints import Constraints
 from bayeq.states import Motion
 
-__all__ = ["Known", "OutputError", "Unrefined", "output_error"]
-
 # Sizes of discrepancies from fit to fit, as shares of the target.
 SIZES = (1e-2, 1e-3, 1e-4)
 

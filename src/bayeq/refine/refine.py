@@ -24,8 +24,6 @@ from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
 from bayeq.states import Sensors, Smooth, estimate_motion
 from bayeq.states.motion import held_out_share
 
-__all__ = ["LEAST_ROWS", "RefinedEquation", "RefinedEquations", "Refinement", "refine", "runs_are_worse"]
-
 # With fewer rows there is no free run to speak of.
 LEAST_ROWS = 8
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.likelihood.projection import projected
@@ -16,10 +16,6 @@ from bayeq.likelihood.record_fit import RecordFit
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms
 from bayeq.regression.design import Design
 from bayeq.regression.regression import Regression, judged_by
-
-__all__ = ["RecordRegression", "regressions_of"]
-
-Floats = NDArray[np.float64]
 
 # Degrees of freedom of an interval, at least, by Satterthwaite: of few batches a variance is hardly known.
 LEAST_FREEDOM = 3.0

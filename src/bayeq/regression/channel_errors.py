@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.inference.posterior import Posterior
@@ -16,10 +16,6 @@ from bayeq.regression.regression import Regression
 from bayeq.regression.settings import REGRESSION
 from bayeq.states.kinematic.fit import lowest_level
 from bayeq.states.sensors import scaled_with
-
-__all__ = ["calibrated", "changes_by_noise", "inputs_of_hidden_noise"]
-
-Floats = NDArray[np.float64]
 
 # Half of the step of central differences, as a share of what is changed: their error is about its square.
 STEP = 1e-4

@@ -25,8 +25,6 @@ from bayeq.inference.prior import Prior
 from bayeq.regression.equalities import Equalities, Linear
 from bayeq.states.derive import LARGEST
 
-__all__ = ["Constraints", "Equalities", "parse_constraints", "parse_ties"]
-
 _RELATIONS = "==|<=|>=|!=|<|>|=|~"
 
 _SIGNS_ONLY = "an inequality gives the sign of one coefficient, as in 'v <= 0'; no sums, no bounds other than 0"

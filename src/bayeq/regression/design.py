@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.polynomial import degree
 from bayeq.errors import InputError
@@ -29,10 +30,6 @@ from bayeq.inference.posterior import Posterior
 from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion, MotionRows
 
-__all__ = ["Design", "DroppedTerm", "build_design", "screened", "usable_terms"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 
 # Rows evaluated at a time where the columns are not kept.

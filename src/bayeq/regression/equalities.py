@@ -13,14 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.gram import Gram
 from bayeq.inference.posterior import Draws, ModelAverage, Posterior
-
-__all__ = ["Equalities", "Linear"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # A difference smaller than this share of what it is the difference of is rounding.
 ROUNDING = 1e-12

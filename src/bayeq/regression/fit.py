@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.collapsed.conditional import exact_posterior, noise_given_model
 from bayeq.inference.collapsed.problem import Problem
@@ -19,11 +19,6 @@ from bayeq.likelihood.spike import softened_rows
 from bayeq.regression.channel_errors import calibrated
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.regression import Regression
-
-__all__ = ["RegressionFit", "fit_regression"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import Specification, of_equations
 from bayeq.dictionary.polynomial import degree
 from bayeq.errors import InputError
@@ -27,11 +27,6 @@ from bayeq.regression.fit import RegressionFit, fit_regression
 from bayeq.regression.regression import Regression
 from bayeq.regression.settings import REGRESSION
 from bayeq.states import Lag
-
-__all__ = ["fit_equations", "fit_jointly", "lags_of_design", "record_of", "refitted"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # The ascent of variational Bayes, which gives the evidence lower bound, starts from this many of the best models.
 VB_STARTS = 3

@@ -5,19 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.mixture import Mixture
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.normal import Z95, t95
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.settings import REGRESSION
-
-__all__ = ["mixture_of"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # The likeliest models, at most: one takes some 0.05 ms.
 MOST_MODELS = 300

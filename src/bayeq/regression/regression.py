@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.gram import Gram
@@ -22,10 +22,6 @@ from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
 from bayeq.regression.settings import REGRESSION
 from bayeq.regression.thinning import thinned_gram, without_noise
 from bayeq.states import Chain, ChainSmoothing, Motion, MotionRows
-
-__all__ = ["Regression", "judged_by"]
-
-Floats = NDArray[np.float64]
 
 # Residuals smaller than this share of the target are rounding of the Gram, and correlated.
 ROUNDING = 1e-6

@@ -7,13 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.regression.settings import REGRESSION
-
-__all__ = ["Driver", "Fit", "Residuals", "inspect_residuals"]
-
-Floats = NDArray[np.float64]
 
 # Cross-correlations are looked at up to this many lags, and up to this share of the longest piece.
 MOST_LAGS = 100

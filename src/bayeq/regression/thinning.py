@@ -17,8 +17,6 @@ from bayeq.inference.vb import spike_slab_vb
 from bayeq.regression.residuals import Residuals
 from bayeq.regression.settings import REGRESSION
 
-__all__ = ["thinned_gram", "without_noise"]
-
 # Fits that find what residuals are worth, and the coefficients of the inputs.
 PILOTS = 3
 

@@ -21,8 +21,6 @@ from typing import Any, ClassVar, Self
 from bayeq.errors import FileFormatError, InputError
 from bayeq.posix import has_ended
 
-__all__ = ["Claims", "Key", "ResultStore"]
-
 #: Values of the key of a row.
 Key = tuple[Any, ...]
 

@@ -21,8 +21,6 @@ from bayeq.errors import BayeqError
 from bayeq.posix import POSIX, interrupts_later
 from bayeq.resumable.store import Claims, Key, ResultStore
 
-__all__ = ["AHEAD", "MAX_JOBS", "compute", "fill", "one_thread"]
-
 Task = TypeVar("Task")
 Answer = TypeVar("Answer")
 

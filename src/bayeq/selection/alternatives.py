@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.polynomial import degree
 from bayeq.expressions import Expression
@@ -27,10 +27,6 @@ from bayeq.numerics.normal import Z95
 from bayeq.regression.fit import RegressionFit
 from bayeq.selection.settings import SELECTION
 from bayeq.states import Motion
-
-__all__ = ["Alternatives", "alternatives_to", "bounds", "undetermined"]
-
-Floats = NDArray[np.float64]
 
 # Models of less probability than this together are left out, points at which the others are compared, and their seed.
 LEAST, POINTS, SEED = 1e-3, 1000, 0

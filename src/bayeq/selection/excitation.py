@@ -12,18 +12,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import TIME
 from bayeq.numerics.beta import incomplete_beta
 from bayeq.selection.settings import SELECTION
 from bayeq.states import Motion, MotionRows
-
-__all__ = ["Repeating", "repeating"]
-
-Floats = NDArray[np.float64]
 
 # Harmonics count that chance makes with less than this probability.
 CHANCE = 1e-3

@@ -25,8 +25,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools
 from bayeq.errors import InputError, require_number
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
@@ -41,9 +41,6 @@ from bayeq.regression.joint import refitted
 from bayeq.selection.settings import SELECTION
 from bayeq.states import Motion
 
-__all__ = ["LeftOut", "Rules", "Selection", "select"]
-
-Bools = NDArray[np.bool_]
 Errors = Mapping[float, float]
 
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
@@ -24,11 +25,6 @@ from bayeq.states.kinematic.smoother import leave_one_out, one_sided, smooth_kin
 from bayeq.states.roles import Chain, Roles
 from bayeq.states.settings import STATES
 from bayeq.states.unit_gains import unit_gains
-
-__all__ = ["ADVICE", "BAD", "Learned", "find_bad_samples", "listed", "without_bad_samples"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # Kinds of bad samples.
 BAD = ("spikes", "stuck", "clipped")

@@ -9,17 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import RecordError
 from bayeq.records import Record
 from bayeq.records.sampling import even_step
 from bayeq.states.prepare import on_grid
 from bayeq.states.settings import STATES
-
-__all__ = ["without_hum"]
-
-Floats = NDArray[np.float64]
 
 # ... and this share of the channel's power: less is nothing, which channels without noise have much of.
 LEAST = 1e-6

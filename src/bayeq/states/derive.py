@@ -11,26 +11,13 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, cast, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
 from bayeq.records import Record
 from bayeq.states.roles import Chain
 from bayeq.states.settings import STATES
 
-__all__ = [
-    "Smooth",
-    "current",
-    "derive_states",
-    "known",
-    "require_in_range",
-    "require_steps",
-    "require_usable",
-    "require_varying",
-    "usable",
-]
-
-Floats = NDArray[np.float64]
 Smooth = Literal["auto", "band", "none"]
 
 # Fewer rows than this cannot carry a filter.

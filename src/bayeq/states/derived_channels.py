@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import RecordError
 from bayeq.records import Record
 from bayeq.states.derive import known, usable
@@ -24,10 +24,6 @@ from bayeq.states.motion import cut_at
 from bayeq.states.prepare import on_grid
 from bayeq.states.roles import Chain
 from bayeq.states.settings import STATES
-
-__all__ = ["measured_apart"]
-
-Floats = NDArray[np.float64]
 
 # A filter is fitted to this many rows for each sample that it takes in, at least; more than this many are not needed.
 ROWS_PER_SAMPLE = 10

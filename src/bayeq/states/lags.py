@@ -11,8 +11,6 @@ from bayeq.states.prepare import on_grid
 from bayeq.states.sensors import Lag
 from bayeq.states.unit_gains import bridged
 
-__all__ = ["without_lags"]
-
 
 def without_lags(record: Record, lags: Mapping[str, Lag], whole: bool = False) -> Record:
     """The record with the lags of some channels taken out, by band-limited interpolation, which keeps noise white.

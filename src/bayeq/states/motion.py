@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import ChainError, RecordError
 from bayeq.expressions.functions import TIME
 from bayeq.records import Record, counts_rows
@@ -20,11 +20,6 @@ from bayeq.states.roles import Chain, Roles
 from bayeq.states.sensors import Sensors
 from bayeq.states.settings import STATES
 from bayeq.states.unit_gains import unit_gains
-
-__all__ = ["Motion", "MotionRows", "cut_at", "estimate_motion", "further_rows", "held_out_share"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record, split_at_gaps
 from bayeq.records.sampling import is_step
@@ -18,25 +18,6 @@ from bayeq.states.kinematic.model import ChainSeries
 from bayeq.states.kinematic.smoother import smooth_kinematic
 from bayeq.states.roles import Roles
 from bayeq.states.unit_gains import bridged
-
-__all__ = [
-    "LEAST_USABLE",
-    "bridged_record",
-    "cleaned",
-    "complete_rows",
-    "divided_at_gaps",
-    "filled_in",
-    "has_all",
-    "inputs_filled",
-    "missing_messages",
-    "on_grid",
-    "require_enough",
-    "without_empty_rows",
-]
-
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Fewer rows with all channels are no record.
 LEAST_USABLE = 10

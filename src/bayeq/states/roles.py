@@ -11,8 +11,6 @@ from bayeq.expressions import Expression
 from bayeq.expressions.functions import TIME
 from bayeq.records.names import channel_name
 
-__all__ = ["MAX_ORDER", "Chain", "Roles", "parse_chain", "parse_chains"]
-
 MAX_ORDER = 4
 
 # Names of channels are no longer [characters], as terms are not.

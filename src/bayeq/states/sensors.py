@@ -8,25 +8,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError, require_mapping
 from bayeq.records import Record
 from bayeq.states.roles import Chain, Roles
 
-__all__ = [
-    "LEAST_SHARE",
-    "Lag",
-    "Sensors",
-    "Tails",
-    "check_sensors",
-    "force_of_blows",
-    "known_sensors",
-    "scaled_with",
-    "share_of_reading",
-]
-
-Floats = NDArray[np.float64]
 Tails = Literal["gauss", "student"]
 
 # Noise of nothing, as a share of the standard deviation of a channel: the smoother divides by it.

@@ -13,15 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.records import Record
 from bayeq.records.sampling import even_step
 from bayeq.records.units import derivative_ratio
 from bayeq.states.roles import Chain
 from bayeq.states.settings import STATES
-
-__all__ = ["bridged", "rates", "unit_gains"]
-
-Floats = NDArray[np.float64]
 
 # An estimate is made from the strongest lines of the spectra: those above this share of the largest, but at most this
 # share of the rows, and at least this many. They show one motion if one channel tells more than a share COHERENT of the

@@ -29,8 +29,6 @@ from bayeq.records.stream import FileStream
 from bayeq.streaming.units import Extent
 from bayeq.streaming.work import Folded, Lagged, OfRows
 
-__all__ = ["Checkpoint", "Checkpoints", "cache_folder"]
-
 # A sum is kept no more often than this [s].
 EVERY = 10.0
 

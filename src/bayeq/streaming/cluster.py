@@ -33,8 +33,6 @@ from bayeq.records.stream import FileStream
 from bayeq.streaming.partitions import DaskStream, Parts
 from bayeq.streaming.units import Extent, Unit, Work
 
-__all__ = ["Cluster", "connected"]
-
 T = TypeVar("T")
 
 # Units whose results the workers add before they are sent.

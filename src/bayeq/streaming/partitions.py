@@ -15,8 +15,6 @@ from bayeq.records.columns import Columns, Request
 from bayeq.records.formats.protocol import parts_between
 from bayeq.records.names import clean_name, is_time_name
 
-__all__ = ["DaskStream", "Parts", "dask_streams", "is_dask"]
-
 
 @dataclass(frozen=True)
 class Parts:

@@ -22,8 +22,6 @@ from bayeq.resumable import Progress
 from bayeq.states.motion import cut_at
 from bayeq.streaming.settings import STREAMING
 
-__all__ = ["Executor", "Extent", "Threads", "Unit", "Work", "fold", "of_channels", "stretches", "units_of"]
-
 Of = TypeVar("Of")
 
 #: Rows of each of the stretches that are looked at first.

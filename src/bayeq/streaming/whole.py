@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools
 from bayeq.errors import DataWarning, RecordError, WarningLog, some_of
 from bayeq.expressions import Expression
 from bayeq.gram.gram import from_moments
@@ -24,10 +24,6 @@ from bayeq.streaming.checkpoint import Checkpoints
 from bayeq.streaming.settings import STREAMING
 from bayeq.streaming.units import Executor, Extent, Of, Unit, Work, fold, units_of
 from bayeq.streaming.work import BLOCK_ROWS, AsMeasured, ByLikelihood, LaggedResiduals, with_all_rows
-
-__all__ = ["Whole"]
-
-Bools = NDArray[np.bool_]
 
 # Of many units these first, evenly spread, so that the likelihood of all is taken near its maximum.
 SPREAD = 16

@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import RecordError
 from bayeq.expressions import Evaluator, Expression, Tape
 from bayeq.expressions.tape import registers_for, run_on_rows
@@ -26,19 +27,6 @@ from bayeq.states.motion import further_rows
 from bayeq.states.prepare import cleaned, divided_at_gaps
 from bayeq.streaming.units import Extent, Of, Unit, Work
 
-__all__ = [
-    "BLOCK_ROWS",
-    "AsMeasured",
-    "ByLikelihood",
-    "Folded",
-    "Lagged",
-    "LaggedResiduals",
-    "OfRows",
-    "fold_columns",
-    "with_all_rows",
-]
-
-Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Columns = dict[str, Floats]
 

@@ -13,28 +13,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, BayeqWarning, whole_number
 from bayeq.expressions import parse
 from bayeq.resumable.store import Key, ResultStore
 from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
-
-__all__ = [
-    "CONSTANT",
-    "MOST_RECORDS",
-    "Cell",
-    "Measure",
-    "Outcome",
-    "facts",
-    "judged",
-    "matrix_error",
-    "percent",
-    "run_cells",
-    "timed",
-]
-
-Floats = NDArray[np.float64]
 
 # The name under which a law holds the constant of an equation.
 CONSTANT = "1"

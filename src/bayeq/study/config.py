@@ -9,8 +9,6 @@ from typing import Any
 
 from bayeq.errors import InputError, UnknownNameError, whole_number
 
-__all__ = ["DEFAULT_ALGORITHMS", "STUDY_SYSTEMS", "StudyConfig", "choose"]
-
 # The paper's order, which is also the number of a system in the seed of its realisations: append, never reorder.
 STUDY_SYSTEMS = ("linear", "duffing", "quadratic", "coulomb")
 

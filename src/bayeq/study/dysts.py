@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.records import Record
 from bayeq.study.cells import (
     CONSTANT,
     Cell,
     Cells,
-    Floats,
     Law,
     Outcome,
     facts,
@@ -34,8 +34,6 @@ from bayeq.study.cells import (
 )
 from bayeq.study.config import choose
 from bayeq.systems import System, simulate
-
-__all__ = ["METHODS", "NOISES", "by_system", "cells_of", "draw", "measure", "summary", "systems"]
 
 #: In per cent.
 NOISES = (0.0, 0.1, 1.0, 10.0, 25.0, 50.0)

@@ -9,8 +9,9 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from bayeq.arrays import Floats
 from bayeq.equation.units import quotient_unit
 from bayeq.expressions import parse
 from bayeq.figures.paper import Inclusion, JointPosterior, draw_inclusion, draw_joint
@@ -23,10 +24,6 @@ from bayeq.records.units import multiply_units, parse_unit
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig, choose
 from bayeq.study.realise import ALGORITHM_STREAM, draw
 from bayeq.systems import System, get_system
-
-__all__ = ["Comparison", "compare", "confidence_ellipse", "inclusion", "joint_posterior", "write_figures"]
-
-Floats = NDArray[np.float64]
 
 # Values from here on are given in powers of ten on the axis.
 LARGE = 1e4

@@ -19,13 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, BayeqWarning
 from bayeq.records import Record
-from bayeq.study.cells import CONSTANT, Cell, Cells, Floats, Outcome, facts, judged, percent, timed
+from bayeq.study.cells import CONSTANT, Cell, Cells, Outcome, facts, judged, percent, timed
 from bayeq.study.config import choose
 from bayeq.systems import System, simulate
-
-__all__ = ["DICTIONARIES", "METHODS", "NOISES", "by_record", "cells_of", "draw", "measure", "summary", "systems"]
 
 #: Kind and per cent.
 NOISES = ("none 0", "multiplied 1", "multiplied 5", "added 1", "added 5")

@@ -11,11 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.records import Record
 from bayeq.records.formats.limits import needing
-from bayeq.study.cells import Floats
-
-__all__ = ["Fits", "Run", "fits", "of_grid"]
 
 THRESHOLDS = np.geomspace(1e-3, 10.0, 60)
 

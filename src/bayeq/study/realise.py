@@ -18,6 +18,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.errors import one_line
 from bayeq.expressions import Expression
@@ -40,10 +41,6 @@ from bayeq.states import Roles, Smooth, estimate_motion, parse_chains
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
 from bayeq.study.store import Result, measure
 from bayeq.systems import System, get_system, simulate
-
-__all__ = ["ALGORITHMS", "Estimate", "Realisation", "Task", "draw", "realise"]
-
-Floats = NDArray[np.float64]
 
 # Behind (seed, system, index) in the seed of an algorithm, so that its random numbers are not the simulation's.
 ALGORITHM_STREAM = 1

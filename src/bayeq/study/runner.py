@@ -19,8 +19,6 @@ from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, c
 from bayeq.study.realise import ALGORITHMS, Task, realise
 from bayeq.study.store import Result, Store
 
-__all__ = ["Outcome", "run_study"]
-
 # Work that is sent to a worker at a time [s], and realisations at most: a kill loses no more than this.
 BATCH_SECONDS = 0.25
 LARGEST_BATCH = 64

@@ -11,17 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.gram import Gram
 from bayeq.resumable.store import ResultStore
 from bayeq.study.config import StudyConfig
-
-__all__ = ["METRICS", "Metrics", "Plan", "Result", "Store", "measure", "prediction_error"]
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # (system, algorithm) -> how many realisations were asked for.
 Plan = dict[tuple[str, str], int]

@@ -17,8 +17,6 @@ from bayeq.citation import PAPER
 from bayeq.study.config import STUDY_SYSTEMS
 from bayeq.study.store import METRICS, Plan, Result, Store
 
-__all__ = ["CITATION", "LABELS", "RUNTIMES", "TABLE_2", "aggregate", "failure_messages", "runtimes", "show"]
-
 Row = dict[str, Any]
 Format = Literal["text", "markdown", "csv", "json"]
 

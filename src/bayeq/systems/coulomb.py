@@ -2,8 +2,6 @@
 
 from bayeq.systems.system import oscillator
 
-__all__ = ["COULOMB"]
-
 COULOMB = oscillator(
     "coulomb",
     "Oscillator with Coulomb friction",

@@ -2,8 +2,6 @@
 
 from bayeq.systems.system import oscillator
 
-__all__ = ["DUFFING"]
-
 DUFFING = oscillator(
     "duffing",
     "Duffing oscillator (cubic stiffness)",

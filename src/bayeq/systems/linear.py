@@ -2,6 +2,4 @@
 
 from bayeq.systems.system import oscillator
 
-__all__ = ["LINEAR"]
-
 LINEAR = oscillator("linear", "Linear oscillator")

@@ -2,8 +2,6 @@
 
 from bayeq.systems.system import System
 
-__all__ = ["LORENZ"]
-
 LORENZ = System(
     name="lorenz",
     title="Lorenz 63",

@@ -2,8 +2,6 @@
 
 from bayeq.systems.system import oscillator
 
-__all__ = ["QUADRATIC"]
-
 QUADRATIC = oscillator(
     "quadratic",
     "Oscillator with quadratic viscous damping",

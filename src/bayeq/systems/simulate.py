@@ -16,8 +16,6 @@ from bayeq.expressions import Evaluator, Expression, Tape, parse
 from bayeq.records import Record, Truth
 from bayeq.systems.system import BandLimitedForce, System
 
-__all__ = ["band_limited_noise", "simulate"]
-
 # More samples in one record than anybody measures, and noise that drowns any signal: mistakes of typing.
 MAX_SAMPLES = 100_000_000
 MAX_NOISE = 1e6

@@ -8,8 +8,6 @@ from typing import Literal
 
 from bayeq.citation import PAPER
 
-__all__ = ["BandLimitedForce", "System", "oscillator"]
-
 
 @dataclass(frozen=True)
 class BandLimitedForce:

@@ -2,8 +2,6 @@
 
 from bayeq.systems.system import System
 
-__all__ = ["VANDERPOL"]
-
 VANDERPOL = System(
     name="vanderpol",
     title="Van der Pol oscillator",

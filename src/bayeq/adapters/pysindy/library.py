@@ -12,8 +12,6 @@ import numpy as np
 from bayeq.errors import InputError
 from bayeq.expressions import parse
 
-__all__ = ["is_library", "terms_of"]
-
 # A number in front of an operand, as in "sin(2 x)".
 _NUMBER = re.compile(r"[0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]+)?")
 _PLACEHOLDER = "x{}_"

@@ -24,8 +24,6 @@ from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries
 from bayeq.states.kinematic.smoother import smooth_kinematic
 
-__all__ = ["KinematicDerivative", "SpikeSlabOptimizer"]
-
 # Engines with the spike-and-slab prior.
 METHODS = [name for name, engine in ENGINES.items() if engine.spike_slab]
 

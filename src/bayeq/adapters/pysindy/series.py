@@ -32,19 +32,6 @@ from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 
-__all__ = [
-    "LEAST_FLOOR",
-    "Band",
-    "band_gram",
-    "pieces_of",
-    "residual_spectrum",
-    "row_gram",
-    "series_grams",
-    "systematic_floor",
-    "taper",
-    "to_band",
-]
-
 # Share of a piece that is tapered at either end, and the least number of rows; this many times the inverse of the
 # band's width, since that is how far a smoother's errors at the ends reach; and not more than this share.
 TAPERED = 1 / 40

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["STYLE"]
-
 STYLE = """
 :root { color-scheme: light; --ink: #1a1a1a; --line: #cfcfcf; --blue: #0072B2; --pale: #f4f4f4; }
 * { box-sizing: border-box; }

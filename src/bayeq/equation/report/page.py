@@ -31,8 +31,6 @@ from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.records import Record
 from bayeq.records.files import replacing
 
-__all__ = ["file_hash", "repeat_command", "require_report", "samples_hash", "write_report"]
-
 # Draws the live pictures one after the other, and shows them instead of the still ones once all are there.
 START = """
 window.addEventListener("DOMContentLoaded", async () => {

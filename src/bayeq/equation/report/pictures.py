@@ -21,8 +21,6 @@ from bayeq.figures.style import UNSIGNED, style
 from bayeq.inference.engines import NOTEWORTHY_PIP
 from bayeq.records import Record
 
-__all__ = ["Picture", "as_bokeh", "pictures", "require_bokeh", "without_maths"]
-
 # Resolution of still pictures [dots per inch].
 DPI = 200
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem, gram_block
-
-__all__ = ["exact_posterior", "given_model", "noise_given_model"]
+from bayeq.arrays import Bools, Floats, Ints
+from bayeq.inference.collapsed.problem import Problem, gram_block
 
 
 def _parameters(problem: Problem, active: Bools) -> tuple[Floats, Floats, float]:

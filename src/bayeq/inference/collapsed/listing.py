@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
+from bayeq.arrays import Bools, Floats, Ints
+from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.tableau import drifted, flip, flip_gains, renew, score, swap_gains, swept
 from bayeq.kernels import kernel
-
-__all__ = ["ENUMERATE", "ModelSet", "enumerate_models", "list_models", "model_scores", "search_models", "shares"]
 
 # Up to this many free terms all models are enumerated.
 ENUMERATE = 14

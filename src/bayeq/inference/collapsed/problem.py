@@ -7,23 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayeq.arrays import Bools, Floats, Ints
+from bayeq.arrays import Floats, Ints
 from bayeq.gram.gram import GramLike, dense
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
-
-__all__ = [
-    "Bools",
-    "Columns",
-    "Floats",
-    "Ints",
-    "Problem",
-    "all_rows",
-    "fetch",
-    "gram_block",
-    "gram_columns",
-    "gram_row",
-]
 
 NOTHING = np.empty((0, 0))
 

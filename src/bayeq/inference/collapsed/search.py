@@ -7,23 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
+from bayeq.arrays import Bools, Floats, Ints
+from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.tableau import climb, flip, flip_gains, score, swap_gains, swept
 from bayeq.inference.rvm import rvm_gamma
 from bayeq.kernels import kernel
-
-__all__ = [
-    "STAY",
-    "Move",
-    "best_models",
-    "candidate_models",
-    "explore",
-    "greedy_model",
-    "greedy_start",
-    "log_evidence",
-    "neighbours",
-    "scores_of",
-]
 
 # Up to this many terms a climb also starts from the full model (its cost grows as P^3), above from the support of the
 # RVM, up to the second number.

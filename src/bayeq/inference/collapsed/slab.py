@@ -6,14 +6,13 @@ import math
 
 import numpy as np
 
+from bayeq.arrays import Bools
 from bayeq.gram import Gram, GramLike
-from bayeq.inference.collapsed.problem import Bools, Problem, gram_block
+from bayeq.inference.collapsed.problem import Problem, gram_block
 from bayeq.inference.collapsed.search import best_models, greedy_start
 from bayeq.inference.collapsed.tableau import residual_sum, swept
 from bayeq.inference.prior import Prior
 from bayeq.inference.settings import INFERENCE
-
-__all__ = ["learn_slab_variance", "residual_scale"]
 
 # Bounds of ln v_s above the floor, and the grids on which its maximum is found: each between the neighbours of the best
 # point of the one before, the last with steps of 3e-7.

@@ -23,31 +23,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayeq.inference.collapsed.problem import Bools, Columns, Floats, Ints, Problem, fetch
+from bayeq.arrays import Bools, Floats, Ints
+from bayeq.inference.collapsed.problem import Columns, Problem, fetch
 from bayeq.kernels import kernel
-
-__all__ = [
-    "LOOK",
-    "Tableau",
-    "active_block",
-    "best_swap",
-    "build",
-    "climb",
-    "data_gain",
-    "drifted",
-    "enter",
-    "expit",
-    "flip",
-    "flip_gains",
-    "leave",
-    "renew",
-    "residual_sum",
-    "score",
-    "size_gains",
-    "strayed",
-    "swap_gains",
-    "swept",
-]
 
 # A climb stops when no move gains this much log posterior: above the rounding of h ln(s).
 GAIN_TOLERANCE = 1e-8

@@ -18,8 +18,6 @@ from scipy.special import gammaincinv, log_ndtr, ndtri_exp, stdtr
 
 from bayeq.arrays import Floats, Ints
 
-__all__ = ["NEGLIGIBLE", "Orthants", "carried", "truncated"]
-
 # Points of the quadrature: PIPs are off by less than 1e-4, standard deviations by some 1e-4 of themselves.
 POINTS = 256
 

@@ -16,15 +16,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import logsumexp, stdtr
 
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.inference.collapsed.listing import KEEP, ModelSet, list_models
-from bayeq.inference.collapsed.problem import Bools, Floats, Ints, Problem
+from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, score, swept
 from bayeq.inference.settings import INFERENCE
 from bayeq.inference.signs.orthant import NEGLIGIBLE, Orthants, carried
 from bayeq.kernels import kernel
-
-__all__ = ["Truncation", "list_signed", "signed_scores", "truncated_models"]
 
 # Numbers (models times squares of constrained terms) held at a time, and models whose orthants are computed at a time.
 CHUNK = 1 << 21

@@ -7,11 +7,6 @@ import re
 from collections.abc import Sequence
 from datetime import datetime, timedelta
 
-__all__ = [
-    "MISSING", "Stamp", "bracketed_words", "delimiter_of", "fitted", "is_blank", "is_comment", "is_number", "is_words",
-    "number_of", "parse_stamp", "split", "unit_cell", "unquoted", "words",
-]  # fmt: skip
-
 #: Cells that stand for a missing sample, in lower case.
 MISSING = frozenset({"", "na", "n/a", "#n/a", "nan", "+nan", "-nan", "null", "none"})
 _WORD = re.compile(r"\"[^\"]*\"|'[^']*'|[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?|\S+")

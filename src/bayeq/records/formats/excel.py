@@ -17,8 +17,6 @@ from bayeq.records.columns import Columns, Names, Select
 from bayeq.records.formats import text
 from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, needing, reading
 
-__all__ = ["OLE", "read_columns", "without_sheet"]
-
 #: The mark of the container of .xls files.
 OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 MOST_ROWS = 1_048_576

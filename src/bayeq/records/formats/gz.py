@@ -10,10 +10,9 @@ from pathlib import Path
 from bayeq.errors import FileFormatError
 from bayeq.records.columns import Columns, Names, Select
 from bayeq.records.formats import text
+from bayeq.records.formats.layout import looks_like_text
 from bayeq.records.formats.limits import check_claim, reading
 from bayeq.records.record import Record
-
-__all__ = ["read_columns", "write"]
 
 _BYTES_AT_ONCE = 2**20
 
@@ -32,7 +31,7 @@ def read_columns(path: Path, *, names: Names = None, chosen: Select | None = Non
         try:
             return text.read_columns(plain, names=names, chosen=chosen, where=where, skip=skip)
         except FileFormatError as error:
-            if not text.looks_like_text(plain):
+            if not looks_like_text(plain):
                 raise FileFormatError(f"{where}: what it holds is not text; unpack it first") from error
             raise
 

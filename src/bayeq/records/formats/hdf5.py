@@ -21,8 +21,6 @@ from bayeq.records.formats.nested import DEEPEST, MOST_ARRAYS, Channel, channels
 from bayeq.records.formats.protocol import FileRows, grid
 from bayeq.records.record import Record
 
-__all__ = ["Hdf5Rows", "channels", "write"]
-
 _MARK = "bayeq"  # an attribute of files that bayeq wrote: arrays of one number are channels there
 _KIND = "HDF5 file"
 _NUMBERS = frozenset({"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64))})

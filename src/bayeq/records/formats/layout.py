@@ -26,8 +26,6 @@ from bayeq.records.formats.cells import (
 )
 from bayeq.records.formats.limits import MOST_COLUMNS
 
-__all__ = ["Layout", "comment_header", "encodings", "looks_like_text", "sniff", "stated_step"]
-
 _SAMPLE_LINES = 200
 _SAMPLE_BYTES = 65536
 _LONGEST_LINE = 2**21

@@ -11,11 +11,6 @@ from contextlib import contextmanager
 
 from bayeq.errors import FULL, BayeqError, FileFormatError, MissingExtraError
 
-__all__ = [
-    "MOST_BYTES", "MOST_COLUMNS", "MOST_RATIO", "SMALL_BYTES", "check_array", "check_claim", "needing",
-    "reading", "stored_units",
-]  # fmt: skip
-
 #: A file may unpack to this many times its size ...
 MOST_RATIO = 100
 #: ... or to this many bytes, whichever is more,

@@ -13,8 +13,6 @@ from bayeq.records.formats.cells import unit_cell
 from bayeq.records.formats.layout import encodings
 from bayeq.records.formats.nested import Channel
 
-__all__ = ["channels"]
-
 _END = "***End_of_Header***"
 _X = "X_Value"
 _SEPARATORS = {"tab": "\t", "comma": ","}

@@ -18,8 +18,6 @@ from bayeq.errors import FileFormatError
 from bayeq.records.formats.limits import MOST_BYTES, MOST_RATIO, SMALL_BYTES, check_claim, reading
 from bayeq.records.formats.nested import DEEPEST, Channel, channels_of
 
-__all__ = ["channels"]
-
 _KIND = "MATLAB file"
 # Types of elements, and classes of arrays.
 MATRIX, COMPRESSED = 14, 15

@@ -19,8 +19,6 @@ from bayeq.records.columns import Columns, Headers, Names, Request
 from bayeq.records.names import clean_name, is_time_name
 from bayeq.records.validate import SECONDS
 
-__all__ = ["Channel", "channels_of", "read_pieces", "step_of"]
-
 #: Rows of a matrix that are listed as channels, and arrays of a file; beyond these it is no record.
 MOST_ROWS = 1000
 MOST_ARRAYS = 100_000

@@ -14,8 +14,6 @@ from bayeq.records.columns import Columns, Headers, Names, Request, Select
 from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, reading
 from bayeq.records.formats.protocol import FileRows, grid
 
-__all__ = ["NpyRows", "columns_of", "read_array", "read_columns"]
-
 AnyArray = np.ndarray[Any, np.dtype[Any]]
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 

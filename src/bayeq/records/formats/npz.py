@@ -14,8 +14,6 @@ from bayeq.records.formats.limits import check_claim, reading, stored_units
 from bayeq.records.formats.npy import AnyArray, read_array
 from bayeq.records.record import Record
 
-__all__ = ["read_columns", "write"]
-
 _UNITS = "__units__"
 
 

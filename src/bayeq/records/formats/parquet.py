@@ -17,8 +17,6 @@ from bayeq.records.formats.limits import check_array, needing, reading, stored_u
 from bayeq.records.formats.protocol import UNIT_ROWS, FileRows, parts_between
 from bayeq.records.record import Record
 
-__all__ = ["ParquetRows", "headers_of", "read_columns", "values_of", "write"]
-
 _UNITS = b"bayeq.units"
 
 

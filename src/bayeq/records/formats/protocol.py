@@ -12,8 +12,6 @@ from bayeq.records.columns import Columns, Names, Request, Select
 from bayeq.records.formats.nested import Channel
 from bayeq.records.record import Record
 
-__all__ = ["UNIT_ROWS", "FileRows", "Flat", "Nested", "Writer", "grid", "parts_between"]
-
 #: Rows that are read at a time, where the file does not divide them itself.
 UNIT_ROWS = 2**18
 

@@ -13,8 +13,6 @@ from bayeq.errors import FileFormatError
 from bayeq.records.formats.limits import check_array, needing, reading
 from bayeq.records.formats.nested import Channel
 
-__all__ = ["channels"]
-
 
 def channels(path: Path) -> list[Channel]:
     """List the channels of a file: path ``group.channel``, called by the channel's name where no other has it."""

@@ -24,13 +24,11 @@ from numpy.typing import NDArray
 from bayeq.errors import FileFormatError, WordsError
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
 from bayeq.records.formats.cells import MISSING, Stamp, fitted, is_blank, is_comment, parse_stamp, split
-from bayeq.records.formats.layout import Layout, comment_header, encodings, looks_like_text, sniff
+from bayeq.records.formats.layout import Layout, comment_header, encodings, sniff
 from bayeq.records.formats.limits import needing, reading
 from bayeq.records.formats.protocol import UNIT_ROWS, FileRows
 from bayeq.records.record import Record
 from bayeq.records.truth import FloatArray
-
-__all__ = ["TextRows", "looks_like_text", "read_columns", "write"]
 
 _FORTRAN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))[dD]([+-]?\d+)")
 _ROWS_AT_ONCE = 20_000

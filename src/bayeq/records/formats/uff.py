@@ -14,8 +14,6 @@ from bayeq.records.formats.limits import needing, reading
 from bayeq.records.formats.nested import Channel
 from bayeq.records.validate import SECONDS
 
-__all__ = ["channels", "is_uff"]
-
 # A delimiter, which fills columns 1 to 6, and the number of a dataset.
 _BEGIN = re.compile(rb"(?:\A|\n)    -1[ \t]*\r?\n *(\d{1,5})[ b\r\n]")
 TIME_RESPONSE, TIME, EVEN = 1, 17, 1

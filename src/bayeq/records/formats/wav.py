@@ -13,8 +13,6 @@ from bayeq.errors import FileFormatError
 from bayeq.records.columns import Columns, Headers, Names, Select
 from bayeq.records.formats.limits import reading
 
-__all__ = ["is_wav", "read_columns"]
-
 PCM, FLOAT, EXTENSIBLE = 1, 3, 0xFFFE
 
 

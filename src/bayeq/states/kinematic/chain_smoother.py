@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record
 from bayeq.records.sampling import even_step
@@ -19,10 +19,6 @@ from bayeq.states.roles import Chain
 from bayeq.states.sensors import LEAST_SHARE
 from bayeq.states.settings import STATES
 from bayeq.states.unit_gains import bridged, unit_gains
-
-__all__ = ["ChainSmoothing", "smooth_chain", "smooth_further"]
-
-Floats = NDArray[np.float64]
 
 # A smoother's filter reaches over this many times as many samples as the inverse of its band's width.
 REACH = 4.0

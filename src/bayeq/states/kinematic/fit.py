@@ -8,18 +8,14 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.numerics.minimise import minimise
 from bayeq.states.kinematic.kalman import LONG_GAP
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel, Sizes, check_order, sizes_of
 from bayeq.states.kinematic.smoother import Rows, prepare
 from bayeq.states.settings import STATES
-
-__all__ = ["fit_kinematic", "lowest_level"]
-
-Floats = NDArray[np.float64]
 
 # Fewer samples than this say nothing about the noise of a channel.
 LEAST_SAMPLES = 10

@@ -20,29 +20,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.kernels import kernel
-
-__all__ = [
-    "LONG_GAP",
-    "SETTLED",
-    "Tables",
-    "advance",
-    "close",
-    "copy_block",
-    "filter_gains",
-    "filter_means",
-    "outer",
-    "pre_array",
-    "score",
-    "taylor",
-    "triangularise",
-]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 # A covariance has settled when a step changes its square root by less, relative to the standard deviations.
 SETTLED = 1e-12

@@ -9,12 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.states.settings import STATES
-
-__all__ = ["ChainSeries", "KinematicModel", "Sizes", "check_order", "sizes_of"]
-
-Floats = NDArray[np.float64]
 
 # Standard deviations of the first state, in the size of the measured derivatives: it is unknown.
 DIFFUSE = 1e3

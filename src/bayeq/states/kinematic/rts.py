@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.kernels import kernel
 from bayeq.states.kinematic.kalman import (
     SETTLED,
@@ -23,10 +24,6 @@ from bayeq.states.kinematic.kalman import (
     taylor,
     triangularise,
 )
-
-__all__ = ["smooth"]
-
-Floats = NDArray[np.float64]
 
 
 @kernel

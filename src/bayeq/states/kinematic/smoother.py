@@ -14,15 +14,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.records.sampling import is_step
 from bayeq.states.kinematic.kalman import Tables, filter_gains, filter_means, score
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel, sizes_of
 from bayeq.states.kinematic.rts import smooth
-
-__all__ = ["Rows", "SmoothedStates", "filtered", "leave_one_out", "one_sided", "prepare", "smooth_kinematic"]
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
