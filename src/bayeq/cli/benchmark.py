@@ -36,6 +36,7 @@ Example:
 @opt.measured("--time", help="Time column [s] of all files.")
 @opt.measured("--fs", type=float, help="Sampling frequency [Hz], where there is no time column.")
 @opt.in_terms("--dictionary", default="oscillator", help="Candidate terms, as for bayeq discover.")
+@opt.in_terms("--law", "laws", multiple=True, help="Rate of a hidden state, as for bayeq discover. Once per state.")
 @opt.json_option(group=opt.WRITTEN)
 @opt.option("--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes.")
 def benchmark(
@@ -48,6 +49,7 @@ def benchmark(
     time: str | None,
     fs: float | None,
     dictionary: str,
+    laws: tuple[str, ...],
     as_json: bool,
     verbose: bool,
 ) -> None:
@@ -73,7 +75,13 @@ def benchmark(
             from bayeq.discovery import discover
 
             found = discover(
-                records, chains=list(chains), inputs=list(inputs), dictionary=dictionary, holdout=0.0, progress=progress
+                records,
+                chains=list(chains),
+                inputs=list(inputs),
+                dictionary=dictionary,
+                law=laws,
+                holdout=0.0,
+                progress=progress,
             )
         names = found.roles.channels
         others = reading.records(tests, names, paths_of(channels, names), progress)

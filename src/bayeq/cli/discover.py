@@ -101,6 +101,11 @@ class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest 
     "--differs",
     help="Terms whose coefficients may differ between the records, 'x, v', or all: differences are candidates.",
 )
+@opt.in_terms(
+    "--law",
+    multiple=True,
+    help="Rate of a hidden state, which no channel measures: 'df = (u - f)/{tau}'. Once per state.",
+)
 @opt.sure(
     "--noise",
     multiple=True,

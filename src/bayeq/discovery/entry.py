@@ -13,6 +13,7 @@ import numpy as np
 
 from bayeq.adapters.pysindy.library import is_library, terms_of
 from bayeq.dictionary import Specification, Variables, build_dictionaries
+from bayeq.discovery.hidden import with_law_terms
 from bayeq.discovery.question import NotStreamed, Question
 from bayeq.equation.equations import Equations
 from bayeq.errors import (
@@ -31,7 +32,7 @@ from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_un
 from bayeq.regression.constraints import parse_constraints, parse_ties
 from bayeq.resumable import Progress, silent
 from bayeq.selection.select import Rules
-from bayeq.states import Roles, Smooth, Tails, check_sensors
+from bayeq.states import Roles, Smooth, Tails, check_sensors, require_laws, with_laws
 from bayeq.states.derive import current
 from bayeq.states.sensors import share_of_reading
 from bayeq.streaming.checkpoint import Checkpoints, cache_folder
@@ -68,6 +69,7 @@ def discover(
     prior: Prior | None = None,
     constraints: str | Sequence[str] = (),
     differs: str | Sequence[str] = (),
+    law: str | Sequence[str] = (),
     noise: Mapping[str, float | str] | None = None,
     gain_sd: Mapping[str, float | str] | None = None,
     lag_sd: Mapping[str, float | str] | None = None,
@@ -143,6 +145,9 @@ def discover(
     differs : str or sequence of str
         Terms whose coefficients may differ between records, ``"x, v"``, or ``"all"``: each has a candidate difference
         ``x*run2`` in every record but the first, with a probability of its own.
+    law : str or sequence of str
+        Rates of hidden states, which no channel measures, ``"df = (u - f)/{tau}"``: all of the law is in. Terms of the
+        other equations may use the state by its name. The equations without it are always compared.
     noise : mapping of str to float or str, optional
         Known noise of channels: standard deviations in the channel's unit, or shares of its own such as ``"2%"``. It is
         then not learned from the record. 0 is a channel without noise. ``"5% of reading"`` is noise in proportion to
@@ -231,6 +236,7 @@ def question_of(
     prior: Prior | None,
     constraints: str | Sequence[str],
     differs: str | Sequence[str],
+    law: str | Sequence[str],
     noise: Mapping[str, float | str] | None,
     gain_sd: Mapping[str, float | str] | None,
     lag_sd: Mapping[str, float | str] | None,
@@ -244,7 +250,8 @@ def question_of(
     rules = Rules(max_terms, tolerance)
     rules.check(method)
     _check_shares(holdout, coarsen)
-    roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs, target)
+    roles = with_laws(law, Roles.parse(chains, displacement, velocity, acceleration, force, inputs, target))
+    require_laws(roles)
     noise, gain_sd = {} if noise is None else noise, {} if gain_sd is None else gain_sd
     lag_sd = {} if lag_sd is None else lag_sd
     check_sensors(noise, gain_sd, roles, lag_sd)
@@ -257,7 +264,7 @@ def question_of(
         variables = Variables(roles.inputs)
     if is_library(dictionary):
         dictionary = terms_of(dictionary, variables.names)
-    terms, allowed = build_dictionaries(dictionary, roles.targets, variables)
+    terms, allowed, roles = with_law_terms(*build_dictionaries(dictionary, roles.seen.targets, variables), roles)
     known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
     parse_ties(known, terms, roles.targets)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
@@ -399,6 +406,8 @@ def _whole_streams(streams: Iterable[Stream]) -> tuple[Extent, ...]:
 
 
 def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, folder: Any) -> Whole:
+    if question.roles.hidden:
+        raise NotStreamed("hidden states are not known from row to row of long records; choose some rows (--rows)")
     if any(chain.static for chain in question.roles.chains):
         raise NotStreamed("static laws need the record in memory; choose some rows (--rows)")
     if question.roles.timed:

@@ -12,16 +12,18 @@ import numpy as np
 from bayeq.arrays import Bools
 from bayeq.dictionary import Specification, written
 from bayeq.discovery.differs import with_differences
-from bayeq.equation.answer import DataSummary, EquationTuple
+from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
 from bayeq.equation.units import arguments_with_units, channel_units, in_radians
+from bayeq.equation.written import odds_text
 from bayeq.errors import AmbiguityWarning, DataWarning, InputError, RecordError, TermWarning, WarningLog, some_of
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.prior import SIGNED, Prior
+from bayeq.likelihood.hidden import with_first_laws, with_found_laws
 from bayeq.likelihood.lags import first_lags
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, refit_record
@@ -68,6 +70,9 @@ LEAST_TRAINING_ROWS = 3
 
 # Ties are contradicted by a record that is likelier without them by more nats.
 CONTRADICTED = 5.0
+
+# Equations without hidden states are shown unless the record is likelier with them by more nats.
+CLEARLY = 3.0
 
 # Lags are learned in rounds, until none moves by more than this share of its standard deviation.
 LAG_ROUNDS, LAG_FOUND = 8, 0.1
@@ -142,6 +147,7 @@ class Question:
         motion, pieces = self._motion(measured, log, whole)
         units = _units(pieces, motion.roles, log)
         terms, known = _in_radians(self.terms, self.known, units, log)
+        motion, terms = self._with_hidden(motion, terms, whole)
         terms = self._with_values(terms, motion, whole)
         allowed, most = self.allowed, LIKELIHOOD.most_candidates // len(motion.roles.chains) - 1
         if len(terms) > most:
@@ -164,6 +170,11 @@ class Question:
         if record is None and self.tails == "student":
             log.warn(NO_TAILS, DataWarning)
         _require_likelihood(motion, record, whole)
+        hidden = self._hidden(design, record)
+        if any(one.log_odds_without > -CLEARLY for one in hidden):
+            seen, log_of_seen = self._of_seen().answer(records)
+            log_of_seen.warn(_not_needed(hidden), DataWarning)
+            return replace(seen, hidden=hidden, warnings=log_of_seen.messages), log_of_seen
         design = self._at_values(design, record)
         first = WarningLog()
         judged = self._judged(design, record)
@@ -194,8 +205,47 @@ class Question:
             warnings=log.messages,
             constraints=known,
             scores=scores,
+            hidden=hidden,
         )
         return answer, log
+
+    def _with_hidden(
+        self, motion: Motion, terms: tuple[Expression, ...], whole: Whole | None
+    ) -> tuple[Motion, tuple[Expression, ...]]:
+        """The motion with hidden states at first values of the constants of their laws, and the terms with these."""
+        if not self.roles.hidden:
+            return motion, terms
+        if whole is not None or self.smooth != "auto" or not motion.smoothing:
+            raise InputError(
+                "law: hidden states are found by the likelihood of the record in memory: use smooth='auto', time, more"
+                " rows, and choose rows (--rows) of a long file"
+            )
+        laws = [one.with_law(terms[self.terms.index(one.law)]) for one in self.roles.hidden if one.law is not None]
+        roles = motion.roles.with_chains([*motion.roles.chains, *laws])
+        return with_first_laws(motion, roles, terms, self.allowed)
+
+    def _of_seen(self) -> Question:
+        """The question without hidden states, and without the terms that they are in."""
+        hidden, count = {name for chain in self.roles.hidden for name in chain.names}, len(self.roles.seen.chains)
+        kept = [j for j, term in enumerate(self.terms) if not hidden & term.names and self.allowed[:count, j].any()]
+        terms = tuple(self.terms[j] for j in kept)
+        return replace(self, roles=self.roles.seen, terms=terms, allowed=self.allowed[:count, kept])
+
+    def _hidden(self, design: Design, record: RecordFit | None) -> tuple[HiddenState, ...]:
+        """The hidden states, and log odds of the equations without them."""
+        motion = design.motion
+        if not motion.roles.hidden:
+            return ()
+        if record is None:
+            return tuple(HiddenState(chain.names[0], math.inf) for chain in motion.roles.hidden)
+        hidden, count = {name for chain in motion.roles.hidden for name in chain.names}, len(motion.roles.seen.chains)
+        seen = replace(motion, roles=motion.roles.seen, unit_gains=motion.unit_gains[:count])
+        kept = [j for j, one in enumerate(design.terms) if not hidden & one.names and design.allowed[:count, j].any()]
+        terms = tuple(design.terms[j] for j in kept)
+        other = build_design(terms, seen, allowed=design.allowed[:count, kept])
+        without = record_of(other, self.smooth, self.dictionary, self.prior, self.rules.tolerance)
+        odds = -math.inf if without is None else without.of_motion - record.of_motion
+        return tuple(HiddenState(chain.names[0], odds) for chain in motion.roles.hidden)
 
     def _record(
         self, design: Design, constrained: Sequence[Constraints], known: Sequence[str], log: WarningLog
@@ -213,10 +263,9 @@ class Question:
         lost = math.inf if record is None else free.of_motion - record.of_motion
         if lost < CONTRADICTED:
             return record, True
-        odds = f"1:{math.exp(lost):.0f}" if lost < 10.0 else f"1:10^{lost / math.log(10.0):.0f}"
         log.warn(
-            f"the record contradicts {'; '.join(text for text, _, _ in ties)} (odds {odds}): shown without; check"
-            " factors, signs and units",
+            f"the record contradicts {'; '.join(text for text, _, _ in ties)} (odds {odds_text(-lost)}): shown without;"
+            " check factors, signs and units",
             DataWarning,
         )
         return free, True
@@ -233,7 +282,7 @@ class Question:
         """States, and the records that they are of."""
         try:
             learned = None if whole is None else whole.learned
-            pieces, roles, share = _prepared(records, self.roles, self.smooth, self.holdout, log, learned)
+            pieces, roles, share = _prepared(records, self.roles.seen, self.smooth, self.holdout, log, learned)
         except RecordError as error:
             if whole is None:
                 raise
@@ -330,13 +379,14 @@ class Question:
                     " fewer terms"
                 )
             return design
-        if record.task.layout.terms == design.terms:
+        terms = record.task.layout.terms
+        if terms == design.terms:
             return design
-        return build_design(record.task.layout.terms, design.motion, allowed=design.allowed)
+        return build_design(terms, with_found_laws(design.motion, terms), allowed=design.allowed)
 
     def _judged(self, design: Design, record: RecordFit | None) -> Design:
         """The dictionary on the motion that equations are judged by."""
-        motion = design.motion if record is None else record.without_drifts(design.motion)
+        motion = design.motion if record is None else record.judged(design.motion)
         if motion is design.motion:
             return design
         judged = build_design(design.terms, motion, allowed=design.allowed)
@@ -360,6 +410,12 @@ class Question:
         selections = select(fits, self.rules, design.motion)
         equations, scores = build_equations(selections, units, log, scored)
         return equations, scores, selections
+
+
+def _not_needed(hidden: Sequence[HiddenState]) -> str:
+    """What is said where the record is as likely without hidden states."""
+    names, odds = some_of([one.state for one in hidden], 30), min(one.log_odds_without for one in hidden)
+    return f"hidden {names} is not needed (odds without it {odds_text(odds)}): shown without; drive the system harder"
 
 
 def _require_likelihood(motion: Motion, record: RecordFit | None, whole: Whole | None) -> None:

@@ -46,7 +46,7 @@ def prepared(
     DataWarning
         Samples that are missing or left out, and gaps.
     """
-    roles = _without_targets(roles, records)
+    roles = _without_targets(roles.seen, records)
     found, messages = cleaned(records, roles, smooth)
     if divide:
         found, more = divided_at_gaps(found, roles, smooth)
@@ -133,6 +133,8 @@ def _between(eq: Answer, interpolation: Interpolation | None) -> Interpolation:
 
 def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolation: Interpolation | None) -> Found:
     """See `Equations.refine`."""
+    if eq.roles.hidden:
+        raise InputError("refine needs every state measured: leave it out, the coefficients are those of all rows")
     from bayeq.refine.output_error import Unrefined
     from bayeq.refine.refine import refine
 

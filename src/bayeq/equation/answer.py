@@ -17,6 +17,7 @@ from bayeq.errors import InputError
 from bayeq.export.latex import Uncertainty
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
+from bayeq.likelihood.unknowns import ConstantEstimate
 from bayeq.plan.conditions import Measured
 from bayeq.records import Record, counts_rows
 from bayeq.refine.refine import Refinement
@@ -137,6 +138,22 @@ class EquationTuple(tuple[Equation, ...]):
 
 
 @dataclass(frozen=True)
+class HiddenState:
+    """A state that no channel measures.
+
+    Attributes
+    ----------
+    state : str
+        Its name.
+    log_odds_without : float
+        ln of the odds of the best equations without hidden states against those with them.
+    """
+
+    state: str
+    log_odds_without: float
+
+
+@dataclass(frozen=True)
 class Answer:
     """The equations that were found and what they are as data, text of formulas and functions; see `Equations`."""
 
@@ -151,6 +168,7 @@ class Answer:
     constraints: tuple[str, ...] = ()
     scores: Scores | None = None
     refined: Refinement | None = None
+    hidden: tuple[HiddenState, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "equations", EquationTuple(self.equations))
@@ -184,6 +202,11 @@ class Answer:
     def roles(self) -> Roles:
         """Chains and inputs, and whether terms use the time."""
         return Roles(self.chains, self.inputs).for_terms(term for equation in self.equations for term in equation.terms)
+
+    @property
+    def constants(self) -> tuple[ConstantEstimate, ...]:
+        """Constants inside the terms of all equations, each once."""
+        return tuple({one.name: one for equation in self.equations for one in equation.constants}.values())
 
     @property
     def verdict(self) -> Verdict:

@@ -155,10 +155,11 @@ def _table(equation: Equation, score: str) -> list[str]:
 
 def checks(eq: Answer) -> str:
     """How well the equations predict rows that were not used."""
-    fits, where = [one.held_out for one in eq.equations], "rows that were not used"
+    seen = [one for one in eq.equations if not one.chain.hidden]
+    fits, where = [one.held_out for one in seen], "rows that were not used"
     if fits[0] is None:
-        fits, where = [one.train for one in eq.equations], "the rows used (none were held out)"
-    pairs = [(one.target, fit) for one, fit in zip(eq.equations, fits, strict=True) if fit is not None]
+        fits, where = [one.train for one in seen], "the rows used (none were held out)"
+    pairs = [(one.target, fit) for one, fit in zip(seen, fits, strict=True) if fit is not None]
     parts = [percentages({target: fit.nrmse}).replace(" ", " within ", 1) for target, fit in pairs]
     if eq.scores is not None and eq.scores.blew_up_at is None:
         states = [name for one in eq.equations for name in one.chain.states if name in eq.scores.free_run]

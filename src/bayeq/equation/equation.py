@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import exp
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -18,7 +17,7 @@ from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity, req
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.units import constant_units, quotient_unit
 from bayeq.equation.verdict import Verdict
-from bayeq.equation.written import at_end, factor_of, round_to, row_of
+from bayeq.equation.written import at_end, factor_of, odds_text, round_to, row_of
 from bayeq.errors import InputError
 from bayeq.export.latex import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
@@ -60,9 +59,7 @@ class RunnerUp:
     @property
     def odds(self) -> str:
         """The odds as text: ``1:7`` against, ``2:1`` for."""
-        ratio = exp(min(abs(self.log_odds), 700.0))
-        number = f"{ratio:.1f}" if ratio < 9.95 else f"{ratio:.0f}" if ratio < 1e6 else f"{ratio:.0e}"
-        return f"1:{number}" if self.log_odds <= 0 else f"{number}:1"
+        return odds_text(self.log_odds)
 
     def __str__(self) -> str:
         if self.leaves and self.enters:
@@ -402,6 +399,8 @@ class Equation:
     @cached_property
     def text(self) -> str:
         """The equation as a line of text, coefficients to a tenth of their standard deviation."""
+        if self.chain.hidden:
+            return f"{self.target} = {self.chain.law}"
         pieces: list[str] = []
         for value, sd, term in self._sum():
             number = round_to(value, sd)

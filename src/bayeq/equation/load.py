@@ -18,7 +18,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.equation.answer import DataSummary, EquationTuple
+from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
 from bayeq.equation.check_saved import check_content, check_restored
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
@@ -146,6 +146,10 @@ def _restore(content: Saved) -> Equations:
         **_fields(Equations, content, "method"),
         **_fields(Equations, data, "inputs", "dictionary", "smooth"),
         **_fields(Equations, diagnostics, "warnings", "constraints", "refined"),
+        hidden=tuple(
+            HiddenState(one["state"], -math.inf if one["log_odds_without"] is None else one["log_odds_without"])
+            for one in content.get("hidden", ())
+        ),
     )
     found.known()  # constraints that cannot be read are damage
     for equation in found:
@@ -173,8 +177,9 @@ def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str
     terms = tuple(parse(term["name"], names).with_unknowns(values) for term in saved["terms"])
     posterior = _restored_posterior(content["method"], tuple(term.text for term in terms), saved, state, checks)
     column = partial(_column, saved["terms"])
+    law = next((term for term, entry in zip(terms, saved["terms"], strict=True) if entry["included"]), None)
     return Equation(
-        chain=chain,
+        chain=chain.with_law(law) if chain.hidden and law is not None else chain,
         terms=terms,
         posterior=posterior,
         shown_posterior=_restored_shown(posterior, saved["terms"], state["shown"]),

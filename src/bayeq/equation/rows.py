@@ -44,6 +44,8 @@ def rows_of(equation: Equation, conditional: bool = False) -> list[Row]:
     intervals = equation.shown_ci95 if conditional else equation.printed_ci95
     for j, term in enumerate(equation.terms):
         pip = float(p.pip[j])
+        if equation.chain.hidden:  # all of its law is in
+            continue
         if shown.support[j]:
             numbers, over_models = _numbers(shown.coef[j], shown.sd[j], intervals[j]), equation.printed_over_models[j]
             share = math.nan if equation.share is None else equation.share[j]

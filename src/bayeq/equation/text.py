@@ -16,7 +16,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.rows import Row, rows_of, short_names, with_names
 from bayeq.equation.size_path import percent
 from bayeq.equation.verdict import LEAST_SHOWN
-from bayeq.equation.written import round_to
+from bayeq.equation.written import odds_text, round_to
 from bayeq.errors import printable
 from bayeq.forecast.score import Scores, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
@@ -78,6 +78,8 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
 def given_of(eq: Answer) -> list[str]:
     """What was given beside the record, and what was done with the equations."""
     known, out = eq.data.sensors, list[str]()
+    for one in eq.hidden:
+        out.append(f"hidden {one.state}: odds of the equations without it {odds_text(one.log_odds_without)}")
     if eq.data.band is not None:
         low, high = eq.data.band
         out.append(f"band: the record is believed between {low:g} and {high:g} Hz")
@@ -138,6 +140,9 @@ def _render_equation(
         console.print(escape(f"\nin the table: {', '.join(f'{short} is {name}' for name, short in names.items())}"))
     if any(row.over_models for row in rows):
         console.print(f"\n{MARK} {OVER_MODELS}")
+    if equation.chain.hidden:
+        console.print("")
+        return
     rest = len(equation.terms) - sum(bool(row.score) for row in rows)
     if rest:
         low = [p for p in equation.posterior.pip if p < NOTEWORTHY_PIP]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from bayeq.equation.answer import Answer
+from bayeq.equation.answer import Answer, HiddenState
 from bayeq.equation.equation import Equation
 from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.physical import Quantity
@@ -56,6 +56,8 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],
+        **({"constants": list(_constants(eq))} if eq.constants else {}),
+        **({"hidden": [_hidden(one) for one in eq.hidden]} if eq.hidden else {}),
         "parameters": [_parameter(one) for one in found or ()],
         "modes": [
             {
@@ -115,6 +117,21 @@ def _equation(equation: Equation) -> dict[str, Any]:
         **({"forms": {choice: dict(found) for choice, found in equation.forms.items()}} if equation.forms else {}),
         "terms": _terms(equation),
     }
+
+
+def _constants(eq: Answer) -> Iterator[dict[str, Any]]:
+    """Constants inside terms, each once."""
+    seen = set[str]()
+    for equation in eq.equations:
+        for one in equation.constants:
+            if one.name not in seen:
+                seen.add(one.name)
+                yield _constant(equation, one)
+
+
+def _hidden(one: HiddenState) -> dict[str, Any]:
+    odds = one.log_odds_without
+    return {"state": one.state, "log_odds_without": odds if math.isfinite(odds) else None}
 
 
 def _constant(equation: Equation, one: ConstantEstimate) -> dict[str, Any]:

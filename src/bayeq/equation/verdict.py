@@ -163,7 +163,7 @@ def doubted(
         Effective number of residuals of rows as measured, and their number, where it is less than half of that.
     """
     target = chain.target
-    if verdict.kind == "none":
+    if verdict.kind == "none" or chain.hidden:  # whose law is stated
         return verdict
     if again is not None:
         on_it = f"on it the {again.terms} candidates take {again.courses} independent courses"

@@ -57,3 +57,16 @@ def round_to(value: float, sd: float) -> str:
         return f"{value:g}"
     digits = 12 if sd <= 0 else math.floor(math.log10(abs(value))) - math.floor(math.log10(sd)) + 2
     return f"{value:.{min(max(digits, 3), 12)}g}"
+
+
+def odds_text(log_odds: float) -> str:
+    """Odds from their logarithm: against, or for.
+
+    Examples
+    --------
+    >>> odds_text(-2.0), odds_text(3.0), odds_text(-280.0)
+    ('1:7.4', '20:1', '1:4e+121')
+    """
+    ratio = math.exp(min(abs(log_odds), 700.0))
+    number = f"{ratio:.1f}" if ratio < 9.95 else f"{ratio:.0f}" if ratio < 1e6 else f"{ratio:.0e}"
+    return f"1:{number}" if log_odds <= 0 else f"{number}:1"

@@ -210,7 +210,7 @@ def over_sizes(
     """
     levels = state.levels
     bounds = np.log(levels.sizes)
-    means, met = former.copy(), levels.discrepancy.copy()
+    means, met = np.where(levels.stated, 0.0, former), levels.discrepancy.copy()
     for c in np.flatnonzero(np.isnan(former)).tolist():
         likeliest = float(np.log(levels.discrepancy[c]))
 

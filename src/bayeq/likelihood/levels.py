@@ -98,9 +98,10 @@ class Levels:
         layout = self.layout
         memory, steps = np.ones(layout.size), np.zeros(layout.size)
         start = LIKELIHOOD.first_state_sd**2 * self.scales.variance
+        sizes = np.where(self.stated, self.sizes[0], self.discrepancy)
         memory[layout.discrepancy] = self.memory
-        steps[layout.discrepancy] = self.discrepancy * (1.0 - self.memory**2)
-        start[layout.discrepancy] = self.discrepancy
+        steps[layout.discrepancy] = sizes * (1.0 - self.memory**2)
+        start[layout.discrepancy] = sizes
         memory[layout.drifts] = layout.drift
         steps[layout.drifts] = self.drifts * (1.0 - layout.drift**2)
         start[layout.drifts] = self.drifts
@@ -128,7 +129,12 @@ class Levels:
     @property
     def kappa(self) -> Floats:
         """Standard deviation of each discrepancy as a share of its target's, (C,)."""
-        return np.sqrt(self.discrepancy / self.target)
+        return np.sqrt(np.where(self.stated, self.sizes[0], self.discrepancy) / self.target)
+
+    @property
+    def stated(self) -> NDArray[np.bool_]:
+        """Equations that are stated laws, (C,): they have no discrepancy."""
+        return np.array([chain.hidden for chain in self.layout.roles.chains], dtype=np.bool_)
 
     @property
     def longest(self) -> Floats:
@@ -172,9 +178,12 @@ class Levels:
     @property
     def known(self) -> NDArray[np.bool_]:
         """Which of `free` are known and stay, (F,)."""
-        out = np.zeros(len(self.free), dtype=np.bool_)
-        out[: len(self.channels)] = ~self.learned
-        return out
+        parts: dict[str, NDArray[np.bool_]] = {
+            "channels": ~self.learned,
+            "discrepancy": self.stated,
+            "memory": self.stated,
+        }
+        return np.concatenate([parts.get(name, np.zeros(len(getattr(self, name)), dtype=np.bool_)) for name in PARTS])
 
     @property
     def optional(self) -> NDArray[np.bool_]:

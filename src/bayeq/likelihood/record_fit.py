@@ -19,6 +19,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.block import Block, at_its_path
 from bayeq.likelihood.fit import Quadratic, State, candidates, solved
+from bayeq.likelihood.hidden import with_found_laws
 from bayeq.likelihood.lags import lags_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
@@ -40,8 +41,8 @@ from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, averaged, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from, with_courses
 from bayeq.likelihood.unequal import with_unequal_noise
-from bayeq.likelihood.unknowns import ConstantEstimate, Forms, first_members, joint_covariance, with_constants
-from bayeq.states import Lag, Motion
+from bayeq.likelihood.unknowns import ConstantEstimate, Forms, first_members, joint_covariance, settled, with_constants
+from bayeq.states import Lag, Motion, with_paths
 
 # Stretches in which long records are searched at first.
 STRETCHES = 4
@@ -142,6 +143,8 @@ class RecordFit:
             return self
         try:
             other = from_all_levels(self.task, with_model(self.task, self.fitted, model), self.fitted)
+            if not (np.diagonal(other.quadratic.information) > 0.0).all():  # a hidden state that nothing depends on
+                raise np.linalg.LinAlgError("no information on some candidates")
             return replace(self, fitted=replace(other, power=self.fitted.power))
         except np.linalg.LinAlgError:  # motion that it does not stay near: as the likelihood about the former tells it
             return replace(self, fitted=replace(self.fitted, model=model), own=False)
@@ -236,6 +239,8 @@ class RecordFit:
 
     def projectable(self, c: int, model: Bools) -> bool:
         """Whether the smoothed right-hand side of equation c is known with the terms of a model, (P,) bool."""
+        if self.task.layout.roles.chains[c].hidden:  # stated
+            return False
         about = self.fitted.model if self.more is None else self.more[0]
         same = bool((about == self.fitted.model).all()) and bool((about[self.block(c)][:-1] == model).all())
         return self.own and same and (self.more is None or len(self.more[1].pulls) > 0)
@@ -267,23 +272,30 @@ class RecordFit:
             weight=block.weight,
         )
 
-    def without_drifts(self, motion: Motion) -> Motion:
-        """The motion, what drifts in the samples of its channels taken out of them, of the rows held out too.
+    def judged(self, motion: Motion) -> Motion:
+        """The motion that equations are judged by, rows held out too: hidden states as the record tells them, and what
+        drifts in the samples of its channels taken out of them.
 
         A derivative that is not measured is taken to be that of the coordinate without its drift, which is slow.
         """
-        if not self.task.layout.drift:
+        layout, hidden = self.task.layout, [chain.names[0] for chain in self.task.layout.roles.hidden]
+        if not (layout.drift or hidden):
             return motion
+        motion = with_found_laws(motion, layout.terms)
         with np.errstate(all="ignore"):
-            series, paths = series_and_paths(self.task.layout, motion.records)
+            series, paths = series_and_paths(layout, motion.records)
             own = replace(self.task, series=series, recent=[])
             try:
                 state, _, smoothed = at_its_path(own, replace(self.fitted.state, paths=paths, blurs=()))
             except np.linalg.LinAlgError:  # rows held out that the motion does not stay near
                 return motion
-        names, records = [name for name, _ in own.layout.channels], []
-        for rows, path, found in zip(motion.records, state.paths, smoothed, strict=True):
-            drift = dict(zip(names, (path + found.deviation)[:, own.layout.drifts].T, strict=True))
+        smooth = [path + found.deviation for path, found in zip(state.paths, smoothed, strict=True)]
+        if hidden:
+            numbers = {name: layout.names.index(name) for name in hidden}
+            motion = with_paths(motion, [{name: path[:, i] for name, i in numbers.items()} for path in smooth])
+        names, records = [name for name, _ in layout.channels], []
+        for rows, path in zip(motion.records, smooth, strict=True):
+            drift = dict(zip(names, path[:, layout.drifts].T, strict=False))
             kinds = {"columns": rows.columns, "observed": rows.observed, "samples": rows.samples}
             freed: dict[str, Any] = {
                 kind: {name: x - drift[name] if name in drift else x for name, x in columns.items()}
@@ -298,9 +310,12 @@ class RecordFit:
 
     @cached_property
     def quadratic(self) -> Quadratic:
-        """The likelihood of all candidates beside functions of the most probable sizes."""
+        """The likelihood of all candidates beside functions of the most probable sizes, where these can be evaluated."""
         tau = self.nearly.tau
-        return Soft.of(self.task, self.fitted).quadratic(tau)[0] if any(tau) else self.fitted.quadratic
+        try:
+            return Soft.of(self.task, self.fitted).quadratic(tau)[0] if any(tau) else self.fitted.quadratic
+        except np.linalg.LinAlgError:
+            return self.fitted.quadratic
 
     @cached_property
     def standards(self) -> tuple[Standardised, ...]:
@@ -333,6 +348,8 @@ class RecordFit:
     def left_out_intercept(self, c: int) -> tuple[float, float] | None:
         """What the constant of equation c would be, with its standard deviation; None if it is in the model."""
         block, q, precision = self.block(c), self.quadratic, self.task.precision
+        if self.task.layout.roles.chains[c].hidden:
+            return 0.0, 0.0
         if self.fitted.model[block.stop - 1]:
             return None
         inside = np.flatnonzero(self.fitted.model)
@@ -390,7 +407,8 @@ def fit_record(
             log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
             log_odds = first_members(some, terms, log_odds)
             task, states = start_from(some, terms, grams, log_odds, tolerance, stated)
-            task, fitted = search(task, states, partial(with_courses, some))
+            moved = partial(settled, some) if motion.roles.hidden else None
+            task, fitted = search(task, states, partial(with_courses, some), moved)
             task, fitted, forms = with_constants(some, task, fitted)
             if some is not motion:
                 return _resumed(motion, task, fitted, places)

@@ -495,9 +495,9 @@ def noisier(task: Task, state: State, k: int) -> State:
 def with_other_inputs(task: Task, best: Fitted, others: Alternatives) -> tuple[Task, Fitted]:
     """The fit, or one with other courses of inputs between samples where the motion is then likelier.
 
-    Clearly so where channels may be late: an input that is held is half a sample late.
+    Clearly so where channels may be late, or lag behind by a law: an input that is held is half a sample late.
     """
-    margin = CLEARLY if task.layout.late else 0.0
+    margin = CLEARLY if task.layout.late or task.layout.roles.hidden else 0.0
     for k in range(len(task.layout.roles.inputs)):
         tried = [(task, best)]
         for group in others(task, best, k):
@@ -541,7 +541,12 @@ def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]
     return max(settled, key=lambda pair: pair[1].evidence)
 
 
-def search(task: Task, starts: Sequence[State], others: Alternatives) -> tuple[Task, Fitted]:
+def search(
+    task: Task,
+    starts: Sequence[State],
+    others: Alternatives,
+    moved: Callable[[Task, Fitted], tuple[Task, Fitted]] | None = None,
+) -> tuple[Task, Fitted]:
     """The best model that rounds of selection lead to.
 
     Parameters
@@ -553,6 +558,8 @@ def search(task: Task, starts: Sequence[State], others: Alternatives) -> tuple[T
         the fit of all candidates from there is a further start if these are few.
     others : callable
         Gives what may be tried in place of a fit: tasks with other courses of an input, and starts for them.
+    moved : callable, optional
+        Gives a fit with its constants where they are likeliest: a lag that is off looks like another course.
 
     Returns
     -------
@@ -562,7 +569,7 @@ def search(task: Task, starts: Sequence[State], others: Alternatives) -> tuple[T
     task, best = from_starts(
         task, (*starts, partial(all_together, task, starts[-1]), partial(from_the_simplest, task, starts[-1]))
     )
-    task, best = with_other_inputs(task, best, others)
+    task, best = with_other_inputs(*((task, best) if moved is None else moved(task, best)), others)
     task.recent.clear()
     return task, best
 

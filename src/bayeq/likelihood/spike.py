@@ -190,7 +190,7 @@ class Soft:
         allowed = task.log_odds.reshape(layout.chains, -1) > -np.inf
         P, precision = len(layout.terms), task.precision_of(state)
         if task.counted is None:
-            hidden = hidden_terms(layout, int(allowed[:, :-1].sum(axis=1).min()))
+            hidden = hidden_terms(layout, int(allowed[~state.levels.stated, :-1].sum(axis=1).min()))
             layout = replace(layout, terms=(*layout.terms, *hidden))
         width = len(layout.terms) + 1
         column = np.append(np.arange(P), width - 1)
@@ -212,6 +212,9 @@ class Soft:
         moved = moved_columns(own, state, smoothed, columns, step)
         spreads = []
         for c in range(layout.chains):
+            if state.levels.stated[c]:
+                spreads.append(np.zeros((layout.chains * width, 0)))
+                continue
             unit, deviation = np.zeros(width), float(np.sqrt(state.levels.target[c]))
             unit[P:-1] = deviation / np.sqrt(np.mean(columns[:, P:-1] ** 2, axis=0))
             unit[column] = np.where(allowed[c], task.precision.reshape(allowed.shape)[c] ** -0.5, 0.0)
@@ -316,7 +319,8 @@ def _most_probable(search: Soft) -> tuple[Sizes, Floats, dict[Sizes, float]]:
     """The most probable sizes, equation by equation; P(first size) of each; ln prior of sizes to average over."""
     chains = len(search.spreads)
     together = len(search.task.precision) > MOST_APART
-    groups = [list(range(chains))] if together else [[c] for c in range(chains)]
+    free = np.flatnonzero(~search.fitted.state.levels.stated).tolist()
+    groups = [free] if together else [[c] for c in free]
     grids = [sizes_of(search.task.tolerance, min(search.spreads[c].shape[1] for c in group)) for group in groups]
     tau = [0.0] * chains
     for group, grid in zip(groups, grids, strict=True):

@@ -104,8 +104,10 @@ def start_from(
         noise[: len(layout.drifts)],
         held=held,
     )
-    empty = State(NOTHING, np.zeros(0), paths, levels)
     precision, odds = precision_of_terms(motion, layout), log_odds.ravel().copy()
+    of_law = np.repeat([chain.hidden for chain in roles.chains], len(terms) + 1)
+    laws = np.flatnonzero(of_law & (odds == np.inf))
+    empty = State(layout.everything.take(laws), np.ones(len(laws)), paths, levels)
     layout = replace(layout, stated=tuple(_tied(one, layout, precision, odds) for one in stated))
     empty = replace(empty, levels=replace(levels, layout=layout))
     task = Task(layout, series, precision, odds, tolerance=tolerance)

@@ -113,8 +113,12 @@ def first_values(terms: Sequence[Expression], motion: Motion, allowed: Bools) ->
     if not any(term.unknowns for term in terms):
         return found
     constants = located(terms, [rows.columns for rows in motion.train])
-    found = _with(found, {name: _middle(one) for name, one in constants.items()}, constants)
+    known = {name for name, one in constants.items() if not math.isnan(one.value)}  # of laws of hidden states
+    first = {name: one.value if name in known else _middle(one) for name, one in constants.items()}
+    found = _with(found, first, constants)
     for family in families(terms):
+        if known.intersection(*(terms[j].unknowns for j in family)):
+            continue
         values, _ = _ranked(found, motion, allowed, family)
         found = _with(found, values[0], constants)
     return found
@@ -150,7 +154,7 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
     choices = _choices(terms)
     if not choices and not any(term.unknowns for term in terms):
         return task, fitted, {}
-    task, fitted = _settled(motion, task, fitted)
+    task, fitted = settled(motion, task, fitted)
     forms: dict[str, dict[str, float]] = {}
     for choice, members in choices.items():
         active = next((j for j in members if _is_active(task, j)), members[0])
@@ -160,7 +164,7 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
             if j == active:
                 continue
             try:
-                other = _settled(motion, *_instead(motion, *first, active, j))
+                other = settled(motion, *_instead(motion, *first, active, j))
             except np.linalg.LinAlgError:
                 continue
             forms[choice][terms[j].text] = _log_posterior(*other)
@@ -169,14 +173,16 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
     return _with_odds(task, fitted), fitted, forms
 
 
-def _settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
+def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
     """The fit after rounds of other values and of steps from there."""
     for _ in range(ROUNDS):
         before = fitted
         for family in families(task.layout.terms):
-            if any(_is_active(task, j) for j in family):
+            if any(_is_active(task, j) for j in family) and not _of_law(task, family):
                 task, fitted = _elsewhere(motion, task, fitted, family)
-        task, fitted = _moved(motion, task, fitted)
+        moved = _moved(motion, task, fitted)
+        if moved[1].evidence > fitted.evidence:
+            task, fitted = moved
         if fitted is before or fitted.evidence < before.evidence + BETTER:
             break
     return task, fitted
@@ -538,6 +544,12 @@ def _choices(terms: Sequence[Expression]) -> dict[str, list[int]]:
 
 def _allowed(task: Task) -> Bools:
     return np.asarray(task.log_odds.reshape(task.layout.chains, -1)[:, :-1] > -np.inf)
+
+
+def _of_law(task: Task, family: Sequence[int]) -> bool:
+    """Whether terms of a family are laws of hidden states, which were found along the record."""
+    hidden = [chain.hidden for chain in task.layout.roles.chains]
+    return bool(_allowed(task)[np.ix_(hidden, family)].any())
 
 
 def _is_active(task: Task, j: int) -> bool:

@@ -32,6 +32,9 @@ from bayeq.states import Lag
 VB_STARTS = 3
 
 
+# Standard deviation of the coefficient 1 of a stated law.
+EXACTLY = 1e-6
+
 # Methods that average over the models of all equations together.
 JOINT = ("auto", "bma")
 
@@ -56,6 +59,7 @@ def record_of(
     if smooth != "auto" or not design.motion.smoothing:
         return None
     stated = [Stated(((c, j, 1.0),), mean, sd) for c, own in enumerate(constraints) for j, mean, sd in own.stated]
+    stated += [Stated(((c, j, 1.0),), 1.0, EXACTLY) for c, j in _laws(design)]
     log_odds = _log_odds(design, dictionary, prior)
     return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, (*stated, *ties))
 
@@ -79,11 +83,21 @@ def lags_of_design(design: Design, dictionary: Specification, prior: Prior | Non
 
 def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
     """Of every candidate of each equation, and of the constant, not being zero, (C, P + 1)."""
-    targets = design.motion.roles.targets
+    roles = design.motion.roles
+    targets = roles.seen.targets
     given = of_equations(dictionary, targets)
-    out = np.array([_of_dictionary(design, dictionary if given is None else given[t], prior) for t in targets])
+    own = [_of_dictionary(design, dictionary if given is None else given[t], prior) for t in targets]
+    out = np.array([*own, *(np.full(len(design.terms) + 1, -np.inf) for _ in roles.hidden)])
     out[:, :-1][~design.allowed] = -np.inf
+    for c, j in _laws(design):
+        out[c, j] = np.inf
     return out
+
+
+def _laws(design: Design) -> list[tuple[int, int]]:
+    """Equations of hidden states, and the one term of each."""
+    chains = enumerate(design.motion.roles.chains)
+    return [(c, int(np.flatnonzero(design.allowed[c])[0])) for c, chain in chains if chain.hidden]
 
 
 def _of_dictionary(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:

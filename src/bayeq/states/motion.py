@@ -13,6 +13,7 @@ from bayeq.errors import ChainError, RecordError
 from bayeq.expressions.functions import TIME
 from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, require_usable
+from bayeq.states.hidden import hidden_columns, hidden_rates
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
 from bayeq.states.lags import without_lags
 from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid
@@ -77,7 +78,7 @@ class Motion:
     cuts : tuple of int
         The first row of each record that is held out; its number of rows if none is.
     smoothing : tuple of ChainSmoothing
-        How the kinematic smoother went over each chain; empty if it did not.
+        How the kinematic smoother went over each chain that is measured; empty if it did not.
     unit_gains : tuple of (K+1,) arrays
         Of each chain, see `bayeq.states.unit_gains`.
     holdout : float
@@ -134,7 +135,8 @@ class Motion:
 
     def estimated_by(self, k: int) -> ChainSmoothing | None:
         """How the target of chain k was estimated; None where it was measured, or not smoothed."""
-        return self.smoothing[k] if self.smoothing and self.roles.chains[k].measured[-1] is None else None
+        estimated = k < len(self.smoothing) and self.roles.chains[k].measured[-1] is None
+        return self.smoothing[k] if estimated else None
 
 
 def held_out_share(holdout: float, rows: int) -> float:
@@ -184,6 +186,8 @@ def estimate_motion(
         Channels that are missing or cannot be used.
     """
     whole, sensors = smooth == "none", sensors or Sensors()
+    if roles.hidden:
+        return with_hidden(estimate_motion(records, roles.seen, smooth, share, sensors, band), roles)
     records = [without_lags(record, sensors.lags) for record in records] if sensors.lags else records
     if all(record.time is not None for record in records) and sum(record.n for record in records) < STATES.few_rows:
         smooth = "none"
@@ -200,6 +204,39 @@ def estimate_motion(
         pieces, cuts, smoothing = smoothed
         gains = tuple(one.unit_gains for one in smoothing)
     return Motion(roles, pieces, cuts, smoothing, gains, share, sensors, band)
+
+
+def with_hidden(motion: Motion, roles: Roles) -> Motion:
+    """The motion with hidden states: their laws integrated along each record.
+
+    Parameters
+    ----------
+    motion : Motion
+        With time.
+    roles : Roles
+        Those of the motion, and hidden states whose laws have values of all constants.
+
+    Raises
+    ------
+    InputError
+        Laws that are not finite along a record.
+    """
+    records = tuple(_with_columns(rows, hidden_columns(roles, rows.columns, rows.time)) for rows in motion.records)
+    gains = motion.unit_gains[: len(roles.chains) - len(roles.hidden)]
+    return replace(motion, roles=roles, records=records, unit_gains=(*gains, *(np.ones(2) for _ in roles.hidden)))
+
+
+def _with_columns(rows: MotionRows, found: Mapping[str, Floats]) -> MotionRows:
+    return replace(rows, columns={**rows.columns, **found}, observed={**rows.observed, **found})
+
+
+def with_paths(motion: Motion, paths: Sequence[Mapping[str, Floats]]) -> Motion:
+    """The motion with other paths of its hidden states, one mapping for each record; rates follow from the laws."""
+    records = []
+    for rows, path in zip(motion.records, paths, strict=True):
+        columns = {**rows.columns, **path}
+        records.append(_with_columns(rows, {**path, **hidden_rates(motion.roles, columns, rows.n)}))
+    return replace(motion, records=tuple(records))
 
 
 def further_rows(record: Record, motion: Motion) -> MotionRows:

@@ -34,6 +34,8 @@ class Chain:
         The channel that measures each derivative, from order 0 up; None where none does, at least one.
     called : tuple of (str or None), optional
         Names of derivatives that are not measured, where they have one of their own.
+    law : Expression, optional
+        Rate of a hidden state, which no channel measures: stated, with constants that may be unknown.
 
     Examples
     --------
@@ -55,6 +57,16 @@ class Chain:
 
     measured: tuple[str | None, ...]
     called: tuple[str | None, ...] = ()
+    law: Expression | None = None
+
+    def with_law(self, law: Expression) -> Chain:
+        """The chain with another law."""
+        return replace(self, law=law)
+
+    @property
+    def hidden(self) -> bool:
+        """Whether no channel measures the state or its rate."""
+        return not any(self.measured)
 
     @property
     def order(self) -> int:
@@ -68,8 +80,8 @@ class Chain:
 
     @property
     def lowest(self) -> int:
-        """The lowest derivative that is measured."""
-        return next(k for k, name in enumerate(self.measured) if name is not None)
+        """The lowest derivative that is measured; 0 of a hidden state."""
+        return next((k for k, name in enumerate(self.measured) if name is not None), 0)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,6 +109,8 @@ class Chain:
     def __str__(self) -> str:
         if self.static:
             return f"{STATIC}{self.measured[0]}"
+        if self.hidden:
+            return f"~{self.called[0]}:"
         if self.order == 1 and self.measured[1] is None:
             return str(self.measured[0])
         return ":".join(m or (f"~{self.own_name(k)}" if self.own_name(k) else "") for k, m in enumerate(self.measured))
@@ -137,7 +151,7 @@ def parse_chain(text: str) -> Chain:
     if len(set(named)) < len(named):
         raise ChainError(f"chain {text[:60]!r} names a channel twice; {form}")
     measured = tuple(part if part and not part.startswith("~") else None for part in parts)
-    if not any(measured):
+    if not any(measured) and (len(parts) != 2 or parts[1]):
         raise ChainError(f"chain {text[:60]!r} has no measured channel; {form}")
     called = tuple(part[1:] if part.startswith("~") else None for part in parts)
     chain = Chain(measured, called if any(called) else ())
@@ -269,6 +283,16 @@ class Roles:
             if name in roles.measured:
                 raise ChainError(f"channel {name!r} is both an input and part of a chain")
         return roles
+
+    @property
+    def hidden(self) -> tuple[Chain, ...]:
+        """Chains that no channel measures, which stand last."""
+        return tuple(chain for chain in self.chains if chain.hidden)
+
+    @property
+    def seen(self) -> Roles:
+        """The same without hidden states."""
+        return self.with_chains([chain for chain in self.chains if not chain.hidden])
 
     @property
     def targets(self) -> tuple[str, ...]:

@@ -1,0 +1,165 @@
+"""First values of the constants of stated laws, by which hidden states begin."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayeq.arrays import Bools, Floats
+from bayeq.dictionary import evaluate_terms
+from bayeq.dictionary.ranges import NODES, to_plain, to_scale
+from bayeq.errors import InputError
+from bayeq.expressions import Evaluator, Expression, Symbol, Unknown, number
+from bayeq.expressions.nodes import replaced
+from bayeq.states import Chain, Motion, Roles, with_hidden
+
+# Values of all constants that are tried first, about; rows of the regression that each is judged by, at most; halvings
+# of the steps from the best of them.
+GRID, ROWS, HALVINGS = 400, 4000, 6
+
+# A relaxation is sought from this share of the sampling interval to this many times the record.
+FASTEST, SLOWEST = 0.5, 2.0
+
+
+def with_first_laws(
+    motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools
+) -> tuple[Motion, tuple[Expression, ...]]:
+    """The motion with hidden states, and the terms with the constants of their laws.
+
+    Of values on a grid those are taken whose hidden states let the candidates of the other equations, together,
+    explain most of the smoothed rows.
+
+    Parameters
+    ----------
+    motion : Motion
+        Without the hidden states.
+    roles : Roles
+        With them.
+    terms : sequence of Expression
+        The P candidates of all equations, the laws among them.
+    allowed : (C, P) bool array
+        Which of them each equation may have.
+
+    Raises
+    ------
+    InputError
+        A constant whose range has to be written; laws that are finite for no values of their constants.
+    """
+    constants = _ranges(roles, motion)
+    places = [np.linspace(to_scale(one, one.low), to_scale(one, one.high), _nodes(len(constants))) for one in constants]
+
+    def tried(at: Sequence[float]) -> tuple[float, Motion | None, dict[str, Unknown]]:
+        values = {one.name: replace(one, value=to_plain(one, x)) for one, x in zip(constants, at, strict=True)}
+        try:
+            found = with_hidden(motion, at_values(roles, values))
+        except InputError:
+            return -math.inf, None, values
+        return _explained(found, [term.with_unknowns(values) for term in terms], allowed), found, values
+
+    best = max(map(tried, itertools.product(*places)), key=lambda one: one[0])
+    step = np.array([place[1] - place[0] for place in places])
+    low, high = np.array([[place[0], place[-1]] for place in places]).reshape(-1, 2).T
+    for _ in range(HALVINGS if constants else 0):
+        step = 0.5 * step
+        for move in np.vstack([np.diag(step), -np.diag(step)]):
+            here = np.array([to_scale(one, best[2][one.name].value) for one in constants])
+            best = max(best, tried(np.clip(here + move, low, high).tolist()), key=lambda one: one[0])
+    if best[1] is None:
+        law = roles.hidden[0].law
+        raise InputError(
+            f"law {law}: not finite along the record for any value of its constants; write abs() where a root or a"
+            " power needs it, or other ranges"
+        )
+    return best[1], tuple(term.with_unknowns(best[2]) for term in terms)
+
+
+def with_found_laws(motion: Motion, terms: Sequence[Expression]) -> Motion:
+    """The motion with its hidden states integrated at the values that constants have in some terms."""
+    found = {name: one for term in terms for name, one in term.unknowns.items()}
+    return with_hidden(motion, at_values(motion.roles, found)) if motion.roles.hidden else motion
+
+
+def at_values(roles: Roles, values: Mapping[str, Unknown]) -> Roles:
+    """The roles with values of the constants of their laws."""
+    return roles.with_chains([_at(chain, values) for chain in roles.chains])
+
+
+def _at(chain: Chain, values: Mapping[str, Unknown]) -> Chain:
+    return chain if chain.law is None else chain.with_law(chain.law.with_unknowns(values))
+
+
+def _nodes(constants: int) -> int:
+    return min(NODES, max(3, int(GRID ** (1.0 / constants)))) if constants else NODES
+
+
+def _explained(motion: Motion, terms: Sequence[Expression], allowed: Bools) -> float:
+    """The log likelihood of the measured equations' smoothed rows, all candidates in, up to a constant."""
+    known = [j for j, term in enumerate(terms) if not any(math.isnan(one.value) for one in term.unknowns.values())]
+    step = max(1, sum(rows.n for rows in motion.train) // ROWS)
+    pieces = [rows.part(slice(None, None, step)) for rows in motion.train]
+    with np.errstate(all="ignore"):
+        D = np.concatenate([evaluate_terms([terms[j] for j in known], rows.columns) for rows in pieces])
+    total = 0.0
+    for c, chain in enumerate(motion.roles.chains):
+        if chain.hidden:
+            continue
+        y = np.concatenate([rows.observed[chain.target] for rows in pieces])
+        own = D[:, allowed[c, known] & np.isfinite(D).all(axis=0)]
+        own = np.column_stack([np.ones(len(y)), own / np.maximum(np.abs(own).max(axis=0), 1e-300)])
+        left = y - own @ np.linalg.lstsq(own, y, rcond=1e-10)[0]
+        total -= 0.5 * len(y) * math.log(max(float(np.mean(left**2)), 1e-300))
+    return total
+
+
+def _ranges(roles: Roles, motion: Motion) -> list[Unknown]:
+    """The constants of the laws, with ranges."""
+    out: dict[str, Unknown] = {}
+    for chain in roles.hidden:
+        assert chain.law is not None
+        missing = [one for one in chain.law.unknowns.values() if math.isnan(one.low)]
+        for one in missing:
+            ends = _relaxations(chain.names[0], chain.law, one, motion) if len(missing) == 1 else None
+            if ends is None:
+                raise InputError(
+                    f"law {chain.law}: the record does not tell where {{{one.name}}} may be: give its range, as in"
+                    f" {{{one.name}: 0.01..3}}"
+                )
+            out[one.name] = replace(one, low=ends[0], high=ends[1])
+        out |= {name: one for name, one in chain.law.unknowns.items() if not math.isnan(one.low)}
+    return list(out.values())
+
+
+def _relaxations(name: str, law: Expression, constant: Unknown, motion: Motion) -> tuple[float, float] | None:
+    """Values for which a law relaxes, at the slowest over the record and at the fastest between two samples.
+
+    None where that does not follow: the law is not linear in its state, or its rate is no power of the constant.
+    """
+    middle = {other.name: replace(other, value=_middle(other)) for other in law.unknowns.values() if other != constant}
+    columns: dict[str, Floats] = {key: np.full(1, values.mean()) for key, values in motion.train[0].columns.items()}
+
+    def rate(value: float) -> float:
+        tree = law.with_unknowns({**middle, constant.name: replace(constant, value=value)}).tree
+        at = [Expression(replaced(tree, {Symbol(name): number(x)})) for x in (0.0, 1.0, 2.0)]
+        zero, one, two = (float(np.ravel(Evaluator(columns)(each))[0]) for each in at)
+        return one - zero if math.isclose(two - one, one - zero, rel_tol=1e-6) else math.nan
+
+    with np.errstate(all="ignore"):
+        rates = [rate(value) for value in (1.0, 2.0, 4.0)]
+    if not all(math.isfinite(one) and one < 0.0 for one in rates):
+        return None
+    power = math.log2(rates[1] / rates[0])
+    if power == 0.0 or not math.isclose(power, math.log2(rates[2] / rates[1]), abs_tol=1e-6):
+        return None
+    time = motion.train[0].time
+    assert time is not None
+    slow, fast = 1.0 / (SLOWEST * float(time[-1] - time[0])), 1.0 / (FASTEST * float(np.median(np.diff(time))))
+    ends = sorted((target / -rates[0]) ** (1.0 / power) for target in (slow, fast))
+    return ends[0], ends[1]
+
+
+def _middle(constant: Unknown) -> float:
+    return to_plain(constant, 0.5 * (to_scale(constant, constant.low) + to_scale(constant, constant.high)))

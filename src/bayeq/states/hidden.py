@@ -1,0 +1,137 @@
+"""Hidden states: quantities that no channel measures, whose rates are stated, such as ``df = (u - f)/{tau}``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayeq.arrays import Floats
+from bayeq.errors import ChainError, InputError, require_texts
+from bayeq.expressions import Evaluator, Tape, parse
+from bayeq.expressions.functions import TIME
+from bayeq.ode.rk4 import Drive, free_runs, interpolant
+from bayeq.states.roles import Chain, Roles
+
+# A hidden state starts where it would stay under the first samples of what drives it, if it gets there during a time as
+# long as the record: what it moves by in the last tenth of that is less than this share of it. Otherwise at 0.
+LAST, AT_REST = 0.1, 1e-3
+
+# Runge-Kutta steps between two samples.
+SUBSTEPS = 4
+
+
+def with_laws(laws: str | Sequence[str], roles: Roles) -> Roles:
+    """The roles with a hidden state for each stated law.
+
+    Parameters
+    ----------
+    laws : str or sequence of str
+        Such as ``"df = (u - f)/{tau}"``.
+    roles : Roles
+        Chains and inputs that are measured.
+
+    Raises
+    ------
+    ChainError
+        Not of this form, or of a state that has an equation already.
+    ExpressionError, UnknownNameError
+        A right-hand side that is no expression of channels and states.
+
+    Examples
+    --------
+    >>> roles = with_laws("df = (u - f)/{tau}", Roles.parse("x::", inputs=["u"]))
+    >>> roles.targets, roles.hidden[0].law.text
+    (('ddx', 'df'), '(u-f)/{tau}')
+    """
+    require_texts(laws, "law")
+    sides = [_sides(text) for text in ([laws] if isinstance(laws, str) else laws)]
+    chains = list(roles.chains)
+    for name, text in sides:
+        if name in roles.names or f"d{name}" in roles.names or [one for one, _ in sides].count(name) > 1:
+            raise ChainError(f"law {text[:60]!r}: {name} has an equation, or is an input: give the state another name")
+        chains.append(Chain((None, None), (name, None)))
+    names = (*roles.names, *(chain.names[0] for chain in chains[len(roles.chains) :]), TIME)
+    for k, (_, text) in enumerate(sides, len(roles.chains)):
+        chains[k] = replace(chains[k], law=parse(text.partition("=")[2].strip(), names))
+    return roles.with_chains(chains)
+
+
+def _sides(text: str) -> tuple[str, str]:
+    """The state whose rate a law gives, and the law."""
+    left, equals, right = text.partition("=")
+    name = left.strip()
+    if not equals or not right.strip() or len(name) < 2 or name[0] != "d" or not name.isidentifier():
+        raise ChainError(f"law {text[:60]!r}: write the rate of a state and what it is, as in df = (u - f)/{{tau}}")
+    return name[1:], text
+
+
+def require_laws(roles: Roles) -> None:
+    """Refuse hidden states without a law.
+
+    ChainError: there is one.
+    """
+    for chain in roles.hidden:
+        if chain.law is None:
+            name = chain.names[0]
+            raise ChainError(f"chain '~{name}:' has no measured channel: state its rate, --law \"d{name} = ...\"")
+
+
+def hidden_columns(roles: Roles, columns: Mapping[str, Floats], time: Floats | None) -> dict[str, Floats]:
+    """Hidden states along a record, and their rates.
+
+    Parameters
+    ----------
+    roles : Roles
+        With laws.
+    columns : mapping of str to (n,) array
+        Everything else that the laws are functions of.
+    time : (n,) array
+        [s].
+
+    Raises
+    ------
+    InputError
+        They are not finite.
+    """
+    states = [chain.names[0] for chain in roles.hidden]
+    laws = [chain.law for chain in roles.hidden if chain.law is not None]
+    if time is None:
+        raise InputError("hidden states need time: name its column (time=, --time) or give the sampling rate (fs=)")
+    known = {**columns, TIME: np.asarray(time, dtype=np.float64)}
+    drivers = sorted({name for law in laws for name in law.names} - set(states))
+    samples = np.column_stack([known[name] for name in drivers]) if drivers else np.zeros((len(time), 0))
+    tape = Tape.compile(laws, [*states, *drivers])
+    anywhere = np.full(len(states), np.inf)
+    drive = Drive.over(time, interpolant(time, samples, "linear"), -anywhere, anywhere)
+    drive = drive._replace(step=drive.step / SUBSTEPS)
+
+    def run(inputs: Floats, first: Floats) -> Floats:
+        out, stopped = np.empty((1, len(time), len(states))), np.zeros(1, dtype=np.uint32)
+        free_runs(tape.program(), drive._replace(inputs=inputs), np.zeros((1, 0)), first[None].copy(), stopped, out)
+        return out[0]
+
+    still = np.broadcast_to(drive.inputs[:1], drive.inputs.shape).copy()
+    still[:, :, 1:] = still[:, :, :1] * np.array([1.0, 0.0, 0.0])
+    first = np.zeros(len(states))
+    for start in (first, first + 1.0):  # a root or a logarithm has no value at 0
+        rested = run(still, start)
+        last = rested[int((1.0 - LAST) * len(time)) :]
+        if np.isfinite(last).all() and (np.ptp(last, axis=0) <= AT_REST * np.abs(last[-1])).all():
+            first = last[-1]
+            break
+    path = run(drive.inputs, first)
+    found = {name: np.ascontiguousarray(values) for name, values in zip(states, path.T, strict=True)}
+    found |= hidden_rates(roles, {**known, **found}, len(time))
+    if not all(np.isfinite(values).all() for values in found.values()):
+        written = "; ".join(f"{chain.names[1]} = {law.text}" for chain, law in zip(roles.hidden, laws, strict=True))
+        raise InputError(f"law {written[:80]}: not finite along the record; write abs() where a root or power needs it")
+    return found
+
+
+def hidden_rates(roles: Roles, columns: Mapping[str, Floats], n: int) -> dict[str, Floats]:
+    """Rates of the hidden states by their laws, (n,) each."""
+    evaluate = Evaluator(columns)
+    laws = [(chain.names[1], chain.law) for chain in roles.hidden if chain.law is not None]
+    return {name: np.broadcast_to(evaluate(law), n).astype(np.float64) for name, law in laws}

@@ -1,0 +1,166 @@
+"""Hidden states with stated laws: roles, paths, first constants, answers, and what users see of them."""
+
+from __future__ import annotations
+
+import json
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import bayeq as bq
+from bayeq.cli.app import main
+from bayeq.errors import BayeqError, ChainError, InputError
+from bayeq.expressions import Unknown
+from bayeq.states import Roles, with_laws
+from bayeq.states.hidden import hidden_columns
+
+LAW = "df = (u - f)/{tau}"
+TAU, TRUE = 0.05, {"x": -100.0, "dx": -0.8, "f": 8.0, "x**3": -300.0}
+TERMS = {"ddx": "x, dx, f, x**2, x**3, dx*abs(dx), u"}
+
+
+def actuator(seed: int, tau: float = TAU, rows: int = 1500) -> bq.Record:
+    """A Duffing oscillator behind an actuator of first order; displacement and command with 2 % of noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(rows) * 0.005
+    w, phase = rng.uniform(2.0, 25.0, 12), rng.uniform(0.0, 2.0 * np.pi, 12)
+
+    def command(s):
+        return 2.0 * np.sin(np.multiply.outer(s, w) + phase).sum(axis=-1)
+
+    def rate(s, y):
+        force = y[2] if tau else command(s)
+        lagged = (command(s) - y[2]) / tau if tau else 0.0
+        return [y[1], -100.0 * y[0] - 0.8 * y[1] - 300.0 * y[0] ** 3 + 8.0 * force, lagged]
+
+    x = solve_ivp(rate, (0.0, t[-1]), [0.0, 0.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-10).y[0]
+    channels = {"x": x, "u": command(t)}
+    noisy = {name: one + 0.02 * one.std() * rng.standard_normal(rows) for name, one in channels.items()}
+    return bq.Record.from_arrays(noisy, time=t)
+
+
+@cache
+def answer() -> bq.discover:  # type: ignore[valid-type]
+    return bq.discover(actuator(1), chains="x::", inputs=["u"], dictionary=TERMS, law=LAW)
+
+
+# --- roles and paths ------------------------------------------------------------------------------------------------
+
+
+def test_a_law_is_a_chain_without_channels():
+    roles = with_laws([LAW, "dg = f - g"], Roles.parse("x::", inputs=["u"]))
+    assert roles.states == ("x", "dx", "f", "g")
+    assert roles.targets == ("ddx", "df", "dg")
+    assert roles.channels == ("x", "u")
+    assert [str(chain) for chain in roles.chains] == ["x::", "~f:", "~g:"]
+    assert roles.seen == Roles.parse("x::", inputs=["u"])
+
+
+@pytest.mark.parametrize(
+    ("law", "why"),
+    [
+        ("f = u - f", "write the rate of a state"),
+        ("df", "write the rate of a state"),
+        ("df =", "write the rate of a state"),
+        ("dx = u", "x has an equation"),
+        ("du = x", "u has an equation"),
+        ("df = (u - f)/{tau} + w", "w"),
+        ("df = {a} + {b}*f + {c}*u + {d}", "at most 3 constants"),
+    ],
+)
+def test_laws_that_cannot_be(law, why):
+    with pytest.raises(BayeqError, match=why):
+        bq.discover(actuator(1), chains="x::", inputs=["u"], dictionary="x, dx, f", law=law)
+
+
+def test_a_hidden_state_needs_a_law_and_a_use():
+    with pytest.raises(ChainError, match="state its rate, --law"):
+        bq.discover(actuator(1), chains=["x::", "~f:"], inputs=["u"], dictionary="x, dx, f")
+    with pytest.raises(InputError, match="no term uses f"):
+        bq.discover(actuator(1), chains="x::", inputs=["u"], dictionary="x, dx, u", law="df = u")
+    with pytest.raises(InputError, match="give its range"):
+        bq.discover(actuator(1), chains="x::", inputs=["u"], dictionary="x, dx, f", law="df = u - {a}*f**3")
+
+
+def test_the_path_is_that_of_the_differential_equation():
+    roles = with_laws("df = (u - f)/{tau}", Roles.parse("x::", inputs=["u"]))
+    law = roles.hidden[0].law.with_unknowns({"tau": Unknown("tau", 0.01, 1.0, 0.1)})
+    roles = roles.with_chains([roles.chains[0], roles.chains[1].with_law(law)])
+    t = np.arange(2000) / 1000
+    u = 1.0 + np.sin(3.0 * t)
+    found = hidden_columns(roles, {"x": t, "u": u}, t)
+    w, tau = 3.0, 0.1
+    steady = 1.0 + (np.sin(w * t) - w * tau * np.cos(w * t)) / (1.0 + (w * tau) ** 2)
+    assert found["f"][0] == pytest.approx(1.0)  # where it rests under the first sample
+    assert found["f"][1000:] == pytest.approx(steady[1000:], abs=1e-4)
+    assert found["df"] == pytest.approx((u - found["f"]) / tau)
+
+
+# --- the answer -----------------------------------------------------------------------------------------------------
+
+
+def test_an_actuator_s_lag_is_found_with_the_law_behind_it():
+    eq = answer()
+    assert set(eq["ddx"].included) == set(TRUE)
+    assert eq.verdict.kind == "found"
+    table = eq.table().set_index(["target", "term"])
+    for name, value in TRUE.items():
+        row = table.loc[("ddx", name)]
+        assert abs(row["coef"] - value) < 4.0 * row["sd"]
+    (tau,) = eq.constants
+    assert tau.ci95[0] < TAU < tau.ci95[1]
+    assert tau.ci95[1] - tau.ci95[0] < 0.05 * TAU
+    assert eq["df"].shown_coef == {"(u-f)/{tau}": pytest.approx(1.0, abs=1e-5)}
+    assert eq.hidden[0].state == "f"
+    assert eq.hidden[0].log_odds_without < -50.0
+
+
+def test_a_hidden_state_that_is_not_needed_is_left_out():
+    with pytest.warns(bq.errors.DataWarning, match="hidden f is not needed"):
+        eq = bq.discover(actuator(2, tau=0.0), chains="x::", inputs=["u"], dictionary=TERMS, law=LAW)
+    assert [one.target for one in eq] == ["ddx"]
+    assert set(eq["ddx"].included) == {"x", "dx", "u", "x**3"}
+    assert eq.hidden[0].log_odds_without > -3.0
+
+
+def test_what_is_printed():
+    text = str(answer())
+    assert "df = (u-f)/{tau}" in text
+    assert "hidden f: odds of the equations without it 1:" in text
+
+
+def test_saved_answers_run_and_predict_as_before(tmp_path):
+    eq = answer()
+    eq.save(tmp_path / "eq.json")
+    loaded, other = bq.load(tmp_path / "eq.json"), actuator(5)
+    assert loaded.hidden == eq.hidden
+    assert loaded.constants == eq.constants
+    np.testing.assert_array_equal(loaded.predict(other), eq.predict(other))
+    runs = [one.simulate(other, draws=0).mean["f"] for one in (eq, loaded)]
+    np.testing.assert_array_equal(*runs)
+    y = [0.1, 0.2, 0.3]
+    assert eq.rhs(0.0, y, [1.0])[2] == pytest.approx((1.0 - 0.3) / eq.constants[0].value, rel=1e-5)
+    assert eq.score(other).one_step["ddx"] < 0.3
+
+
+def test_what_is_refused():
+    with pytest.raises(InputError, match="every state measured"):
+        answer().refine(actuator(1))
+    with pytest.raises(InputError, match="hidden states"):
+        answer().plan()
+    with pytest.raises(InputError, match="likelihood of the record"):
+        bq.discover(actuator(1), chains="x::", inputs=["u"], dictionary=TERMS, law=LAW, smooth="none")
+
+
+def test_on_the_command_line(tmp_path, capsys):
+    bq.write(actuator(1), tmp_path / "run.csv")
+    command = ["discover", str(tmp_path / "run.csv"), "--chain", "x::", "--input", "u", "--law", LAW, "--json"]
+    assert main([*command, "--dictionary", "ddx: x, dx, f, x**3, u"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [one["name"] for one in found["constants"]] == ["tau"]
+    assert found["hidden"][0]["state"] == "f"
+    assert math.isfinite(found["hidden"][0]["log_odds_without"])
+    assert found["equations"][1]["equation"] == "df = (u-f)/{tau}"
