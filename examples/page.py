@@ -83,11 +83,11 @@ class Example:
         with warnings.catch_warnings(record=True) as caught, redirect_stdout(printed):
             warnings.simplefilter("always")
             yield
-        shown = _shortened(printed.getvalue()).rstrip()
+        text = _shortened(printed.getvalue()).rstrip()
         for warning in caught:
             if issubclass(warning.category, ConvergenceWarning):
-                shown += f"\nwarning: {warning.message}"
-        output = f"\n\n```text\n{shown.strip()}\n```" if shown.strip() else ""
+                text += f"\nwarning: {warning.message}"
+        output = f"\n\n```text\n{text.strip()}\n```" if text.strip() else ""
         if not shown:
             self.hidden.add(name)
         self.blocks[name] = f"```python\n{code}\n```{output}"

@@ -1,4 +1,4 @@
-"""Cascaded tanks: a record that must not be taken as explained, for the upper tank's level is not measured."""
+"""Cascaded tanks: nothing is found in the one level that is measured, and Torricelli's law with the hidden one."""
 
 from __future__ import annotations
 
@@ -27,10 +27,19 @@ def run(example: Example, data: Path) -> None:
         second = bq.discover(rec, chains="y::", inputs=["u"], dictionary=terms)
         print(second)
 
+    with example.block("hidden"):
+        law = "dh = u - {a: 0.02..10}*sqrt(abs(h))"
+        both = bq.discover(
+            rec, chains="y", inputs=["u"], dictionary={"dy": "sqrt(abs(h)), sqrt(y)"}, law=law, holdout=0.0
+        )
+        print(both)
+        run = both.simulate(other)
+        print(run)
+
     example.figure = draw(
         [
-            (f"estimation record: {eq[0].text}", eq.simulate(rec)),
-            ("validation record, the same equation", run),
+            (f"estimation record: {both[0].text}", both.simulate(rec)),
+            ("validation record, the same equations", run),
         ],
         "time [s]",
     )

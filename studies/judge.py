@@ -6,11 +6,12 @@ import math
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
 from bayeq.errors import BayeqError, BayeqWarning, InputError
 from bayeq.study.cells import CONSTANT
@@ -21,12 +22,12 @@ __all__ = ["CONSTANT", "coefficient_lines", "judged", "rates", "timed"]
 Truth = Mapping[str, Mapping[str, float]]
 
 
-def judged(eqs: Equations, truth: Truth) -> dict[str, Any]:
+def judged(eqs: Iterable[Equation], truth: Truth) -> dict[str, Any]:
     """What is kept of an answer.
 
     Parameters
     ----------
-    eqs : Equations
+    eqs : iterable of Equation
         The answer.
     truth : mapping of str to mapping of str to float
         Target -> term -> coefficient, the constant under `CONSTANT`.

@@ -119,13 +119,17 @@ def test_the_coupled_masses_check_each_other():
     assert max(errors) < 6
 
 
-def test_the_tanks_are_not_explained():
+def test_the_tanks_need_a_hidden_level():
     example = ran(tanks)
     first, second = example.blocks["found"], example.blocks["second"]
     for warning in ("left out as clipped", "no equation found", "verdict: none"):
         assert warning in first
         assert warning in second
     assert float(re.search(r"y: normalised RMS error (\d+) %", first).group(1)) > 100
+    hidden = example.blocks["hidden"]
+    assert re.search(r"\ndy = 0\.01\d*\*sqrt\(abs\(h\)\) - 0\.0\d*\*sqrt\(y\)", hidden)
+    assert "hidden h: odds of the equations without it 1:" in hidden
+    assert float(re.search(r"y: normalised RMS error ([\d.]+) %", hidden).group(1)) < 60
 
 
 def test_the_encoder_s_law_is_nearly_true():

@@ -1,0 +1,149 @@
+"""Hidden states with stated laws: actuators that lag, tanks in a row, Bouc and Wen's hysteresis, and none.
+
+    python -m studies.hidden --first-seed 220000 > docs/tables/hidden.csv
+
+Parameters are drawn; every channel has noise of a share of its standard deviation. Exact is an answer with the true terms
+of the measured equation, the hidden state among them, or without it where there is none. Intervals are those of
+coefficients and of the constants of the law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from bayeq.arrays import Floats
+from bayeq.discovery import discover
+from bayeq.equation.equations import Equations
+from bayeq.records import Record
+from studies.adverse import VERDICTS
+from studies.judge import judged, rates, timed
+from studies.resumable import Cell, Outcome, run_study
+
+RECORDS, ROWS = 10, 1500
+NOISES = (0.01, 0.02)
+
+# Truth of the measured equation, and of the constants of the law.
+Drawn = tuple[dict[str, Floats], float, dict[str, dict[str, float]], dict[str, float]]
+
+
+def _waves(rng: np.random.Generator, lowest: float, highest: float) -> Callable[[Any], Any]:
+    """A sum of sines of random frequencies [rad/s] and phases, of standard deviation 1."""
+    w, phase = rng.uniform(lowest, highest, 12), rng.uniform(0.0, 2.0 * np.pi, 12)
+    return lambda s: np.sin(np.multiply.outer(s, w) + phase).sum(axis=-1) / np.sqrt(6.0)
+
+
+def _states(rate: Callable[[float, Floats], list[float]], start: list[float], time: Floats) -> Floats:
+    return np.asarray(solve_ivp(rate, (0.0, time[-1]), start, t_eval=time, rtol=1e-8, atol=1e-10).y)
+
+
+def actuator(rng: np.random.Generator, lags: bool = True) -> Drawn:
+    """A Duffing oscillator under a force that follows its command with a lag, or at once."""
+    time = np.arange(ROWS) * 0.005
+    k, c, g, k3 = rng.uniform(50.0, 200.0), rng.uniform(0.5, 3.0), rng.uniform(20.0, 50.0), rng.uniform(50.0, 300.0)
+    tau, command = float(np.exp(rng.uniform(np.log(0.02), np.log(0.15)))), _waves(rng, 2.0, 25.0)
+
+    def rate(s: float, y: Floats) -> list[float]:
+        force = y[2] if lags else command(s)
+        return [y[1], -k * y[0] - c * y[1] - k3 * y[0] ** 3 + g * force, (command(s) - y[2]) / tau]
+
+    x = _states(rate, [0.0, 0.0, 0.0], time)[0]
+    truth = {"x": -k, "dx": -c, "x**3": -k3, "f" if lags else "u": g}
+    return {"x": x, "u": command(time)}, 200.0, {"ddx": truth}, {"tau": tau} if lags else {}
+
+
+def tanks(rng: np.random.Generator) -> Drawn:
+    """Two tanks that drain by Torricelli's law; a pump fills the upper one, the level of the lower one is measured."""
+    time = np.arange(ROWS) * 2.0
+    a, b, c = rng.uniform(0.2, 0.4), rng.uniform(0.01, 0.02), rng.uniform(0.04, 0.08)
+    waves = _waves(rng, 0.005, 0.06)
+
+    def pump(s: Any) -> Any:
+        return 3.0 + waves(s)
+
+    def rate(s: float, y: Floats) -> list[float]:
+        upper, lower = np.sqrt(np.abs(y))
+        return [pump(s) - a * upper, b * upper - c * lower]
+
+    start = [float((pump(0.0) / a) ** 2), float((b / c * pump(0.0) / a) ** 2)]
+    y = _states(rate, start, time)[1]
+    return {"y": y, "u": pump(time)}, 0.5, {"dy": {"sqrt(abs(h))": b, "sqrt(y)": -c}}, {"a": a}
+
+
+def hysteresis(rng: np.random.Generator) -> Drawn:
+    """Bouc and Wen's oscillator, its motion measured in full, its restoring force hidden."""
+    time = np.arange(ROWS) * 0.01
+    k, c, b, g = rng.uniform(40.0, 80.0), rng.uniform(0.3, 1.0), rng.uniform(1.0, 3.0), rng.uniform(0.5, 1.5)
+    force = _waves(rng, 1.0, 20.0)
+
+    def rate(s: float, y: Floats) -> list[float]:
+        x, v, r = y.tolist()
+        return [v, 15.0 * force(s) - c * v - k * x - r, 60.0 * v - b * abs(v) * r - g * v * abs(r)]
+
+    x, v, r = _states(rate, [0.0, 0.0, 0.0], time)
+    a = 15.0 * force(time) - c * v - k * x - r
+    truth = {"x": -k, "v": -c, "r": -1.0, "u": 15.0}
+    return {"x": x, "v": v, "a": a, "u": force(time)}, 100.0, {"a": truth}, {"b": b, "g": g}
+
+
+OSCILLATOR = {"chains": "x::", "inputs": ["u"], "dictionary": {"ddx": "x, dx, f, u, x**2, x**3, dx*abs(dx), dx**3"}}
+TANKS = {"chains": "y", "inputs": ["u"], "dictionary": {"dy": "sqrt(abs(h)), sqrt(y), h, y, u, y**2"}}
+HYSTERESIS = {"chains": "x:v:a", "inputs": ["u"], "dictionary": {"a": "x, v, r, u, x**3, v*abs(v), sign(v)"}}
+LAG = "df = (u - f)/{tau}"
+
+SYSTEMS: dict[str, tuple[Callable[[np.random.Generator], Drawn], dict[str, Any]]] = {
+    "actuator": (actuator, {**OSCILLATOR, "law": LAG}),
+    "no actuator": (partial(actuator, lags=False), {**OSCILLATOR, "law": LAG}),
+    "two tanks": (tanks, {**TANKS, "law": "dh = u - {a: 0.05..2}*sqrt(abs(h))"}),
+    "hysteresis": (
+        hysteresis,
+        {**HYSTERESIS, "law": "dr = 60*v - {b: 0.2..20}*abs(v)*r - {g: 0.1..10}*v*abs(r)"},
+    ),
+}
+
+
+def _judged(truth: dict[str, dict[str, float]], constants: dict[str, float], eqs: Equations) -> dict[str, object]:
+    """The measured equation against the truth; intervals of constants beside those of coefficients."""
+    (target,) = truth
+    found = judged([eqs[target]], truth)
+    ends = {one.name: one.ci95 for one in eqs.constants}
+    inside = [ends[name][0] <= value <= ends[name][1] for name, value in constants.items() if name in ends]
+    return {**found, "verdict": eqs.verdict.kind, "constants": len(inside), "constants_inside": sum(inside)}
+
+
+def _measure(name: str, noise: float, seed: int) -> Outcome:
+    simulated, asked = SYSTEMS[name]
+    channels, fs, truth, constants = simulated(np.random.default_rng([seed, 1]))
+    rng = np.random.default_rng([seed, 2])
+    noisy = {key: one + noise * one.std() * rng.standard_normal(ROWS) for key, one in channels.items()}
+    record = Record.from_arrays(noisy, fs=fs)
+    return timed(partial(discover, record, **asked), partial(_judged, truth, constants))
+
+
+def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
+    answered = [one for one in outcomes if one["cpu"] is not None]
+    yield {
+        **rates(outcomes),
+        **{kind.replace(" ", "_"): sum(one["verdict"] == kind for one in answered) for kind in VERDICTS},
+        "found_and_wrong": sum(one["verdict"] == "found" and not one["exact"] for one in answered),
+        "constants": sum(one["constants"] for one in answered if one["exact"]),
+        "constants_covering": sum(one["constants_inside"] for one in answered if one["exact"]),
+    }
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure, and write the table to standard output."""
+    cells = [
+        Cell({"system": name, "noise_percent": f"{100 * noise:g}"}, RECORDS, partial(_measure, name, noise))
+        for name in SYSTEMS
+        for noise in NOISES
+    ]
+    run_study("hidden", "Hidden states with stated laws.", cells, _summary, arguments)
+
+
+if __name__ == "__main__":
+    main()
