@@ -2,8 +2,8 @@
 
     python -m studies.hidden --first-seed 220000 > docs/tables/hidden.csv
 
-Parameters are drawn; every channel has noise of a share of its standard deviation. Exact is an answer with the true terms
-of the measured equation, the hidden state among them, or without it where there is none. Intervals are those of
+Parameters are drawn; every channel has noise of a share of its standard deviation. Exact is an answer with the true
+terms of the measured equation, the hidden state among them, or without it where there is none. Intervals are those of
 coefficients and of the constants of the law.
 """
 

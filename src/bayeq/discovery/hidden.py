@@ -52,3 +52,10 @@ def with_law_terms(
         out[c, whole.index(law)] = True
         chains.append(chain.with_law(law))
     return whole, out, roles.with_chains(chains)
+
+
+def without_hidden(terms: Sequence[Expression], allowed: Bools, roles: Roles) -> tuple[tuple[Expression, ...], Bools]:
+    """The candidates of the equations of measured states that no hidden state is in."""
+    hidden, count = {name for chain in roles.hidden for name in chain.names}, len(roles.seen.chains)
+    kept = [j for j, term in enumerate(terms) if not hidden & term.names and allowed[:count, j].any()]
+    return tuple(terms[j] for j in kept), allowed[:count, kept]

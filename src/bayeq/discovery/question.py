@@ -12,6 +12,7 @@ import numpy as np
 from bayeq.arrays import Bools
 from bayeq.dictionary import Specification, written
 from bayeq.discovery.differs import with_differences
+from bayeq.discovery.hidden import without_hidden
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
@@ -173,7 +174,11 @@ class Question:
         hidden = self._hidden(design, record)
         if any(one.log_odds_without > -CLEARLY for one in hidden):
             seen, log_of_seen = self._of_seen().answer(records)
-            log_of_seen.warn(_not_needed(hidden), DataWarning)
+            names, odds = some_of([one.state for one in hidden], 30), odds_text(hidden[0].log_odds_without)
+            log_of_seen.warn(
+                f"hidden {names} is not needed (odds without it {odds}): leave out the law, or drive the system harder",
+                DataWarning,
+            )
             return replace(seen, hidden=hidden, warnings=log_of_seen.messages), log_of_seen
         design = self._at_values(design, record)
         first = WarningLog()
@@ -226,10 +231,8 @@ class Question:
 
     def _of_seen(self) -> Question:
         """The question without hidden states, and without the terms that they are in."""
-        hidden, count = {name for chain in self.roles.hidden for name in chain.names}, len(self.roles.seen.chains)
-        kept = [j for j, term in enumerate(self.terms) if not hidden & term.names and self.allowed[:count, j].any()]
-        terms = tuple(self.terms[j] for j in kept)
-        return replace(self, roles=self.roles.seen, terms=terms, allowed=self.allowed[:count, kept])
+        terms, allowed = without_hidden(self.terms, self.allowed, self.roles)
+        return replace(self, roles=self.roles.seen, terms=terms, allowed=allowed)
 
     def _hidden(self, design: Design, record: RecordFit | None) -> tuple[HiddenState, ...]:
         """The hidden states, and log odds of the equations without them."""
@@ -238,11 +241,9 @@ class Question:
             return ()
         if record is None:
             return tuple(HiddenState(chain.names[0], math.inf) for chain in motion.roles.hidden)
-        hidden, count = {name for chain in motion.roles.hidden for name in chain.names}, len(motion.roles.seen.chains)
-        seen = replace(motion, roles=motion.roles.seen, unit_gains=motion.unit_gains[:count])
-        kept = [j for j, one in enumerate(design.terms) if not hidden & one.names and design.allowed[:count, j].any()]
-        terms = tuple(design.terms[j] for j in kept)
-        other = build_design(terms, seen, allowed=design.allowed[:count, kept])
+        terms, allowed = without_hidden(design.terms, design.allowed, motion.roles)
+        seen = replace(motion, roles=motion.roles.seen, unit_gains=motion.unit_gains[: len(allowed)])
+        other = build_design(terms, seen, allowed=allowed)
         without = record_of(other, self.smooth, self.dictionary, self.prior, self.rules.tolerance)
         odds = -math.inf if without is None else without.of_motion - record.of_motion
         return tuple(HiddenState(chain.names[0], odds) for chain in motion.roles.hidden)
@@ -410,12 +411,6 @@ class Question:
         selections = select(fits, self.rules, design.motion)
         equations, scores = build_equations(selections, units, log, scored)
         return equations, scores, selections
-
-
-def _not_needed(hidden: Sequence[HiddenState]) -> str:
-    """What is said where the record is as likely without hidden states."""
-    names, odds = some_of([one.state for one in hidden], 30), min(one.log_odds_without for one in hidden)
-    return f"hidden {names} is not needed (odds without it {odds_text(odds)}): shown without; drive the system harder"
 
 
 def _require_likelihood(motion: Motion, record: RecordFit | None, whole: Whole | None) -> None:

@@ -380,9 +380,7 @@ class Equations(Answer):
         if any(chain.static for chain in self.chains):
             raise InputError("a measurement is planned for equations of motion, not for static laws: vary the inputs")
         if self.roles.hidden:
-            raise InputError(
-                "a measurement is planned for equations without hidden states: measure them too"
-            )
+            raise InputError("a measurement is planned for equations without hidden states: measure them too")
         if self.roles.timed:
             raise InputError("terms use t, the time: a measurement is planned for equations that do not depend on it")
         if not all(equation.models for equation in self.equations):

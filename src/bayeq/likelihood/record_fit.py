@@ -18,6 +18,7 @@ from bayeq.inference.collapsed.search import scores_of
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.block import Block, at_its_path
+from bayeq.likelihood.courses import with_other_inputs
 from bayeq.likelihood.fit import Quadratic, State, candidates, solved
 from bayeq.likelihood.hidden import with_found_laws
 from bayeq.likelihood.lags import lags_of
@@ -39,7 +40,7 @@ from bayeq.likelihood.search import (
 )
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, averaged, soft_of
-from bayeq.likelihood.start import carried_over, series_and_paths, start_from, with_courses
+from bayeq.likelihood.start import carried_over, series_and_paths, start_from
 from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms, first_members, joint_covariance, settled, with_constants
 from bayeq.states import Lag, Motion, with_paths
@@ -310,7 +311,7 @@ class RecordFit:
 
     @cached_property
     def quadratic(self) -> Quadratic:
-        """The likelihood of all candidates beside functions of the most probable sizes, where these can be evaluated."""
+        """The likelihood of all candidates beside functions of the most probable sizes, where that can be evaluated."""
         tau = self.nearly.tau
         try:
             return Soft.of(self.task, self.fitted).quadratic(tau)[0] if any(tau) else self.fitted.quadratic
@@ -407,8 +408,10 @@ def fit_record(
             log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
             log_odds = first_members(some, terms, log_odds)
             task, states = start_from(some, terms, grams, log_odds, tolerance, stated)
-            moved = partial(settled, some) if motion.roles.hidden else None
-            task, fitted = search(task, states, partial(with_courses, some), moved)
+            task, fitted = search(task, states)
+            if motion.roles.hidden:  # a lag that is off looks like another course
+                task, fitted = settled(some, task, fitted)
+            task, fitted = with_other_inputs(some, task, fitted)
             task, fitted, forms = with_constants(some, task, fitted)
             if some is not motion:
                 return _resumed(motion, task, fitted, places)

@@ -1,7 +1,7 @@
 """Which coefficients are not zero.
 
 1. `settle`, from each start: linearise, select on the Gram of all candidates, fit, and again until the model stays.
-2. `with_other_inputs`: other courses of the inputs between samples are tried, and taken where the motion is likelier.
+2. `bayeq.likelihood.courses.with_other_inputs`: other courses of the inputs between samples are tried.
 3. `resumed`: what was found on some rows is fitted to all, in rounds as in 1.
 4. `among_neighbours`: flips and swaps of single terms, each compared by the evidence of its own fit.
 """
@@ -226,10 +226,6 @@ class Fitted:
     def quadratic(self) -> Quadratic:
         """The likelihood of all candidates about the fit, computed when it is first asked for."""
         return self.expand().raised(self.power)
-
-
-# Tasks with other courses of an input, in groups, with starts for them; from a task, its fit, and the input's number.
-Alternatives = Callable[[Task, Fitted, int], Iterable[list[tuple[Task, State]]]]
 
 
 def fit(
@@ -477,45 +473,6 @@ def of_motion(task: Task, fitted: Fitted) -> float:
     return fitted.evidence - of_inputs(task.linearised(fitted.state), fitted.state.levels)
 
 
-def at_once(task: Task, state: State) -> float:
-    """`of_motion` of a start, up to the prior of its model."""
-    return task.value(state) - of_inputs(task.linearised(state), state.levels)
-
-
-def noisier(task: Task, state: State, k: int) -> State:
-    """The state with much noise in input k, so that a discrepancy does not explain that noise."""
-    levels, i = state.levels, task.layout.first_input + k
-    if not levels.learned[i]:
-        return state
-    return replace(
-        state, levels=levels.with_noise(i, max(levels.channels[i], LIKELIHOOD.input_noise * levels.scales.channels[i]))
-    )
-
-
-def with_other_inputs(task: Task, best: Fitted, others: Alternatives) -> tuple[Task, Fitted]:
-    """The fit, or one with other courses of inputs between samples where the motion is then likelier.
-
-    Clearly so where channels may be late, or lag behind by a law: an input that is held is half a sample late.
-    """
-    margin = CLEARLY if task.layout.late or task.layout.roles.hidden else 0.0
-    for k in range(len(task.layout.roles.inputs)):
-        tried = [(task, best)]
-        for group in others(task, best, k):
-            there, state = max(group, key=lambda pair: at_once(*pair))
-            try:
-                tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
-            except np.linalg.LinAlgError:
-                continue
-        likeliest = max(tried, key=lambda pair: of_motion(*pair))
-        if likeliest[1] is not best and (margin == 0.0 or of_motion(*likeliest) > of_motion(task, best) + margin):
-            try:
-                found = settle(likeliest[0], likeliest[1].state)
-            except np.linalg.LinAlgError:
-                continue
-            task, best = max([(task, best), found], key=lambda pair: of_motion(*pair))
-    return task, best
-
-
 def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]) -> tuple[Task, Fitted]:
     """The likeliest fit that starts lead to, from the next one too where those before left a discrepancy.
 
@@ -541,12 +498,7 @@ def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]
     return max(settled, key=lambda pair: pair[1].evidence)
 
 
-def search(
-    task: Task,
-    starts: Sequence[State],
-    others: Alternatives,
-    moved: Callable[[Task, Fitted], tuple[Task, Fitted]] | None = None,
-) -> tuple[Task, Fitted]:
+def search(task: Task, starts: Sequence[State]) -> tuple[Task, Fitted]:
     """The best model that rounds of selection lead to.
 
     Parameters
@@ -554,24 +506,16 @@ def search(
     task : Task
         What is to be explained.
     starts : sequence of State
-        Where rounds start: from the next one too where those before left a discrepancy. The last one has no terms;
-        the fit of all candidates from there is a further start if these are few.
-    others : callable
-        Gives what may be tried in place of a fit: tasks with other courses of an input, and starts for them.
-    moved : callable, optional
-        Gives a fit with its constants where they are likeliest: a lag that is off looks like another course.
+        Where rounds start: from the next one too where those before left a discrepancy. The last one has no terms
+        but those of stated laws; the fit of all candidates from there is a further start if these are few.
 
     Returns
     -------
     (Task, Fitted)
         The task with the steps of integration that were used.
     """
-    task, best = from_starts(
-        task, (*starts, partial(all_together, task, starts[-1]), partial(from_the_simplest, task, starts[-1]))
-    )
-    task, best = with_other_inputs(*((task, best) if moved is None else moved(task, best)), others)
-    task.recent.clear()
-    return task, best
+    together, simplest = partial(all_together, task, starts[-1]), partial(from_the_simplest, task, starts[-1])
+    return from_starts(task, (*starts, together, simplest))
 
 
 def resumed(task: Task, state: State) -> Fitted:

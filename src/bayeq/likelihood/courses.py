@@ -1,0 +1,52 @@
+"""The courses of inputs between their samples: others are tried, and taken where the motion is likelier."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bayeq.likelihood.fit import State, of_inputs
+from bayeq.likelihood.search import CLEARLY, Fitted, Task, calmed, fit, of_motion, settle
+from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.likelihood.start import with_courses
+from bayeq.states import Motion
+
+
+def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, Fitted]:
+    """The fit, or one with other courses of inputs between samples where the motion is then likelier.
+
+    Clearly so where channels may be late, or lag behind by a law: an input that is held is half a sample late.
+    """
+    margin = CLEARLY if task.layout.late or task.layout.roles.hidden else 0.0
+    for k in range(len(task.layout.roles.inputs)):
+        tried = [(task, best)]
+        for group in with_courses(motion, task, best, k):
+            there, state = max(group, key=lambda pair: at_once(*pair))
+            try:
+                tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
+            except np.linalg.LinAlgError:
+                continue
+        likeliest = max(tried, key=lambda pair: of_motion(*pair))
+        if likeliest[1] is not best and (margin == 0.0 or of_motion(*likeliest) > of_motion(task, best) + margin):
+            try:
+                found = settle(likeliest[0], likeliest[1].state)
+            except np.linalg.LinAlgError:
+                continue
+            task, best = max([(task, best), found], key=lambda pair: of_motion(*pair))
+    return task, best
+
+
+def at_once(task: Task, state: State) -> float:
+    """`of_motion` of a start, up to the prior of its model."""
+    return task.value(state) - of_inputs(task.linearised(state), state.levels)
+
+
+def noisier(task: Task, state: State, k: int) -> State:
+    """The state with much noise in input k, so that a discrepancy does not explain that noise."""
+    levels, i = state.levels, task.layout.first_input + k
+    if not levels.learned[i]:
+        return state
+    return replace(
+        state, levels=levels.with_noise(i, max(levels.channels[i], LIKELIHOOD.input_noise * levels.scales.channels[i]))
+    )
