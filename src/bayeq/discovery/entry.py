@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from numbers import Integral
 from pathlib import Path
 from typing import Any, get_args
@@ -58,6 +59,7 @@ def discover(
     force: str | None = None,
     inputs: Sequence[str] = (),
     target: str | Sequence[str] | None = None,
+    discrete: bool = False,
     dictionary: Specification | Any = "oscillator",
     method: str = "auto",
     smooth: Smooth = "auto",
@@ -100,6 +102,9 @@ def discover(
         Channels that are no derivatives: F of a damper as a function of x and v, ``target="F", inputs=["x", "v"]``.
         The law of each is static: it is not integrated. ``"F1,F2"`` are two. Beside chains, that of F may use their
         states. Without chains families of terms, as ``"polynomial:3"``, are made of the inputs.
+    discrete : bool
+        Whether the equations are maps: they give the next sample, ``x[+1]``, in place of the rate, and terms may have
+        earlier samples, ``x[-1]``, ``u[-2]``. Each chain is a channel; time is counted in samples.
     dictionary : str, sequence of str, mapping of str to these, or feature library of PySINDy
         ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, ``"fourier:2"``, ``"neighbours"``, a file of terms, or terms;
         ``"oscillator + sin(x) - x**5"`` joins families and terms, and leaves some out. With a mapping,
@@ -221,6 +226,7 @@ def question_of(
     force: str | None,
     inputs: Sequence[str],
     target: str | Sequence[str] | None,
+    discrete: bool,
     dictionary: Specification | Any,
     method: str,
     smooth: Smooth,
@@ -244,7 +250,7 @@ def question_of(
     rules = Rules(max_terms, tolerance)
     rules.check(method)
     _check_shares(holdout, coarsen)
-    roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs, target)
+    roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs, target, discrete)
     noise, gain_sd = {} if noise is None else noise, {} if gain_sd is None else gain_sd
     lag_sd = {} if lag_sd is None else lag_sd
     check_sensors(noise, gain_sd, roles, lag_sd)
@@ -252,7 +258,10 @@ def question_of(
     _check_tails(tails, smooth)
     _check_band(band, smooth)
     chained = tuple(chain.states for chain in roles.chains)
-    variables = Variables(roles.states, roles.inputs, chained, targets=roles.targets)
+    variables = Variables(roles.states, roles.inputs, chained, targets=() if roles.discrete else roles.targets)
+    if roles.discrete:
+        _check_map(smooth, band, lag_sd, differs)
+        variables = replace(variables, discrete=True)
     if not roles.states:  # static laws alone
         variables = Variables(roles.inputs)
     if is_library(dictionary):
@@ -301,6 +310,19 @@ def _check_kinds(
             raise InputError(f"a seed is a whole number, 0 or more, got {one}")
     if method not in ENGINES and method not in ENGINES.load():
         raise UnknownNameError("method", method, ENGINES)
+
+
+def _check_map(smooth: Smooth, band: Any, lag_sd: Any, differs: Any) -> None:
+    """Refuse what equations that give the next sample do not have."""
+    given = {
+        "smooth='none'": smooth == "none",
+        "band": band is not None,
+        "lag_sd": bool(lag_sd),
+        "differs": bool(differs),
+    }
+    refused = [name for name, is_given in given.items() if is_given]
+    if refused:
+        raise InputError(f"discrete: a map has no {refused[0]}; leave it out")
 
 
 def _check_shares(holdout: float, coarsen: float) -> None:
@@ -361,7 +383,7 @@ def _answer(
             raise
         return found
     measured = with_row_numbers(as_records(records, t))
-    long = sum(record.n for record in measured) > MOST_ROWS
+    long = sum(record.n for record in measured) > MOST_ROWS and not question.roles.discrete
     if long and (question.smooth == "auto" or (client is not None and question.smooth == "none")):
         rows = of_channels(_whole_streams(map(RecordStream, measured)), channels)
         try:
@@ -399,6 +421,8 @@ def _whole_streams(streams: Iterable[Stream]) -> tuple[Extent, ...]:
 
 
 def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, folder: Any) -> Whole:
+    if question.roles.discrete:
+        raise NotStreamed("maps need the record in memory; choose some rows (--rows)")
     if any(chain.static for chain in question.roles.chains):
         raise NotStreamed("static laws need the record in memory; choose some rows (--rows)")
     if question.roles.timed:

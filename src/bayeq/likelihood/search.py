@@ -377,7 +377,10 @@ def likeliest(task: Task, fitted: Fitted) -> State:
 
 
 def steady(task: Task, state: State) -> bool:
-    """Whether a step multiplies deviations from the path by less than `most_growth`, and ends near the path."""
+    """Whether a step multiplies deviations from the path by less than `most_growth`, and ends near the path.
+
+    Those of chaotic maps may grow by more.
+    """
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
     for linear in task.linearised(state):
         missed = np.abs(linear.end - linear.path[1:])[:, : task.layout.motion] / spread
@@ -386,7 +389,8 @@ def steady(task: Task, state: State) -> bool:
             return False
         if (
             missed.max(initial=0.0) > LIKELIHOOD.most_growth
-            or np.abs(np.linalg.eigvals(few)).max() > LIKELIHOOD.most_growth
+            or not task.layout.discrete
+            and np.abs(np.linalg.eigvals(few)).max() > LIKELIHOOD.most_growth
         ):
             return False
     return True
@@ -460,7 +464,7 @@ def from_the_simplest(task: Task, empty: State) -> State | None:
 def finer(task: Task, state: State) -> Task:
     """The task with as many Runge-Kutta steps between samples as its motion, and the columns of its terms, need."""
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
-    while task.substeps < MOST_SUBSTEPS and task.layout.motion:
+    while task.substeps < MOST_SUBSTEPS and task.layout.motion and not task.layout.discrete:
         twice = replace(task, substeps=2 * task.substeps)
         pairs = list(zip(task.linearised(state), twice.linearised(state), strict=True))
         ends = [np.abs(a.end - b.end)[:, : task.layout.motion] for a, b in pairs]

@@ -228,7 +228,12 @@ def _with_inputs(layout: Layout, inputs: Sequence[_Input]) -> Layout:
 
 
 def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator[list[tuple[Task, State]]]:
-    """The task with other courses of input k, smooth as it is and a random sequence; the fit as a start."""
+    """The task with other courses of input k, smooth as it is and a random sequence; the fit as a start.
+
+    There are none of maps, which take inputs at samples alone.
+    """
+    if task.layout.discrete:
+        return
     inputs, name = _inputs_of(fitted.state), task.layout.roles.inputs[k]
     random = _input(name, motion.train, _known_noise(motion).get(name), (0,))._replace(noise=inputs[k].noise)
     for own, courses in ((inputs[k], OTHERWISE), (random, (*OTHERWISE, *BENT))):

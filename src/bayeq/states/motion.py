@@ -11,15 +11,17 @@ import numpy as np
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import ChainError, RecordError
 from bayeq.expressions.functions import TIME
+from bayeq.expressions.parse import EARLIER
 from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
 from bayeq.states.lags import without_lags
+from bayeq.states.maps import moved
 from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid
-from bayeq.states.roles import Chain, Roles
+from bayeq.states.roles import NEXT, Chain, Roles
 from bayeq.states.sensors import Sensors
 from bayeq.states.settings import STATES
-from bayeq.states.unit_gains import unit_gains
+from bayeq.states.unit_gains import bridged, unit_gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,14 @@ class MotionRows:
     @property
     def n(self) -> int:
         return len(self.known)
+
+    @property
+    def inside(self) -> slice:
+        """All rows; of a map those from the first with its earlier samples to the last with a next one."""
+        if not any(name.endswith(NEXT) for name in self.observed):
+            return slice(0, self.n)
+        there = np.flatnonzero(self.known)
+        return slice(int(there[0]), int(there[-1]) + 1) if len(there) else slice(0, 0)
 
     def part(self, rows: slice) -> MotionRows:
         """Some of the rows."""
@@ -123,6 +133,11 @@ class Motion:
         return used, left
 
     @property
+    def smoothed(self) -> bool:
+        """Whether there is a path that the likelihood of the record can start from: samples are that of a map."""
+        return bool(self.smoothing) or self.roles.discrete
+
+    @property
     def timed(self) -> bool:
         """Whether every record has time."""
         return all(rows.time is not None for rows in self.records)
@@ -184,6 +199,11 @@ def estimate_motion(
         Channels that are missing or cannot be used.
     """
     whole, sensors = smooth == "none", sensors or Sensors()
+    if roles.discrete:
+        pieces = tuple(_of_map(record, roles) for record in records)
+        cuts = tuple(cut_at(rows.n, share) for rows in pieces)
+        gains = tuple(np.ones(chain.order + 1) for chain in roles.chains)
+        return Motion(roles, pieces, cuts, (), gains, share, sensors, band)
     records = [without_lags(record, sensors.lags) for record in records] if sensors.lags else records
     if all(record.time is not None for record in records) and sum(record.n for record in records) < STATES.few_rows:
         smooth = "none"
@@ -208,6 +228,24 @@ def further_rows(record: Record, motion: Motion) -> MotionRows:
     filled = on_grid(record, roles.channels)
     chains = zip(roles.chains, motion.smoothing, strict=True)
     return _rows(filled, roles, [smooth_further(filled, chain, smoothing) for chain, smoothing in chains])
+
+
+def _of_map(record: Record, roles: Roles) -> MotionRows:
+    """Rows of a record (`bayeq.states.maps.in_samples`), missing samples bridged, with earlier and next ones beside."""
+    record = on_grid(record, roles.channels)
+    require_usable(bridged_record(record, roles), roles.channels)
+    samples = {name: np.array(record[name]) for name in roles.channels}
+    for name in roles.inputs:
+        if found := EARLIER.fullmatch(name):
+            samples[name][: int(found["back"])] = np.nan
+    every = dict(samples)
+    for chain in roles.chains:
+        whole = samples[str(chain.measured[-2])]
+        every |= {name: moved(whole, back) for back, name in enumerate(reversed(chain.names), -1)}
+    columns = {name: bridged(values) for name, values in every.items()}
+    known = np.all([np.isfinite(values) for values in every.values()], axis=0)
+    observed = {target: columns[target] for target in roles.targets}
+    return MotionRows(record.name, record.time, columns, observed, samples, known)
 
 
 def _as_measured(record: Record, roles: Roles) -> MotionRows:
