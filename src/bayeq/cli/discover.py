@@ -67,6 +67,12 @@ class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest 
     help="Channel that is no derivative, as the force of a damper, of which the law is static: a function of inputs."
     " Once per equation, or F1,F2.",
 )
+@opt.measured(
+    "--discrete",
+    is_flag=True,
+    help="The equation gives the next sample, x[+1], in place of the rate (maps, sequences); terms may have earlier"
+    " samples, x[-1], u[-2]. Each chain is a channel.",
+)
 @reading_options
 @opt.in_terms(
     "--dictionary",

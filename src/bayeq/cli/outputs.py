@@ -63,6 +63,8 @@ class Outputs:
             raise InputError("--explain explains the text, and --json prints none; leave one of them out")
         if self.refine and options.get("target"):
             raise InputError("--refine: output error is of free runs, which static laws (--target) do not have")
+        if (self.refine or self.physical) and options.get("discrete"):
+            raise InputError(f"--{'refine' if self.refine else 'physical'}: not of maps (--discrete); leave it out")
         seen: dict[Path, str] = {}
         for name, (purpose, kind) in PURPOSES.items():
             output: Path | None = getattr(self, name)

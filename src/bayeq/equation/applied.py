@@ -22,6 +22,7 @@ from bayeq.numerics.normal import Z95
 from bayeq.records import Record, counts_rows
 from bayeq.records.units import conversion
 from bayeq.states import estimate_motion
+from bayeq.states.maps import in_samples
 
 # Runs that err by more than this share of the spread follow a record only roughly.
 ROUGHLY = 0.3
@@ -128,7 +129,7 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
     reverse.
     """
     where = record.name or "record"
-    moving = bool(equations.states)
+    moving = bool(equations.states) and not equations.roles.discrete
     if moving and counts_rows(record) and not equations.data.rows_as_time:
         raise InputError(
             f"{where}: time is not known, and the equations are per second; give --fs or --time (fs=, time=)"
@@ -164,6 +165,8 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     units that cannot be converted, no time. DataWarning: samples that are missing or left out.
     """
     notes: list[str] = []
+    if equations.roles.discrete:
+        records = [in_samples(record, equations.roles) for record in records]
     for name in equations.roles.channels:
         for record in records:
             _ = record[name]

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.expressions.parse import EARLIER
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.rows import Rows
 from bayeq.forecast.settings import FORECAST
@@ -121,6 +122,9 @@ def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats
     drive = drive.part(0, n)
     drive = drive._replace(step=finest_step(dynamics, parameters, whole[:n], drive))
     program = dynamics.program()
+    # before the first sample of a map nothing is known of earlier ones
+    back = [int(found["back"]) if (found := EARLIER.fullmatch(name)) else 0 for name in dynamics.states]
+    read = np.where(np.array(back) > rows.time[0], 1.0, READ) if dynamics.roles.discrete else READ
 
     def errors(start: Floats) -> tuple[Floats, Floats] | None:
         """Weighted errors of samples and state, and their derivatives by the state."""
@@ -133,7 +137,7 @@ def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats
         there = np.isfinite(chosen)
         left = np.where(there, (chosen - values) * weight, 0.0)
         slopes = np.where(there[:, :, None], jacobian[:, :, : len(start)] * weight[:, None], 0.0)
-        prior = np.diag(1.0 / (READ * scale))
+        prior = np.diag(1.0 / (read * scale))
         return (
             np.concatenate([left.ravel(), prior @ (first - start)]),
             np.concatenate([slopes.reshape(-1, len(start)), prior]),

@@ -382,16 +382,13 @@ def steady(task: Task, state: State) -> bool:
     Those of chaotic maps may grow by more.
     """
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
+    most = math.inf if task.layout.discrete else LIKELIHOOD.most_growth
     for linear in task.linearised(state):
         missed = np.abs(linear.end - linear.path[1:])[:, : task.layout.motion] / spread
         few = linear.transition[:: max(1, len(missed) // CHECKED)]
         if not (np.isfinite(missed).all() and np.isfinite(few).all()):
             return False
-        if (
-            missed.max(initial=0.0) > LIKELIHOOD.most_growth
-            or not task.layout.discrete
-            and np.abs(np.linalg.eigvals(few)).max() > LIKELIHOOD.most_growth
-        ):
+        if missed.max(initial=0.0) > LIKELIHOOD.most_growth or np.abs(np.linalg.eigvals(few)).max() > most:
             return False
     return True
 

@@ -145,7 +145,8 @@ class Motion:
     @property
     def estimated(self) -> tuple[str, ...]:
         """Derivatives that were not measured but estimated."""
-        return tuple(name for chain in self.roles.chains for name in chain.names if name not in chain.measured)
+        chains = [chain for chain in self.roles.chains if not chain.discrete]
+        return tuple(name for chain in chains for name in chain.names if name not in chain.measured)
 
     def estimated_by(self, k: int) -> ChainSmoothing | None:
         """How the target of chain k was estimated; None where it was measured, or not smoothed."""
