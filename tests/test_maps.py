@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.likelihood.filter import run_filter
@@ -70,7 +69,7 @@ def test_earlier_values_move_on_and_a_discrepancy_is_added_once_a_sample() -> No
 def test_the_transition_and_the_columns_are_those_of_differences() -> None:
     layout, series, state = two_maps()
     [linear] = linearised(layout, [series], state)
-    (n, size), step = state.paths[0].shape, 1e-6
+    size, step = layout.size, 1e-6
 
     def end(path, theta):
         return linearised(layout, [series], replace(state, paths=(path,), theta=theta))[0].end

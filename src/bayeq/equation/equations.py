@@ -378,10 +378,10 @@ class Equations(Answer):
         from bayeq.plan.conditions import conditions_of
         from bayeq.plan.plan import plan_excitation
 
-        if not self.inputs:
-            raise InputError("the equations have no input: there is nothing to excite")
         if self.roles.discrete:
             raise InputError("a measurement is planned for equations of motion, not for maps: vary the inputs")
+        if not self.inputs:
+            raise InputError("the equations have no input: there is nothing to excite")
         if any(chain.static for chain in self.chains):
             raise InputError("a measurement is planned for equations of motion, not for static laws: vary the inputs")
         if self.roles.timed:

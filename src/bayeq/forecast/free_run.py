@@ -123,7 +123,7 @@ def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats
     drive = drive._replace(step=finest_step(dynamics, parameters, whole[:n], drive))
     program = dynamics.program()
     # before the first sample of a map nothing is known of earlier ones
-    back = [int(found["back"]) if (found := EARLIER.fullmatch(name)) else 0 for name in dynamics.states]
+    back = [int(one["back"]) if (one := EARLIER.fullmatch(name)) else 0 for name in dynamics.states]
     read = np.where(np.array(back) > rows.time[0], 1.0, READ) if dynamics.roles.discrete else READ
 
     def errors(start: Floats) -> tuple[Floats, Floats] | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from bayeq.arrays import Floats
@@ -10,9 +12,13 @@ from bayeq.expressions.parse import EARLIER
 from bayeq.records import SAMPLES, Record
 from bayeq.states.prepare import fitted_grid, on_grid
 from bayeq.states.roles import Roles
+from bayeq.states.unit_gains import bridged
 
 # Times are on a grid if they are off by no more than this share of its step.
 OFF_GRID = 0.1
+
+# Samples before and after a missing one that are compared with those around others.
+AROUND = (2, 1, -1, -2)
 
 
 def in_samples(record: Record, roles: Roles) -> Record:
@@ -47,6 +53,25 @@ def in_samples(record: Record, roles: Roles) -> Record:
         if base in record.units:
             units[name] = record.units[base]
     return Record(channels, time, units, record.name, record.truth)
+
+
+def likened(channels: Sequence[Floats]) -> list[Floats]:
+    """Channels with missing samples taken from where those around them were most alike.
+
+    A chaotic map may be anywhere between two samples: a straight line would lead the likelihood astray.
+    """
+    samples = np.column_stack(channels)
+    scale = np.nanstd(samples, axis=0)
+    around = np.hstack([np.column_stack([moved(column, back) for column in samples.T]) for back in AROUND])
+    around /= np.tile(np.where(scale > 0.0, scale, 1.0), len(AROUND))
+    out = samples.copy()
+    for row in np.flatnonzero(np.isnan(samples).any(axis=1)):
+        seen = np.isfinite(around[row])
+        apart = np.sum((around[:, seen] - around[row, seen]) ** 2, axis=1)
+        for i in np.flatnonzero(np.isnan(samples[row])):
+            alike = np.where(np.isnan(apart) | np.isnan(samples[:, i]), np.inf, apart)
+            out[row, i] = samples[int(np.argmin(alike)), i] if np.isfinite(alike).any() else np.nan
+    return [bridged(column) for column in out.T]
 
 
 def moved(values: Floats, back: int) -> Floats:

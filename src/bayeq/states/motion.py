@@ -16,7 +16,7 @@ from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
 from bayeq.states.lags import without_lags
-from bayeq.states.maps import moved
+from bayeq.states.maps import likened, moved
 from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid
 from bayeq.states.roles import NEXT, Chain, Roles
 from bayeq.states.sensors import Sensors
@@ -239,12 +239,14 @@ def _of_map(record: Record, roles: Roles) -> MotionRows:
     for name in roles.inputs:
         if found := EARLIER.fullmatch(name):
             samples[name][: int(found["back"])] = np.nan
-    every = dict(samples)
+    whole = dict(zip(roles.measured, likened([samples[name] for name in roles.measured]), strict=True))
+    known = np.all([np.isfinite(samples[name]) for name in roles.inputs], axis=0)
+    columns = {name: bridged(samples[name]) for name in roles.inputs}
     for chain in roles.chains:
-        whole = samples[str(chain.measured[-2])]
-        every |= {name: moved(whole, back) for back, name in enumerate(reversed(chain.names), -1)}
-    columns = {name: bridged(values) for name, values in every.items()}
-    known = np.all([np.isfinite(values) for values in every.values()], axis=0)
+        channel = str(chain.measured[-2])
+        for back, name in enumerate(reversed(chain.names), -1):
+            known &= np.isfinite(moved(samples[channel], back))
+            columns[name] = bridged(moved(whole[channel], back))
     observed = {target: columns[target] for target in roles.targets}
     return MotionRows(record.name, record.time, columns, observed, samples, known)
 
