@@ -214,7 +214,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
             for name in used_channels(options):  # one that a record lacks is refused before the import below
                 for record in records:
                     _ = record[name]
-        outputs.check_records(records)
+        outputs.check_records(records, options["discrete"])
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
         answer = run(source, **options, progress=progress, client=client)

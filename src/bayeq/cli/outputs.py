@@ -79,13 +79,13 @@ class Outputs:
 
             require_spike_slab(options["method"])
 
-    def check_records(self, records: Sequence[Record]) -> None:
-        """Refuse records without time where it is needed."""
+    def check_records(self, records: Sequence[Record], discrete: bool) -> None:
+        """Refuse records without time where it is needed, which it is not of maps."""
         from bayeq.records import counts_rows
 
         if self.physical and any(map(counts_rows, records)):
             raise InputError("--physical: parameters are per second, and time is not known: give --fs or --time")
-        if not self.refine and self.forecast is None:
+        if discrete or (not self.refine and self.forecast is None):
             return
         from bayeq.forecast.rows import require_time
 

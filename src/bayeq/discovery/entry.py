@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from numbers import Integral
 from pathlib import Path
 from typing import Any, get_args
@@ -25,6 +24,7 @@ from bayeq.errors import (
     require_text,
     require_texts,
 )
+from bayeq.expressions.parse import EARLIER
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 from bayeq.records import as_records, with_row_numbers
@@ -59,7 +59,6 @@ def discover(
     force: str | None = None,
     inputs: Sequence[str] = (),
     target: str | Sequence[str] | None = None,
-    discrete: bool = False,
     dictionary: Specification | Any = "oscillator",
     method: str = "auto",
     smooth: Smooth = "auto",
@@ -70,6 +69,7 @@ def discover(
     prior: Prior | None = None,
     constraints: str | Sequence[str] = (),
     differs: str | Sequence[str] = (),
+    discrete: bool = False,
     noise: Mapping[str, float | str] | None = None,
     gain_sd: Mapping[str, float | str] | None = None,
     lag_sd: Mapping[str, float | str] | None = None,
@@ -102,9 +102,6 @@ def discover(
         Channels that are no derivatives: F of a damper as a function of x and v, ``target="F", inputs=["x", "v"]``.
         The law of each is static: it is not integrated. ``"F1,F2"`` are two. Beside chains, that of F may use their
         states. Without chains families of terms, as ``"polynomial:3"``, are made of the inputs.
-    discrete : bool
-        Whether the equations are maps: they give the next sample, ``x[+1]``, in place of the rate, and terms may have
-        earlier samples, ``x[-1]``, ``u[-2]``. Each chain is a channel; time is counted in samples.
     dictionary : str, sequence of str, mapping of str to these, or feature library of PySINDy
         ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, ``"fourier:2"``, ``"neighbours"``, a file of terms, or terms;
         ``"oscillator + sin(x) - x**5"`` joins families and terms, and leaves some out. With a mapping,
@@ -148,6 +145,9 @@ def discover(
     differs : str or sequence of str
         Terms whose coefficients may differ between records, ``"x, v"``, or ``"all"``: each has a candidate difference
         ``x*run2`` in every record but the first, with a probability of its own.
+    discrete : bool
+        Whether the equations are maps: they give the next sample, ``x[+1]``, in place of the rate, and terms may have
+        earlier samples, ``x[-1]``, ``u[-2]``. Each chain is a channel; time is counted in samples.
     noise : mapping of str to float or str, optional
         Known noise of channels: standard deviations in the channel's unit, or shares of its own such as ``"2%"``. It is
         then not learned from the record. 0 is a channel without noise. ``"5% of reading"`` is noise in proportion to
@@ -226,7 +226,6 @@ def question_of(
     force: str | None,
     inputs: Sequence[str],
     target: str | Sequence[str] | None,
-    discrete: bool,
     dictionary: Specification | Any,
     method: str,
     smooth: Smooth,
@@ -237,6 +236,7 @@ def question_of(
     prior: Prior | None,
     constraints: str | Sequence[str],
     differs: str | Sequence[str],
+    discrete: bool,
     noise: Mapping[str, float | str] | None,
     gain_sd: Mapping[str, float | str] | None,
     lag_sd: Mapping[str, float | str] | None,
@@ -258,10 +258,10 @@ def question_of(
     _check_tails(tails, smooth)
     _check_band(band, smooth)
     chained = tuple(chain.states for chain in roles.chains)
-    variables = Variables(roles.states, roles.inputs, chained, targets=() if roles.discrete else roles.targets)
+    targets = () if roles.discrete else roles.targets
+    variables = Variables(roles.states, roles.inputs, chained, targets=targets, discrete=roles.discrete)
     if roles.discrete:
         _check_map(smooth, band, lag_sd, differs)
-        variables = replace(variables, discrete=True)
     if not roles.states:  # static laws alone
         variables = Variables(roles.inputs)
     if is_library(dictionary):
@@ -364,7 +364,7 @@ def _answer(
     checkpoint: str | os.PathLike[str] | None,
 ) -> tuple[Equations, WarningLog]:
     """The answer to a question of records that are taken whole or, where they are long, some rows at a time."""
-    channels = [*question.roles.measured, *question.roles.inputs]
+    channels = [name for name in question.roles.channels if not EARLIER.fullmatch(name)]
     executor = Threads() if client is None else Cluster(client)
     if is_dask(records):
         if client is None:

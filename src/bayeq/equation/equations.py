@@ -558,6 +558,8 @@ class Equations(Answer):
         from bayeq.equation.report.page import write_report
 
         pieces = [] if records is None else _as_list(records, "report")
+        if self.roles.discrete:
+            pieces = self._timed(pieces, "report")
         for record in pieces:
             for name in self.roles.channels:
                 _ = record[name]

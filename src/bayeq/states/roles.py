@@ -117,7 +117,7 @@ class Chain:
     def __str__(self) -> str:
         if self.static:
             return f"{STATIC}{self.measured[0]}"
-        if self.order == 1 and self.measured[1] is None:
+        if self.order == 1 and self.measured[1] is None and not self.discrete:
             return str(self.measured[0])
         return ":".join(m or (f"~{self.own_name(k)}" if self.own_name(k) else "") for k, m in enumerate(self.measured))
 
@@ -305,7 +305,9 @@ class Roles:
         """The same channels, with equations for their next samples."""
         for chain in self.chains:
             if chain.order != 1 or chain.measured[1] is not None or chain.called:
-                raise ChainError(f"chain {str(chain)!r}: a map is of single channels: give each as a chain, chains='x'")
+                raise ChainError(
+                    f"chain {str(chain)!r}: a map is of single channels, each a chain: --chain x, chains='x'"
+                )
         return self.with_chains([chain_of_map(str(chain.measured[0]), 0) for chain in self.chains])
 
     @property
