@@ -440,7 +440,7 @@ def _screened(
 def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:
     units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs)
     log.extend(conflicts, DataWarning)
-    if any(map(counts_rows, records)):  # derivatives that are not measured are per sample
+    if any(map(counts_rows, records)) and not roles.discrete:  # derivatives that are not measured are per sample
         return {name: unit for name, unit in units.items() if name in roles.channels}
     if roles.timed:
         units[TIME] = "s"
