@@ -75,7 +75,7 @@ def likened(channels: Sequence[Floats]) -> list[Floats]:
 
 
 def moved(values: Floats, back: int) -> Floats:
-    """The samples that are so many back, or ahead; NaN where there is none."""
+    """The sample so far back at each row, or ahead where that is negative; NaN where there is none."""
     out = np.full(len(values), np.nan)
     if back >= 0:
         out[back:] = values[: len(values) - back]
