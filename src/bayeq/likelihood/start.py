@@ -184,7 +184,10 @@ def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -
 
 
 def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_]) -> State:
-    """The likeliest model of each equation as a regression of the smoothed rows."""
+    """The likeliest model of each equation as a regression of the smoothed rows; of a map with its constant.
+
+    A map of samples that are far from zero has one, and without it samples are explained by noise.
+    """
     chains, terms, theta, left = [], [], [], []
     for c, gram in enumerate(grams):
         standard = gram.standardise(residual_scale(gram))
@@ -197,6 +200,10 @@ def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_]) ->
         chains += [c] * len(index)
         terms += index.tolist()
         theta += coef[model].tolist()
+        if empty.levels.layout.discrete:
+            chains.append(c)
+            terms.append(allowed.shape[1])
+            theta.append(float(gram.target_mean - gram.mean @ coef))
         left.append(min(gram.squared_error(coef) / gram.yty, 1.0) if gram.yty > 0.0 else 1.0)
     chosen = Candidates(np.array(chains, dtype=np.int64), np.array(terms, dtype=np.int64))
     levels = empty.levels
