@@ -16,7 +16,7 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.equation.report.page import repeat_command
-from bayeq.errors import ExpressionError, InputError
+from bayeq.errors import ChainError, ExpressionError, InputError
 from bayeq.expressions import parse
 from bayeq.forecast.free_run import correlation_time, typical_period
 from bayeq.forecast.rows import rows_of
@@ -152,6 +152,9 @@ def test_chains_have_as_many_earlier_values_as_terms_ask_for() -> None:
     assert roles.inputs == ("u", "u[-1]")
     again = Roles.parse([str(chain) for chain in roles.chains], inputs=roles.inputs)
     assert again == roles == again.for_terms(terms)
+    for text in ("~x[-2]:x:~x[+1]", "~y[-1]:x:~x[+1]", "~x[-1]:" * 30 + "x:~x[+1]"):
+        with pytest.raises(ChainError):
+            Roles.parse(text)
 
 
 @pytest.mark.parametrize(
@@ -301,6 +304,20 @@ def test_missing_samples_and_several_records() -> None:
     assert set(one.shown) == {"x**2", "x[-1]"}
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_samples_far_from_zero_are_not_taken_for_noise(seed: int) -> None:
+    """The tent map, whose equation has a constant of four standard deviations of the target."""
+    rng, x = np.random.default_rng(seed), np.empty(300)
+    x[0] = 0.237 + 0.1 * seed
+    for k in range(299):
+        x[k + 1] = 1.9 * min(x[k], 1.0 - x[k])
+    noisy = x + 0.01 * x.std() * rng.standard_normal(300)
+    eq = bq.discover(bq.Record({"x": noisy}), chains="x", dictionary="x, x**2, abs(x-0.5)", discrete=True)
+    assert eq[0].shown == ("abs(x-0.5)",)
+    assert eq[0].shown_posterior.intercept == pytest.approx(0.95, abs=0.005)
+    assert eq.verdict.kind == "found"
+
+
 def test_a_constant_inside_a_term_is_found() -> None:
     """Ricker's map."""
     rng, x = np.random.default_rng(2), np.empty(300)
@@ -329,6 +346,7 @@ def test_a_free_run_and_code_go_from_sample_to_sample(of_input: bq.Equations) ->
         assert run.mean["x"][k] == pytest.approx(x, rel=1e-12)
         x = next_state(of_input, x, record["u"][4 + k])
     assert (run.low["x"] <= run.mean["x"]).all()
+    assert str(run).startswith("free run over 30 rows, 5 to 34 samples")
     expected = next_state(of_input, 0.4, -0.7)
     given = [0.9, -0.7]  # u, u[-1]
     assert of_input.inputs == ("u", "u[-1]")

@@ -147,7 +147,9 @@ def parse_chain(text: str) -> Chain:
     if not isinstance(text, str):
         raise ChainError(f"a chain is a text, got {type(text).__name__}; {form}")
     if found := _MAP.fullmatch(text.strip()):
-        return chain_of_map(found["name"], text.count("[-"))
+        chain = chain_of_map(found["name"], min(text.count("[-"), MOST_EARLIER))
+        if str(chain) == text.strip():
+            return chain
     static = text.strip().startswith(STATIC)
     parts = [_named(part) for part in text.strip().removeprefix(STATIC).split(":")]
     if static and (len(parts) > 1 or parts[0][:1] in ("", "~")):
