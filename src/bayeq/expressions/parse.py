@@ -55,6 +55,7 @@ _UNKNOWN = re.compile(rf"\{{\s*(?P<name>{_NAME})\s*(?::\s*{_ENDS}\s*)?\}}")
 #: An earlier sample of a channel, as ``x[-1]``, by `name` and `back`.
 EARLIER = re.compile(rf"(?P<name>{_NAME})\[-(?P<back>[1-9][0-9]?)\]")
 _BAD_NUMBER = re.compile(r"\.?[0-9][\w.]*")
+_ALLOWED = "numbers, names, + - * / **, brackets and functions"
 _HINTS = {
     "=": "give the right-hand side only; there are no keyword arguments, and == compares",
     "\n": "a term is one line",
@@ -62,10 +63,9 @@ _HINTS = {
     ".": "there are no attributes",
     "{": "an unknown constant is {name}, or {name: low..high}, and ends with }",
     "}": "it ends no unknown constant, {name}",
-    "[": "earlier samples are x[-1], x[-2] up to x[-99]",
+    "[": f"there are {_ALLOWED}, and earlier samples of maps, x[-1] to x[-99]",
     "|": "it stands between whole terms, of which one is in",
 }
-_ALLOWED = "numbers, names, + - * / **, brackets and functions"
 _CONDITION = "comparisons are conditions of where, as in where(x > 0, x, 0)"
 
 
