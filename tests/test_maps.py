@@ -186,6 +186,10 @@ def test_time_is_counted_in_samples() -> None:
     np.testing.assert_array_equal(found.time, [0, 1, 2, 4, 5])
     np.testing.assert_array_equal(found["u[-2]"], [0.0, 0.0, 0.0, 20.0, np.nan])
     assert found.units["u[-2]"] == "N"
+    places = np.array([0.0, 1.0, 4.0, 5.0, 8.0, 9.0, 12.0, 13.0])
+    sparse = bq.Record({"x": np.sin(places), "u": np.cos(places)}, 0.1 * places)
+    with pytest.raises(InputError, match="most samples"):
+        estimate_motion([in_samples(sparse, roles)], roles)
     with pytest.raises(InputError, match="uneven"):
         in_samples(bq.Record({"x": x, "u": x}, np.array([0.0, 1.0, 1.5, 3.0, 3.2, 5.0])), roles)
 
@@ -291,6 +295,16 @@ def test_an_input_acts_a_sample_later(of_input: bq.Equations) -> None:
     assert dict(zip(one.posterior.names, one.coef_units, strict=True))["u[-1]"] == "mm/N"
     assert one.units["x[+1]"] == "mm"
     assert of_input.verdict.kind == "found"
+
+
+def test_what_is_known_of_the_noise_of_an_input_holds_for_its_earlier_samples() -> None:
+    record = driven(3, 0.0)
+    eq = bq.discover(
+        record, chains="x", inputs=["u"], dictionary="x, x**3, u[-1], u", discrete=True, noise={"u": 0.0, "x": 1e-6}
+    )
+    assert eq.data.sensors.noise == {"u": 0.0, "u[-1]": 0.0, "x": 1e-6}
+    assert "--noise u=0 --noise x=1e-06" in repeat_command(eq)
+    assert set(eq[0].shown) == {"x", "x**3", "u[-1]"}
 
 
 def test_missing_samples_and_several_records() -> None:

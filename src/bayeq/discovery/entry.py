@@ -270,8 +270,11 @@ def question_of(
     known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
     parse_ties(known, terms, roles.targets)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    roles = roles.for_terms(terms)
+    earlier = {name: found["name"] for name in roles.inputs if (found := EARLIER.fullmatch(name))}
+    noise = {**noise, **{name: noise[base] for name, base in earlier.items() if base in noise}}
     return Question(
-        roles=roles.for_terms(terms),
+        roles=roles,
         terms=tuple(terms),
         allowed=allowed,
         dictionary=dictionary,

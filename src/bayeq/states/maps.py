@@ -10,7 +10,7 @@ from bayeq.arrays import Floats
 from bayeq.errors import RecordError
 from bayeq.expressions.parse import EARLIER
 from bayeq.records import SAMPLES, Record
-from bayeq.states.prepare import fitted_grid, on_grid
+from bayeq.states.prepare import fitted_grid
 from bayeq.states.roles import Roles
 from bayeq.states.unit_gains import bridged
 
@@ -47,9 +47,9 @@ def in_samples(record: Record, roles: Roles) -> Record:
         if found is None:
             continue
         base, back = found["name"], int(found["back"])
-        shifted = moved(on_grid(Record({base: record[base]}, time), [base])[base], back)
-        shifted[:back] = record[base][0]
-        channels[name] = shifted[time.astype(int)]
+        places = np.searchsorted(time, time - back)
+        there = time[places] == time - back
+        channels[name] = np.where(there | (time - back < time[0]), record[base][places], np.nan)
         if base in record.units:
             units[name] = record.units[base]
     return Record(channels, time, units, record.name, record.truth)

@@ -234,6 +234,10 @@ def further_rows(record: Record, motion: Motion) -> MotionRows:
 def _of_map(record: Record, roles: Roles) -> MotionRows:
     """Rows of a record (`bayeq.states.maps.in_samples`), missing samples bridged, with earlier and next ones beside."""
     record = on_grid(record, roles.channels)
+    if record.time is None or (np.diff(record.time) != 1.0).any():
+        raise RecordError(
+            f"{record.name or 'record'}: most samples of a map are missing: give those without gaps, --rows"
+        )
     require_usable(bridged_record(record, roles), roles.channels)
     samples = {name: np.array(record[name]) for name in roles.channels}
     for name in roles.inputs:

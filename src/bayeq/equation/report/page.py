@@ -203,11 +203,7 @@ def _data(eq: Answer) -> dict[str, str]:
         "records": ", ".join(name for name in source.files if name) or "not named",
         "rows": f"{source.n}, {source.n_train} used, {source.n_held_out} held out{_checked(eq)}"
         + (", then all used" if source.refitted else ""),
-        "sampling": "counted in samples"
-        if eq.roles.discrete
-        else "time not known, rows counted"
-        if source.rows_as_time
-        else _rate(source.fs, source.seconds),
+        "sampling": _sampling(eq),
         "chains": ", ".join(str(chain) for chain in eq.chains),
         "inputs": ", ".join(eq.inputs),
         "dictionary": eq.dictionary,
@@ -229,6 +225,13 @@ def _checked(eq: Answer) -> str:
     """How many of the rows held out the checks are of, where they are not all: those with all channels, and no ends."""
     counts = {one.held_out.n for one in eq.equations if one.held_out is not None}
     return f", checked on {max(counts)} of these" if counts and max(counts) != eq.data.n_held_out else ""
+
+
+def _sampling(eq: Answer) -> str:
+    """How the records were sampled."""
+    if eq.roles.discrete:
+        return "counted in samples"
+    return "time not known, rows counted" if eq.data.rows_as_time else _rate(eq.data.fs, eq.data.seconds)
 
 
 def _rate(fs: float | None, seconds: float | None) -> str:
@@ -281,7 +284,7 @@ def repeat_command(eq: Answer) -> str:
     for name, share in readings.items():
         words += ["--noise", f"{name}={f'{100 * share:.6g}' if share else ''}% of reading"]
     for name, sd in eq.data.sensors.noise.items():
-        if name not in readings:
+        if name not in readings and not EARLIER.fullmatch(name):
             words += ["--noise", f"{name}={sd:.6g}"]
     for name, sd in eq.data.sensors.gain_sd.items():
         words += ["--gain-sd", f"{name}={sd:.6g}"]
