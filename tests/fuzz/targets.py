@@ -190,7 +190,7 @@ def _words(text: str) -> tuple[bytes, ...]:
 
 NUMBERS = (*_words("0 -1 1e309 1e-320 nan inf 0x1 1_0 1,5"), b"9" * 30, b"\xff\xfe", b"\0")
 BINARY = (struct.pack("<I", 2**32 - 1), struct.pack("<I", 2**31), struct.pack("<Q", 2**63), bytes(8), b"\xff" * 8)
-SIGNS = _words("( ) ** * / - sign( where( atan2( , < == t pi . e9 {a} {b:1..2} { } .. | : tanh( sin(")
+SIGNS = _words("( ) ** * / - sign( where( atan2( , < == t pi . e9 {a} {b:1..2} { } .. | : tanh( sin( [-1] [")
 HEADER = (*_words("'descr':'<f8' 'descr':'|O' 'shape':(3,) ( [ { ' True <U9 10**9"), b'"', b"\n")
 JSON = _words('[ { } ] null true "" 1e999 -0 NaN \\ud800 "names" : ,')
 TABLE = (*_words('; " # [m] t 12:30:00 2020-01-01 % 1,5 =1+1'), b",", b"\t", b"\n", b"\r")

@@ -67,6 +67,12 @@ class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest 
     help="Channel that is no derivative, as the force of a damper, of which the law is static: a function of inputs."
     " Once per equation, or F1,F2.",
 )
+@opt.measured(
+    "--discrete",
+    is_flag=True,
+    help="The equation gives the next sample, x[+1], in place of the rate (maps, sequences); terms may have earlier"
+    " samples, x[-1], u[-2]. Each chain is a channel.",
+)
 @reading_options
 @opt.in_terms(
     "--dictionary",
@@ -213,7 +219,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
             for name in used_channels(options):  # one that a record lacks is refused before the import below
                 for record in records:
                     _ = record[name]
-        outputs.check_records(records)
+        outputs.check_records(records, options["discrete"])
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
         answer = run(source, **options, progress=progress, client=client)

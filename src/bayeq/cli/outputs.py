@@ -63,6 +63,8 @@ class Outputs:
             raise InputError("--explain explains the text, and --json prints none; leave one of them out")
         if self.refine and options.get("target"):
             raise InputError("--refine: output error is of free runs, which static laws (--target) do not have")
+        if (self.refine or self.physical) and options.get("discrete"):
+            raise InputError(f"--{'refine' if self.refine else 'physical'}: not of maps (--discrete); leave it out")
         seen: dict[Path, str] = {}
         for name, (purpose, kind) in PURPOSES.items():
             output: Path | None = getattr(self, name)
@@ -77,13 +79,13 @@ class Outputs:
 
             require_spike_slab(options["method"])
 
-    def check_records(self, records: Sequence[Record]) -> None:
-        """Refuse records without time where it is needed."""
+    def check_records(self, records: Sequence[Record], discrete: bool) -> None:
+        """Refuse records without time where it is needed, which it is not of maps."""
         from bayeq.records import counts_rows
 
         if self.physical and any(map(counts_rows, records)):
             raise InputError("--physical: parameters are per second, and time is not known: give --fs or --time")
-        if not self.refine and self.forecast is None:
+        if discrete or (not self.refine and self.forecast is None):
             return
         from bayeq.forecast.rows import require_time
 

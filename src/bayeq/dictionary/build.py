@@ -30,6 +30,7 @@ from bayeq.expressions import Binary, Evaluator, Expression, Negate, Node, Unkno
 from bayeq.expressions.functions import CONSTANTS, FUNCTIONS, TIME
 from bayeq.expressions.implicit import MOST_COUPLED, multiplied
 from bayeq.expressions.nodes import arguments_of, nodes_of
+from bayeq.expressions.parse import EARLIER
 from bayeq.plugins import Table
 from bayeq.records.io import near_files
 
@@ -294,9 +295,14 @@ def _parse_terms(texts: Sequence[tuple[str, str]], variables: Variables) -> tupl
 def _parsed(text: str, where: str, variables: Variables) -> Expression:
     if not text:
         raise ExpressionError(f"{where}: a term is missing beside '|', which stands between terms of which one is in")
+    earlier = [found[0] for found in EARLIER.finditer(text) if found["name"] in variables.names]
     try:
-        term = parse(text, variables.known)
+        term = parse(text, (*variables.known, *earlier) if variables.discrete else variables.known)
     except UnknownNameError as error:
+        if EARLIER.fullmatch(error.name) and not variables.discrete:
+            raise InputError(
+                f"{where}: {error.name} is an earlier sample: only maps have these, discrete=True (--discrete)"
+            ) from error
         unknown = "" if "(" not in text else f"; an unknown constant is written {{{error.name}}}"
         raise InputError(f"{where}: {error}{unknown}") from error
     except ExpressionError as error:

@@ -59,7 +59,7 @@ def _parts(text: str) -> list[Member]:
     """The parts between + and - outside of brackets, each with its sign."""
     parts, left_out, depth = [""], [False], 0
     for c in text:
-        depth += (c in "({") - (c in ")}")
+        depth += (c in "({[") - (c in ")}]")
         before = parts[-1].rstrip()
         if c in "+-" and depth <= 0 and not before and len(parts) == 1:
             left_out[0] = c == "-"
@@ -156,6 +156,7 @@ class Variables:
     chains: tuple[tuple[str, ...], ...] = ()  # the states chain by chain; empty where that is not known
     own: int | None = None  # the chain whose equation the terms are for; None for all
     targets: tuple[str, ...] = ()  # highest derivatives, which terms of other equations may be proportional to
+    discrete: bool = False  # whether terms may have earlier samples of states and inputs, as x[-1]
 
     @property
     def coordinates(self) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from bayeq.errors import (
     require_text,
     require_texts,
 )
+from bayeq.expressions.parse import EARLIER
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 from bayeq.records import as_records, with_row_numbers
@@ -70,6 +71,7 @@ def discover(
     constraints: str | Sequence[str] = (),
     differs: str | Sequence[str] = (),
     law: str | Sequence[str] = (),
+    discrete: bool = False,
     noise: Mapping[str, float | str] | None = None,
     gain_sd: Mapping[str, float | str] | None = None,
     lag_sd: Mapping[str, float | str] | None = None,
@@ -148,6 +150,9 @@ def discover(
     law : str or sequence of str
         Rates of hidden states, which no channel measures, ``"df = (u - f)/{tau}"``: all of the law is in. Terms of the
         other equations may use the state by its name. The equations without it are always compared.
+    discrete : bool
+        Whether the equations are maps: they give the next sample, ``x[+1]``, in place of the rate, and terms may have
+        earlier samples, ``x[-1]``, ``u[-2]``. Each chain is a channel; time is counted in samples.
     noise : mapping of str to float or str, optional
         Known noise of channels: standard deviations in the channel's unit, or shares of its own such as ``"2%"``. It is
         then not learned from the record. 0 is a channel without noise. ``"5% of reading"`` is noise in proportion to
@@ -237,6 +242,7 @@ def question_of(
     constraints: str | Sequence[str],
     differs: str | Sequence[str],
     law: str | Sequence[str],
+    discrete: bool,
     noise: Mapping[str, float | str] | None,
     gain_sd: Mapping[str, float | str] | None,
     lag_sd: Mapping[str, float | str] | None,
@@ -250,7 +256,8 @@ def question_of(
     rules = Rules(max_terms, tolerance)
     rules.check(method)
     _check_shares(holdout, coarsen)
-    roles = with_laws(law, Roles.parse(chains, displacement, velocity, acceleration, force, inputs, target))
+    roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs, target, discrete)
+    roles = with_laws(law, roles)
     require_laws(roles)
     noise, gain_sd = {} if noise is None else noise, {} if gain_sd is None else gain_sd
     lag_sd = {} if lag_sd is None else lag_sd
@@ -259,7 +266,10 @@ def question_of(
     _check_tails(tails, smooth)
     _check_band(band, smooth)
     chained = tuple(chain.states for chain in roles.chains)
-    variables = Variables(roles.states, roles.inputs, chained, targets=roles.targets)
+    targets = () if roles.discrete else roles.targets
+    variables = Variables(roles.states, roles.inputs, chained, targets=targets, discrete=roles.discrete)
+    if roles.discrete:
+        _check_map(smooth, band, lag_sd, differs, law)
     if not roles.states:  # static laws alone
         variables = Variables(roles.inputs)
     if is_library(dictionary):
@@ -268,8 +278,11 @@ def question_of(
     known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
     parse_ties(known, terms, roles.targets)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    roles = roles.for_terms(terms)
+    earlier = {name: found["name"] for name in roles.inputs if (found := EARLIER.fullmatch(name))}
+    noise = {**noise, **{name: noise[base] for name, base in earlier.items() if base in noise}}
     return Question(
-        roles=roles.for_terms(terms),
+        roles=roles,
         terms=tuple(terms),
         allowed=allowed,
         dictionary=dictionary,
@@ -308,6 +321,20 @@ def _check_kinds(
             raise InputError(f"a seed is a whole number, 0 or more, got {one}")
     if method not in ENGINES and method not in ENGINES.load():
         raise UnknownNameError("method", method, ENGINES)
+
+
+def _check_map(smooth: Smooth, band: Any, lag_sd: Any, differs: Any, law: Any) -> None:
+    """Refuse what equations that give the next sample do not have."""
+    given = {
+        "smooth='none'": smooth == "none",
+        "band": band is not None,
+        "lag_sd": bool(lag_sd),
+        "differs": bool(differs),
+        "law": bool(law),
+    }
+    refused = [name for name, is_given in given.items() if is_given]
+    if refused:
+        raise InputError(f"discrete: a map has no {refused[0]}; leave it out")
 
 
 def _check_shares(holdout: float, coarsen: float) -> None:
@@ -349,7 +376,7 @@ def _answer(
     checkpoint: str | os.PathLike[str] | None,
 ) -> tuple[Equations, WarningLog]:
     """The answer to a question of records that are taken whole or, where they are long, some rows at a time."""
-    channels = [*question.roles.measured, *question.roles.inputs]
+    channels = [name for name in question.roles.channels if not EARLIER.fullmatch(name)]
     executor = Threads() if client is None else Cluster(client)
     if is_dask(records):
         if client is None:
@@ -368,7 +395,7 @@ def _answer(
             raise
         return found
     measured = with_row_numbers(as_records(records, t))
-    long = sum(record.n for record in measured) > MOST_ROWS
+    long = sum(record.n for record in measured) > MOST_ROWS and not question.roles.discrete
     if long and (question.smooth == "auto" or (client is not None and question.smooth == "none")):
         rows = of_channels(_whole_streams(map(RecordStream, measured)), channels)
         try:
@@ -408,6 +435,8 @@ def _whole_streams(streams: Iterable[Stream]) -> tuple[Extent, ...]:
 def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, folder: Any) -> Whole:
     if question.roles.hidden:
         raise NotStreamed("hidden states are not known from row to row of long records; choose some rows (--rows)")
+    if question.roles.discrete:
+        raise NotStreamed("maps need the record in memory; choose some rows (--rows)")
     if any(chain.static for chain in question.roles.chains):
         raise NotStreamed("static laws need the record in memory; choose some rows (--rows)")
     if question.roles.timed:

@@ -54,6 +54,7 @@ from bayeq.states import (
 )
 from bayeq.states.bad_samples import Learned
 from bayeq.states.believed import without_hum
+from bayeq.states.maps import in_samples
 from bayeq.states.motion import held_out_share
 from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, require_enough
 from bayeq.streaming.whole import Whole
@@ -135,13 +136,13 @@ class Question:
             question, numbered = self._by_record(records, whole)
             return question.answer(numbered, None, because)
         log, step = WarningLog(), self.step
-        measured = list(records)
+        measured = [in_samples(record, self.roles) if self.roles.discrete else record for record in records]
         if whole is None:
-            measured, copies = without_copies(records, self.roles.channels)
+            measured, copies = without_copies(measured, self.roles.channels)
             log.extend(copies, DataWarning)
         if because is not None:
             log.warn(because, DataWarning)
-        if self.roles.states and any(map(counts_rows, measured)):
+        if self.roles.states and not self.roles.discrete and any(map(counts_rows, measured)):
             log.warn(UNKNOWN_TIME, DataWarning)
         _require_unambiguous(self.terms, measured, self.roles)
         step("states", 0, 1)
@@ -166,7 +167,7 @@ class Question:
                 "constraints: ~, and ties between equations, are taken by the likelihood of the record in memory: use"
                 " smooth='auto', and choose rows (--rows) of a long file"
             )
-        if record is None and motion.smoothing:
+        if record is None and motion.smoothed:
             log.warn(NO_LIKELIHOOD, DataWarning)
         if record is None and self.tails == "student":
             log.warn(NO_TAILS, DataWarning)
@@ -358,7 +359,7 @@ class Question:
         unknown = next((term for term in terms if term.unknowns or term.choice), None)
         if unknown is None:
             return terms
-        if self.smooth != "auto" or not motion.smoothing:
+        if self.smooth != "auto" or not motion.smoothed:
             raise InputError(
                 f"term {unknown.text}: constants inside terms, and either-or, are found by the likelihood of the"
                 " record: use smooth='auto', and more rows, or write a number"
@@ -434,7 +435,7 @@ def _prepared(
     log.extend(messages, DataWarning)
     require_enough(records, roles)
     records, messages = divided_at_gaps(records, roles, smooth)
-    if smooth != "none" and all(record.time is not None for record in records):
+    if smooth != "none" and not roles.discrete and all(record.time is not None for record in records):
         chains, computed = measured_apart(records, roles.chains, share)
         roles, messages = roles.with_chains(chains), messages + computed
     log.extend(messages, DataWarning)
@@ -451,6 +452,8 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
         raise RecordError(f"holdout {holdout:g} leaves {used} training rows, too few for a regression; lower it")
     if holdout > 0 and motion.holdout == 0:
         log.warn(f"only {total} rows: all are used, none held out to judge the equation by; measure more", DataWarning)
+    if motion.roles.discrete:
+        return
     present = [bridged_record(record, motion.roles, MOST_BRIDGED) for record in records]
     log.extend(
         check_messages(present, [chain.measured for chain in motion.roles.chains], motion.roles.inputs), DataWarning
@@ -488,7 +491,7 @@ def _screened(
 def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:
     units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs)
     log.extend(conflicts, DataWarning)
-    if any(map(counts_rows, records)):  # derivatives that are not measured are per sample
+    if any(map(counts_rows, records)) and not roles.discrete:  # derivatives that are not measured are per sample
         return {name: unit for name, unit in units.items() if name in roles.channels}
     if roles.timed:
         units[TIME] = "s"
@@ -537,7 +540,7 @@ def _warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
             DataWarning,
         )
     unused = [name for name in roles.measured if sensors.noisy(name)]
-    if unused and not motion.smoothing:
+    if unused and not motion.smoothed:
         log.warn(
             f"the noise given of {some_of(unused, 30)} is not used: rows are taken as measured here; use smooth='auto'",
             DataWarning,

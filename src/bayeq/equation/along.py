@@ -139,6 +139,8 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
     from bayeq.refine.refine import refine
 
     check_interpolation(interpolation)
+    if eq.roles.discrete:
+        raise InputError("a map is not refined: its coefficients are those of the likelihood of the record already")
     if any(chain.static for chain in eq.chains):
         raise InputError(f"{_static_laws(eq)}: output error is of free runs, which such laws do not have")
     if not 0 <= holdout < 1:

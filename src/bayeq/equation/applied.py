@@ -22,6 +22,7 @@ from bayeq.numerics.normal import Z95
 from bayeq.records import Record, counts_rows
 from bayeq.records.units import conversion
 from bayeq.states import estimate_motion
+from bayeq.states.maps import in_samples
 
 # Runs that err by more than this share of the spread follow a record only roughly.
 ROUGHLY = 0.3
@@ -128,7 +129,7 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
     reverse.
     """
     where = record.name or "record"
-    moving = bool(equations.states)
+    moving = bool(equations.states) and not equations.roles.discrete
     if moving and counts_rows(record) and not equations.data.rows_as_time:
         raise InputError(
             f"{where}: time is not known, and the equations are per second; give --fs or --time (fs=, time=)"
@@ -164,6 +165,8 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     units that cannot be converted, no time. DataWarning: samples that are missing or left out.
     """
     notes: list[str] = []
+    if equations.roles.discrete:
+        records = [in_samples(record, equations.roles) for record in records]
     for name in equations.roles.channels:
         for record in records:
             _ = record[name]
@@ -190,7 +193,8 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
         windows = window_errors(equations.dynamics(), motion)
     noise = state_noise(motion)
     forecasts = [run for _, run in runs]
-    free_run = {name: _free_run(name, forecasts, noise.get(name, 0.0), e) for name, e in scores.free_run.items()}
+    unknown = None if equations.roles.discrete else 0.0  # of maps no smoother has learned it
+    free_run = {name: _free_run(name, forecasts, noise.get(name, unknown), e) for name, e in scores.free_run.items()}
     by_target = {one.target: found[0] for one, found in zip(equations, windows, strict=True) if found is not None}
     kind, reason = _verdict(one_step, free_run, by_target)
     timed = not equations.data.rows_as_time
@@ -245,16 +249,16 @@ def _single_step(equations: Equations, k: int, pieces: Sequence[Record], nrmse: 
     return Error(nrmse, nrmse * float(np.nanstd(samples)), unit, inside / known if known else None)
 
 
-def _free_run(name: str, runs: Sequence[Forecast], noise: float, nrmse: float) -> Error:
+def _free_run(name: str, runs: Sequence[Forecast], noise: float | None, nrmse: float) -> Error:
     """The error of a state along the free runs, and the share of its samples within their bands.
 
-    The noise of the samples widens the band of a run as independent errors do.
+    The noise of the samples widens the band of a run as independent errors do; without it there is no share.
     """
     samples = np.concatenate([run.measured[name] for run in runs])
     unit = next((run.units[name] for run in runs if name in run.units), None)
     inside: float | None = None
     there = np.isfinite(samples)
-    if all(name in run.low for run in runs) and there.any():
+    if noise is not None and all(name in run.low for run in runs) and there.any():
         low, mean, high = (
             np.concatenate([part[name] for part in parts])
             for parts in zip(*((run.low, run.mean, run.high) for run in runs), strict=True)

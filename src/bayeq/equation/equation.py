@@ -21,6 +21,7 @@ from bayeq.equation.written import at_end, factor_of, odds_text, round_to, row_o
 from bayeq.errors import InputError
 from bayeq.export.latex import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
+from bayeq.expressions.symbolic import step_latex
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
@@ -449,7 +450,11 @@ class Equation:
 
         base = sympy.latex(sympy.Symbol(self.chain.names[0]))
         dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
-        names = {sympy.Symbol(name): dots[k] for k, name in enumerate(self.chain.names)}
+        written = dict(zip(self.chain.names, dots, strict=False))
+        if self.chain.discrete:
+            every = {self.target, *(name for _, _, term in self._sum() if term is not None for name in term.names)}
+            written = {name: step_latex(name) for name in every}
+        names = {sympy.Symbol(name): text for name, text in written.items()}
         if uncertainty == "none":
             right = sympy.latex(self._right_hand_side(rounded=True), symbol_names=names)
         else:
@@ -459,7 +464,7 @@ class Equation:
                 text = "" if term is None else sympy.latex(factor, symbol_names=names)
                 parts.append((value, sd, rf"\left({text}\right)" if factor.is_Add else text))
             right = sum_in_latex(parts, uncertainty)
-        return f"{dots[self.chain.order]} = {right}"
+        return f"{written[self.target]} = {right}"
 
     def _right_hand_side(self, rounded: bool) -> Any:
         import sympy

@@ -18,6 +18,7 @@ from bayeq.records import Record, with_row_numbers
 from bayeq.records.files import replacing
 from bayeq.resumable import Progress, silent
 from bayeq.states import estimate_motion
+from bayeq.states.maps import in_samples
 from bayeq.states.motion import MotionRows
 
 if TYPE_CHECKING:
@@ -306,6 +307,8 @@ class Equations(Answer):
         for record in records:
             if not isinstance(record, Record):
                 raise InputError(f"{purpose} needs a Record (bayeq.read reads a file), not {type(record).__name__}")
+        if self.roles.discrete:
+            return [in_samples(record, self.roles) for record in records]
         return with_row_numbers(records) if self.data.rows_as_time else list(records)
 
     def _prepared(self, records: Sequence[Record], divide: bool = False) -> list[Record]:
@@ -375,6 +378,8 @@ class Equations(Answer):
         from bayeq.plan.conditions import conditions_of
         from bayeq.plan.plan import plan_excitation
 
+        if self.roles.discrete:
+            raise InputError("a measurement is planned for equations of motion, not for maps: vary the inputs")
         if not self.inputs:
             raise InputError("the equations have no input: there is nothing to excite")
         if any(chain.static for chain in self.chains):
@@ -555,6 +560,8 @@ class Equations(Answer):
         from bayeq.equation.report.page import write_report
 
         pieces = [] if records is None else _as_list(records, "report")
+        if self.roles.discrete:
+            pieces = self._timed(pieces, "report")
         for record in pieces:
             for name in self.roles.channels:
                 _ = record[name]

@@ -159,7 +159,9 @@ def _of_data(eq: Answer) -> Iterator[str]:
             f"estimated: {', '.join(eq.data.estimated)} was not measured but computed from the other channels, with the"
             " noise smoothed away."
         )
-    if eq.data.rows_as_time:
+    if eq.roles.discrete:
+        yield "x[+1] is the next sample, x[-1] the one before: equations go from sample to sample, whatever the time."
+    elif eq.data.rows_as_time:
         yield "time not known: rates and derivatives are per row, not per second, until the sampling rate is given."
     if eq.refined is not None:
         yield (

@@ -35,6 +35,7 @@ from bayeq.records.io import near_files
 from bayeq.records.validate import check_name
 from bayeq.regression.design import DroppedTerm
 from bayeq.states import Chain, Roles, check_sensors
+from bayeq.states.roles import NEXT
 
 #: No file of equations is longer; the greatest dictionary makes 40 MB.
 MOST_BYTES = 256 * 2**20
@@ -130,7 +131,7 @@ def _restore(content: Saved) -> Equations:
     check_content(content, roles.chains)
     names = [TIME, *data["inputs"], *(name for chain in roles.chains for name in chain.names)]
     for name in names:
-        check_name(name, "channels")
+        check_name(name.removesuffix(NEXT), "channels")
     equations = [_restored_equation(content, k, chain, names) for k, chain in enumerate(roles.chains)]
     files = [data["file"]] if isinstance(data["file"], str) else data["file"]
     summary = DataSummary(**_fields(DataSummary, {**data, "files": files, "sensors": data}))

@@ -49,6 +49,8 @@ def oscillator_parameters(
     eq: Answer, mass: float | None, *, target: str | None, force: str | None, draws: int, seed: int
 ) -> PhysicalParameters:
     """See `Equations.physical`."""
+    if eq.roles.discrete:
+        raise InputError("physical parameters are those of equations of motion, not of maps")
     if eq.data.rows_as_time:
         raise InputError(
             "physical parameters are per second, and time is not known: give the sampling rate (fs=, --fs)"

@@ -120,8 +120,10 @@ def source_of(eq: Answer, short: bool = False) -> str:
 
 def _rate(eq: Answer) -> str:
     """Rate and length of the records, as far as known."""
+    if eq.roles.discrete:
+        return ""
     if eq.data.rows_as_time:
-        return ", time not known,"
+        return ", time not known"
     if eq.data.fs is None or eq.data.seconds is None:
         return ""
     return f" at {eq.data.fs:.6g} Hz, {eq.data.seconds:.4g} s,"

@@ -221,7 +221,8 @@ def channel_units(
         for k, name in enumerate(chain.names):
             if chain.measured[k] is None and known:
                 nearest = min((abs(k - other), other) for other in known)[1]
-                units[name] = derivative_unit(units[chain.names[nearest]], k - nearest)
+                order = 0 if chain.discrete else k - nearest
+                units[name] = derivative_unit(units[chain.names[nearest]], order)
     return units, conflicts
 
 

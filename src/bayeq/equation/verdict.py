@@ -162,13 +162,13 @@ def doubted(
     n_eff : (float, int), optional
         Effective number of residuals of rows as measured, and their number, where it is less than half of that.
     """
-    target = chain.target
+    target, rate = chain.target, "per sample" if chain.discrete else "Hz"
     if verdict.kind == "none" or chain.hidden:  # whose law is stated
         return verdict
     if again is not None:
         on_it = f"on it the {again.terms} candidates take {again.courses} independent courses"
-        reason = f"the motion repeats itself at {again.frequency:.4g} Hz, and {on_it}"
-        if again.single and chain.order == 2:
+        reason = f"the motion repeats itself at {again.frequency:.4g} {rate}, and {on_it}"
+        if again.single and chain.order == 2 and not chain.discrete:
             square = (2.0 * math.pi * again.frequency) ** 2
             alone = f"determines that alone: {target} = -{square:.4g}*{chain.states[0]}"
             reason = f"the motion has one frequency, {again.frequency:.4g} Hz, and {alone}; {on_it}"
@@ -201,18 +201,19 @@ def doubted(
             f"{unexplained}; what is missing depends on the states",
             f"{careful}: add terms, and check the calibration and timing of the channels",
         )
-    if lacking is not None:
+    # what a chaotic map does within the error of its path is taken to be linear, which leaves a little
+    if lacking is not None and not (chain.discrete and share < LEAST_SHOWN):
         low, high = lacking.octave
         return Verdict(
             "nearly true",
-            f"{unexplained}, mostly at {low:.2g} to {high:.2g} Hz",
+            f"{unexplained}, mostly at {low:.2g} to {high:.2g} {rate}",
             f"{careful}: add inputs or terms, and check the timing of the channels",
         )
     if coloured is not None:
         return Verdict(
             "nearly true",
             f"what is left of {coloured.channel} is not white noise: {coloured.ratio:.2g} times as much between"
-            f" {coloured.low:.2g} and {coloured.high:.2g} Hz (p {_chance(coloured.p)})",
+            f" {coloured.low:.2g} and {coloured.high:.2g} {rate} (p {_chance(coloured.p)})",
             f"check {coloured.channel} against the other channels: calibration, timing, filters, hum",
         )
     if n_eff is not None:

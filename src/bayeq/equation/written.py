@@ -44,7 +44,7 @@ def factor_of(term: str) -> str:
     """A term as the factor of a product: in parentheses if it is a sum or a quotient."""
     depth = 0
     for k, character in enumerate(term):
-        depth += (character == "(") - (character == ")")
+        depth += (character in "([") - (character in ")]")
         exponent = k > 0 and term[k - 1] in "eE" and k > 1 and term[k - 2].isdigit()
         if depth == 0 and character in "+-/" and not exponent:
             return f"({term})"

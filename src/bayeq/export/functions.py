@@ -16,7 +16,7 @@ import numpy as np
 from bayeq.errors import InputError, MissingExtraError, UnknownNameError
 from bayeq.expressions import Binary, Call, Constant, Evaluator, Expression, Negate, Node, Number, Unknown, to_sympy
 from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS, TIME
-from bayeq.expressions.parse import substituted, template
+from bayeq.expressions.parse import EARLIER, substituted, template
 from bayeq.forecast.dynamics import Law, solved_laws
 from bayeq.states import rates
 
@@ -197,8 +197,8 @@ def to_code(laws: Sequence[Law], inputs: Sequence[str], timed: bool, language: s
     used = {str(symbol) for slope in slopes for symbol in slope.free_symbols}
     results = [f"dy{row.first + k}" for k in range(len(slopes))]
     about = {
-        "states": ", ".join(map(_ascii, states)) or f"none, dy: {', '.join(_ascii(law.chain.target) for law in laws)}",
-        "inputs": ", ".join(map(_ascii, inputs)) or "none",
+        "states": ", ".join(map(_about, states)) or f"none, dy: {', '.join(_about(law.chain.target) for law in laws)}",
+        "inputs": ", ".join(map(_about, inputs)) or "none",
         "size": len(slopes),
         "results": ", ".join(results),
     }
@@ -208,7 +208,10 @@ def to_code(laws: Sequence[Law], inputs: Sequence[str], timed: bool, language: s
         if called[name] in used
     ]
     lines += [row.give.format(k=row.first + k, value=_printed(slope, row, language)) for k, slope in enumerate(slopes)]
-    return row.head.format(**about) + "\n".join(lines) + "\n" + row.tail.format(**about)
+    head = row.head.format(**about)
+    if laws[0].chain.discrete:
+        head = head.replace("dy = f(t, y, u);", "dy, the next y, = f(t, y, u);")
+    return head + "\n".join(lines) + "\n" + row.tail.format(**about)
 
 
 def _names(names: Sequence[str], row: Language, size: int) -> dict[str, str]:
@@ -216,13 +219,19 @@ def _names(names: Sequence[str], row: Language, size: int) -> dict[str, str]:
     taken = OWN | row.reserved | {f"dy{row.first + k}" for k in range(size)}
     out: dict[str, str] = {}
     for name in names:
-        new = _ascii(name)
+        new = _ascii(EARLIER.sub(r"\g<name>_back\g<back>", name))
         new = new if new[0].isalpha() else f"v{new}"
         while new in taken:
             new += "_"
         taken = taken | {new}
         out[name] = new
     return out
+
+
+def _about(name: str) -> str:
+    """A name in a comment."""
+    base, bracket, step = name.partition("[")
+    return _ascii(base) + bracket + step
 
 
 def _ascii(name: str) -> str:

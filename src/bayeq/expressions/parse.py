@@ -44,13 +44,18 @@ MAX_NESTING = 2 * MAX_DEPTH
 _NUMBER = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.])"
 _NAME = r"[^\W\d]\w*"
 _BRACES = r"\{[^{}]*\}"
+_BEFORE = r"\[-[1-9][0-9]?\]"
 _TOKEN = re.compile(
-    rf"(?P<number>{_NUMBER})|(?P<name>{_NAME})|(?P<unknown>{_BRACES})|(?P<mark>\*\*|[<>=!]=|[-+*/^()<>,])"
+    rf"(?P<number>{_NUMBER})|(?P<name>{_NAME}(?:{_BEFORE})?)|(?P<unknown>{_BRACES})|(?P<mark>\*\*|[<>=!]=|[-+*/^()<>,])"
 )
 _SIGNED = r"[-+]?(?:[0-9]+(?:\.(?!\.)[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _ENDS = rf"(?P<low>{_SIGNED})\s*\.\.\s*(?P<high>{_SIGNED})"
 _UNKNOWN = re.compile(rf"\{{\s*(?P<name>{_NAME})\s*(?::\s*{_ENDS}\s*)?\}}")
+
+#: An earlier sample of a channel, as ``x[-1]``, by `name` and `back`.
+EARLIER = re.compile(rf"(?P<name>{_NAME})\[-(?P<back>[1-9][0-9]?)\]")
 _BAD_NUMBER = re.compile(r"\.?[0-9][\w.]*")
+_ALLOWED = "numbers, names, + - * / **, brackets and functions"
 _HINTS = {
     "=": "give the right-hand side only; there are no keyword arguments, and == compares",
     "\n": "a term is one line",
@@ -58,9 +63,9 @@ _HINTS = {
     ".": "there are no attributes",
     "{": "an unknown constant is {name}, or {name: low..high}, and ends with }",
     "}": "it ends no unknown constant, {name}",
+    "[": f"there are {_ALLOWED}, and earlier samples of maps, x[-1] to x[-99]",
     "|": "it stands between whole terms, of which one is in",
 }
-_ALLOWED = "numbers, names, + - * / **, brackets and functions"
 _CONDITION = "comparisons are conditions of where, as in where(x > 0, x, 0)"
 
 
@@ -101,7 +106,8 @@ def _tokens(text: str) -> list[_Token]:
 
 
 def _name(text: str, written: str, column: int) -> str:
-    """A name in the form in which Python compares them (NFKC)."""
+    """A name in the form in which Python compares them (NFKC), of an earlier sample with how many it is back."""
+    written, bracket, back = written.partition("[")
     name = unicodedata.normalize("NFKC", written)
     if not written.isidentifier() or not re.fullmatch(_NAME, name):
         raise _error(text, f"{_shown(written)} at column {column} is not allowed as a name")
@@ -109,7 +115,7 @@ def _name(text: str, written: str, column: int) -> str:
         raise _error(text, f"the word {name!r} is not allowed: there are {_ALLOWED}")
     if name.startswith("__"):
         raise _error(text, f"the name {_shown(name)} is not allowed: names must not begin with two underscores")
-    return name
+    return name + bracket + back
 
 
 @lru_cache(maxsize=8192)

@@ -154,6 +154,38 @@ def symbol_mathml(name: str, dots: int = 0) -> str:
     return f"<msub>{letter}<mi>{escape(index)}</mi></msub>" if index else letter
 
 
+def step_mathml(name: str) -> str:
+    """A channel of a map at its sample: x[-1] is x with the index k-1.
+
+    Examples
+    --------
+    >>> step_mathml("x[-1]")
+    '<msub><mi>x</mi><mrow><mi>k</mi><mo>−</mo><mn>1</mn></mrow></msub>'
+    """
+    name, _, step = name.rstrip("]").partition("[")
+    base, _, index = name.partition("_")
+    front = f"<mi>{escape(index)}</mi><mo>,</mo>" if base and index else ""
+    away = f"<mo>{_SIGNS[step[0]]}</mo><mn>{step[1:]}</mn>" if step else ""
+    letter = escape(base if front else name)
+    return f"<msub><mi>{letter}</mi><mrow>{front}<mi>k</mi>{away}</mrow></msub>"
+
+
+def step_latex(name: str) -> str:
+    r"""The same in LaTeX.
+
+    Examples
+    --------
+    >>> step_latex("x[+1]"), step_latex("x_a")
+    ('x_{k+1}', 'x_{a,k}')
+    """
+    import sympy
+
+    name, _, step = name.rstrip("]").partition("[")
+    base, _, index = sympy.latex(sympy.Symbol(name)).partition("_")
+    front = index.strip("{}") + "," if index else ""
+    return f"{base}_{{{front}k{step}}}"
+
+
 def number_mathml(text: str) -> str:
     """A number without sign as Python prints it, powers of ten written out.
 

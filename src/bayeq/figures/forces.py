@@ -42,7 +42,7 @@ POINTS = 1500
 
 def _second_order(equation: EquationLike) -> tuple[str, str]:
     """Names of displacement and velocity; InputError if the equation is not of second order."""
-    if equation.chain.order != 2:
+    if equation.chain.order != 2 or equation.chain.discrete:
         raise InputError(
             f"{equation.target}: a restoring force is that of an equation of second order, such as of the chain x:v:a;"
             f" this one is of order {equation.chain.order}"

@@ -57,7 +57,10 @@ def solved_laws(laws: Sequence[Law]) -> list[Law]:
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """dx/dt = f(x, u; theta): the chains' derivatives, and intercept + sum of coefficient x term for the highest."""
+    """dx/dt = f(x, u; theta): the chains' derivatives, and intercept + sum of coefficient x term for the highest.
+
+    Of maps these are the next values.
+    """
 
     laws: tuple[Law, ...]  # the equations
     inputs: tuple[str, ...]  # names of the inputs
@@ -195,11 +198,13 @@ def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Ge
 
 
 def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, drive: Drive) -> float:
-    """A step [s] at which integration errs little: the median sampling interval over 1, 2, 4, 8 or 16.
+    """A step [s] at which integration errs little: the median sampling interval over 1, 2, 4, 8 or 16; 0 of maps.
 
     It is tried at states (n, d), of which rows that are not finite are left out, with parameters (p,) and the drive of
     these rows.
     """
+    if dynamics.roles.discrete:
+        return 0.0
     interval = float(np.median(drive.intervals))
     scale = np.array([_spread(column) for column in states.T])
     errors = np.empty(len(drive.intervals))

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.expressions.parse import EARLIER
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.rows import Rows
 from bayeq.forecast.settings import FORECAST
@@ -64,6 +65,8 @@ def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive
     None, and the drive with the step found. Parameters are (p,).
     """
     n = len(drive.inputs)
+    if dynamics.roles.discrete:
+        drive = drive._replace(step=0.0)
     while True:
         stopped, out = np.zeros(1, dtype=np.uint32), np.empty((1, n, len(first)))
         free_runs(dynamics.program(), drive, parameters[None], first[None].copy(), stopped, out)
@@ -76,15 +79,26 @@ def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive
 
 
 def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
-    """Shortest of the chains' periods [s]: 2 pi times the spread of the coordinate over that of its derivative."""
+    """Shortest of the chains' periods [s]: 2 pi times the spread of the coordinate over that of its derivative.
+
+    Of a map [samples]: over that of its changes.
+    """
     periods = []
     for law in dynamics.laws:
         if law.chain.static:
             continue
-        low, above = (np.concatenate([rows.columns[name] for rows in pieces]) for name in law.chain.names[:2])
+        name, rate = law.chain.names[-2:] if law.chain.discrete else law.chain.names[:2]
+        low, above = (np.concatenate([rows.columns[one] for rows in pieces]) for one in (name, rate))
+        if law.chain.discrete:
+            above = above - low
         spread = abs(rates(law.chain, law.unit_gains)[0]) * float(above.std())
         periods.append(2.0 * math.pi * float(low.std()) / spread if spread > 0 else math.inf)
     return min(periods)
+
+
+def least_rows(dynamics: Dynamics) -> int:
+    """Rows of a window, at least: of a map, which may be chaotic from one sample to the next, two."""
+    return 2 if dynamics.roles.discrete else LEAST_ROWS
 
 
 def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats, high: Floats) -> Floats:
@@ -108,6 +122,9 @@ def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats
     drive = drive.part(0, n)
     drive = drive._replace(step=finest_step(dynamics, parameters, whole[:n], drive))
     program = dynamics.program()
+    # before the first sample of a map nothing is known of earlier ones
+    back = [int(one["back"]) if (one := EARLIER.fullmatch(name)) else 0 for name in dynamics.states]
+    read = np.where(np.array(back) > rows.time[0], 1.0, READ) if dynamics.roles.discrete else READ
 
     def errors(start: Floats) -> tuple[Floats, Floats] | None:
         """Weighted errors of samples and state, and their derivatives by the state."""
@@ -120,7 +137,7 @@ def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats
         there = np.isfinite(chosen)
         left = np.where(there, (chosen - values) * weight, 0.0)
         slopes = np.where(there[:, :, None], jacobian[:, :, : len(start)] * weight[:, None], 0.0)
-        prior = np.diag(1.0 / (READ * scale))
+        prior = np.diag(1.0 / (read * scale))
         return (
             np.concatenate([left.ravel(), prior @ (first - start)]),
             np.concatenate([slopes.reshape(-1, len(start)), prior]),
@@ -210,7 +227,7 @@ def correlation_time(dynamics: Dynamics, pieces: Sequence[Rows], period: float) 
     lags = min(round(FORECAST.returns * period / step) + 1, rows.n // 2)
     low = np.fft.irfft(power)[:lags] / (rows.n - np.arange(lags)) < FORECAST.fallen
     fallen = int(np.argmax(low))
-    return max(fallen, LEAST_ROWS - 1) * step if low[fallen:].all() and low.any() else math.inf
+    return max(fallen, least_rows(dynamics) - 1) * step if low[fallen:].all() and low.any() else math.inf
 
 
 def window_runs(
@@ -233,7 +250,7 @@ def window_runs(
         drive = rows.drive(*limits)
         intervals = duration / drive.step
         length = min(round(intervals) + 1 if math.isfinite(intervals) else rows.n, rows.n // 2)
-        if length < LEAST_ROWS:
+        if length < least_rows(dynamics):
             continue
         count = max(1, round(WINDOWS * rows.n / len(whole)))
         for first in np.linspace(0, rows.n - length, count).astype(int):

@@ -71,6 +71,8 @@ class Forecast:
         The record's samples of the states.
     units : mapping of str to str
         Units of states, where known.
+    clock : str
+        Unit of time, "samples" of maps.
     """
 
     time: Floats
@@ -83,6 +85,7 @@ class Forecast:
     nrmse: Mapping[str, float]
     measured: Mapping[str, Floats]
     units: Mapping[str, str]
+    clock: str = "s"
 
     def plot(self) -> Figure:
         """The run, its band and what was measured, a panel per state.
@@ -92,7 +95,7 @@ class Forecast:
         MissingExtraError
             matplotlib is not installed.
         """
-        return draw_forecasts([("", self)])
+        return draw_forecasts([("", self)], f"time [{self.clock}]")
 
     def table(self) -> pd.DataFrame:
         """Columns time, and of each state ``x``, ``x_low``, ``x_high`` and ``x_measured``, as far as known."""
@@ -107,10 +110,10 @@ class Forecast:
 
     def __str__(self) -> str:
         """The free run in a few lines."""
-        span = f"{self.time[0]:.6g} to {self.time[-1]:.6g} s"
+        span = f"{self.time[0]:.6g} to {self.time[-1]:.6g} {self.clock}"
         lines = [f"free run over {len(self.time)} rows, {span}"]
         if self.blew_up_at is not None:
-            lines.append(f"blew up at {self.blew_up_at:.6g} s")
+            lines.append(f"blew up at {self.blew_up_at:.6g} {self.clock}")
         for name, error in self.nrmse.items():
             lines.append(f"{name}: normalised RMS error {100 * error:.3g} %")
         if self.draws:
@@ -172,6 +175,7 @@ def forecast(
         },
         measured=measured,
         units={name: unit for name, unit in (units or {}).items() if name in dynamics.states},
+        clock="samples" if dynamics.roles.discrete else "s",
     )
 
 

@@ -24,6 +24,7 @@ from bayeq.forecast.rows import (
 from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
 from bayeq.states import Motion, Sensors, Smooth, estimate_motion
+from bayeq.states.roles import NEXT
 
 # A free run over fewer rows says nothing.
 LEAST_ROWS = 2
@@ -109,6 +110,8 @@ def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], m
 def _predicted(target: str, terms: Sequence[Expression], parameters: Floats, rows: Rows) -> tuple[Floats, Floats]:
     """The right-hand side and the target; where that was estimated, as the smoother would show it, without the ends."""
     values, given = predicted_target(terms, parameters, rows.columns), rows.columns[target]
+    if target.endswith(NEXT):  # which the last row does not have
+        return values[:-1], given[:-1]
     if target not in rows.estimated:
         return values, given
     smoothing = rows.estimated[target]

@@ -181,16 +181,22 @@ def _by_information(work: Floats, now: int, start: int, lines: Floats, source: i
 
 
 @kernel(borrowing=True)
-def _curve_between(A: Floats, P: Floats, k: int, work: Floats, now: int, start: int, lines: Floats) -> None:
-    """Puts (1 + A) P N w, w in ``lines[1]``, into ``lines[2]``: -2 times the direction `Adjoint.between`."""
+def _curve_between(
+    A: Floats, P: Floats, k: int, work: Floats, now: int, start: int, discrete: bool, lines: Floats
+) -> None:
+    """Puts (1 + A) P N w, w in ``lines[1]``, into ``lines[2]``: -2 times the direction `Adjoint.between`.
+
+    Terms of a map count where a step starts, not in its middle: 2 P N w.
+    """
     size = work.shape[1]
     _by_information(work, now, start, lines, 1, 2)
     for i in range(size):
         lines[1, i] = 0.0
     _add_product(1.0, P, k, lines, 2, 1)
     for i in range(size):
-        lines[2, i] = lines[1, i]
-    _add_product(1.0, A, k, lines, 1, 2)
+        lines[2, i] = 2.0 * lines[1, i] if discrete else lines[1, i]
+    if not discrete:
+        _add_product(1.0, A, k, lines, 1, 2)
 
 
 @kernel(borrowing=True)
@@ -265,7 +271,7 @@ def _backward(
                 for c in range(between.shape[1]):
                     for i in range(size):
                         lines[1, i] = transition[k, i, forces[c]] if i < motion else 0.0
-                    _curve_between(transition, covariance, k, work, now, start, lines)
+                    _curve_between(transition, covariance, k, work, now, start, linear.steps.discrete, lines)
                     for i in range(size):
                         between[k, c, i] = -0.5 * lines[2, i]
             close(leads, step, work, now, lines, start)

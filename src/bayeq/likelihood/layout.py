@@ -133,6 +133,11 @@ class Layout:
     stated: tuple[Stated, ...] = ()
     late: tuple[tuple[int, Lag], ...] = ()
 
+    @property
+    def discrete(self) -> bool:
+        """Whether the equations are maps: what is a rate elsewhere is the next value."""
+        return self.roles.discrete
+
     @cached_property
     def chains(self) -> int:
         """C, the number of equations."""
@@ -207,7 +212,9 @@ class Layout:
 
     @cached_property
     def jumps(self) -> tuple[Call, ...]:
-        """Where the terms jump, (J,), see `bayeq.likelihood.signs.jumps_of`."""
+        """Where the terms jump, (J,), see `bayeq.likelihood.signs.jumps_of`; in maps nothing is between samples."""
+        if self.discrete:
+            return ()
         found = {jump for term in self.terms for jump in jumps_of(term.tree)}
         return tuple(sorted(found, key=lambda jump: Expression(jump).text))
 
@@ -289,7 +296,7 @@ class Layout:
         return solved(summed, self.roles.targets)
 
     def tape(self, chosen: Candidates) -> Tape:
-        """Rates of the states, targets, chosen terms, in states, t, widths and the terms' coefficients.
+        """Rates of the states (of maps next values), targets, chosen terms, in states, t, widths and coefficients.
 
         Of implicit equations the targets without discrepancies and (I - A)^-1 follow.
         """

@@ -136,6 +136,7 @@ def linearise(
         layout.rising,
         layout.straight,
         layout.implicit,
+        layout.discrete,
     )
     end, transition, sources, target, gradient = arrays(
         (n - 1, size), (n - 1, size, size), (n - 1, layout.motion, len(theta)), (n, chains), (n, chains, size)
@@ -153,6 +154,8 @@ def linearise(
             holds.append((rows, left))
     _to_mean(layout, series.intervals, end, transition)
     bends = (gradient[:-1, :, layout.driven] * _bends(path[:, layout.driven])[:, None]) ** 2
+    if layout.discrete:
+        bends[:] = 0.0
     seen, kinds = path[:, np.maximum(layout.kinds, 0)], layout.kinds
     for channel in np.flatnonzero(layout.kinds < 0):
         seen[:, channel] = target[:, -1 - layout.kinds[channel]]
@@ -318,5 +321,5 @@ def derivatives_along(linear: Linear, at_samples: Floats, between: Floats) -> Fl
         at_samples = np.einsum("nec,nes->ncs", linear.coupling, at_samples)
         between = np.einsum("nec,nes->ncs", linear.coupling[:-1], between)
     add_derivatives(steps, linear.path, linear.end, at_samples, False, out)
-    add_derivatives(steps, linear.path[:-1], linear.end, between, True, out)
+    add_derivatives(steps, linear.path[:-1], linear.end, between, not steps.discrete, out)
     return out

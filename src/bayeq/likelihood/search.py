@@ -373,17 +373,18 @@ def likeliest(task: Task, fitted: Fitted) -> State:
 
 
 def steady(task: Task, state: State) -> bool:
-    """Whether a step multiplies deviations from the path by less than `most_growth`, and ends near the path."""
+    """Whether a step multiplies deviations from the path by less than `most_growth`, and ends near the path.
+
+    Those of chaotic maps may grow by more.
+    """
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
+    most = math.inf if task.layout.discrete else LIKELIHOOD.most_growth
     for linear in task.linearised(state):
         missed = np.abs(linear.end - linear.path[1:])[:, : task.layout.motion] / spread
         few = linear.transition[:: max(1, len(missed) // CHECKED)]
         if not (np.isfinite(missed).all() and np.isfinite(few).all()):
             return False
-        if (
-            missed.max(initial=0.0) > LIKELIHOOD.most_growth
-            or np.abs(np.linalg.eigvals(few)).max() > LIKELIHOOD.most_growth
-        ):
+        if missed.max(initial=0.0) > LIKELIHOOD.most_growth or np.abs(np.linalg.eigvals(few)).max() > most:
             return False
     return True
 
@@ -456,7 +457,7 @@ def from_the_simplest(task: Task, empty: State) -> State | None:
 def finer(task: Task, state: State) -> Task:
     """The task with as many Runge-Kutta steps between samples as its motion, and the columns of its terms, need."""
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
-    while task.substeps < MOST_SUBSTEPS and task.layout.motion:
+    while task.substeps < MOST_SUBSTEPS and task.layout.motion and not task.layout.discrete:
         twice = replace(task, substeps=2 * task.substeps)
         pairs = list(zip(task.linearised(state), twice.linearised(state), strict=True))
         ends = [np.abs(a.end - b.end)[:, : task.layout.motion] for a, b in pairs]

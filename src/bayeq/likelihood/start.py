@@ -186,7 +186,10 @@ def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -
 
 
 def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_]) -> State:
-    """The likeliest model of each equation as a regression of the smoothed rows."""
+    """The likeliest model of each equation as a regression of the smoothed rows; of a map with its constant.
+
+    A map of samples that are far from zero has one, and without it samples are explained by noise.
+    """
     chains, terms, theta, left = [], [], [], []
     for c, gram in enumerate(grams):
         standard = gram.standardise(residual_scale(gram))
@@ -199,6 +202,10 @@ def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_]) ->
         chains += [c] * len(index)
         terms += index.tolist()
         theta += coef[model].tolist()
+        if empty.levels.layout.discrete:
+            chains.append(c)
+            terms.append(allowed.shape[1])
+            theta.append(float(gram.target_mean - gram.mean @ coef))
         left.append(min(gram.squared_error(coef) / gram.yty, 1.0) if gram.yty > 0.0 else 1.0)
     chosen = Candidates(np.array(chains, dtype=np.int64), np.array(terms, dtype=np.int64))
     levels = empty.levels
@@ -230,7 +237,12 @@ def _with_inputs(layout: Layout, inputs: Sequence[_Input]) -> Layout:
 
 
 def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator[list[tuple[Task, State]]]:
-    """The task with other courses of input k, smooth as it is and a random sequence; the fit as a start."""
+    """The task with other courses of input k, smooth as it is and a random sequence; the fit as a start.
+
+    There are none of maps, which take inputs at samples alone.
+    """
+    if task.layout.discrete:
+        return
     inputs, name = _inputs_of(fitted.state), task.layout.roles.inputs[k]
     random = _input(name, motion.train, _known_noise(motion).get(name), (0,))._replace(noise=inputs[k].noise)
     for own, courses in ((inputs[k], OTHERWISE), (random, (*OTHERWISE, *BENT))):

@@ -50,6 +50,8 @@ class Steps(NamedTuple):
         How a state behind them goes from one sample to the next: `SMOOTH`, `STRAIGHT` or `HELD`.
     implicit : bool
         Whether terms hold targets: then the program gives these without discrepancies, and (I - A)^-1, at last.
+    discrete : bool
+        Whether the program gives next values in place of rates: nothing is integrated.
     """
 
     program: Program
@@ -65,6 +67,7 @@ class Steps(NamedTuple):
     rising: NDArray[np.bool_]
     straight: Ints
     implicit: bool
+    discrete: bool
 
     def fresh(self) -> Steps:
         """The steps with registers of their own."""
@@ -184,7 +187,9 @@ def integrate(
     target: Floats,
     gradient: Floats,
 ) -> None:
-    """Runge-Kutta steps from samples `first` to `stop` of a path, with their derivatives by states and coefficients.
+    """Steps from samples `first` to `stop` of a path, with their derivatives by states and coefficients.
+
+    They are those of Runge and Kutta, or of a map.
 
     Receives, from its first row on, what `Linear` has; of empty arrays nothing. `own`: these are the coefficients of
     the model.
@@ -214,6 +219,11 @@ def integrate(
                         gradient[row, c, j] = work.tangents[output, j]
             if row == n - 1:
                 break
+            if steps.discrete:
+                for i in range(motion):
+                    for j in range(1 + size + r):
+                        x[i, j] = k1[i, j]
+                continue
             h = whole * share
             _ahead(x, 0.5 * h, k1, y)
             _drift(steps, path, row, whole, (step + 0.5) * share, False, work.powers)

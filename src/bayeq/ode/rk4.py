@@ -31,7 +31,7 @@ class Drive(NamedTuple):
 
     inputs: Floats  # (n, m, 4), from `interpolant`
     intervals: Floats  # (n - 1,), between the samples [s]
-    step: float  # longest step of integration [s]; intervals are divided evenly
+    step: float  # longest step of integration [s]; intervals are divided evenly. Of a map 0: nothing is integrated
     low: Floats  # (d,), the range of the states; a run that leaves it, or is not finite, stops
     high: Floats  # (d,)
 
@@ -141,9 +141,17 @@ def advance(
     tangents: Floats | None,
     work: Floats,
 ) -> None:
-    """From the sample `row` to the next, by classical Runge-Kutta steps: the state ``work[0]`` is moved on."""
+    """From the sample `row` to the next, by classical Runge-Kutta steps: the state ``work[0]`` is moved on.
+
+    Without any steps the program gives the next state itself.
+    """
     size = work.shape[1]
     x, y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4], work[5]
+    if substeps == 0:
+        slope_at(program, inputs, x, row, 0.0, tangents, k1)
+        for i in range(size):
+            x[i] = k1[i]
+        return
     h, share = interval / substeps, 1.0 / substeps
     for step in range(substeps):
         start, middle, end = step * share, (step + 0.5) * share, (step + 1.0) * share
@@ -163,7 +171,9 @@ def advance(
 
 @kernel
 def steps_in(interval: float, step: float) -> int:
-    """Equal steps that divide an interval so that none is longer than `step`, up to rounding."""
+    """Equal steps that divide an interval so that none is longer than `step`, up to rounding; none of a map."""
+    if step == 0.0:
+        return 0
     return max(1, math.ceil(interval / step - 1e-6))
 
 

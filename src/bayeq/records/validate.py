@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import RecordError, UnknownNameError, require_mapping
+from bayeq.expressions.parse import EARLIER
 from bayeq.records.names import clean_name
 from bayeq.records.truth import FloatArray
 
@@ -108,7 +109,7 @@ def check_name(name: object, where: str) -> None:
     if not isinstance(name, str):
         raise RecordError(f"{where}: a channel's name must be text, not {name!r}")
     cleaned = clean_name(name)[0]
-    if cleaned != name:
+    if cleaned != name and not EARLIER.fullmatch(name):
         raise RecordError(f"{where}: {name!r} cannot name a channel in a term; call it {cleaned!r}, say")
 
 

@@ -56,7 +56,7 @@ def record_of(
 
     Of constraints it takes what is stated of coefficients; `ties` are between those of several equations.
     """
-    if smooth != "auto" or not design.motion.smoothing:
+    if smooth != "auto" or not design.motion.smoothed:
         return None
     stated = [Stated(((c, j, 1.0),), mean, sd) for c, own in enumerate(constraints) for j, mean, sd in own.stated]
     stated += [Stated(((c, j, 1.0),), 1.0, EXACTLY) for c, j in _laws(design)]

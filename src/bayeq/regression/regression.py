@@ -201,7 +201,7 @@ def shows_noise(pieces: Sequence[Floats]) -> bool:
 
 def _judged(rows: MotionRows, smoothing: ChainSmoothing | None) -> slice:
     """The rows that an equation is judged by: all, but the ends of an estimated target."""
-    return slice(0, rows.n) if smoothing is None else smoothing.inner(rows.n)
+    return rows.inside if smoothing is None else smoothing.inner(rows.n)
 
 
 def _filtered(

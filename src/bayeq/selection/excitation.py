@@ -55,10 +55,11 @@ class Repeating(NamedTuple):
 def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
     """Whether all records of some motion run along closed curves that do not tell the candidates apart.
 
-    None where the motion does not repeat itself, tells the candidates apart, or has no time.
+    None where the motion does not repeat itself, tells the candidates apart, or has no time; and of maps, which are as
+    white as noise where they are chaotic.
     """
     drivers = motion.roles.inputs
-    if not motion.timed or any(TIME in term.names for term in terms):
+    if not motion.timed or motion.roles.discrete or any(TIME in term.names for term in terms):
         return None
     curves, frequency, noise, single = [], 0.0, math.inf, True
     for rows in motion.train:

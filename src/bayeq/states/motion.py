@@ -11,16 +11,18 @@ import numpy as np
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import ChainError, RecordError
 from bayeq.expressions.functions import TIME
+from bayeq.expressions.parse import EARLIER
 from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.hidden import hidden_columns, hidden_rates
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
 from bayeq.states.lags import without_lags
+from bayeq.states.maps import likened, moved
 from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid
-from bayeq.states.roles import Chain, Roles
+from bayeq.states.roles import NEXT, Chain, Roles
 from bayeq.states.sensors import Sensors
 from bayeq.states.settings import STATES
-from bayeq.states.unit_gains import unit_gains
+from bayeq.states.unit_gains import bridged, unit_gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +56,14 @@ class MotionRows:
     @property
     def n(self) -> int:
         return len(self.known)
+
+    @property
+    def inside(self) -> slice:
+        """All rows; of a map those from the first with its earlier samples to the last with a next one."""
+        if not any(name.endswith(NEXT) for name in self.observed):
+            return slice(0, self.n)
+        there = np.flatnonzero(self.known)
+        return slice(int(there[0]), int(there[-1]) + 1) if len(there) else slice(0, 0)
 
     def part(self, rows: slice) -> MotionRows:
         """Some of the rows."""
@@ -124,6 +134,11 @@ class Motion:
         return used, left
 
     @property
+    def smoothed(self) -> bool:
+        """Whether there is a path that the likelihood of the record can start from: samples are that of a map."""
+        return bool(self.smoothing) or self.roles.discrete
+
+    @property
     def timed(self) -> bool:
         """Whether every record has time."""
         return all(rows.time is not None for rows in self.records)
@@ -131,7 +146,8 @@ class Motion:
     @property
     def estimated(self) -> tuple[str, ...]:
         """Derivatives that were not measured but estimated."""
-        return tuple(name for chain in self.roles.chains for name in chain.names if name not in chain.measured)
+        chains = [chain for chain in self.roles.chains if not chain.discrete]
+        return tuple(name for chain in chains for name in chain.names if name not in chain.measured)
 
     def estimated_by(self, k: int) -> ChainSmoothing | None:
         """How the target of chain k was estimated; None where it was measured, or not smoothed."""
@@ -188,6 +204,11 @@ def estimate_motion(
     whole, sensors = smooth == "none", sensors or Sensors()
     if roles.hidden:
         return with_hidden(estimate_motion(records, roles.seen, smooth, share, sensors, band), roles)
+    if roles.discrete:
+        pieces = tuple(_of_map(record, roles) for record in records)
+        cuts = tuple(cut_at(rows.n, share) for rows in pieces)
+        gains = tuple(np.ones(chain.order + 1) for chain in roles.chains)
+        return Motion(roles, pieces, cuts, (), gains, share, sensors, band)
     records = [without_lags(record, sensors.lags) for record in records] if sensors.lags else records
     if all(record.time is not None for record in records) and sum(record.n for record in records) < STATES.few_rows:
         smooth = "none"
@@ -245,6 +266,30 @@ def further_rows(record: Record, motion: Motion) -> MotionRows:
     filled = on_grid(record, roles.channels)
     chains = zip(roles.chains, motion.smoothing, strict=True)
     return _rows(filled, roles, [smooth_further(filled, chain, smoothing) for chain, smoothing in chains])
+
+
+def _of_map(record: Record, roles: Roles) -> MotionRows:
+    """Rows of a record (`bayeq.states.maps.in_samples`), missing samples bridged, with earlier and next ones beside."""
+    record = on_grid(record, roles.channels)
+    if record.time is None or (np.diff(record.time) != 1.0).any():
+        raise RecordError(
+            f"{record.name or 'record'}: most samples of a map are missing: give those without gaps, --rows"
+        )
+    require_usable(bridged_record(record, roles), roles.channels)
+    samples = {name: np.array(record[name]) for name in roles.channels}
+    for name in roles.inputs:
+        if found := EARLIER.fullmatch(name):
+            samples[name][: int(found["back"])] = np.nan
+    whole = dict(zip(roles.measured, likened([samples[name] for name in roles.measured]), strict=True))
+    known = np.all([np.isfinite(samples[name]) for name in roles.inputs], axis=0)
+    columns = {name: bridged(samples[name]) for name in roles.inputs}
+    for chain in roles.chains:
+        channel = str(chain.measured[-2])
+        for back, name in enumerate(reversed(chain.names), -1):
+            known &= np.isfinite(moved(samples[channel], back))
+            columns[name] = bridged(moved(whole[channel], back))
+    observed = {target: columns[target] for target in roles.targets}
+    return MotionRows(record.name, record.time, columns, observed, samples, known)
 
 
 def _as_measured(record: Record, roles: Roles) -> MotionRows:

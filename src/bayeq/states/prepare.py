@@ -73,6 +73,8 @@ def cleaned(
     records, impossible = _without_impossible(records, roles)
     for record in records:
         require_usable(bridged_record(record, roles), roles.channels)
+    if roles.discrete:  # whose samples may be anywhere from one to the next
+        return records, [*missing, *impossible]
     found, bad = without_bad_samples(records, roles, learned)
     return found, [*missing, *impossible, *bad]
 
@@ -216,11 +218,10 @@ def on_grid(record: Record, names: Sequence[str]) -> Record:
     if record.time is None or record.n < 3:
         return record
     time = np.asarray(record.time)
-    index = _places(time)
+    index, start, step = fitted_grid(time)
     n = int(index[-1]) + 1
     if not (np.diff(index) > 0).all() or record.n < (1.0 - MOST_MISSING) * n:
         return record
-    start, step = _fitted(time, index)
     off = float(np.abs(time - start - step * index).max())
     if off > RECORDS.jitter * step and not _is_rounding(time, off, step):
         return record
@@ -248,6 +249,12 @@ def filled_in(time: Floats, samples: Floats) -> Floats:
         known = np.isfinite(samples)
         values = np.interp(time, time[known], samples[known])
     return np.where(np.isnan(samples), values, samples)
+
+
+def fitted_grid(time: Floats) -> tuple[Ints, float, float]:
+    """Number of each sample on a grid that begins with the first, and its begin and step."""
+    index = _places(time)
+    return index, *_fitted(time, index)
 
 
 def _places(time: Floats) -> Ints:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import keyword
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from bayeq.errors import ChainError, InputError, require_text, require_texts
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import TIME
+from bayeq.expressions.parse import EARLIER
 from bayeq.records.names import channel_name
 
 MAX_ORDER = 4
@@ -19,6 +21,14 @@ LONGEST = 1000
 
 # What stands before the target of a static law.
 STATIC = "="
+
+# What stands behind the name of a channel for its next sample, the target of a map.
+NEXT = "[+1]"
+
+# A map of this many earlier samples, at most.
+MOST_EARLIER = 20
+
+_MAP = re.compile(r"(?:~\w+\[-\d+\]:)*(?P<name>\w+):~\w+\[\+1\]")
 
 # Name of a coordinate that is not measured; where that name is taken, with the first measured channel: x_a1, x_a2.
 COORDINATE = "x"
@@ -53,6 +63,11 @@ class Chain:
 
     >>> parse_chain("=F").order, parse_chain("=F").target, parse_chain("=F").states
     (0, 'F', ())
+
+    Earlier samples of a channel stand in place of derivatives where the equation is a map, which gives the next one:
+
+    >>> chain_of_map("x", 1).names, str(chain_of_map("x", 1))
+    (('x[-1]', 'x', 'x[+1]'), '~x[-1]:x:~x[+1]')
     """
 
     measured: tuple[str | None, ...]
@@ -77,6 +92,11 @@ class Chain:
     def static(self) -> bool:
         """Whether the equation is a static law: its target is measured, and no derivative of anything."""
         return self.order == 0
+
+    @property
+    def discrete(self) -> bool:
+        """Whether the equation is a map: its target is the next sample."""
+        return self.target.endswith(NEXT)
 
     @property
     def lowest(self) -> int:
@@ -111,9 +131,15 @@ class Chain:
             return f"{STATIC}{self.measured[0]}"
         if self.hidden:
             return f"~{self.called[0]}:"
-        if self.order == 1 and self.measured[1] is None:
+        if self.order == 1 and self.measured[1] is None and not self.discrete:
             return str(self.measured[0])
         return ":".join(m or (f"~{self.own_name(k)}" if self.own_name(k) else "") for k, m in enumerate(self.measured))
+
+
+def chain_of_map(name: str, earlier: int) -> Chain:
+    """The chain of a channel whose equation gives the next sample, with some earlier ones as states."""
+    back = [f"{name}[-{k}]" for k in range(earlier, 0, -1)]
+    return Chain((*[None] * earlier, name, None), (*back, None, f"{name}{NEXT}"))
 
 
 def parse_chain(text: str) -> Chain:
@@ -134,6 +160,10 @@ def parse_chain(text: str) -> Chain:
     )
     if not isinstance(text, str):
         raise ChainError(f"a chain is a text, got {type(text).__name__}; {form}")
+    if found := _MAP.fullmatch(text.strip()):
+        chain = chain_of_map(found["name"], min(text.count("[-"), MOST_EARLIER))
+        if str(chain) == text.strip():
+            return chain
     static = text.strip().startswith(STATIC)
     parts = [_named(part) for part in text.strip().removeprefix(STATIC).split(":")]
     if static and (len(parts) > 1 or parts[0][:1] in ("", "~")):
@@ -243,8 +273,9 @@ class Roles:
         force: str | None = None,
         inputs: Sequence[str] = (),
         target: str | Sequence[str] | None = None,
+        discrete: bool = False,
     ) -> Roles:
-        """Read the roles as a user writes them.
+        """Read the roles as a user writes them; where they are `discrete` each chain is a channel of a map.
 
         Raises
         ------
@@ -260,7 +291,8 @@ class Roles:
         if chains is not None:
             require_texts(chains, "chains")
         inputs = [inputs] if isinstance(inputs, str) else inputs
-        named = tuple(map(channel_name, ([] if force is None else [force]) + list(inputs)))
+        listed = ([] if force is None else [force]) + list(inputs)
+        named = tuple(name if EARLIER.fullmatch(name) else channel_name(name) for name in listed)
         if len(set(named)) < len(named):
             raise InputError(f"an input is named twice: {', '.join(named)}")
         static = _static(target, named)
@@ -282,7 +314,22 @@ class Roles:
         for name in named:
             if name in roles.measured:
                 raise ChainError(f"channel {name!r} is both an input and part of a chain")
-        return roles
+        return roles.of_maps if discrete else roles
+
+    @property
+    def of_maps(self) -> Roles:
+        """The same channels, with equations for their next samples."""
+        for chain in self.chains:
+            if chain.order != 1 or chain.measured[1] is not None or chain.called:
+                raise ChainError(
+                    f"chain {str(chain)!r}: a map is of single channels, each a chain: --chain x, chains='x'"
+                )
+        return self.with_chains([chain_of_map(str(chain.measured[0]), 0) for chain in self.chains])
+
+    @property
+    def discrete(self) -> bool:
+        """Whether the equations are maps."""
+        return any(chain.discrete for chain in self.chains)
 
     @property
     def hidden(self) -> tuple[Chain, ...]:
@@ -330,8 +377,33 @@ class Roles:
         return (*self.inputs, TIME) if self.timed else self.inputs
 
     def for_terms(self, terms: Iterable[Expression]) -> Roles:
-        """The same with the time as a variable where terms use it, unless a channel has its name."""
-        return replace(self, timed=TIME not in self.names and any(TIME in term.names for term in terms))
+        """The same with the time as a variable where terms use it, unless a channel has its name.
+
+        Of maps also with the earlier samples that they use.
+
+        Raises
+        ------
+        InputError
+            A map with the time, or with samples that are too early.
+        """
+        names = {name for term in terms for name in term.names}
+        timed = TIME not in self.names and TIME in names
+        if not self.discrete:
+            return replace(self, timed=timed)
+        if timed:
+            raise InputError("a term uses t, the time: a map has none; give a channel of row numbers as an input")
+        back = {name: int(found["back"]) for name in names if (found := EARLIER.fullmatch(name))}
+        late = next((name for name, k in back.items() if k > MOST_EARLIER), None)
+        if late is not None:
+            raise InputError(f"{late} is too early: a map has at most {MOST_EARLIER} earlier samples")
+        chains = []
+        for chain in self.chains:
+            name = str(chain.measured[-2])
+            own = [k for text, k in back.items() if text.partition("[")[0] == name]
+            chains.append(chain_of_map(name, max([chain.order - 1, *own])))
+        given = {*self.inputs, *(name for chain in chains for name in chain.states)}
+        inputs = [name for name in sorted(back) if name not in given]
+        return replace(self, chains=tuple(chains), inputs=(*self.inputs, *inputs))
 
     def with_chains(self, chains: Sequence[Chain]) -> Roles:
         """The same inputs with other chains."""

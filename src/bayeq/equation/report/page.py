@@ -24,7 +24,8 @@ from bayeq.equation.rows import Row, rows_of
 from bayeq.equation.text import MARK, unseen
 from bayeq.equation.written import round_to
 from bayeq.errors import BayeqWarning, InputError
-from bayeq.expressions.symbolic import mathml, number_mathml, symbol_mathml
+from bayeq.expressions.parse import EARLIER
+from bayeq.expressions.symbolic import mathml, number_mathml, step_mathml, symbol_mathml
 from bayeq.figures.picture import unit_text
 from bayeq.figures.style import require_matplotlib
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
@@ -136,7 +137,10 @@ def _typeset(number: str) -> str:
 
 def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
     """An equation as maths and text, with its terms and checks."""
-    names = {name: symbol_mathml(one.chain.names[0], dots) for dots, name in enumerate(one.chain.names)}
+    if one.chain.discrete:
+        names = {name: step_mathml(name) for name in (*eq.states, *eq.inputs, one.target)}
+    else:
+        names = {name: symbol_mathml(one.chain.names[0], dots) for dots, name in enumerate(one.chain.names)}
     rows = rows_of(one)
     return {
         "target": one.target,
@@ -146,7 +150,9 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
         "starred": any(row.over_models for row in rows),
         "maths": _maths(one, names),
         "symbols": {
-            name: names[name] for k, name in enumerate(one.chain.names) if k and name != "d" * k + one.chain.names[0]
+            name: names[name]
+            for k, name in enumerate(one.chain.names)
+            if k and name != "d" * k + one.chain.names[0] and not one.chain.discrete
         },
         "text": one.text,
         "rows": list(map(_cells, rows)),
@@ -197,7 +203,7 @@ def _data(eq: Answer) -> dict[str, str]:
         "records": ", ".join(name for name in source.files if name) or "not named",
         "rows": f"{source.n}, {source.n_train} used, {source.n_held_out} held out{_checked(eq)}"
         + (", then all used" if source.refitted else ""),
-        "sampling": "time not known, rows counted" if source.rows_as_time else _rate(source.fs, source.seconds),
+        "sampling": _sampling(eq),
         "chains": ", ".join(str(chain) for chain in eq.chains),
         "inputs": ", ".join(eq.inputs),
         "dictionary": eq.dictionary,
@@ -219,6 +225,13 @@ def _checked(eq: Answer) -> str:
     """How many of the rows held out the checks are of, where they are not all: those with all channels, and no ends."""
     counts = {one.held_out.n for one in eq.equations if one.held_out is not None}
     return f", checked on {max(counts)} of these" if counts and max(counts) != eq.data.n_held_out else ""
+
+
+def _sampling(eq: Answer) -> str:
+    """How the records were sampled."""
+    if eq.roles.discrete:
+        return "counted in samples"
+    return "time not known, rows counted" if eq.data.rows_as_time else _rate(eq.data.fs, eq.data.seconds)
 
 
 def _rate(fs: float | None, seconds: float | None) -> str:
@@ -258,9 +271,12 @@ def repeat_command(eq: Answer) -> str:
     """A command that finds the equations again, from what they know of how they were found."""
     words = ["bayeq", "discover", *(name or "FILE" for name in eq.data.files)]
     for chain in eq.chains:
-        words += ["--target", chain.target] if chain.static else ["--chain", str(chain)]
+        text = str(chain.measured[-2]) if chain.discrete else str(chain)
+        words += ["--target", chain.target] if chain.static else ["--chain", text]
+    words += ["--discrete"] * eq.roles.discrete
     for name in eq.inputs:
-        words += ["--input", name]
+        if not EARLIER.fullmatch(name):  # which terms ask for
+            words += ["--input", name]
     words += ["--dictionary", eq.dictionary, "--method", eq.method, "--smooth", eq.smooth]
     for constraint in eq.constraints:
         words += ["--constraint", constraint]
@@ -268,7 +284,7 @@ def repeat_command(eq: Answer) -> str:
     for name, share in readings.items():
         words += ["--noise", f"{name}={f'{100 * share:.6g}' if share else ''}% of reading"]
     for name, sd in eq.data.sensors.noise.items():
-        if name not in readings:
+        if name not in readings and not EARLIER.fullmatch(name):
             words += ["--noise", f"{name}={sd:.6g}"]
     for name, sd in eq.data.sensors.gain_sd.items():
         words += ["--gain-sd", f"{name}={sd:.6g}"]

@@ -73,7 +73,7 @@ def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, 
     for one in eq.equations:
         of = f" ({one.target})" if len(eq.equations) > 1 else ""
         which = {"target": one.target}
-        if record is not None and one.chain.order == 2:
+        if record is not None and one.chain.order == 2 and not one.chain.discrete:
             x, v = one.chain.names[:2]
             yield "restoring_force_surface", which, f"Restoring force over displacement and velocity{of}"
             source = given_as(eq, one.target)
