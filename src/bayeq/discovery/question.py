@@ -410,8 +410,9 @@ def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Con
     """What is known of the coefficients of each equation, among the terms that can be used."""
     dropped = {term.name: term.reason for term in design.dropped}
     found = parse_constraints(known, design.terms, design.motion.roles.targets, dropped)
-    if method not in SIGNED and any(one.signs.any() for one in found):
-        raise InputError(f"method {method!r} takes no signs of coefficients; choose one of: {', '.join(SIGNED)}")
+    if method not in SIGNED and any(np.isfinite(one.limits).any() for one in found):
+        what = "signs" if all(one.bounds is None for one in found) else "bounds"
+        raise InputError(f"method {method!r} takes no {what} of coefficients; choose one of: {', '.join(SIGNED)}")
     return found
 
 

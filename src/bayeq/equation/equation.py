@@ -193,7 +193,7 @@ class Equation:
         if p.likelihood_coef is None or p.likelihood_sd is None:
             return None
         ends = p.likelihood_coef[:, None] + Z95 * p.likelihood_sd[:, None] * np.array([-1.0, 1.0])
-        return replace(shown, coef=p.likelihood_coef, sd=p.likelihood_sd, ci95=ends, covariance=None)
+        return replace(shown, coef=p.likelihood_coef, sd=p.likelihood_sd, ci95=p.cut(ends), covariance=None)
 
     @property
     def target(self) -> str:

@@ -64,7 +64,7 @@ class Model:
             posterior.support,
             posterior.coef,
             posterior.sd,
-            np.column_stack([posterior.coef - half, posterior.coef + half]),
+            posterior.cut(np.column_stack([posterior.coef - half, posterior.coef + half])),
             *(posterior.left_out_intercept or (posterior.intercept, posterior.intercept_sd)),
             posterior.covariance,
         )
@@ -99,8 +99,8 @@ def over_models(
     given = overall if same else mixture_of(shown_fit, shown, struck)
     both = None if given is None else given.given_in()
     return OverModels(
-        averaged=None if overall is None else overall.overall()[:-1],
-        given_in=None if both is None else both[:-1],
+        averaged=None if overall is None else included.cut(overall.overall()[:-1]),
+        given_in=None if both is None else shown.cut(both[:-1]),
         intercept=None if both is None else both[-1],
     )
 

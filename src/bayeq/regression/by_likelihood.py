@@ -94,17 +94,17 @@ class RecordRegression(Regression):
         """The regression with the likelihood raised to a power of at most 1."""
         return replace(self, gram=self.gram.raised(power), power=self.power * power)
 
-    def reported(self, found: Posterior, basis: Floats, signs: Floats | None, free: bool) -> Posterior:
+    def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
         """As of `Regression`: of the terms that the record was fitted with by projection."""
         found = replace(found, target_mean_variance=found.noise_variance / found.n)
         if self.power == 1.0 and self.record.projectable(self.k, found.support):
-            found = self._projected(found, basis, signs, free)
+            found = self._projected(found, basis, limits, free)
         return replace(found, noise_variance=self.noise_variance(found))
 
-    def _projected(self, found: Posterior, basis: Floats, signs: Floats | None, free: bool) -> Posterior:
+    def _projected(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
         """The posterior by projection (`bayeq.likelihood.projection`).
 
-        What is not `free`, coefficients of known sign, stays as it is but for the discrepancy, as far as signs allow.
+        What is not `free`, coefficients with limits, stays as it is but for the discrepancy, as far as limits allow.
         """
         kept, left = found.support, self.record.leftover(self.k)
         (theta, covariance), r = self.record.own_coefficients(self.k), int(kept.sum())
@@ -121,9 +121,10 @@ class RecordRegression(Regression):
             covariance = whole_covariance[: len(theta), : len(theta)]
         moved = projected(left, whole)
         change = moved.change
-        if signs is not None:
-            known = np.append(signs[kept], np.zeros(int(with_constant)))
-            change = np.where(known * (theta + change) < 0.0, -theta, change)
+        if limits is not None:
+            low, high = np.vstack([limits[kept], np.tile([-np.inf, np.inf], (int(with_constant), 1))]).T
+            change = np.where(theta + change < low, low - theta, change)
+            change = np.where(theta + change > high, high - theta, change)
         both = covariance + moved.covariance
         added, total = np.diagonal(moved.covariance), np.diagonal(both)
         # Satterthwaite, of a part that is known and one that is estimated

@@ -309,7 +309,7 @@ def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float
                 break
             odds = np.where(inside, fit.problem.log_odds, -math.inf)
             problem = fit.problem._replace(log_odds=np.where(stays, math.inf, odds))
-            model, _ = best_of_each_size(problem, int(inside.sum()) - 1, [inside], fit.prior.known_signs)[-1]
+            model, _ = best_of_each_size(problem, int(inside.sum()) - 1, [inside], fit.prior.limits)[-1]
             fewer = list(out)
             fewer[k] = replace(one.given(fit.conditional(model), "tolerance"), full=one.full or one)
             if not _errors(motion, fewer)[SELECTION.short_run] < SELECTION.follows:
@@ -355,6 +355,6 @@ def _limited(selection: Selection, max_terms: int | None) -> Selection:
     path_sizes(problem, max_terms)  # refuses fewer than are forced in
     if int(shown.sum()) <= max_terms:
         return selection
-    signs = selection.fit.prior.known_signs
-    best, _ = max(best_of_each_size(problem, max_terms, [shown], signs), key=lambda found: found[1])
+    limits = selection.fit.prior.limits
+    best, _ = max(best_of_each_size(problem, max_terms, [shown], limits), key=lambda found: found[1])
     return selection.given(selection.fit.given(best), "max_terms")
