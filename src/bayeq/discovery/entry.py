@@ -136,9 +136,9 @@ def discover(
         those units; its v_s is used as it is.
     constraints : str or sequence of str
         What is known of the coefficients, in original units: linear equations, ``"u == 1"``,
-        ``"x*abs(x) == 0.5*x**3"``, signs, ``"v <= 0"`` (methods auto and bma), and what was measured before, with its
-        standard deviation, ``"u ~ 0.1 +- 0.001"``. They concern every equation, or with a target in front that one,
-        ``"a: v <= 0"``. ``"a1: x1-x2 == 2*(a2: x2-x1)"`` ties coefficients of two equations; where the record
+        ``"x*abs(x) == 0.5*x**3"``, signs and bounds, ``"v <= 0"``, ``"0 <= x**3 <= 5"`` (methods auto and bma), and
+        what was measured before, with its standard deviation, ``"u ~ 0.1 +- 0.001"``. They concern every equation, or
+        with a target in front that one, ``"a: v <= 0"``. ``"a1: x1-x2 == 2*(a2: x2-x1)"`` ties coefficients of two equations; where the record
         contradicts that, it is said, and the answer is the one without.
     differs : str or sequence of str
         Terms whose coefficients may differ between records, ``"x, v"``, or ``"all"``: each has a candidate difference
