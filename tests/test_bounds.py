@@ -282,7 +282,9 @@ def test_a_term_that_bounds_force_in_is_in_whatever_the_record_says(record: bq.R
 
 def test_equations_of_a_system_have_their_own_bounds() -> None:
     rec = bq.simulate("lorenz", n=1500, seed=0, noise=0.01)
-    with pytest.warns(BayeqWarning, match=r"^dx: the record contradicts y <= 9 by [0-9.e+]+ standard deviations \(free: (9\.9|10)"):
+    with pytest.warns(
+        BayeqWarning, match=r"^dx: the record contradicts y <= 9 by [0-9.e+]+ standard deviations \(free: (9\.9|10)"
+    ):
         eq = bq.discover(
             rec, chains=["x", "y", "z"], dictionary="polynomial:2", constraints=["0 <= dx: y <= 9", "20 <= dy: x <= 40"]
         )

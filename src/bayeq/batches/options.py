@@ -93,7 +93,7 @@ def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[s
             " other terms (dictionary=), or leave common out"
         )
     prior = options.get("prior") or Prior()
-    fixed = {**options, "dictionary": terms, "constraints": ()}
+    fixed = {**options, "dictionary": terms, "constraints": (), "conserve": ""}
     given = options.get("constraints", ())
     texts = [given] if isinstance(given, str) else given
     return {

@@ -98,6 +98,10 @@ class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest 
     " equation a), '0 <= a: x**3 <= 5' (bounds). Once per constraint.",
 )
 @opt.in_terms(
+    "--conserve",
+    help="A sum of states that does not change, 'S + I + R': terms are flows between two of them.",
+)
+@opt.in_terms(
     "--differs",
     help="Terms whose coefficients may differ between the records, 'x, v', or all: differences are candidates.",
 )

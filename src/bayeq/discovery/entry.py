@@ -28,7 +28,8 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 from bayeq.records import as_records, with_row_numbers
 from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_unasked
-from bayeq.regression.constraints import parse_constraints, parse_ties
+from bayeq.regression.constraints import parse_conserved, parse_constraints, parse_ties
+from bayeq.regression.joint import JOINT
 from bayeq.resumable import Progress, silent
 from bayeq.selection.select import Rules
 from bayeq.states import Roles, Smooth, Tails, check_sensors
@@ -67,6 +68,7 @@ def discover(
     coarsen: float = 1.0,
     prior: Prior | None = None,
     constraints: str | Sequence[str] = (),
+    conserve: str = "",
     differs: str | Sequence[str] = (),
     noise: Mapping[str, float | str] | None = None,
     gain_sd: Mapping[str, float | str] | None = None,
@@ -138,8 +140,11 @@ def discover(
         What is known of the coefficients, in original units: linear equations, ``"u == 1"``,
         ``"x*abs(x) == 0.5*x**3"``, signs and bounds, ``"v <= 0"``, ``"0 <= x**3 <= 5"`` (methods auto and bma), and
         what was measured before, with its standard deviation, ``"u ~ 0.1 +- 0.001"``. They concern every equation, or
-        with a target in front that one, ``"a: v <= 0"``. ``"a1: x1-x2 == 2*(a2: x2-x1)"`` ties coefficients of two equations; where the record
-        contradicts that, it is said, and the answer is the one without.
+        with a target in front that one, ``"a: v <= 0"``. ``"a1: x1-x2 == 2*(a2: x2-x1)"`` ties coefficients of two
+        equations; where the record contradicts that, it is said, and the answer is the one without.
+    conserve : str
+        A sum of states of first order that does not change, ``"S + I + R"``: every term is a flow between two of them,
+        with opposite coefficients in their equations.
     differs : str or sequence of str
         Terms whose coefficients may differ between records, ``"x, v"``, or ``"all"``: each has a candidate difference
         ``x*run2`` in every record but the first, with a probability of its own.
@@ -230,6 +235,7 @@ def question_of(
     coarsen: float,
     prior: Prior | None,
     constraints: str | Sequence[str],
+    conserve: str,
     differs: str | Sequence[str],
     noise: Mapping[str, float | str] | None,
     gain_sd: Mapping[str, float | str] | None,
@@ -240,7 +246,7 @@ def question_of(
     progress: Progress | None,
 ) -> Question:
     """The arguments of `discover`, checked before any record is read."""
-    _check_kinds(method, smooth, prior, seed, progress, constraints, differs)
+    _check_kinds(method, smooth, prior, seed, progress, constraints, differs, conserve)
     rules = Rules(max_terms, tolerance)
     rules.check(method)
     _check_shares(holdout, coarsen)
@@ -261,6 +267,13 @@ def question_of(
     known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
     parse_ties(known, terms, roles.targets)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    if conserve and (
+        known or differs or prior or max_terms or coarsen < 1.0 or smooth != "auto" or method not in JOINT
+    ):
+        raise InputError(
+            "conserve: takes methods auto and bma with smooth='auto', no constraints, differs, prior, coarsen or"
+            " max_terms beside it: leave these out"
+        )
     return Question(
         roles=roles.for_terms(terms),
         terms=tuple(terms),
@@ -273,6 +286,8 @@ def question_of(
         coarsen=coarsen,
         prior=prior,
         known=known,
+        conserved=parse_conserved(conserve, roles.chains) if conserve else {},
+        conserve=conserve,
         differs=differs,
         noise=noise,
         gain_sd=gain_sd,
@@ -285,12 +300,13 @@ def question_of(
 
 
 def _check_kinds(
-    method: Any, smooth: Any, prior: Any, seed: Any, progress: Any, constraints: Any, differs: Any
+    method: Any, smooth: Any, prior: Any, seed: Any, progress: Any, constraints: Any, differs: Any, conserve: Any
 ) -> None:
     require_text(method, "method")
     require_text(smooth, "smooth")
     require_texts(constraints, "constraints")
     require_texts(differs, "differs")
+    require_text(conserve, "conserve")
     if prior is not None:
         require_kind(prior, Prior, "prior", "a Prior")
     if progress is not None:

@@ -24,7 +24,11 @@ from bayeq.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior, common, half_lines, limited, signs_of
 from bayeq.regression.equalities import Equalities, Linear
+from bayeq.states import Chain
 from bayeq.states.derive import LARGEST
+
+# Behind a sum of states among the constraints of an answer.
+CONSERVED = " is conserved"
 
 _RELATIONS = "==|<=|>=|!=|<|>|=|~"
 
@@ -291,6 +295,22 @@ def parse_ties(
             raise InputError(f"{where}: a tie needs a coefficient on each side")
         out.append((text, tuple(parts), total))
     return tuple(out)
+
+
+def parse_conserved(text: str, chains: Sequence[Chain]) -> dict[int, float]:
+    """Read a sum of states that is conserved, ``"S + I + R"`` or ``"2*S + I"``: factors by the number of the equation.
+
+    Raises
+    ------
+    InputError
+        Malformed text, or a state that is not the only one of its chain.
+    """
+    where, states = f"conserve {text!r}", [chain.states[0] for chain in chains if chain.order == 1]
+    linear = _Reader([parse(name, [name]) for name in states], {}).read(text, where)
+    if linear.constant != 0.0 or len(linear.slopes) < 2:
+        raise InputError(f"{where}: name two states of first order or more, as in 'S + I + R'")
+    number = [c for c, chain in enumerate(chains) if chain.order == 1]
+    return {number[j]: factor for j, factor in linear.slopes.items()}
 
 
 def _side_of(text: str, where: str) -> tuple[float, str, str]:

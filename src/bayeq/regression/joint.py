@@ -48,6 +48,7 @@ def record_of(
     tolerance: float | None = None,
     constraints: Sequence[Constraints] = (),
     ties: Sequence[Stated] = (),
+    conserved: Mapping[int, float] | None = None,
 ) -> RecordFit | None:
     """The likelihood of the records of a design; None where it is not used, or cannot be evaluated.
 
@@ -60,7 +61,7 @@ def record_of(
     log_odds = _log_odds(design, dictionary, prior)
     for own, odds in zip(constraints, log_odds, strict=False):  # of none there may be no constraints
         odds[:-1][own.forced & (odds[:-1] > -np.inf)] = np.inf
-    return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, (*stated, *ties))
+    return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, (*stated, *ties), conserved)
 
 
 def lags_of_design(design: Design, dictionary: Specification, prior: Prior | None) -> tuple[Mapping[str, Lag], float]:

@@ -162,7 +162,7 @@ class Selection:
         return replace(self, shown=shown, why={name: rule for name, rule in why.items() if name in differ})
 
 
-def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[Selection]:
+def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: bool = False) -> list[Selection]:
     """The terms that each equation of a system shows.
 
     Parameters
@@ -174,6 +174,8 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
     motion : Motion
         Its training rows are what free runs are compared on; without time no smaller model is shown, nor of a static
         law, whose terms no run depends on.
+    whole : bool
+        Whether all included terms are shown, for terms are in several equations together.
 
     Raises
     ------
@@ -181,6 +183,8 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
         More terms are forced in than `max_terms`.
     """
     chosen = [Selection(fit, fit.posterior) for fit in fits]
+    if whole:
+        return chosen
     compared = rules.tolerance != 0.0 and all(ENGINES[fit.posterior.method].spike_slab for fit in fits)
     tolerance = rules.tolerance or SELECTION.tolerance
     if compared:
