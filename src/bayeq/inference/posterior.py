@@ -232,13 +232,6 @@ class Posterior:
         out[self.support] = np.sqrt(np.diagonal(self.covariance))
         return out
 
-    def cut(self, ends: Floats) -> Floats:
-        """Intervals (P, 2) cut at the bounds of terms that are in."""
-        if self.bounds is None:
-            return ends
-        inside = (self.pip > 0.0)[:, None] & (ends != 0.0).any(axis=1, keepdims=True)
-        return np.where(inside, np.clip(ends, self.bounds[:, :1], self.bounds[:, 1:]), ends)
-
     @property
     def intercept(self) -> float:
         """b0 = mean(y) - mean(D) theta, under a flat prior."""

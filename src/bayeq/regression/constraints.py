@@ -306,9 +306,9 @@ def parse_conserved(text: str, chains: Sequence[Chain]) -> dict[int, float]:
         Malformed text, or a state that is not the only one of its chain.
     """
     where, states = f"conserve {text!r}", [chain.states[0] for chain in chains if chain.order == 1]
-    linear = _Reader([parse(name, [name]) for name in states], {}).read(text, where)
+    linear = _Reader([parse(name, [name]) for name in states], {}, "state of first order").read(text, where)
     if linear.constant != 0.0 or len(linear.slopes) < 2:
-        raise InputError(f"{where}: name two states of first order or more, as in 'S + I + R'")
+        raise InputError(f"{where}: name at least two states of first order, as in 'S + I + R'")
     number = [c for c, chain in enumerate(chains) if chain.order == 1]
     return {number[j]: factor for j, factor in linear.slopes.items()}
 
@@ -389,7 +389,8 @@ def _bound(difference: Linear, relation: str, where: str) -> tuple[int, float, f
 class _Reader:
     """From text to linear combinations of the coefficients of candidate terms."""
 
-    def __init__(self, terms: Sequence[Expression], dropped: Mapping[str, str]) -> None:
+    def __init__(self, terms: Sequence[Expression], dropped: Mapping[str, str], kind: str = "candidate term") -> None:
+        self.kind = kind
         self.names = [term.text for term in terms]
         self.channels = {name for term in terms for name in term.names}
         self.dropped = list(dropped.items())
@@ -446,7 +447,7 @@ class _Reader:
             (only,) = factors
             if isinstance(only, Negate) or (isinstance(only, Binary) and only.op in "+-"):
                 return self._linear(only, where).times(number)
-        raise UnknownNameError("candidate term", Expression(node).text, self.names, where=where)
+        raise UnknownNameError(self.kind, Expression(node).text, self.names, where=where)
 
     def _term(self, j: int, number: float, where: str) -> Linear:
         if j < 0:
