@@ -179,6 +179,8 @@ def test_a_record_whose_sum_changes_says_so() -> None:
         ({"method": "vb"}, "methods auto and bma"),
         ({"smooth": "none"}, "smooth='auto'"),
         ({"max_terms": 2}, "max_terms"),
+        ({"dictionary": "I, S/({K: 0.1..3}+S)"}, "no constants inside terms"),
+        ({"dictionary": "I, S*I | S*sqrt(I)"}, "no either-or"),
         ({"constraints": "S + I + R is conserved", "conserve": ""}, "write one =="),
     ],
 )

@@ -24,6 +24,7 @@ from bayeq.errors import (
     require_text,
     require_texts,
 )
+from bayeq.expressions import Expression
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 from bayeq.records import as_records, with_row_numbers
@@ -267,13 +268,9 @@ def question_of(
     known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
     parse_ties(known, terms, roles.targets)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
-    if conserve and (
-        known or differs or prior or max_terms or coarsen < 1.0 or smooth != "auto" or method not in JOINT
-    ):
-        raise InputError(
-            "conserve: takes methods auto and bma with smooth='auto', no constraints, differs, prior, coarsen or"
-            " max_terms beside it: leave these out"
-        )
+    if conserve:
+        beside = known or differs or prior or max_terms or coarsen < 1.0
+        _check_conserve(bool(beside), method in JOINT and smooth == "auto", terms)
     return Question(
         roles=roles.for_terms(terms),
         terms=tuple(terms),
@@ -317,6 +314,17 @@ def _check_kinds(
             raise InputError(f"a seed is a whole number, 0 or more, got {one}")
     if method not in ENGINES and method not in ENGINES.load():
         raise UnknownNameError("method", method, ENGINES)
+
+
+def _check_conserve(beside: bool, joint: bool, terms: Sequence[Expression]) -> None:
+    if beside or not joint:
+        raise InputError(
+            "conserve: takes methods auto and bma with smooth='auto', no constraints, differs, prior, coarsen or"
+            " max_terms beside it: leave these out"
+        )
+    unknown = next((term.text for term in terms if term.unknowns or term.choice), None)
+    if unknown is not None:
+        raise InputError(f"conserve: term {unknown}: takes no constants inside terms, and no either-or: write numbers")
 
 
 def _check_shares(holdout: float, coarsen: float) -> None:
