@@ -245,8 +245,9 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
     contradicted = [name for name in posterior.contradicted if name not in beyond]
     if contradicted:
+        what = "sign" if selection.fit.constraints.bounds is None else "sign or bound"
         log.warn(
-            f"{target}: the data contradict the known sign of {some_of(contradicted, 20)}: check the"
+            f"{target}: the data contradict the known {what} of {some_of(contradicted, 20)}: check the"
             " channels' directions, or drop it",
             DataWarning,
         )
