@@ -20,7 +20,7 @@ from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.path import best_of_each_size, model_log_posterior, partial_shares
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import log_evidence, neighbours
-from bayeq.inference.prior import Prior
+from bayeq.inference.prior import Prior, half_lines
 from tests import reference
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "smooth": "none"}
@@ -126,16 +126,17 @@ def test_forced_and_forbidden_terms_and_an_unknown_inclusion():
 def test_known_signs():
     D, y = awkward(8, P=7)
     signs = np.array([0, 1, -1, 1, 0, -1, 0])
+    limits = half_lines(signs)
     p = Problem.of(Gram.from_data(D, y), Prior())
     models = np.array([[bool(code >> j & 1) for j in range(7)] for code in range(128)])
-    values = np.array([model_log_posterior(p, model, signs) for model in models])
-    found, plain = best_of_each_size(p, signs=signs), best_of_each_size(p)
+    values = np.array([model_log_posterior(p, model, limits) for model in models])
+    found, plain = best_of_each_size(p, limits=limits), best_of_each_size(p)
     assert any((a != b).any() for (a, _), (b, _) in zip(found, plain, strict=True))
     for k, (model, value) in enumerate(found):
         best = models[models.sum(axis=1) == k][np.argmax(values[models.sum(axis=1) == k])]
         np.testing.assert_array_equal(model, best)
-        assert value == model_log_posterior(p, best, signs)
-        assert (exact_posterior(p, model, signs)[0] * signs >= 0).all()
+        assert value == model_log_posterior(p, best, limits)
+        assert (exact_posterior(p, model, limits)[0] * signs >= 0).all()
 
 
 def test_what_the_search_is_told_of_is_not_lost():

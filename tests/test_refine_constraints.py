@@ -16,7 +16,7 @@ from scipy.stats import truncnorm
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import BayeqWarning, DataWarning, FileFormatError, InputError
-from bayeq.inference.prior import Prior
+from bayeq.inference.prior import Prior, half_lines
 from bayeq.inference.signs.orthant import truncated
 from bayeq.refine.output_error import Known, _bounded
 from bayeq.regression.constraints import parse_constraints
@@ -209,7 +209,7 @@ def test_truncated_moments_are_those_of_draws():
     m, V = np.array([0.5, 3e-4, 4e3]), L @ L.T
     draws = m + rng.normal(size=(400_000, 3)) @ L.T
     kept = draws[(draws[:, 0] < 0) & (draws[:, 1] > 0)]
-    mean, covariance = truncated(m, V, np.array([-1, 1, 0]), 2e6, 1e6)
+    mean, covariance = truncated(m, V, half_lines(np.array([-1, 1, 0])), 2e6, 1e6)
     sd = kept.std(axis=0)
     np.testing.assert_allclose(mean / sd, kept.mean(axis=0) / sd, atol=0.02)
     np.testing.assert_allclose(covariance / np.outer(sd, sd), np.cov(kept.T) / np.outer(sd, sd), atol=0.02)
@@ -224,7 +224,7 @@ def test_bounded_steps_are_those_of_least_squares(seed, size):
     signs = rng.integers(-1, 2, size)
     phi = signs * np.abs(rng.normal(size=size)) * (rng.random(size) < 0.7)
     low, high = np.where(signs > 0, -phi, -np.inf), np.where(signs < 0, -phi, np.inf)
-    change = _bounded(J.T @ J, J.T @ r, phi, signs)
+    change = _bounded(J.T @ J, J.T @ r, phi, half_lines(signs))
     assert (signs * (phi + change) >= 0.0).all()
     twin = lsq_linear(J, r, (low, high), method="trf", tol=1e-14)
     assert np.sum((J @ change - r) ** 2) <= 2.0 * twin.cost + 1e-9

@@ -223,7 +223,7 @@ def test_a_forced_term_keeps_to_its_side_however_wrong():
     np.testing.assert_allclose(fit.coef[1:], without.coef[1:], rtol=1e-3)
     assert fit.noise_variance == pytest.approx(without.noise_variance, rel=1e-2)
     with pytest.raises(InputError, match="too improbable to draw"):
-        sample_average(Problem.of(gram, prior), fit.average, 10, rng, prior.known_signs)
+        sample_average(Problem.of(gram, prior), fit.average, 10, rng, prior.limits)
 
 
 def test_degenerate_problems_end():
@@ -265,7 +265,7 @@ def test_draws_of_the_average_have_its_moments():
     D, y, _ = reference.random_problem(rng, n=12, P=4, rho=0.8, noise=5.0, active=0.5)
     gram, prior = Gram.from_data(D, y), Prior(5.0, 0.3, 2.0, 2.0, signs=[1, 0, -1, 1])
     fit = spike_slab_bma(gram, prior)
-    theta, noise, which = sample_average(Problem.of(gram, prior), fit.average, 20_000, rng, prior.known_signs)
+    theta, noise, which = sample_average(Problem.of(gram, prior), fit.average, 20_000, rng, prior.limits)
     assert (theta * prior.signs >= 0).all()
     np.testing.assert_array_equal(theta != 0, fit.average.models[which])
     # five standard errors of independent draws

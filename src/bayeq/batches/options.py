@@ -93,13 +93,13 @@ def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[s
             " other terms (dictionary=), or leave common out"
         )
     prior = options.get("prior") or Prior()
-    fixed = {**options, "dictionary": terms, "constraints": ()}
+    fixed = {**options, "dictionary": terms, "constraints": (), "conserve": ""}
     given = options.get("constraints", ())
     texts = [given] if isinstance(given, str) else given
     return {
         **fixed,
         "constraints": [text for text in texts if _holds(fixed, text)],
-        "prior": replace(prior, slab_variance=_WIDE, prior_inclusion=1.0, inclusion_beta=None, signs=None),
+        "prior": replace(prior, slab_variance=_WIDE, prior_inclusion=1.0, inclusion_beta=None, signs=None, bounds=None),
         "method": "bma",
         "max_terms": None,
         "tolerance": 0.0,

@@ -101,7 +101,11 @@ class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest 
     "constraints",
     multiple=True,
     help="What is known of coefficients, by the names of terms: 'u == 1', 'v <= 0', 'a: x*abs(x) == 0.5*x**3' (of"
-    " equation a). Once per constraint.",
+    " equation a), '0 <= a: x**3 <= 5' (bounds). Once per constraint.",
+)
+@opt.in_terms(
+    "--conserve",
+    help="A sum of states that does not change, 'S + I + R': terms are flows between two of them.",
 )
 @opt.in_terms(
     "--differs",

@@ -25,12 +25,14 @@ from bayeq.errors import (
     require_text,
     require_texts,
 )
+from bayeq.expressions import Expression
 from bayeq.expressions.parse import EARLIER
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
 from bayeq.records import as_records, with_row_numbers
 from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_unasked
-from bayeq.regression.constraints import parse_constraints, parse_ties
+from bayeq.regression.constraints import parse_conserved, parse_constraints, parse_ties
+from bayeq.regression.joint import JOINT
 from bayeq.resumable import Progress, silent
 from bayeq.selection.select import Rules
 from bayeq.states import Roles, Smooth, Tails, check_sensors, require_laws, with_laws
@@ -69,6 +71,7 @@ def discover(
     coarsen: float = 1.0,
     prior: Prior | None = None,
     constraints: str | Sequence[str] = (),
+    conserve: str = "",
     differs: str | Sequence[str] = (),
     law: str | Sequence[str] = (),
     discrete: bool = False,
@@ -140,10 +143,13 @@ def discover(
         those units; its v_s is used as it is.
     constraints : str or sequence of str
         What is known of the coefficients, in original units: linear equations, ``"u == 1"``,
-        ``"x*abs(x) == 0.5*x**3"``, signs, ``"v <= 0"`` (methods auto and bma), and what was measured before, with its
-        standard deviation, ``"u ~ 0.1 +- 0.001"``. They concern every equation, or with a target in front that one,
-        ``"a: v <= 0"``. ``"a1: x1-x2 == 2*(a2: x2-x1)"`` ties coefficients of two equations; where the record
-        contradicts that, it is said, and the answer is the one without.
+        ``"x*abs(x) == 0.5*x**3"``, signs and bounds, ``"v <= 0"``, ``"0 <= x**3 <= 5"`` (methods auto and bma), and
+        what was measured before, with its standard deviation, ``"u ~ 0.1 +- 0.001"``. They concern every equation, or
+        with a target in front that one, ``"a: v <= 0"``. ``"a1: x1-x2 == 2*(a2: x2-x1)"`` ties coefficients of two
+        equations; where the record contradicts that, it is said, and the answer is the one without.
+    conserve : str
+        A sum of states of first order that does not change, ``"S + I + R"``: every term is a flow between two of them,
+        with opposite coefficients in their equations.
     differs : str or sequence of str
         Terms whose coefficients may differ between records, ``"x, v"``, or ``"all"``: each has a candidate difference
         ``x*run2`` in every record but the first, with a probability of its own.
@@ -240,6 +246,7 @@ def question_of(
     coarsen: float,
     prior: Prior | None,
     constraints: str | Sequence[str],
+    conserve: str,
     differs: str | Sequence[str],
     law: str | Sequence[str],
     discrete: bool,
@@ -252,7 +259,7 @@ def question_of(
     progress: Progress | None,
 ) -> Question:
     """The arguments of `discover`, checked before any record is read."""
-    _check_kinds(method, smooth, prior, seed, progress, constraints, differs)
+    _check_kinds(method, smooth, prior, seed, progress, constraints, differs, conserve)
     rules = Rules(max_terms, tolerance)
     rules.check(method)
     _check_shares(holdout, coarsen)
@@ -278,6 +285,9 @@ def question_of(
     known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
     parse_ties(known, terms, roles.targets)
     parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    if conserve:
+        beside = known or differs or law or discrete or prior or max_terms or coarsen < 1.0
+        _check_conserve(bool(beside), method in JOINT and smooth == "auto", terms)
     roles = roles.for_terms(terms)
     earlier = {name: found["name"] for name in roles.inputs if (found := EARLIER.fullmatch(name))}
     noise = {**noise, **{name: noise[base] for name, base in earlier.items() if base in noise}}
@@ -293,6 +303,8 @@ def question_of(
         coarsen=coarsen,
         prior=prior,
         known=known,
+        conserved=parse_conserved(conserve, roles.chains) if conserve else {},
+        conserve=conserve,
         differs=differs,
         noise=noise,
         gain_sd=gain_sd,
@@ -305,12 +317,13 @@ def question_of(
 
 
 def _check_kinds(
-    method: Any, smooth: Any, prior: Any, seed: Any, progress: Any, constraints: Any, differs: Any
+    method: Any, smooth: Any, prior: Any, seed: Any, progress: Any, constraints: Any, differs: Any, conserve: Any
 ) -> None:
     require_text(method, "method")
     require_text(smooth, "smooth")
     require_texts(constraints, "constraints")
     require_texts(differs, "differs")
+    require_text(conserve, "conserve")
     if prior is not None:
         require_kind(prior, Prior, "prior", "a Prior")
     if progress is not None:
@@ -335,6 +348,17 @@ def _check_map(smooth: Smooth, band: Any, lag_sd: Any, differs: Any, law: Any) -
     refused = [name for name, is_given in given.items() if is_given]
     if refused:
         raise InputError(f"discrete: a map has no {refused[0]}; leave it out")
+
+
+def _check_conserve(beside: bool, joint: bool, terms: Sequence[Expression]) -> None:
+    if beside or not joint:
+        raise InputError(
+            "conserve: takes methods auto and bma with smooth='auto', no constraints, differs, law, discrete, prior,"
+            " coarsen or max_terms beside it: leave these out"
+        )
+    unknown = next((term.text for term in terms if term.unknowns or term.choice), None)
+    if unknown is not None:
+        raise InputError(f"conserve: term {unknown}: takes no constants inside terms, and no either-or: write numbers")
 
 
 def _check_shares(holdout: float, coarsen: float) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from bayeq.arrays import Bools
 from bayeq.dictionary import Specification, written
+from bayeq.discovery.conserved import warn_of_changes
 from bayeq.discovery.differs import with_differences
 from bayeq.discovery.hidden import without_hidden
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
@@ -32,7 +33,7 @@ from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.unknowns import first_values
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, without_copies
 from bayeq.regression.by_likelihood import regressions_of
-from bayeq.regression.constraints import Constraints, parse_constraints, parse_ties
+from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
 from bayeq.regression.joint import fit_equations, lags_of_design, record_of
 from bayeq.resumable import Progress
@@ -102,6 +103,8 @@ class Question:
     coarsen: float
     prior: Prior | None
     known: tuple[str, ...]
+    conserved: Mapping[int, float]
+    conserve: str
     differs: str | Sequence[str]
     noise: Mapping[str, float | str]
     gain_sd: Mapping[str, float | str]
@@ -164,8 +167,8 @@ class Question:
         record, tied = self._record(design, constrained, known, log)
         if (tied or any(one.stated for one in constrained)) and (record is None or whole is not None):
             raise InputError(
-                "constraints: ~, and ties between equations, are taken by the likelihood of the record in memory: use"
-                " smooth='auto', and choose rows (--rows) of a long file"
+                "constraints: ~, ties between equations and conserved sums are taken by the likelihood of the record in"
+                " memory: use smooth='auto', and choose rows (--rows) of a long file"
             )
         if record is None and motion.smoothed:
             log.warn(NO_LIKELIHOOD, DataWarning)
@@ -209,7 +212,7 @@ class Question:
             else data.of_stretches(whole.names, *whole.counts(motion.holdout), len(measured)),
             dropped=design.dropped,
             warnings=log.messages,
-            constraints=known,
+            constraints=(*known, self.conserve + CONSERVED) if self.conserve else known,
             scores=scores,
             hidden=hidden,
         )
@@ -258,6 +261,9 @@ class Question:
         """
         ties = parse_ties(known, design.terms, design.motion.roles.targets)
         asked = partial(record_of, design, self.smooth, self.dictionary, self.prior, self.rules.tolerance, constrained)
+        if self.conserved:
+            warn_of_changes(self.conserve, self.conserved, design.motion, log)
+            return asked(conserved=self.conserved), True
         free = asked()
         if not ties or free is None:
             return free, bool(ties)
@@ -409,7 +415,7 @@ class Question:
         fits = fit_equations(
             regressions, constrained, self.method, self.prior, self.coarsen, self.rules.tolerance, self.seed
         )
-        selections = select(fits, self.rules, design.motion)
+        selections = select(fits, self.rules, design.motion, whole=bool(self.conserved))
         equations, scores = build_equations(selections, units, log, scored)
         return equations, scores, selections
 
@@ -464,8 +470,9 @@ def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Con
     """What is known of the coefficients of each equation, among the terms that can be used."""
     dropped = {term.name: term.reason for term in design.dropped}
     found = parse_constraints(known, design.terms, design.motion.roles.targets, dropped)
-    if method not in SIGNED and any(one.signs.any() for one in found):
-        raise InputError(f"method {method!r} takes no signs of coefficients; choose one of: {', '.join(SIGNED)}")
+    if method not in SIGNED and any(np.isfinite(one.limits).any() for one in found):
+        what = "signs" if all(one.bounds is None for one in found) else "bounds"
+        raise InputError(f"method {method!r} takes no {what} of coefficients; choose one of: {', '.join(SIGNED)}")
     return found
 
 

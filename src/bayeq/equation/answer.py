@@ -21,7 +21,7 @@ from bayeq.likelihood.unknowns import ConstantEstimate
 from bayeq.plan.conditions import Measured
 from bayeq.records import Record, counts_rows
 from bayeq.refine.refine import Refinement
-from bayeq.regression.constraints import Constraints, parse_constraints
+from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints
 from bayeq.regression.design import DroppedTerm
 from bayeq.states import Chain, Motion, Roles, Sensors, Smooth, rates
 
@@ -217,9 +217,9 @@ class Answer:
         """What `constraints` say of the coefficients of each equation."""
         dropped = {term.name: term.reason for term in self.dropped}
         targets = [equation.target for equation in self.equations]
+        texts = [text for text in self.constraints if not text.endswith(CONSERVED)]
         return tuple(
-            parse_constraints(self.constraints, equation.terms, targets, dropped)[k]
-            for k, equation in enumerate(self.equations)
+            parse_constraints(texts, equation.terms, targets, dropped)[k] for k, equation in enumerate(self.equations)
         )
 
     def table(self) -> pd.DataFrame:

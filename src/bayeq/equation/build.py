@@ -31,7 +31,8 @@ from bayeq.selection.alternatives import alternatives_to, bounds, undetermined
 from bayeq.selection.excitation import Repeating, repeating
 from bayeq.selection.select import Selection
 
-# The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations.
+# The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations, and
+# a bound if the coefficient would be further beyond without it, in its own ones.
 CONTRADICTED = 3.0
 
 # Independent numbers whose variance is known to a third.
@@ -198,11 +199,11 @@ def _rule(selection: Selection, name: str) -> str:
 
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:
-    problem, signs, shown, names = fit.problem, fit.prior.known_signs, posterior.support, posterior.names
+    problem, limits, shown, names = fit.problem, fit.prior.limits, posterior.support, posterior.names
     moves = neighbours(problem, shown, RUNNER_UP_WINDOW)
-    if signs is not None:
-        own = model_log_posterior(problem, shown, signs)
-        moves = [replace(move, gain=model_log_posterior(problem, move.apply(shown), signs) - own) for move in moves]
+    if limits is not None:
+        own = model_log_posterior(problem, shown, limits)
+        moves = [replace(move, gain=model_log_posterior(problem, move.apply(shown), limits) - own) for move in moves]
     average = fit.posterior.average
     if average is not None:
         # what was averaged may know more of models than the information about the one shown
@@ -241,10 +242,20 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
                 f" is {posterior.coef[j]:.4g}; check both, or leave that out",
                 DataWarning,
             )
-    if posterior.contradicted:
+    beyond = selection.fit.beyond_bounds(CONTRADICTED)
+    contradicted = [name for name in posterior.contradicted if name not in beyond]
+    if contradicted:
+        what = "sign" if selection.fit.constraints.bounds is None else "sign or bound"
         log.warn(
-            f"{target}: the data contradict the known sign of {some_of(posterior.contradicted, 20)}: check the"
+            f"{target}: the data contradict the known {what} of {some_of(contradicted, 20)}: check the"
             " channels' directions, or drop it",
+            DataWarning,
+        )
+    for name, (end, free, sds) in beyond.items():
+        relation = "<=" if free > end else ">="
+        log.warn(
+            f"{target}: the record contradicts {name} {relation} {end:.4g} by {sds:.2g} standard deviations (free:"
+            f" {free:.4g}): check units, or drop it",
             DataWarning,
         )
     if equation.verdict.kind == "none":

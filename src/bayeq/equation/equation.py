@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayeq.arrays import Bools, Floats
-from bayeq.equation.intervals import Model, OverModels, over_models, unlike
+from bayeq.equation.intervals import Model, OverModels, cut, over_models, unlike
 from bayeq.equation.pip_curve import PipCurve, PriorSensitivity
 from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity, require_spike_slab
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
@@ -191,7 +191,7 @@ class Equation:
         if p.likelihood_coef is None or p.likelihood_sd is None:
             return None
         ends = p.likelihood_coef[:, None] + Z95 * p.likelihood_sd[:, None] * np.array([-1.0, 1.0])
-        return replace(shown, coef=p.likelihood_coef, sd=p.likelihood_sd, ci95=ends, covariance=None)
+        return replace(shown, coef=p.likelihood_coef, sd=p.likelihood_sd, ci95=cut(p, ends), covariance=None)
 
     @property
     def target(self) -> str:

@@ -16,6 +16,7 @@ from bayeq.errors import DataWarning, FileFormatError, InputError, UnknownNameEr
 from bayeq.forecast.score import Scores
 from bayeq.records import Record, with_row_numbers
 from bayeq.records.files import replacing
+from bayeq.regression.constraints import CONSERVED
 from bayeq.resumable import Progress, silent
 from bayeq.states import estimate_motion
 from bayeq.states.maps import in_samples
@@ -288,7 +289,8 @@ class Equations(Answer):
         Raises
         ------
         InputError
-            No time, too few rows, channels that are missing, no terms to refine, or none that constraints leave free.
+            No time, too few rows, channels that are missing, no terms to refine, none that constraints leave free, or a
+            conserved sum.
 
         Warns
         -----
@@ -300,6 +302,9 @@ class Equations(Answer):
         """
         from bayeq.equation.along import refinement
 
+        conserved = next((text for text in self.constraints if text.endswith(CONSERVED)), None)
+        if conserved is not None:
+            raise InputError(f"refine: {conserved}, which output error does not keep to: leave --refine out")
         return refinement(self, self._timed(_as_list(records, "refine"), "refine"), holdout, interpolation)
 
     def _timed(self, records: Sequence[Record], purpose: str) -> list[Record]:

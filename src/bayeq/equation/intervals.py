@@ -64,7 +64,7 @@ class Model:
             posterior.support,
             posterior.coef,
             posterior.sd,
-            np.column_stack([posterior.coef - half, posterior.coef + half]),
+            cut(posterior, np.column_stack([posterior.coef - half, posterior.coef + half])),
             *(posterior.left_out_intercept or (posterior.intercept, posterior.intercept_sd)),
             posterior.covariance,
         )
@@ -99,10 +99,19 @@ def over_models(
     given = overall if same else mixture_of(shown_fit, shown, struck)
     both = None if given is None else given.given_in()
     return OverModels(
-        averaged=None if overall is None else overall.overall()[:-1],
-        given_in=None if both is None else both[:-1],
+        averaged=None if overall is None else cut(included, overall.overall()[:-1]),
+        given_in=None if both is None else cut(shown, both[:-1]),
         intercept=None if both is None else both[-1],
     )
+
+
+def cut(posterior: Posterior, ends: Floats) -> Floats:
+    """Intervals (P, 2) cut at the bounds of terms that are in."""
+    bounds = posterior.bounds
+    if bounds is None:
+        return ends
+    inside = (posterior.pip > 0.0)[:, None] & (ends != 0.0).any(axis=1, keepdims=True)
+    return np.where(inside, np.clip(ends, bounds[:, :1], bounds[:, 1:]), ends)
 
 
 def unlike(one: Floats, other: Floats) -> Bools:

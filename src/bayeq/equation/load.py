@@ -152,7 +152,17 @@ def _restore(content: Saved) -> Equations:
             for one in content.get("hidden", ())
         ),
     )
-    found.known()  # constraints that cannot be read are damage
+    bounds = [one.bounds for one in found.known()]  # constraints that cannot be read are damage
+    if any(ends is not None for ends in bounds):
+        bounded = [
+            replace(
+                one,
+                posterior=replace(one.posterior, bounds=ends),
+                shown_posterior=replace(one.shown_posterior, bounds=ends),
+            )
+            for one, ends in zip(found.equations, bounds, strict=True)
+        ]
+        found = replace(found, equations=EquationTuple(bounded))
     for equation in found:
         check_restored(equation)
     return found

@@ -124,7 +124,7 @@ def _curve(
     """The curve of the problems that the values pose; a warning if the PIPs at the value used are not reliable."""
     pip, left_out = np.empty((len(values), len(gram.names))), np.empty(len(values))
     for k, problem in enumerate(problems):
-        found = average_models(problem, prior.known_signs, tolerance=tolerance)
+        found = average_models(problem, prior.limits, tolerance=tolerance)
         pip[k], left_out[k] = found.pip(tolerance)[0], found.left_out
     curve = PipCurve(axis_name, tuple(gram.names), values, pip, left_out, int(np.searchsorted(values, used)))
     if not curve.listed[curve.current]:

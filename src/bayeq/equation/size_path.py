@@ -194,15 +194,15 @@ def parsimony_path(fit: RegressionFit, shown: Bools, most: int | None = None) ->
     InputError if `most` is less than the number of forced terms.
     """
     regression, standard, problem = fit.regression, fit.standard, fit.problem
-    signs = fit.prior.known_signs
+    limits = fit.prior.limits
     # equalities between coefficients have taken terms, and with them a part of the target, to the left-hand side
     chosen = shown[fit.constraints.equalities.kept]
     held_out = None if regression.held_out is None else fit.constraints.reduce(regression.held_out)
     if most is None:
         most = max(DEFAULT_MOST, int(chosen.sum()) + BEYOND)
-    found = best_of_each_size(problem, most, [chosen], signs)
+    found = best_of_each_size(problem, most, [chosen], limits)
     models = np.array([model for model, _ in found])
-    coef = np.array([exact_posterior(problem, model, signs)[0] for model in (*models, chosen)])
+    coef = np.array([exact_posterior(problem, model, limits)[0] for model in (*models, chosen)])
     coef *= standard.target_scale / standard.scale
     intercept = standard.source.target_mean - coef @ standard.source.mean
     r2 = _r2(fit.rows, regression.rows, coef, intercept)
@@ -218,7 +218,7 @@ def parsimony_path(fit: RegressionFit, shown: Bools, most: int | None = None) ->
         r2=r2[:-1],
         held_out_r2=held_out_r2[:-1],
         chosen=chosen,
-        chosen_log_evidence=model_log_posterior(problem, chosen, signs) - jacobian,
+        chosen_log_evidence=model_log_posterior(problem, chosen, limits) - jacobian,
         chosen_r2=float(r2[-1]),
         chosen_held_out_r2=float(held_out_r2[-1]),
         share=partial_shares(fit.rows, chosen) * (fit.rows.yty / (regression.rows.yty or 1.0)),

@@ -288,7 +288,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         standard = grams[target].standardise()
         average = self.posteriors_[target].average
         assert average is not None
-        theta, noise, which = sample_average(Problem.of(standard.gram, prior), average, n, rng, prior.known_signs)
+        theta, noise, which = sample_average(Problem.of(standard.gram, prior), average, n, rng, prior.limits)
         return theta / standard.scale, noise, which
 
     def sample(self, n: int = 1000, random_state: int | Sequence[int] = 0) -> tuple[Floats, Floats]:

@@ -33,11 +33,11 @@ def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: fl
     optimum. If the models listed leave out enough to change probabilities by more than 2 %, collapsed Gibbs sampling,
     of this seed, gives what averaging would have; `average` is then None and `rhat` is not.
 
-    Where signs are known the answer is that of model averaging alone, however much mass the models listed leave out:
-    variational Bayes and the sampler take no signs. `elbo` and `optimum` are then None.
+    Where signs or bounds are known the answer is that of model averaging alone, however much mass the models listed
+    leave out: variational Bayes and the sampler take none. `elbo` and `optimum` are then None.
     """
     bma = spike_slab_bma(gram, prior, tolerance=tolerance)
-    if prior is not None and prior.known_signs is not None:
+    if prior is not None and prior.limits is not None:
         return replace(bma, method="auto")
     assert bma.average is not None
     best = list(bma.average.models[:VB_STARTS])

@@ -83,29 +83,29 @@ def _mixture_moments(
 
 
 def average_models(
-    problem: Problem, signs: Ints | None = None, *, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE
+    problem: Problem, limits: Floats | None = None, *, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE
 ) -> ModelSet:
     """The models to average over: all of them, or those that hold all but `tolerance` of the mass."""
-    if signs is None:
+    if limits is None:
         return list_models(problem, tolerance, enumerate_up_to)
     # brings scipy.special, which takes a while to import
     from bayeq.inference.signs.truncation import list_signed
 
-    return list_signed(problem, signs, tolerance, enumerate_up_to)
+    return list_signed(problem, limits, tolerance, enumerate_up_to)
 
 
 def _moments(
-    problem: Problem, signs: Ints | None, models: Bools, weights: Floats, place: Ints, count: int
+    problem: Problem, limits: Floats | None, models: Bools, weights: Floats, place: Ints, count: int
 ) -> tuple[Floats, Floats, Floats, float]:
-    """`_mixture_moments` of models some of which the signs may truncate."""
+    """`_mixture_moments` of models some of which limits may truncate."""
     # in the order of their bits, so that half as many flips lead from one to the next as in that of their weights
     order = np.lexsort(np.packbits(models, axis=1).T)
     models, weights = models[order], weights[order]
-    if signs is None:
+    if limits is None:
         return _mixture_moments(problem, models, weights, place, count)
     from bayeq.inference.signs.truncation import truncated_models
 
-    truncated = list(truncated_models(problem, signs, models))
+    truncated = list(truncated_models(problem, limits, models))
     others = np.ones(len(models), dtype=np.bool_)
     others[[k for k, *_ in truncated]] = False
     mean, square, second, noise = _mixture_moments(problem, models[others], weights[others], place, count)
@@ -138,17 +138,17 @@ def spike_slab_bma(
     probability model (Barbieri and Berger 2004), exact given the model. `average` lists the models with their
     probabilities. Where these leave out more than the tolerance, `pip` is the probability of each term given the others
     averaged over models, and `converged` is False if the two differ by more than the tolerance; `contradicted` names
-    terms whose known signs the data contradict.
+    terms whose known signs or bounds the data contradict.
     """
     prior = prior or Prior()
-    problem, signs = Problem.of(gram, prior), prior.known_signs
-    found = average_models(problem, signs, tolerance=tolerance, enumerate_up_to=enumerate_up_to)
+    problem, limits = Problem.of(gram, prior), prior.limits
+    found = average_models(problem, limits, tolerance=tolerance, enumerate_up_to=enumerate_up_to)
     found = found if revise is None else revise(found)
     found = found if revise is None else replace(found, inclusion=None)  # which was that before
     weights, (pip, converged) = found.weights, found.pip(tolerance)
     complete = found.left_out <= tolerance * (1.0 + 1e-9)
     enough, most = np.searchsorted(np.cumsum(weights), (1.0 - MOMENT_MASS, 1.0 - TRUNCATED_MASS)).tolist()
-    enough = min(enough, max(most, TRUNCATED_MODELS)) + 1 if signs is not None else enough + 1
+    enough = min(enough, max(most, TRUNCATED_MODELS)) + 1 if limits is not None else enough + 1
     if not complete:
         enough = min(enough, max(MOMENT_MODELS, MOMENT_WORK // len(pip)))
     share = weights[:enough] / weights[:enough].sum()
@@ -157,13 +157,13 @@ def spike_slab_bma(
         terms = np.sort(np.argsort(-pip, kind="stable")[:MOST_COVARIANCES])
     place = np.full(len(pip), -1)
     place[terms] = np.arange(len(terms))
-    mean, square, second, noise = _moments(problem, signs, found.models[:enough], share, place, len(terms))
+    mean, square, second, noise = _moments(problem, limits, found.models[:enough], share, place, len(terms))
     if not complete:
         inside = shares(found.models[:enough], share)
         lacking = np.where(inside > 0.0, pip / np.where(inside > 0.0, inside, 1.0), 0.0)
         mean, square = mean * lacking, square * lacking
     support, kept = pip > 0.5, float(weights[:MOST_KEPT].sum()) if len(weights) > MOST_KEPT else 1.0
-    coef, conditional = exact_posterior(problem, support, signs)
+    coef, conditional = exact_posterior(problem, support, limits)
     return Posterior(
         method="bma",
         names=gram.names,
@@ -192,7 +192,7 @@ def spike_slab_bma(
 
 
 def _draw_given_model(p: Problem, active: Bools, n: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """theta (n, P) and sigma^2 (n,) given a model, without the signs."""
+    """theta (n, P) and sigma^2 (n,) given a model, without limits."""
     theta = np.zeros((n, len(active)))
     T = swept(p, active)
     kept = np.flatnonzero(active)
@@ -205,38 +205,38 @@ def _draw_given_model(p: Problem, active: Bools, n: int, rng: np.random.Generato
 
 
 def _draw_given_signs(
-    p: Problem, signs: Ints, active: Bools, n: int, rng: np.random.Generator
+    p: Problem, limits: Floats, active: Bools, n: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """`_draw_given_model` given the signs too: draws of the wrong signs are rejected."""
+    """`_draw_given_model` within limits: draws beyond are rejected."""
     theta, noise = np.empty((0, len(active))), np.empty(0)
     for _ in range(MOST_REJECTIONS):
         drawn, variance = _draw_given_model(p, active, max(n, REJECTED), rng)
-        right = (drawn * signs >= 0.0).all(axis=1)
+        right = ((drawn >= limits[:, 0]) & (drawn <= limits[:, 1]) | ~active).all(axis=1)
         theta, noise = np.concatenate([theta, drawn[right]]), np.concatenate([noise, variance[right]])
         if len(noise) >= n:
             return theta[:n], noise[:n]
     raise InputError(
-        f"the known signs are too improbable to draw from the posterior: {len(noise)} of"
-        f" {MOST_REJECTIONS * max(n, REJECTED)} draws of one model have them; leave out a sign that the data contradict"
+        f"the known signs and bounds are too improbable to draw from the posterior: {len(noise)} of"
+        f" {MOST_REJECTIONS * max(n, REJECTED)} draws of one model have them; leave out one that the data contradict"
     )
 
 
 def sample_average(
-    problem: Problem, average: ModelAverage, n: int, rng: np.random.Generator, signs: Ints | None = None
+    problem: Problem, average: ModelAverage, n: int, rng: np.random.Generator, limits: Floats | None = None
 ) -> tuple[Floats, Floats, NDArray[np.intp]]:
     """Independent draws from the mixture: theta (n, P), sigma^2 (n,), and the model (n,) each came from.
 
     sigma^2 | z, y is inverse-Gamma(h, s/2), theta | sigma^2, z, y Gaussian, eq. (33), on the columns of `problem`.
 
-    InputError: known signs that hardly any draw of a model has.
+    InputError: known signs or bounds that hardly any draw of a model has.
     """
     which = rng.choice(len(average.probability), size=n, p=average.probability)
     theta, noise = np.zeros((n, len(problem.Dty))), np.empty(n)
     for k in np.unique(which):
         rows = np.flatnonzero(which == k)
         one = average.models[k]
-        if signs is None:
+        if limits is None:
             theta[rows], noise[rows] = _draw_given_model(problem, one, len(rows), rng)
         else:
-            theta[rows], noise[rows] = _draw_given_signs(problem, signs, one, len(rows), rng)
+            theta[rows], noise[rows] = _draw_given_signs(problem, limits, one, len(rows), rng)
     return theta, noise, which.astype(np.intp)

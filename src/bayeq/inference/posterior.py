@@ -170,7 +170,7 @@ class Posterior:
     optimum : (P,) bool array or None
         Terms at the optimum of variational Bayes, where the support is another engine's.
     contradicted : tuple of str
-        Terms whose known signs the data contradict.
+        Terms whose known signs or bounds the data contradict.
     target_mean_variance : float or None
         Variance of the mean of the target that the intercept follows from, where it is not sigma^2/n.
     intercept_pip : float or None
@@ -188,6 +188,8 @@ class Posterior:
         The same in the unit of the target.
     error_lines : tuple of float
         Frequencies [Hz] that divide its power evenly, in ascending order; empty where it is not known.
+    bounds : (P, 2) array or None
+        Bounds that intervals are cut at, infinite where there are none; signs alone are none.
     """
 
     method: str
@@ -221,6 +223,7 @@ class Posterior:
     error_share: float | None = None
     error_sd: float | None = None
     error_lines: tuple[float, ...] = ()
+    bounds: Floats | None = None
 
     @property
     def sd(self) -> Floats:

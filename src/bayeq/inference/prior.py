@@ -8,11 +8,32 @@ from math import lgamma, log
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayeq.arrays import Floats, Ints
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError
 
-# Methods that take signs of coefficients.
+# Methods that take signs and bounds of coefficients.
 SIGNED = ("auto", "bma")
+
+
+def half_lines(signs: Ints) -> Floats:
+    """Limits (P, 2) of coefficients of known signs (P,), 0 for unknown."""
+    return np.column_stack([np.where(signs > 0, 0.0, -np.inf), np.where(signs < 0, 0.0, np.inf)])
+
+
+def limited(limits: Floats) -> Bools:
+    """Which coefficients have limits (P, 2)."""
+    return np.asarray(np.isfinite(limits).any(axis=1), dtype=np.bool_)
+
+
+def signs_of(limits: Floats) -> Ints:
+    """Signs (P,) of coefficients of which no more is known than these, 0 for others."""
+    low, high = limits.T
+    return ((low == 0.0) & np.isposinf(high)).astype(np.int64) - (np.isneginf(low) & (high == 0.0))
+
+
+def common(one: Floats, other: Floats) -> Floats:
+    """What two limits, (P, 2) each, have in common."""
+    return np.column_stack([np.maximum(one[:, 0], other[:, 0]), np.minimum(one[:, 1], other[:, 1])])
 
 
 @dataclass(frozen=True)
@@ -33,6 +54,9 @@ class Prior:
     signs : (P,) array of -1, 0 and +1, optional
         Known signs of coefficients, 0 for unknown. Given inclusion the prior of a coefficient of known sign is the half
         normal on that side. For model averaging (`auto`, `bma`); other methods refuse them.
+    bounds : (P, 2) array, optional
+        Least and largest value of each coefficient, infinite where there is none: the slab is truncated there. The
+        share of a slab that is left, which its evidence is relative to, is that for a noise of variance 1.
 
     Notes
     -----
@@ -45,6 +69,7 @@ class Prior:
     noise_rate: float = 1e-4
     inclusion_beta: tuple[float, float] | None = None
     signs: ArrayLike | None = None
+    bounds: ArrayLike | None = None
 
     def validate(self, terms: int) -> None:
         """Check the values against a dictionary.
@@ -76,14 +101,23 @@ class Prior:
             signs = np.asarray(self.signs)
             if signs.shape != (terms,) or not bool(np.isin(signs, (-1, 0, 1)).all()):
                 raise InputError(f"signs must be -1, 0 or +1 for each of the {terms} terms, got {self.signs!r}")
+        if self.bounds is not None:
+            ends = np.asarray(self.bounds, dtype=np.float64)
+            if ends.shape != (terms, 2) or not bool((ends[:, 0] < ends[:, 1]).all()):
+                raise InputError(f"bounds must be a lower and a higher number for each of the {terms} terms")
 
     @property
-    def known_signs(self) -> Ints | None:
-        """`signs` as integers, (P,); None if no sign is known."""
-        return np.asarray(self.signs).astype(np.int64) if self.signs is not None and np.any(self.signs) else None
+    def limits(self) -> Floats | None:
+        """Ends of `signs` and `bounds` together, (P, 2); None if nothing is known."""
+        known = self.signs is not None and bool(np.any(self.signs))
+        ends = half_lines(np.asarray(self.signs).astype(np.int64)) if known else None
+        if self.bounds is not None and bool(np.isfinite(self.bounds).any()):
+            own = np.asarray(self.bounds, dtype=np.float64)
+            ends = own if ends is None else common(ends, own)
+        return ends
 
     def refuse_signs(self, method: str) -> None:
-        """Check that no sign is known, for engines that cannot use it.
+        """Check that no sign or bound is known, for engines that cannot use it.
 
         Parameters
         ----------
@@ -93,10 +127,11 @@ class Prior:
         Raises
         ------
         InputError
-            A sign is known.
+            A sign or a bound is known.
         """
-        if self.known_signs is not None:
-            raise InputError(f"method {method!r} takes no signs of coefficients; choose one of: {', '.join(SIGNED)}")
+        if self.limits is not None:
+            what = "signs" if self.bounds is None else "bounds"
+            raise InputError(f"method {method!r} takes no {what} of coefficients; choose one of: {', '.join(SIGNED)}")
 
     def log_odds(self, terms: int) -> Floats:
         """logit(p_0) of each term: +inf for a forced, -inf for a forbidden one.

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from bayeq.arrays import Bools, Floats
 from bayeq.expressions import Expression
 from bayeq.gram import Gram, Standardised
-from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.search import scores_of
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.block import Block, at_its_path
 from bayeq.likelihood.courses import with_other_inputs
-from bayeq.likelihood.fit import Quadratic, State, candidates, solved
+from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
 from bayeq.likelihood.hidden import with_found_laws
 from bayeq.likelihood.lags import lags_of
 from bayeq.likelihood.layout import Stated
@@ -39,7 +38,7 @@ from bayeq.likelihood.search import (
     with_model,
 )
 from bayeq.likelihood.settings import LIKELIHOOD
-from bayeq.likelihood.spike import Nearly, Soft, among_fitted, averaged, soft_of
+from bayeq.likelihood.spike import Nearly, Soft, among_fitted, averaged, of_gram, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from
 from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms, first_members, joint_covariance, settled, with_constants
@@ -105,14 +104,14 @@ class RecordFit:
         ):
             return included
         # what the Gram says of models far from the fitted one is not to be relied on
-        revise = partial(among_fitted, fitted=fitted)
-        posterior = spike_slab_bma(task.gram(fitted.quadratic), task.known, revise=revise)
+        posterior = of_gram(task, fitted.quadratic, partial(among_fitted, task=task, fitted=fitted))
         found = replace(found, posterior=posterior, nearly=Nearly.unknown(task.layout.chains))
         return found.about(found.posterior.support)
 
     def worse(self, model: Bools) -> float:
         """By how many nats the Gram finds an exact law of a model less likely than that of the fit, at least 0."""
-        scores = scores_of(self.task.problem(self.fitted.quadratic), np.array([self.fitted.model, model]))
+        models = np.array([self.task.narrow(one) for one in (self.fitted.model, model)])
+        scores = scores_of(self.task.problem(self.fitted.quadratic), models)
         return max(float(scores[0] - scores[1]), 0.0)
 
     def of_more(self, task: Task, state: State, quadratic: Quadratic, block: Block) -> RecordFit:
@@ -244,13 +243,24 @@ class RecordFit:
             return False
         about = self.fitted.model if self.more is None else self.more[0]
         same = bool((about == self.fitted.model).all()) and bool((about[self.block(c)][:-1] == model).all())
-        return self.own and same and (self.more is None or len(self.more[1].pulls) > 0)
+        return self.own and same and self.task.flows is None and (self.more is None or len(self.more[1].pulls) > 0)
 
     def own_coefficients(self, c: int) -> tuple[Floats, Floats]:
         """Coefficients of equation c by the likelihood, the constant last if it is in the model; their covariance."""
         state, covariance = self.unshrunk
         own = np.flatnonzero(state.chosen.chain == c)
         return state.theta[own], covariance[np.ix_(own, own)]
+
+    @cached_property
+    def balanced(self) -> tuple[Floats, Floats]:
+        """Coefficients (C (P + 1),) of the flows of the model, under a prior that hardly shrinks; their covariance."""
+        task, q = self.task, self._softened
+        assert task.flows is not None
+        chosen = task.flows.narrow(self.fitted.model)
+        F, precision = task.flows.matrix[:, chosen], task.flows.precision(task.precision)[chosen]
+        H = F.T @ q.information @ F + LIKELIHOOD.unshrunk * np.diag(precision)
+        covariance = F @ solved(H, np.eye(len(H))) @ F.T
+        return covariance @ q.slope, 0.5 * (covariance + covariance.T)
 
     def leftover(self, c: int) -> Leftover:
         """What the terms of equation c leave of its smoothed right-hand side."""
@@ -311,7 +321,17 @@ class RecordFit:
 
     @cached_property
     def quadratic(self) -> Quadratic:
-        """The likelihood of all candidates beside functions of the most probable sizes, where that can be evaluated."""
+        """The likelihood of all candidates beside functions of the most probable sizes; where a sum is conserved, what
+        each equation by itself tells."""
+        task, q = self.task, self.fitted.quadratic
+        if task.flows is None:
+            return self._softened
+        ties = of_stated(task.layout.stated[-task.flows.width :], task.layout.everything, np.zeros(len(q.slope)))
+        return replace(q, information=q.information - self.fitted.power * ties.information)
+
+    @cached_property
+    def _softened(self) -> Quadratic:
+        """The same where nothing is conserved; without functions where they cannot be evaluated."""
         tau = self.nearly.tau
         try:
             return Soft.of(self.task, self.fitted).quadratic(tau)[0] if any(tau) else self.fitted.quadratic
@@ -355,7 +375,8 @@ class RecordFit:
             return None
         inside = np.flatnonzero(self.fitted.model)
         A, b = _marginal(q, np.array([block.stop - 1]), inside, precision)
-        return float(b[0] / A[0, 0]), float(1.0 / np.sqrt(A[0, 0]))
+        value = 0.0 if self.task.flows is not None else float(b[0] / A[0, 0])
+        return value, float(1.0 / np.sqrt(A[0, 0]))
 
 
 def _marginal(q: Quadratic, own: NDArray[np.intp], rest: NDArray[np.intp], precision: Floats) -> tuple[Floats, Floats]:
@@ -376,6 +397,7 @@ def fit_record(
     grams: Sequence[Gram],
     tolerance: float | None = None,
     stated: tuple[Stated, ...] = (),
+    conserved: Mapping[int, float] | None = None,
 ) -> RecordFit | None:
     """Fit a dictionary to the training rows of some motion.
 
@@ -395,6 +417,8 @@ def fit_record(
         See `bayeq.discover`.
     stated : tuple of Stated
         What is known of coefficients before.
+    conserved : mapping of int to float, optional
+        Factors of the states, by the number of the equation, of a sum that is conserved.
 
     Returns
     -------
@@ -407,7 +431,7 @@ def fit_record(
             some, places = _stretches(motion)
             log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
             log_odds = first_members(some, terms, log_odds)
-            task, states = start_from(some, terms, grams, log_odds, tolerance, stated)
+            task, states = start_from(some, terms, grams, log_odds, tolerance, stated, conserved)
             task, fitted = search(task, states)
             if motion.roles.hidden:  # a lag that is off looks like another course
                 task, fitted = settled(some, task, fitted)
@@ -483,7 +507,11 @@ def refit_record(
         return found
     task = former.task
     log_odds = task.log_odds if task.ranges is None else task.log_odds - task.ranges
-    other = fit_record(motion, terms, log_odds.reshape(-1, former.width), grams, task.tolerance, task.layout.stated)
+    stated, conserved = task.layout.stated, None
+    if task.flows is not None:
+        stated, conserved = stated[: len(stated) - task.flows.width], task.flows.weights
+    log_odds = log_odds.reshape(-1, former.width)
+    other = fit_record(motion, terms, log_odds, grams, task.tolerance, stated, conserved)
     pairs = [one for one in (found, other) if one is not None]
     return max(pairs, key=lambda one: one.fitted.evidence, default=None)
 

@@ -36,6 +36,7 @@ from bayeq.likelihood.fit import (
     over_sizes,
     solved,
 )
+from bayeq.likelihood.flows import Flows
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.settings import LIKELIHOOD
@@ -112,6 +113,8 @@ class Task:
         See `bayeq.discover`.
     ranges : (C (P + 1),) array or None
         What the log odds have lost to the ranges of constants inside terms.
+    flows : Flows or None
+        What models are selected from, where a sum of states is conserved.
     recent : list
         The last two linearisations and what they are of: fits go on from where others have stood.
     """
@@ -124,6 +127,7 @@ class Task:
     counted: float | None = None
     tolerance: float | None = None
     ranges: Floats | None = None
+    flows: Flows | None = None
     recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
 
     def linearised(self, state: State) -> list[Linear]:
@@ -170,26 +174,48 @@ class Task:
 
     def prior(self, model: Bools) -> float:
         """Log prior of a model, up to a constant."""
-        free = model & np.isfinite(self.log_odds)
-        return float(self.log_odds[free].sum())
+        odds, chosen, share = self.log_odds, model, 0.0
+        if self.flows is not None:
+            odds, chosen = self.flows.log_odds(odds), self.flows.narrow(model)
+            share = self.flows.log_share(self.layout.stated, self.precision, model)
+        return float(odds[chosen & np.isfinite(odds)].sum()) - share
 
     @cached_property
     def known(self) -> Prior:
         """The prior of coefficients in units of their own prior's standard deviation, noise of variance 1."""
         return Prior(slab_variance=1.0, prior_inclusion=1.0 / (1.0 + np.exp(-self.log_odds)))
 
+    @cached_property
+    def selected(self) -> Prior:
+        """The same of what models are selected from."""
+        if self.flows is None:
+            return self.known
+        return Prior(slab_variance=1.0, prior_inclusion=1.0 / (1.0 + np.exp(-self.flows.log_odds(self.log_odds))))
+
+    def wide(self, model: Bools) -> Bools:
+        """The coefficients of a model that was selected."""
+        return model if self.flows is None else self.flows.wide(model)
+
+    def narrow(self, model: Bools) -> Bools:
+        """The opposite of `wide`."""
+        return model if self.flows is None else self.flows.narrow(model)
+
     def gram(self, q: Quadratic) -> Gram:
-        """The likelihood of all candidates in those units, as a regression whose noise is practically known."""
-        scale = 1.0 / np.sqrt(self.precision)
-        DtD = q.information * scale[:, None] * scale
-        Dty = q.slope * scale
+        """The likelihood of all that models are selected from, in those units: a regression of known noise, about."""
+        precision, information, slope = self.precision, q.information, q.slope
+        if self.flows is not None:
+            precision, F = self.flows.precision(precision), self.flows.matrix
+            information, slope = F.T @ information @ F, F.T @ slope
+        scale = 1.0 / np.sqrt(precision)
+        DtD = information * scale[:, None] * scale
+        Dty = slope * scale
         rows = KNOWN * self.rows
         names = tuple(map(str, range(len(Dty))))
         return Gram(names, rows, np.zeros(len(Dty)), 0.0, DtD, Dty, float(Dty @ solved(DtD, Dty)) + rows, rows)
 
     def problem(self, q: Quadratic) -> Problem:
         """The regression that models are compared on."""
-        return Problem.of(self.gram(q), self.known)
+        return Problem.of(self.gram(q), self.selected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,8 +321,11 @@ def expanded(task: Task, state: State, curved: Floats) -> Quadratic:
 
 def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
     """A start for another model: its coefficients as the Gram gives them, the path and levels of the fit."""
-    coef, _ = exact_posterior(task.problem(fitted.quadratic), model, None)
-    theta = coef[model] / np.sqrt(task.precision[model])
+    coef, _ = exact_posterior(task.problem(fitted.quadratic), task.narrow(model), None)
+    if task.flows is None:
+        theta = coef[model] / np.sqrt(task.precision[model])
+    else:
+        theta = (task.flows.matrix @ (coef / np.sqrt(task.flows.precision(task.precision))))[model]
     return replace(fitted.state, chosen=task.layout.everything.take(np.flatnonzero(model)), theta=theta)
 
 
@@ -362,13 +391,13 @@ def likeliest(task: Task, fitted: Fitted) -> State:
     """
     problem = task.problem(fitted.quadratic)
     model = best_models(problem)[0][1]
-    state = with_model(task, fitted, model)
+    state = with_model(task, fitted, task.wide(model))
     while not steady(task, state):
         removals = [move for move in neighbours(problem, model, math.inf) if move.enters is None]
         if not removals:
             break
         model = removals[0].apply(model)
-        state = with_model(task, fitted, model)
+        state = with_model(task, fitted, task.wide(model))
     return state
 
 
@@ -535,10 +564,11 @@ def among_neighbours(task: Task, best: Fitted) -> Fitted:
     tried = {best.model.tobytes(): best.evidence}
     for _ in range(MOVES):
         better = best
-        for move in neighbours(task.problem(best.quadratic), best.model, LIKELIHOOD.neighbour_window)[
+        chosen = task.narrow(best.model)
+        for move in neighbours(task.problem(best.quadratic), chosen, LIKELIHOOD.neighbour_window)[
             : LIKELIHOOD.neighbours
         ]:
-            model = move.apply(best.model)
+            model = task.wide(move.apply(chosen))
             if model.tobytes() in tried:
                 continue
             try:

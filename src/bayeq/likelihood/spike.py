@@ -195,6 +195,10 @@ class Soft:
         width = len(layout.terms) + 1
         column = np.append(np.arange(P), width - 1)
         state = replace(state, chosen=state.chosen._replace(term=column[state.chosen.term]))
+        stated = [one._replace(parts=tuple((c, int(column[j]), w) for c, j, w in one.parts)) for one in layout.stated]
+        layout = replace(layout, stated=tuple(stated))
+        if stated:
+            state = replace(state, levels=replace(state.levels, layout=layout))
         own = replace(task, layout=layout, recent=[])
         linears = own.linearised(state)
         found = marginal(linears, state, state.levels, precision)
@@ -248,7 +252,7 @@ class Soft:
             q, largest = self.quadratic(tau)
             found = average_models(self.task.problem(q))
             self.sets[tau] = replace(found, log_posterior=found.log_posterior + largest)
-        return self.sets[tau] if any(tau) else as_fitted(self.sets[tau], self.fitted)
+        return self.sets[tau] if any(tau) else as_fitted(self.sets[tau], self.task, self.fitted)
 
     def evidence(self, tau: Sizes) -> float:
         """ln p(data | sizes) up to the same constant."""
@@ -266,9 +270,9 @@ def moved_columns(task: Task, state: State, smoothed: Sequence[Adjoint], columns
     return out
 
 
-def as_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
+def as_fitted(found: ModelSet, task: Task, fitted: Fitted) -> ModelSet:
     """The models with the evidence of their own fit, where they were fitted."""
-    keys = [model.tobytes() for model in found.models]
+    keys = [task.wide(model).tobytes() for model in found.models]
     own = fitted.model.tobytes()
     if own not in keys or fitted.power < 1.0:
         return found
@@ -277,10 +281,10 @@ def as_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
     return _sorted(found, found.models, np.array(values))
 
 
-def among_fitted(found: ModelSet, fitted: Fitted) -> ModelSet:
+def among_fitted(found: ModelSet, task: Task, fitted: Fitted) -> ModelSet:
     """The models that were fitted alone, with the evidence of their fit."""
     tried = fitted.tried or {fitted.model.tobytes(): fitted.evidence}
-    models = np.array([np.frombuffer(key, dtype=np.bool_) for key in tried])
+    models = np.array([task.narrow(np.frombuffer(key, dtype=np.bool_)) for key in tried])
     return _sorted(found, models, np.array([*tried.values()]))
 
 
@@ -305,20 +309,22 @@ def averaged(task: Task, fitted: Fitted, soft: Soft | None) -> tuple[Posterior, 
         try:
             tau, exact, lines = _most_probable(soft)
             mixed = partial(_mixed, search=soft, lines=lines)
-            return _of_gram(task, soft.quadratic(tau)[0], mixed), Nearly(tau, tuple(exact.tolist()))
+            return of_gram(task, soft.quadratic(tau)[0], mixed), Nearly(tau, tuple(exact.tolist()))
         except np.linalg.LinAlgError:
             nearly = Nearly.unknown(chains)
-    return _of_gram(task, fitted.quadratic, partial(as_fitted, fitted=fitted)), nearly
+    return of_gram(task, fitted.quadratic, partial(as_fitted, task=task, fitted=fitted)), nearly
 
 
-def _of_gram(task: Task, q: Quadratic, revise: Callable[[ModelSet], ModelSet]) -> Posterior:
-    return spike_slab_bma(task.gram(q), task.known, revise=revise)
+def of_gram(task: Task, q: Quadratic, revise: Callable[[ModelSet], ModelSet]) -> Posterior:
+    """The posterior of all coefficients, averaged over models with other weights."""
+    found = spike_slab_bma(task.gram(q), task.selected, revise=revise)
+    return found if task.flows is None else task.flows.paired(found, task.precision)
 
 
 def _most_probable(search: Soft) -> tuple[Sizes, Floats, dict[Sizes, float]]:
     """The most probable sizes, equation by equation; P(first size) of each; ln prior of sizes to average over."""
     chains = len(search.spreads)
-    together = len(search.task.precision) > MOST_APART
+    together = len(search.task.precision) > MOST_APART or search.task.flows is not None
     free = np.flatnonzero(~search.fitted.state.levels.stated).tolist()
     groups = [free] if together else [[c] for c in free]
     grids = [sizes_of(search.task.tolerance, min(search.spreads[c].shape[1] for c in group)) for group in groups]

@@ -20,6 +20,7 @@ from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, maximised
+from bayeq.likelihood.flows import Flows
 from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout, Series, Stated
 from bayeq.likelihood.levels import LEAST_COURSE, LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
@@ -55,6 +56,7 @@ def start_from(
     log_odds: Floats,
     tolerance: float | None,
     stated: tuple[Stated, ...] = (),
+    conserved: Mapping[int, float] | None = None,
 ) -> tuple[Task, tuple[State, ...]]:
     """What is to be explained by a dictionary in the training rows of some motion, and where fits start.
 
@@ -72,6 +74,8 @@ def start_from(
         See `bayeq.discover`.
     stated : tuple of Stated
         What is known of coefficients before.
+    conserved : mapping of int to float, optional
+        As for `bayeq.likelihood.record_fit.fit_record`.
 
     Returns
     -------
@@ -108,10 +112,18 @@ def start_from(
     of_law = np.repeat([chain.hidden for chain in roles.chains], len(terms) + 1)
     laws = np.flatnonzero(of_law & (odds == np.inf))
     empty = State(layout.everything.take(laws), np.ones(len(laws)), paths, levels)
-    layout = replace(layout, stated=tuple(_tied(one, layout, precision, odds) for one in stated))
+    ties, flows = [_tied(one, layout, precision, odds) for one in stated], None
+    if conserved:
+        flows = Flows(conserved, len(log_odds), len(terms) + 1)
+        ties += flows.ties(precision)
+    layout = replace(layout, stated=tuple(ties))
     empty = replace(empty, levels=replace(levels, layout=layout))
-    task = Task(layout, series, precision, odds, tolerance=tolerance)
-    return task, (_by_rows(empty, grams, log_odds[:, :-1] > -np.inf), empty)
+    task = Task(layout, series, precision, odds, tolerance=tolerance, flows=flows)
+    first = _by_rows(empty, grams, log_odds[:, :-1] > -np.inf)
+    if flows is not None:
+        whole = flows.wide(flows.narrow(task.model(first.chosen)))[task.number(first.chosen)]
+        first = replace(first, chosen=first.chosen.take(np.flatnonzero(whole)), theta=first.theta[whole])
+    return task, (first, empty)
 
 
 def _tied(stated: Stated, layout: Layout, precision: Floats, odds: Floats) -> Stated:

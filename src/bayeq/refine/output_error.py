@@ -19,7 +19,7 @@ from typing import Self
 
 import numpy as np
 
-from bayeq.arrays import Bools, Floats, Ints
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.inference.prior import Prior
@@ -51,18 +51,23 @@ BLOCK_ROWS = 8
 # left of sixteen.
 SINGULAR = 1e13
 
+# A parameter that is this near to a limit, as a share of it, is there.
+ROUNDING = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class OutputError:
     """Parameters by output error."""
 
-    parameters: Floats  # (p,), as in `Dynamics`; with known signs in doubt the mean of what they leave of the posterior
+    parameters: (
+        Floats  # (p,), as in `Dynamics`; with known limits in doubt the mean of what they leave of the posterior
+    )
     covariance: Floats  # (p, p), singular where parameters follow from others
     free: Bools  # (p,), those that do not
     # factor by which the covariance is wider than that of independent noise; 1 where what is left looks like that
     excess: float
-    at_bound: Bools  # (p,), parameters that were 0, the end of their known sign, where runs were closest
-    contradicted: bool  # whether runs speak against these signs, by a likelihood ratio of more than a hundred
+    at_bound: Floats  # (p,), 0 or a bound of parameters that were there where runs were closest; NaN of others
+    contradicted: bool  # whether runs speak against these, by a likelihood ratio of more than a hundred
     noise_sd: Mapping[str, float]  # standard deviation of each channel's noise
     # channels of which runs leave more than the noise that was given, and how many times its standard deviation:
     # theirs is what runs leave
@@ -85,12 +90,12 @@ NO_RUN = Unrefined("no free run follows the records", "check signs and terms, or
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of the parameters theta of `Dynamics`: theta = offset + basis phi, phi the free ones, and signs."""
+    """What is known of the parameters theta of `Dynamics`: theta = offset + basis phi, phi free ones within limits."""
 
     offset: Floats  # (p,), equations between coefficients, solved
     basis: Floats  # (p, f)
     free: Bools  # (p,), the parameters that phi is
-    signs: Ints  # (f,), known signs of phi, 0 for unknown
+    limits: Floats  # (f, 2), least and largest phi, infinite where there are none
 
     @classmethod
     def of(cls, dynamics: Dynamics, constraints: Sequence[Constraints]) -> Self:
@@ -100,7 +105,7 @@ class Known:
         """
         size = dynamics.size
         offset, basis = np.zeros(size), np.zeros((size, size))
-        free, signs = np.ones(size, dtype=np.bool_), np.zeros(size, dtype=np.int64)
+        free, limits = np.ones(size, dtype=np.bool_), np.tile([-np.inf, np.inf], (size, 1))
         for block, law, one in zip(dynamics.blocks(), dynamics.laws, constraints, strict=True):
             support, equalities = law.posterior.support, one.equalities
             if not equalities.closed(support):
@@ -112,26 +117,26 @@ class Known:
             basis[block.start : rows[0], block.start : rows[0]] = 1.0
             basis[np.ix_(rows, rows[kept])] = equalities.basis(support)
             offset[rows], free[rows] = equalities.offset(support), kept
-            known = one.prior(Prior()).known_signs
+            known = one.prior(Prior()).limits
             if known is not None:
-                signs[rows[kept]] = known[support[equalities.kept]]
+                limits[rows[kept]] = known[support[equalities.kept]]
         if not free.any():
             raise InputError("refine: the constraints fix every coefficient: there is nothing to refine")
-        return cls(offset, basis[:, free], free, signs[free])
+        return cls(offset, basis[:, free], free, limits[free])
 
     def full(self, phi: Floats) -> Floats:
         """All parameters, (p,)."""
         return np.asarray(self.offset + self.basis @ phi)
 
     def start(self, theta: Floats) -> Floats:
-        """Parameters (p,) with the free ones of theta (p,), 0 where they have not their sign."""
-        phi = theta[self.free]
-        return self.full(np.where(phi * self.signs < 0.0, 0.0, phi))
+        """Parameters (p,) with the free ones of theta (p,), at their limits where they are beyond."""
+        return self.full(np.clip(theta[self.free], *self.limits.T))
 
-    def at_bound(self, theta: Floats) -> Bools:
-        """Parameters that are at the end of their known sign, (p,)."""
-        out = np.zeros(len(theta), dtype=np.bool_)
-        out[self.free] = (self.signs != 0) & (theta[self.free] == 0.0)
+    def at_bound(self, theta: Floats) -> Floats:
+        """The limit of each parameter that is there, (p,); NaN of others."""
+        out, phi = np.full(len(theta), np.nan), theta[self.free][:, None]
+        there = np.abs(phi - self.limits) <= ROUNDING * np.abs(phi)
+        out[self.free] = np.where(there.any(axis=1), np.where(there[:, 0], *self.limits.T), np.nan)
         return out
 
 
@@ -186,8 +191,8 @@ def _of_course(
             run = _followed(task, known, replace(run.state, levels=replace(run.state.levels, held=held)))
         misfit = {names[i]: float(np.sqrt(run.state.levels.channels[i]) / given[i]) for i in distrusted}
         at_bound, free = known.at_bound(run.state.theta), run
-        if at_bound.any():  # the runs would come closer beyond
-            free = _followed(task, replace(known, signs=np.zeros_like(known.signs)), run.state)
+        if np.isfinite(at_bound).any():  # the runs would come closer beyond
+            free = _followed(task, replace(known, limits=np.full_like(known.limits, np.inf) * [-1.0, 1.0]), run.state)
     except np.linalg.LinAlgError:
         return NO_RUN
     levels = run.state.levels
@@ -203,11 +208,11 @@ def _of_course(
     covariance = 0.5 * (covariance + covariance.T)
     excess = max(_excess(*_sensitivity(free.found, known.basis)), 1.0)
     mean, spread = free.state.theta[known.free], excess * covariance
-    if known.signs.any():
+    if np.isfinite(known.limits).any():
         from bayeq.inference.signs.orthant import truncated
 
         freedom = 0.5 * max(task.rows - len(A), 1.0)
-        mean, spread = truncated(mean, covariance, known.signs, 2.0 * freedom * excess, freedom)
+        mean, spread = truncated(mean, covariance, known.limits, 2.0 * freedom * excess, freedom)
     return OutputError(
         parameters=known.full(mean),
         covariance=known.basis @ spread @ known.basis.T,
@@ -260,7 +265,7 @@ def _fitted(task: Task, known: Known, state: State) -> _Run:
         last = state = replace(state, levels=levels)
         q, phi = quadratic(found.filtered), state.theta[known.free]
         slope, information = known.basis.T @ q.slope, known.basis.T @ q.information @ known.basis
-        moved = _bounded(information, slope, phi, known.signs)
+        moved = _bounded(information, slope, phi, known.limits)
         near = float(np.max(np.abs(moved) * np.sqrt(np.diagonal(information)), initial=0.0)) < STEP
         if near or step == MOST_STEPS - 1:
             break
@@ -269,23 +274,22 @@ def _fitted(task: Task, known: Known, state: State) -> _Run:
     return _Run(state, found, information, near)
 
 
-def _bounded(information: Floats, slope: Floats, phi: Floats, signs: Ints) -> Floats:
-    """The step to the maximum of a quadratic under the known signs of the parameters."""
-    step = solved(information, slope)
-    if not (signs * (phi + step) < 0.0).any():
+def _bounded(information: Floats, slope: Floats, phi: Floats, limits: Floats) -> Floats:
+    """The step to the maximum of a quadratic within the limits of the parameters, (f, 2)."""
+    step, (low, high) = solved(information, slope), limits.T - phi
+    if ((step >= low) & (step <= high)).all():
         return step
     from scipy.optimize import lsq_linear
 
     unit = 1.0 / np.sqrt(np.diagonal(information))
     values, vectors = np.linalg.eigh(information * unit[:, None] * unit)
     root = np.sqrt(np.maximum(values, np.finfo(np.float64).eps * values.max()))
-    low = np.where(signs > 0, -phi / unit, -np.inf)
-    high = np.where(signs < 0, -phi / unit, np.inf)
-    found = lsq_linear(root[:, None] * vectors.T, (vectors.T @ (unit * slope)) / root, (low, high), method="bvls")
+    within = (low / unit, high / unit)
+    found = lsq_linear(root[:, None] * vectors.T, (vectors.T @ (unit * slope)) / root, within, method="bvls")
     step = unit * found.x
     # at the end of its sign a parameter is 0 to the last bit
-    ends = (signs != 0) & ((found.active_mask != 0) | (signs * (phi + step) <= 0.0))
-    return np.where(ends, -phi, step)
+    step = np.where((found.active_mask < 0) | (step <= low), low, step)
+    return np.where((found.active_mask > 0) | (step >= high), high, step)
 
 
 def _sensitivity(found: Statistics, basis: Floats) -> tuple[Floats, Floats]:

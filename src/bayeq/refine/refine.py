@@ -56,7 +56,8 @@ class Refinement:
     converged : bool
         Whether the fit ended by itself.
     at_bound : tuple of str
-        Coefficients, ``"a: v"``, for which the runs were closest at 0, the end of their known sign.
+        Coefficients, ``"a: v"``, for which the runs were closest at 0, the end of their known sign, or at a bound,
+        ``"a: x**3 = 5"``.
     """
 
     files: tuple[str, ...]
@@ -72,7 +73,9 @@ class Refinement:
         """In a line."""
         runs = "one run" if self.segments == 1 else f"{self.segments} runs"
         noise = ", ".join(f"{name} {sd:.3g}" for name, sd in self.noise_sd.items())
-        bound = f"; closest with 0, the end of the known sign, for {', '.join(self.at_bound)}" if self.at_bound else ""
+        ends = [one for one in self.at_bound if " = " not in one], [one for one in self.at_bound if " = " in one]
+        bound = f"; closest with 0, the end of the known sign, for {', '.join(ends[0])}" if ends[0] else ""
+        bound += f"; closest at a bound, {', '.join(ends[1])}" if ends[1] else ""
         return f"coefficients refined by output error: {runs} of up to {self.longest} rows, noise sd {noise}{bound}"
 
 
@@ -181,8 +184,9 @@ def _doubts(found: OutputError, bound: Sequence[str], worse: Sequence[str]) -> W
             ConvergenceWarning,
         )
     if found.contradicted:
+        what = "bound" if any(" = " in one for one in bound) else "known sign"
         log.warn(
-            f"free runs contradict the known sign of {', '.join(bound)} (likelihood ratio above 100 against it): check"
+            f"free runs contradict the {what} of {', '.join(bound)} (likelihood ratio above 100 against it): check"
             " the directions of the channels, or drop the constraint",
             DataWarning,
         )
@@ -254,12 +258,12 @@ def _refined(
 
 
 def _at_bound(dynamics: Dynamics, found: OutputError) -> tuple[str, ...]:
-    """Coefficients that were at the end of their known sign, with their target in front."""
+    """Coefficients that were at the end of their known sign, or at a bound, with their target in front."""
     return tuple(
-        f"{target}: {term.text}"
+        f"{target}: {term.text}" + (f" = {there:.6g}" if there else "")
         for target, terms, block in zip(dynamics.targets, dynamics.terms, dynamics.blocks(), strict=True)
         for term, there in zip(terms, found.at_bound[block][-len(terms) :], strict=True)
-        if there
+        if np.isfinite(there)
     )
 
 

@@ -94,17 +94,23 @@ class RecordRegression(Regression):
         """The regression with the likelihood raised to a power of at most 1."""
         return replace(self, gram=self.gram.raised(power), power=self.power * power)
 
-    def reported(self, found: Posterior, basis: Floats, signs: Floats | None, free: bool) -> Posterior:
+    def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
         """As of `Regression`: of the terms that the record was fitted with by projection."""
         found = replace(found, target_mean_variance=found.noise_variance / found.n)
-        if self.power == 1.0 and self.record.projectable(self.k, found.support):
-            found = self._projected(found, basis, signs, free)
+        block = self.record.block(self.k)
+        model = self.record.fitted.model[block]
+        if self.record.task.flows is not None and bool((model[:-1] == found.support).all()):
+            theta, both = self.record.balanced
+            own = np.flatnonzero(model) + block.start
+            found = _with_constant(found, theta[own], both[np.ix_(own, own)])
+        elif self.power == 1.0 and self.record.projectable(self.k, found.support):
+            found = self._projected(found, basis, limits, free)
         return replace(found, noise_variance=self.noise_variance(found))
 
-    def _projected(self, found: Posterior, basis: Floats, signs: Floats | None, free: bool) -> Posterior:
+    def _projected(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
         """The posterior by projection (`bayeq.likelihood.projection`).
 
-        What is not `free`, coefficients of known sign, stays as it is but for the discrepancy, as far as signs allow.
+        What is not `free`, coefficients with limits, stays as it is but for the discrepancy, as far as limits allow.
         """
         kept, left = found.support, self.record.leftover(self.k)
         (theta, covariance), r = self.record.own_coefficients(self.k), int(kept.sum())
@@ -121,21 +127,20 @@ class RecordRegression(Regression):
             covariance = whole_covariance[: len(theta), : len(theta)]
         moved = projected(left, whole)
         change = moved.change
-        if signs is not None:
-            known = np.append(signs[kept], np.zeros(int(with_constant)))
-            change = np.where(known * (theta + change) < 0.0, -theta, change)
+        if limits is not None:
+            low, high = np.vstack([limits[kept], np.tile([-np.inf, np.inf], (int(with_constant), 1))]).T
+            change = np.where(theta + change < low, low - theta, change)
+            change = np.where(theta + change > high, high - theta, change)
         both = covariance + moved.covariance
         added, total = np.diagonal(moved.covariance), np.diagonal(both)
         # Satterthwaite, of a part that is known and one that is estimated
         freedom = moved.freedom * (total / np.maximum(added, 1e-9 * total + np.finfo(float).tiny)) ** 2
-        coef, own, sd = np.zeros((3, len(kept)))
-        coef[kept], own[kept], sd[kept] = (theta + change)[:r], theta[:r], np.sqrt(np.diagonal(covariance))[:r]
+        own, sd = np.zeros((2, len(kept)))
+        own[kept], sd[kept] = theta[:r], np.sqrt(np.diagonal(covariance))[:r]
         every = np.full(len(kept), np.inf)
         every[kept] = np.maximum(freedom[:r], LEAST_FREEDOM)
         found = replace(
             found,
-            coef=coef,
-            covariance=both[:r, :r],
             freedom=every,
             likelihood_coef=own,
             likelihood_sd=sd,
@@ -143,13 +148,21 @@ class RecordRegression(Regression):
             error_sd=moved.share * math.sqrt(left.target),
             error_lines=left.lines,
         )
-        if not with_constant:
-            return found
-        # about the centre the constant and the other coefficients are independent
-        center = np.zeros(len(kept))
-        if r:
-            unit = np.sqrt(np.where(total[:r] > 0.0, total[:r], 1.0))  # coefficients that are given have no variance
-            center[kept] = -np.linalg.lstsq(both[:r, :r] / np.outer(unit, unit), both[:r, r] / unit)[0] / unit
-        mean = float((theta + change)[r] + center @ found.coef)
-        variance = max(float(both[r, r] - center[kept] @ both[:r, :r] @ center[kept]), 0.0)
-        return replace(found, center=center, target_mean=mean, target_mean_variance=variance)
+        return _with_constant(found, theta + change, both)
+
+
+def _with_constant(found: Posterior, theta: Floats, both: Floats) -> Posterior:
+    """A posterior with coefficients of this covariance, the constant last if it is in the model."""
+    kept, r, total = found.support, int(found.support.sum()), np.diagonal(both)
+    coef, center = np.zeros((2, len(kept)))
+    coef[kept] = theta[:r]
+    found = replace(found, coef=coef, covariance=both[:r, :r])
+    if len(theta) == r:
+        return found
+    # about the centre the constant and the other coefficients are independent
+    if r:
+        unit = np.sqrt(np.where(total[:r] > 0.0, total[:r], 1.0))  # coefficients that are given have no variance
+        center[kept] = -np.linalg.lstsq(both[:r, :r] / np.outer(unit, unit), both[:r, r] / unit)[0] / unit
+    mean = float(theta[r] + center @ found.coef)
+    variance = max(float(both[r, r] - center[kept] @ both[:r, :r] @ center[kept]), 0.0)
+    return replace(found, center=center, target_mean=mean, target_mean_variance=variance)

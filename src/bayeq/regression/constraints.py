@@ -1,7 +1,7 @@
-"""Known relations between the coefficients of an equation, as a user writes them: ``u == 1``, ``v <= 0``.
+"""Known relations between the coefficients of an equation, as a user writes them: ``u == 1``, ``0 <= x**3 <= 5``.
 
 The name of a candidate term stands for its coefficient, in original units. Equalities are linear and take terms out of
-the regression before inference (`bayeq.regression.equalities`), signs are part of the prior
+the regression before inference (`bayeq.regression.equalities`), signs and bounds are part of the prior
 (`bayeq.inference.signs`).
 """
 
@@ -16,18 +16,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
 from bayeq.expressions import FUNCTIONS, Binary, Evaluator, Expression, Negate, Node, Unknown, parse
 from bayeq.expressions.functions import CONSTANTS
 from bayeq.gram import Gram
 from bayeq.inference.posterior import Posterior
-from bayeq.inference.prior import Prior
+from bayeq.inference.prior import Prior, common, half_lines, limited, signs_of
 from bayeq.regression.equalities import Equalities, Linear
+from bayeq.states import Chain
 from bayeq.states.derive import LARGEST
+
+# Behind a sum of states among the constraints of an answer.
+CONSERVED = " is conserved"
 
 _RELATIONS = "==|<=|>=|!=|<|>|=|~"
 
-_SIGNS_ONLY = "an inequality gives the sign of one coefficient, as in 'v <= 0'; no sums, no bounds other than 0"
+_BOUND = "an inequality bounds one coefficient by numbers, as in 'v <= 0' or '0 <= x**3 <= 5'; no sums"
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,29 +43,40 @@ class Constraints:
     ----------
     equalities : Equalities
         Linear equations between coefficients.
-    signs : (P,) int array
-        Known signs, 0 for unknown.
+    limits : (P, 2) array
+        Least and largest value of each coefficient, infinite where there is none; a sign is a limit of 0.
     stated : tuple of (int, float, float)
         Coefficients that are known about: the term, the mean and the standard deviation of a normal distribution.
     """
 
     equalities: Equalities
-    signs: NDArray[np.int64]
+    limits: Floats
     stated: tuple[tuple[int, float, float], ...] = ()
 
     @property
     def binding(self) -> bool:
         """Whether anything is known at all."""
-        return bool(self.signs.any()) or len(self.equalities.eliminated) > 0
+        return bool(np.isfinite(self.limits).any()) or len(self.equalities.eliminated) > 0
 
     @property
     def concerned(self) -> NDArray[np.bool_]:
         """Terms that something is known of, (P,)."""
-        out = self.signs != 0
+        out = limited(self.limits)
         out[self.equalities.eliminated] = True
         out[self.equalities.kept[(self.equalities.slopes != 0.0).any(axis=0)]] = True
         out[[j for j, _, _ in self.stated]] = True
         return out
+
+    @property
+    def forced(self) -> NDArray[np.bool_]:
+        """Terms that are in wherever they may be, for their limits exclude zero, (P,)."""
+        return (self.limits[:, 0] > 0.0) | (self.limits[:, 1] < 0.0)
+
+    @property
+    def bounds(self) -> Floats | None:
+        """`limits` of coefficients of which more than the sign is known, (P, 2), and infinite ones of others."""
+        bounded = (signs_of(self.limits) == 0)[:, None]
+        return np.where(bounded, self.limits, [-np.inf, np.inf]) if (bounded & np.isfinite(self.limits)).any() else None
 
     def among(self, allowed: NDArray[np.bool_]) -> Constraints:
         """The same with the coefficients of other terms zero.
@@ -85,7 +101,8 @@ class Constraints:
         names = known.names
         equations += [(Linear({int(j): 1.0}, 0.0), f"term {names[j]}") for j in np.flatnonzero(~allowed)]
         kept = tuple(one for one in self.stated if allowed[one[0]])
-        return replace(self, equalities=Equalities.solving(names, equations), stated=kept)
+        limits = np.where(allowed[:, None], self.limits, [-np.inf, np.inf])
+        return replace(self, equalities=Equalities.solving(names, equations), limits=limits, stated=kept)
 
     def reduce(self, gram: Gram) -> Gram:
         """The regression that the equalities leave."""
@@ -95,55 +112,83 @@ class Constraints:
         """The posterior of all coefficients from that of the reduced regression; `gram` is the one before."""
         return self.equalities.expand(posterior, gram)
 
-    def prior(self, prior: Prior) -> Prior:
-        """A prior of all terms, with the signs, as one of the terms that the equalities leave.
+    def prior(self, prior: Prior, unit: Floats | float = 1.0) -> Prior:
+        """A prior of all terms, with the limits, as one of the F terms that the equalities leave.
+
+        Parameters
+        ----------
+        prior : Prior
+            Its own bounds are in units of the regression.
+        unit : (F,) array or float
+            What a coefficient is multiplied by for its value in these units.
 
         Raises
         ------
         InputError
-            Signs that contradict each other or the equalities, or that concern a sum of several coefficients.
+            Limits that contradict each other or the equalities, or that concern a sum of several coefficients.
         """
         names, kept = self.equalities.names, self.equalities.kept
         prior.validate(len(names))
-        signs = self.signs.copy()
-        if prior.known_signs is not None:
-            for j, sign in enumerate(prior.known_signs):
-                _note_sign(signs, j, int(sign), names, "the prior")
+        limits, inclusion = self.limits.copy(), np.asarray(prior.prior_inclusion, dtype=np.float64)
+        if prior.signs is not None:
+            for j, (low, high) in enumerate(half_lines(np.asarray(prior.signs))):
+                _narrow(limits, j, low, high, names, "the prior")
         for e, row, value in zip(
             self.equalities.eliminated, self.equalities.slopes, self.equalities.offsets, strict=True
         ):
-            if signs[e] == 0:
+            low, high = limits[e]
+            if not np.isfinite([low, high]).any():
                 continue
             others = np.flatnonzero(row)
             if len(others) == 0:
-                if signs[e] * value < 0:
+                if not low <= value <= high:
                     raise InputError(
-                        f"constraints: one says that {names[e]} is {value:g}, another that it has the other sign"
+                        f"constraints: one says that {names[e]} is {value:g}, another that it is {_said(low, high)}"
                     )
-            elif len(others) == 1 and value == 0.0:
-                j = others[0]
-                _note_sign(signs, int(kept[j]), int(signs[e] * np.sign(row[j])), names, "the constraints")
+            elif len(others) == 1:
+                ends = (limits[e] - value) / row[others[0]]
+                _narrow(limits, int(kept[others[0]]), min(ends), max(ends), names, "the constraints")
             else:
                 raise InputError(
                     f"constraints: the sign of {names[e]} would be that of a sum of coefficients, for an equation gives"
                     f" {names[e]} by others; write another term first in that equation"
                 )
-        inclusion = np.asarray(prior.prior_inclusion, dtype=np.float64)
-        left = signs[kept]
+        left = limits[kept]
+        inside = (left[:, 0] <= 0.0) & (left[:, 1] >= 0.0)
+        if inclusion.ndim or not inside.all():
+            inclusion = np.broadcast_to(inclusion, len(names))[kept]
+            inclusion = np.where(inside | (inclusion == 0.0), inclusion, 1.0)
+        left = left * np.broadcast_to(unit, len(kept))[:, None]
+        if prior.bounds is not None:
+            left = common(left, np.asarray(prior.bounds, dtype=np.float64)[kept])
         return replace(
             prior,
-            prior_inclusion=inclusion[kept] if inclusion.ndim else prior.prior_inclusion,
-            signs=left if left.any() else None,
+            prior_inclusion=inclusion if inclusion.ndim else prior.prior_inclusion,
+            signs=None,
+            bounds=left if np.isfinite(left).any() else None,
         )
 
 
-def _note_sign(signs: NDArray[np.int64], j: int, sign: int, names: Sequence[str], where: str) -> None:
-    if signs[j] * sign < 0:
-        name = names[j]
+def _said(low: float, high: float) -> str:
+    """Limits in words."""
+    if math.isfinite(low) and math.isfinite(high):
+        return f"between {low:g} and {high:g}"
+    return f"at least {low:g}" if math.isfinite(low) else f"at most {high:g}"
+
+
+def _narrow(limits: Floats, j: int, low: float, high: float, names: Sequence[str], where: str) -> None:
+    """Take further limits of a coefficient, with + 0.0 for -0.0."""
+    low, high = max(limits[j, 0], low) + 0.0, min(limits[j, 1], high) + 0.0
+    if low == high == 0.0:
         raise InputError(
-            f"{where}: {name} cannot have both signs; write '{name} == 0', or leave it out of the dictionary"
+            f"{where}: {names[j]} cannot have both signs; write '{names[j]} == 0', or leave it out of the dictionary"
         )
-    signs[j] = sign or signs[j]
+    if not low < high:
+        raise InputError(
+            f"{where}: {names[j]} would be at least {low:g} and at most {high:g}: correct one of these, or write"
+            f" '{names[j]} == {low:g}'"
+        )
+    limits[j] = low, high
 
 
 def parse_constraints(
@@ -158,9 +203,9 @@ def parse_constraints(
     ----------
     texts : str or sequence of str
         ``"u == 1"``, ``"x*abs(x) == 0.5*x**3"``, ``"x + 2*v == 3"``: linear equations between coefficients;
-        ``"v <= 0"``, ``"x**3 > 0"``: the sign of one (``<`` and ``<=`` mean the same); ``"u ~ 0.1 +- 0.001"``: one
-        that was measured before, with its standard deviation. ``"a: v <= 0"`` concerns the equation of target a only,
-        others concern every equation.
+        ``"v <= 0"``, ``"x**3 > 0"``: the sign of one (``<`` and ``<=`` mean the same); ``"0 <= x**3 <= 5"``: bounds of
+        one; ``"u ~ 0.1 +- 0.001"``: one that was measured before, with its standard deviation. ``"a: v <= 0"`` and
+        ``"0 <= a: x**3 <= 5"`` concern the equation of target a only, others concern every equation.
     terms : sequence of Expression
         The P candidates.
     targets : sequence of str
@@ -176,20 +221,20 @@ def parse_constraints(
     Raises
     ------
     InputError
-        Malformed text, a term that is not a candidate, equations or signs that contradict each other.
+        Malformed text, a term that is not a candidate, equations, signs or bounds that contradict each other.
 
     Examples
     --------
     >>> terms = [parse(t) for t in ("x", "v", "u")]
     >>> (found,) = parse_constraints(["u == 1", "2*x == v", "v <= 0"], terms, ["a"])
-    >>> found.equalities.kept.tolist(), found.signs.tolist()
-    ([1], [0, -1, 0])
+    >>> found.equalities.kept.tolist(), found.limits[1].tolist()
+    ([1], [-inf, 0.0])
     """
     texts = [texts] if isinstance(texts, str) else list(texts)
     reader = _Reader(terms, dropped or {}) if texts else _Reader((), {})
     names = tuple(term.text for term in terms)
     equations: dict[str, list[tuple[Linear, str]]] = {target: [] for target in targets}
-    signs = {target: np.zeros(len(terms), dtype=np.int64) for target in targets}
+    limits = {target: np.tile([-np.inf, np.inf], (len(terms), 1)) for target in targets}
     stated: dict[str, list[tuple[int, float, float]]] = {target: [] for target in targets}
     for text in texts:
         if not isinstance(text, str):
@@ -198,18 +243,18 @@ def parse_constraints(
             continue
         where = f"constraint {text if len(text) <= 60 else text[:57] + '...'!r}"
         target, body = _addressed(text, targets, where)
-        left, relation, right = _sides(body, where)
-        if relation == "~":
+        for left, relation, right in _sides(body, where):
+            if relation == "~":
+                for t in [target] if target else targets:
+                    stated[t].append(_stated(reader.read(left, where), right, where))
+                continue
+            difference = reader.read(left, where).plus(reader.read(right, where), -1.0)
             for t in [target] if target else targets:
-                stated[t].append(_stated(reader.read(left, where), right, where))
-            continue
-        difference = reader.read(left, where).plus(reader.read(right, where), -1.0)
-        for t in [target] if target else targets:
-            if relation == "==":
-                equations[t].append((difference, where))
-            else:
-                _note_sign(signs[t], *_sign(difference, relation, where), names, where)
-    found = tuple(Constraints(Equalities.solving(names, equations[t]), signs[t], tuple(stated[t])) for t in targets)
+                if relation == "==":
+                    equations[t].append((difference, where))
+                else:
+                    _narrow(limits[t], *_bound(difference, relation, where), names, where)
+    found = tuple(Constraints(Equalities.solving(names, equations[t]), limits[t], tuple(stated[t])) for t in targets)
     for constraints in found:
         constraints.prior(Prior())  # contradictions are reported at once
     return found
@@ -252,6 +297,22 @@ def parse_ties(
     return tuple(out)
 
 
+def parse_conserved(text: str, chains: Sequence[Chain]) -> dict[int, float]:
+    """Read a sum of states that is conserved, ``"S + I + R"`` or ``"2*S + I"``: factors by the number of the equation.
+
+    Raises
+    ------
+    InputError
+        Malformed text, or a state that is not the only one of its chain.
+    """
+    where, states = f"conserve {text!r}", [chain.states[0] for chain in chains if chain.order == 1]
+    linear = _Reader([parse(name, [name]) for name in states], {}, "state of first order").read(text, where)
+    if linear.constant != 0.0 or len(linear.slopes) < 2:
+        raise InputError(f"{where}: name at least two states of first order, as in 'S + I + R'")
+    number = [c for c, chain in enumerate(chains) if chain.order == 1]
+    return {number[j]: factor for j, factor in linear.slopes.items()}
+
+
 def _side_of(text: str, where: str) -> tuple[float, str, str]:
     """Factor, target and body of a side such as ``2*(a2: x2-x1)``."""
     found = re.fullmatch(r"(?:([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*\*)?\s*(.*)", text.strip())
@@ -275,23 +336,31 @@ def _is_tie(text: str) -> bool:
 
 def _addressed(text: str, targets: Sequence[str], where: str) -> tuple[str | None, str]:
     """The target in front of the colon, if there is one, and the rest."""
-    target, colon, body = text.partition(":")
-    if not colon or "{" in target:  # that of a range
+    front, colon, body = text.partition(":")
+    if not colon or "{" in front:  # that of a range
         return None, text
+    bound, relation, target = re.fullmatch(r"(?s)(?:(.*)([<>]=?))?(.*)", front).groups(default="")  # type: ignore[union-attr]
     if target.strip() not in targets:
         raise UnknownNameError("equation", target.strip(), targets, where=where)
-    return target.strip(), body
+    return target.strip(), bound + relation + body
 
 
-def _sides(text: str, where: str) -> tuple[str, str, str]:
+def _sides(text: str, where: str) -> list[tuple[str, str, str]]:
+    """Sides of each relation: of two where a coefficient has two bounds."""
     # comparisons in brackets are conditions of where
     depth = np.cumsum([(c == "(") - (c == ")") for c in text]) if text else np.zeros(0)
     found = [m for m in re.finditer(_RELATIONS, text) if depth[m.start()] <= 0]
     ends = [0, *(edge for m in found for edge in m.span()), len(text)]
-    left, *rest = [text[a:b] for a, b in itertools.pairwise(ends)]
-    if len(rest) != 2 or rest[0] in ("=", "!=") or not left.strip() or not rest[1].strip():
+    parts = [text[a:b].strip() for a, b in itertools.pairwise(ends)]
+    relations = parts[1::2]
+    twice = (
+        len(relations) == 2
+        and len({one[0] for one in relations} & {"<", ">"}) == 1
+        and relations[0][0] == relations[1][0]
+    )
+    if not (len(relations) == 1 or twice) or relations[0] in ("=", "!=") or not all(parts):
         raise InputError(f"{where}: write one ==, <=, >= or ~ between two sides, as in 'u == 1' or 'v <= 0'")
-    return left.strip(), rest[0], rest[1].strip()
+    return [(parts[k - 1], parts[k], parts[k + 1]) for k in range(1, len(parts), 2)]
 
 
 def _stated(left: Linear, right: str, where: str) -> tuple[int, float, float]:
@@ -308,18 +377,20 @@ def _stated(left: Linear, right: str, where: str) -> tuple[int, float, float]:
     return j, mean / slope, sd / abs(slope)
 
 
-def _sign(difference: Linear, relation: str, where: str) -> tuple[int, int]:
-    """The one term of a difference, and the sign that it has."""
-    if difference.constant != 0.0 or len(difference.slopes) != 1:
-        raise InputError(f"{where}: {_SIGNS_ONLY}")
+def _bound(difference: Linear, relation: str, where: str) -> tuple[int, float, float]:
+    """The one term of a difference, and what bounds it has."""
+    if len(difference.slopes) != 1:
+        raise InputError(f"{where}: {_BOUND}")
     ((j, slope),) = difference.slopes.items()
-    return j, int(math.copysign(1.0, slope)) * (1 if relation.startswith(">") else -1)
+    end = -difference.constant / slope
+    return (j, end, math.inf) if (slope > 0.0) == relation.startswith(">") else (j, -math.inf, end)
 
 
 class _Reader:
     """From text to linear combinations of the coefficients of candidate terms."""
 
-    def __init__(self, terms: Sequence[Expression], dropped: Mapping[str, str]) -> None:
+    def __init__(self, terms: Sequence[Expression], dropped: Mapping[str, str], kind: str = "candidate term") -> None:
+        self.kind = kind
         self.names = [term.text for term in terms]
         self.channels = {name for term in terms for name in term.names}
         self.dropped = list(dropped.items())
@@ -376,7 +447,7 @@ class _Reader:
             (only,) = factors
             if isinstance(only, Negate) or (isinstance(only, Binary) and only.op in "+-"):
                 return self._linear(only, where).times(number)
-        raise UnknownNameError("candidate term", Expression(node).text, self.names, where=where)
+        raise UnknownNameError(self.kind, Expression(node).text, self.names, where=where)
 
     def _term(self, j: int, number: float, where: str) -> Linear:
         if j < 0:

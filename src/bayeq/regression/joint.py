@@ -51,17 +51,21 @@ def record_of(
     tolerance: float | None = None,
     constraints: Sequence[Constraints] = (),
     ties: Sequence[Stated] = (),
+    conserved: Mapping[int, float] | None = None,
 ) -> RecordFit | None:
     """The likelihood of the records of a design; None where it is not used, or cannot be evaluated.
 
-    Of constraints it takes what is stated of coefficients; `ties` are between those of several equations.
+    Of constraints it takes what is stated of coefficients, and which terms are in for their bounds; `ties` are between
+    those of several equations.
     """
     if smooth != "auto" or not design.motion.smoothed:
         return None
     stated = [Stated(((c, j, 1.0),), mean, sd) for c, own in enumerate(constraints) for j, mean, sd in own.stated]
     stated += [Stated(((c, j, 1.0),), 1.0, EXACTLY) for c, j in _laws(design)]
     log_odds = _log_odds(design, dictionary, prior)
-    return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, (*stated, *ties))
+    for own, odds in zip(constraints, log_odds, strict=False):  # of none there may be no constraints
+        odds[:-1][own.forced & (odds[:-1] > -np.inf)] = np.inf
+    return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, (*stated, *ties), conserved)
 
 
 def lags_of_design(design: Design, dictionary: Specification, prior: Prior | None) -> tuple[Mapping[str, Lag], float]:
@@ -199,7 +203,8 @@ def _by_engine(
     k, engine = regression.k, ENGINES[method]
     standard = record.standards[k]
     inclusion = np.asarray(record.task.known.prior_inclusion)[record.block(k)][:-1]
-    prior = constraints.prior(Prior(slab_variance=1.0, prior_inclusion=inclusion))
+    unit = standard.scale / standard.target_scale
+    prior = constraints.prior(Prior(slab_variance=1.0, prior_inclusion=inclusion), unit)
     options = {"seed": seed} if engine.random else {}
     posterior = engine.run(standard.gram, prior, **options)
     judged = float(record.posterior.pip[record.block(k).stop - 1])

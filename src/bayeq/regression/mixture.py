@@ -75,7 +75,7 @@ def _given_models(fit: RegressionFit, models: Bools, reported: Posterior) -> tup
     shape = len(reported.names) + 1, len(models)
     inside, mean, sd = np.ones(shape, dtype=np.bool_), np.zeros(shape), np.zeros(shape)
     for k, model in enumerate(models):
-        coef, covariance = exact_posterior(fit.problem, model, fit.prior.known_signs)
+        coef, covariance = exact_posterior(fit.problem, model, fit.prior.limits)
         one = fit.expanded(replace(few, support=model, coef=coef, covariance=covariance))
         kept, wide = one.support, factor[one.support]
         inside[:-1, k], mean[:-1, k], mean[-1, k] = kept, one.coef + kept * change, one.intercept

@@ -114,7 +114,7 @@ class Regression:
         """Whether the record does not tell the noise of an input; of rows its highest frequencies do."""
         return not shows_noise([rows.columns[name] for rows in self.motion.train])
 
-    def reported(self, found: Posterior, basis: Floats, signs: Floats | None, free: bool) -> Posterior:
+    def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
         """A posterior in original units as it is reported.
 
         Parameters
@@ -123,10 +123,10 @@ class Regression:
             Of all P terms, r in its support.
         basis : (r, f) array
             How coefficients move with those that are free.
-        signs : (P,) array or None
-            Known signs.
+        limits : (P, 2) array or None
+            Least and largest coefficients.
         free : bool
-            Whether no sign changes the posterior.
+            Whether no limit changes the posterior.
         """
         return found
 

@@ -162,7 +162,7 @@ class Selection:
         return replace(self, shown=shown, why={name: rule for name, rule in why.items() if name in differ})
 
 
-def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[Selection]:
+def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: bool = False) -> list[Selection]:
     """The terms that each equation of a system shows.
 
     Parameters
@@ -174,6 +174,8 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
     motion : Motion
         Its training rows are what free runs are compared on; without time no smaller model is shown, nor of a static
         law, whose terms no run depends on.
+    whole : bool
+        Whether all included terms are shown, for terms are in several equations together.
 
     Raises
     ------
@@ -181,6 +183,8 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion) -> list[
         More terms are forced in than `max_terms`.
     """
     chosen = [Selection(fit, fit.posterior) for fit in fits]
+    if whole:
+        return chosen
     compared = rules.tolerance != 0.0 and all(ENGINES[fit.posterior.method].spike_slab for fit in fits)
     tolerance = rules.tolerance or SELECTION.tolerance
     if compared:
@@ -309,7 +313,7 @@ def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float
                 break
             odds = np.where(inside, fit.problem.log_odds, -math.inf)
             problem = fit.problem._replace(log_odds=np.where(stays, math.inf, odds))
-            model, _ = best_of_each_size(problem, int(inside.sum()) - 1, [inside], fit.prior.known_signs)[-1]
+            model, _ = best_of_each_size(problem, int(inside.sum()) - 1, [inside], fit.prior.limits)[-1]
             fewer = list(out)
             fewer[k] = replace(one.given(fit.conditional(model), "tolerance"), full=one.full or one)
             if not _errors(motion, fewer)[SELECTION.short_run] < SELECTION.follows:
@@ -355,6 +359,6 @@ def _limited(selection: Selection, max_terms: int | None) -> Selection:
     path_sizes(problem, max_terms)  # refuses fewer than are forced in
     if int(shown.sum()) <= max_terms:
         return selection
-    signs = selection.fit.prior.known_signs
-    best, _ = max(best_of_each_size(problem, max_terms, [shown], signs), key=lambda found: found[1])
+    limits = selection.fit.prior.limits
+    best, _ = max(best_of_each_size(problem, max_terms, [shown], limits), key=lambda found: found[1])
     return selection.given(selection.fit.given(best), "max_terms")

@@ -31,6 +31,7 @@ from bayeq.figures.style import require_matplotlib
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.records import Record
 from bayeq.records.files import replacing
+from bayeq.regression.constraints import CONSERVED
 
 # Draws the live pictures one after the other, and shows them instead of the still ones once all are there.
 START = """
@@ -279,7 +280,8 @@ def repeat_command(eq: Answer) -> str:
             words += ["--input", name]
     words += ["--dictionary", eq.dictionary, "--method", eq.method, "--smooth", eq.smooth]
     for constraint in eq.constraints:
-        words += ["--constraint", constraint]
+        conserved = constraint.endswith(CONSERVED)
+        words += ["--conserve" if conserved else "--constraint", constraint.removesuffix(CONSERVED)]
     readings = eq.data.sensors.of_reading
     for name, share in readings.items():
         words += ["--noise", f"{name}={f'{100 * share:.6g}' if share else ''}% of reading"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayeq.arrays import Bools, Floats, Ints
+from bayeq.arrays import Bools, Floats
 from bayeq.inference.collapsed.problem import Problem, gram_block
 
 
@@ -36,12 +36,12 @@ def noise_given_model(problem: Problem, active: Bools) -> float:
     return _parameters(problem, active)[2]
 
 
-def exact_posterior(problem: Problem, active: Bools, signs: Ints | None = None) -> tuple[Floats, Floats]:
-    """`given_model`, and given the signs where they are known."""
-    if signs is not None:
+def exact_posterior(problem: Problem, active: Bools, limits: Floats | None = None) -> tuple[Floats, Floats]:
+    """`given_model`, and within limits (P, 2) where they are known."""
+    if limits is not None:
         # brings scipy.special, which takes a while to import
         from bayeq.inference.signs.truncation import truncated_models
 
-        for _, coef, covariance, _ in truncated_models(problem, signs, active[None, :]):
+        for _, coef, covariance, _ in truncated_models(problem, limits, active[None, :]):
             return coef, covariance
     return given_model(problem, active)

@@ -56,7 +56,7 @@ class ModelSet:
     # upwards
     left_out: float
     expanded: int  # models all of whose neighbours were looked at
-    contradicted: tuple[int, ...] = ()  # terms whose known signs the data contradict
+    contradicted: tuple[int, ...] = ()  # terms whose known signs or bounds the data contradict
     # (P,), of a search: the probability of each term given the others, averaged over the models whose neighbours were
     # looked at (Rao and Blackwell's estimate). Of terms that hardly depend on each other it needs few models where
     # the listing needs all of their combinations.

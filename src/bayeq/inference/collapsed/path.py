@@ -35,7 +35,7 @@ TOLERANCE = 1e-9
 # Added to the diagonal of a correlation matrix, for columns may depend on each other.
 DEPENDENT = 1e-12
 
-# Where signs are known, neighbours that fall behind the best one by more nats are not told apart.
+# Where limits are known, neighbours that fall behind the best one by more nats are not told apart.
 WINDOW = 40.0
 
 
@@ -55,7 +55,7 @@ def path_sizes(problem: Problem, most: int | None = None) -> range:
 
 
 def best_of_each_size(
-    problem: Problem, most: int | None = None, starts: Iterable[Bools] = (), signs: Ints | None = None
+    problem: Problem, most: int | None = None, starts: Iterable[Bools] = (), limits: Floats | None = None
 ) -> list[tuple[Bools, float]]:
     """The model with the highest log posterior (34) among those of each size, from the smallest on, with ln p(y, z).
 
@@ -65,29 +65,29 @@ def best_of_each_size(
     `starts`, (P,) each, too.
 
     The smallest model is that of the forced terms alone, the largest has 12 terms by default, or as many as there are.
-    Where signs (P,) are known, 0 for unknown, all models are searched, however few terms there are. InputError: `most`
-    is less than the number of forced terms.
+    Where limits (P, 2) of coefficients are known all models are searched, however few terms there are. InputError:
+    `most` is less than the number of forced terms.
     """
     sizes = path_sizes(problem, most)
-    if signs is None and int(np.isfinite(problem.log_odds).sum()) <= ENUMERATE:
+    if limits is None and int(np.isfinite(problem.log_odds).sum()) <= ENUMERATE:
         found = _by_enumeration(problem, sizes)
     else:
-        found = _by_search(problem, sizes, starts, signs)
-    return [(model, model_log_posterior(problem, model, signs)) for model in found]
+        found = _by_search(problem, sizes, starts, limits)
+    return [(model, model_log_posterior(problem, model, limits)) for model in found]
 
 
-def model_log_posterior(problem: Problem, active: Bools, signs: Ints | None = None) -> float:
-    """ln p(y, z) of one model, eq. (34) and its prior, with the signs where they are known."""
-    return float(_scores(problem, active[None, :], signs)[0]) + log_constant(problem)
+def model_log_posterior(problem: Problem, active: Bools, limits: Floats | None = None) -> float:
+    """ln p(y, z) of one model, eq. (34) and its prior, within limits where they are known."""
+    return float(_scores(problem, active[None, :], limits)[0]) + log_constant(problem)
 
 
-def _scores(problem: Problem, models: Bools, signs: Ints | None) -> Floats:
-    """Log posteriors of K models up to `search.log_constant`, with the signs where they are known."""
-    if signs is None:
+def _scores(problem: Problem, models: Bools, limits: Floats | None) -> Floats:
+    """Log posteriors of K models up to `search.log_constant`, within limits where they are known."""
+    if limits is None:
         return scores_of(problem, models)
     from bayeq.inference.signs.truncation import signed_scores
 
-    return signed_scores(problem, signs, models, WINDOW)[1]
+    return signed_scores(problem, limits, models, WINDOW)[1]
 
 
 def _by_enumeration(problem: Problem, sizes: range) -> list[Bools]:
@@ -145,7 +145,7 @@ class _Pool:
         return np.frombuffer(max(self.scores, key=self.scores.__getitem__), dtype=np.bool_).copy()
 
 
-def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools], signs: Ints | None = None) -> list[Bools]:
+def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools], limits: Floats | None = None) -> list[Bools]:
     pools = {size: _Pool() for size in range(sizes.start, sizes.stop + 1)}
     forced, forbidden = problem.log_odds == math.inf, problem.log_odds == -math.inf
     optima = [model for _, model in best_models(problem)]
@@ -155,7 +155,7 @@ def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools], signs: I
         size = int(active.sum())
         while size >= sizes.start:
             if size in pools:
-                pools[size].add(active, float(_scores(problem, active[None, :], signs)[0]))
+                pools[size].add(active, float(_scores(problem, active[None, :], limits)[0]))
             if size == sizes.start:
                 break
             flips, _ = _neighbours(problem, active)
@@ -166,10 +166,10 @@ def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools], signs: I
         waiting = next(((size, key) for size, pool in pools.items() for key in pool.waiting()), None)
         if waiting is None:
             return [pools[size].best() for size in sizes]
-        _expand(problem, signs, pools, *waiting)
+        _expand(problem, limits, pools, *waiting)
 
 
-def _expand(problem: Problem, signs: Ints | None, pools: dict[int, _Pool], size: int, key: bytes) -> None:
+def _expand(problem: Problem, limits: Floats | None, pools: dict[int, _Pool], size: int, key: bytes) -> None:
     """Offer the neighbours of a model to the pools of their sizes."""
     pools[size].expanded.add(key)
     active = np.frombuffer(key, dtype=np.bool_)
@@ -183,13 +183,13 @@ def _expand(problem: Problem, signs: Ints | None, pools: dict[int, _Pool], size:
     ):
         if other not in pools:
             continue
-        leaves, enters = _largest(gains, WIDTH if signs is None else None)
+        leaves, enters = _largest(gains, WIDTH if limits is None else None)
         models = np.repeat(active[None, :], len(enters), axis=0)
         row = np.arange(len(enters))
         models[row, enters] ^= True
         if other == size:
             models[row, index[leaves]] = False
-        values = here + gains[leaves, enters] if signs is None else _scores(problem, models, signs)
+        values = here + gains[leaves, enters] if limits is None else _scores(problem, models, limits)
         for model, value in zip(models, values, strict=True):
             pools[other].add(model, float(value))
 

@@ -1,1 +1,1 @@
-"""Known signs of coefficients."""
+"""Known signs and bounds of coefficients."""

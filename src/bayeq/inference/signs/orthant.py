@@ -1,8 +1,8 @@
-"""Coefficients whose signs are known: the multivariate Student t posterior on an orthant.
+"""Coefficients whose signs or bounds are known: the multivariate Student t posterior on an orthant, or in a box.
 
     theta | sigma^2 ~ N(m, sigma^2 V),  sigma^2 ~ inverse-Gamma(h, s/2)   =>   theta ~ t with 2h degrees of freedom
 
-P(theta > 0) and the moments given theta > 0 are integrated by quasi-Monte Carlo over the separated variables of Genz
+P(0 < theta < width) and the moments given that are integrated by quasi-Monte Carlo over the separated variables of Genz
 (1992) and Genz and Bretz (2002), with 1/sigma^2 as one of the variables. The points are fixed: the same numbers in, the
 same numbers out. Logarithms throughout, so that orthants far out in the tails do not underflow.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv, log_ndtr, ndtri_exp, stdtr
 
-from bayeq.arrays import Floats, Ints
+from bayeq.arrays import Floats
 
 # Points of the quadrature: PIPs are off by less than 1e-4, standard deviations by some 1e-4 of themselves.
 POINTS = 256
@@ -26,6 +26,9 @@ SWEEPS = 10
 
 # Least share of its variance that a coefficient keeps given the others: below it is rounding.
 LEAST_SHARE = 1e-12
+
+# Between numbers that are nearer to each other a normal variable is as good as uniform.
+NARROW = 1e-3
 
 # A sign that is wrong with less than this share of the probability of all signs right takes no part in the orthant:
 # far below what the quadrature resolves.
@@ -70,14 +73,41 @@ def _distance(m: Floats, V: Floats) -> Floats:
     return np.asarray(np.maximum(np.sum(dual * (theta - m), axis=1), 0.0))
 
 
+def _between(low: Floats, high: Floats, log_uniform: Floats) -> tuple[Floats, Floats]:
+    """ln P(low < e < high) of a standard normal variable, and values of it between them."""
+    turned = -low > high
+    a, b = np.where(turned, -high, low), np.where(turned, -low, high)
+    whole, beyond = log_ndtr(-a), log_ndtr(-b)
+    inside = whole + np.log(np.maximum(-np.expm1(beyond - whole), 1e-300))
+    drawn = np.clip(-ndtri_exp(np.logaddexp(beyond, log_uniform + inside)), a, b)
+    return inside, np.where(turned, -drawn, drawn)
+
+
+def _moments_between(low: Floats, high: Floats, inside: Floats) -> tuple[Floats, Floats]:
+    """Mean and variance of a standard normal variable between two numbers, ln of whose probability is `inside`."""
+    with np.errstate(invalid="ignore"):  # of no end
+        a, b = (np.exp(-0.5 * end**2 - 0.5 * math.log(2.0 * math.pi) - inside) for end in (low, high))
+        variance = 1.0 + low * a - np.where(np.isfinite(high), high * b, 0.0) - (a - b) ** 2
+        narrow, middle = high - low < NARROW, 0.5 * (low + high)
+    mean = np.clip(np.where(narrow, middle, a - b), low, high)
+    return mean, np.where(narrow, (high - low) ** 2 / 12.0, np.maximum(variance, 0.0))
+
+
+def faced(mean: Floats, limits: Floats) -> tuple[Floats, Floats, Floats]:
+    """Turns, ends and widths by which limits (..., 2) are 0 <= turn (theta - end) <= width, from the nearer end on."""
+    low, high = limits[..., 0], limits[..., 1]
+    turn = np.where(mean > 0.5 * low + 0.5 * high, -1.0, 1.0)
+    return turn, np.where(turn < 0.0, high, low), high - low
+
+
 class Orthants:
-    """The orthants theta > 0 of B problems of k coefficients each: points with their weights.
+    """The orthants theta > 0 of B problems of k coefficients each, or boxes: points with their weights.
 
     theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2), with m (B, k), V (B, k, k), s (B,), and the same
-    h for all. `log_probability` (B,) is ln P(theta > 0).
+    h for all. `log_probability` (B,) is ln P(0 < theta < width), with `width` (B, k) infinite where it is None.
     """
 
-    def __init__(self, m: Floats, V: Floats, s: Floats, h: float) -> None:
+    def __init__(self, m: Floats, V: Floats, s: Floats, h: float, width: Floats | None = None) -> None:
         k = m.shape[1]
         # the coefficient least likely to have its sign comes first: the others then vary less
         spread = np.sqrt(np.diagonal(V, axis1=1, axis2=2))
@@ -97,6 +127,12 @@ class Orthants:
             for a in range(j):
                 bound -= L[:, j, a, None] * self.e[a]
             bound /= L[:, j, j, None]
+            if width is not None:
+                far = np.take_along_axis(width, self.order, axis=1)[:, j, None] * root / L[:, j, j, None]
+                self.end = bound + far
+                inside, self.e[j] = _between(bound, self.end, uniforms[j])
+                log_weight = log_weight + inside
+                continue
             inside = log_ndtr(-bound)
             log_weight = log_weight + inside
             if j < k - 1:
@@ -105,15 +141,18 @@ class Orthants:
         weight = np.exp(log_weight - top)
         total = weight.sum(axis=1, keepdims=True)
         self.log_probability = np.minimum((top + np.log(total))[:, 0] - math.log(POINTS), 0.0)
-        self.weight, self.bound, self.inside = weight / total, bound, inside
+        self.weight, self.bound, self.inside, self.boxes = weight / total, bound, inside, width is not None
 
     def moments(self) -> tuple[Floats, Floats, Floats]:
         """Mean (B, k) and covariance (B, k, k) of theta, and mean of sigma^2 (B,), in the orthant."""
         w = self.weight
         # the last variable is a normal beyond its bound, whose moments are known
-        hazard = np.exp(-0.5 * self.bound**2 - 0.5 * math.log(2.0 * math.pi) - self.inside)
-        self.e[-1] = hazard
-        spread = np.maximum(1.0 + self.bound * hazard - hazard**2, 0.0)
+        if self.boxes:
+            self.e[-1], spread = _moments_between(self.bound, self.end, self.inside)
+        else:
+            hazard = np.exp(-0.5 * self.bound**2 - 0.5 * math.log(2.0 * math.pi) - self.inside)
+            self.e[-1] = hazard
+            spread = np.maximum(1.0 + self.bound * hazard - hazard**2, 0.0)
         d = self.sigma * self.e
         first = np.einsum("bn,kbn->bk", w, d)
         second = np.einsum("bn,kbn,lbn->bkl", w, d, d, optimize=True)
@@ -128,29 +167,32 @@ class Orthants:
         return mean, np.take_along_axis(covariance, back[:, None, :], axis=2), variance
 
 
-def truncated(m: Floats, V: Floats, signs: Ints, s: float, h: float) -> tuple[Floats, Floats]:
-    """Mean (r,) and covariance (r, r) of coefficients with known signs (r,), 0 for unknown.
+def truncated(m: Floats, V: Floats, limits: Floats, s: float, h: float) -> tuple[Floats, Floats]:
+    """Mean (r,) and covariance (r, r) of coefficients within limits (r, 2), infinite where there are none.
 
-    If no sign is known theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2).
+    If there are none theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2).
 
     Examples
     --------
     A coefficient that may be nothing, of known variance: a half normal distribution, sqrt(2/pi) and 1 - 2/pi.
 
-    >>> mean, covariance = truncated(np.zeros(1), np.eye(1), np.array([-1]), 2e9, 1e9)
+    >>> mean, covariance = truncated(np.zeros(1), np.eye(1), np.array([[-np.inf, 0.0]]), 2e9, 1e9)
     >>> mean.round(3), covariance.round(3)
     (array([-0.798]), array([[0.363]]))
     """
     unit = np.sqrt(np.diagonal(V))
-    m, V = m / unit, V / np.outer(unit, unit)
-    doubtful = np.flatnonzero((signs != 0) & (stdtr(2.0 * h, -signs * m * np.sqrt(2.0 * h / s)) > NEGLIGIBLE))
+    m, V, limits = m / unit, V / np.outer(unit, unit), limits / unit[:, None]
+    outside = stdtr(2.0 * h, -np.abs(limits - m[:, None]) * np.sqrt(2.0 * h / s)).sum(axis=1)
+    beyond = (m < limits[:, 0]) | (m > limits[:, 1])
+    doubtful = np.flatnonzero(beyond | (outside > NEGLIGIBLE))
     mean, total = m, s / (2.0 * h) * V
     if len(doubtful):
-        sign = signs[doubtful].astype(np.float64)
-        turned = np.outer(sign, sign)
-        among = V[np.ix_(doubtful, doubtful)] * turned
-        first, second, variance = Orthants((sign * m[doubtful])[None], among[None], np.array([s]), h).moments()
-        mean, total = carried(m, V, doubtful, sign * first[0], turned * second[0], float(variance[0]))
+        turn, end, width = faced(m[doubtful], limits[doubtful])
+        turned = np.outer(turn, turn)
+        among, at = V[np.ix_(doubtful, doubtful)] * turned, turn * (m[doubtful] - end)
+        found = Orthants(at[None], among[None], np.array([s]), h, width[None] if np.isfinite(width).any() else None)
+        first, second, variance = found.moments()
+        mean, total = carried(m, V, doubtful, end + turn * first[0], turned * second[0], float(variance[0]))
     return unit * mean, total * np.outer(unit, unit)
 
 
