@@ -1,0 +1,94 @@
+"""Maps in noisy samples: the logistic map, that of Henon, and one that an input drives.
+
+    python -m studies.maps --first-seed 230000 > docs/tables/maps.csv
+
+300 samples; noise is a share of each channel's standard deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from bayeq.arrays import Floats
+from bayeq.discovery import discover
+from bayeq.equation.equations import Equations
+from bayeq.records import Record
+from studies.adverse import VERDICTS
+from studies.judge import CONSTANT, judged, rates, timed
+from studies.resumable import Cell, Outcome, run_study
+
+RECORDS, ROWS = 40, 300
+NOISES = (0.01, 0.05)
+
+Drawn = tuple[dict[str, Floats], dict[str, float]]
+
+
+def logistic(rng: np.random.Generator) -> Drawn:
+    """x[+1] = r x (1 - x), r from 3.6 to 3.9."""
+    r, x = rng.uniform(3.6, 3.9), np.full(ROWS, rng.uniform(0.2, 0.8))
+    for k in range(ROWS - 1):
+        x[k + 1] = r * x[k] * (1.0 - x[k])
+    return {"x": x}, {"x": r, "x**2": -r}
+
+
+def henon(rng: np.random.Generator) -> Drawn:
+    """x[+1] = 1 - 1.4 x**2 + 0.3 x[-1]."""
+    x = np.zeros(ROWS + 100)
+    x[:2] = rng.uniform(-0.1, 0.1, 2)
+    for k in range(1, len(x) - 1):
+        x[k + 1] = 1.0 - 1.4 * x[k] ** 2 + 0.3 * x[k - 1]
+    return {"x": x[100:]}, {CONSTANT: 1.0, "x**2": -1.4, "x[-1]": 0.3}
+
+
+def driven(rng: np.random.Generator) -> Drawn:
+    """x[+1] = 0.8 x - 0.1 x**3 + 0.5 u under independent samples of u."""
+    u, x = rng.standard_normal(ROWS), np.zeros(ROWS)
+    for k in range(ROWS - 1):
+        x[k + 1] = 0.8 * x[k] - 0.1 * x[k] ** 3 + 0.5 * u[k]
+    return {"x": x, "u": u}, {"x": 0.8, "x**3": -0.1, "u": 0.5}
+
+
+SYSTEMS: dict[str, tuple[Callable[[np.random.Generator], Drawn], dict[str, object]]] = {
+    "logistic": (logistic, {"dictionary": "polynomial:3"}),
+    "Henon": (henon, {"dictionary": "x, x**2, x**3, x[-1], x*x[-1], x[-1]**2"}),
+    "driven": (driven, {"dictionary": "x, x**2, x**3, x[-1], u, u[-1]", "inputs": ["u"]}),
+}
+
+
+def _judged(truth: Mapping[str, float], eqs: Equations) -> dict[str, object]:
+    return {**judged(eqs, {"x[+1]": truth}), "verdict": eqs.verdict.kind}
+
+
+def _measure(name: str, noise: float, seed: int) -> Outcome:
+    simulated, asked = SYSTEMS[name]
+    channels, truth = simulated(np.random.default_rng([seed, 1]))
+    rng = np.random.default_rng([seed, 2])
+    noisy = {key: one + noise * one.std() * rng.standard_normal(ROWS) for key, one in channels.items()}
+    ask = partial(discover, Record.from_arrays(noisy), chains="x", discrete=True, **asked)  # type: ignore[arg-type]
+    return timed(ask, partial(_judged, truth))
+
+
+def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
+    answered = [one for one in outcomes if one["cpu"] is not None]
+    yield {
+        **rates(outcomes),
+        **{kind.replace(" ", "_"): sum(one["verdict"] == kind for one in answered) for kind in VERDICTS},
+        "found_and_wrong": sum(one["verdict"] == "found" and not one["exact"] for one in answered),
+    }
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure, and write the table to standard output."""
+    cells = [
+        Cell({"system": name, "noise_percent": f"{100 * noise:g}"}, RECORDS, partial(_measure, name, noise))
+        for name in SYSTEMS
+        for noise in NOISES
+    ]
+    run_study("maps", "Maps in noisy samples.", cells, _summary, arguments)
+
+
+if __name__ == "__main__":
+    main()
