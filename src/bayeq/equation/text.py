@@ -115,7 +115,8 @@ def source_of(eq: Answer, short: bool = False) -> str:
         used = f"all used; fits{runs} on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
     if short and eq.data.refitted and not eq.data.stretches:
         used = f"all used; checks are of the first {eq.data.n_train}"
-    return f"{eq.data.n} rows{_rate(eq)}{source}, {used}"
+    rate = _rate(eq)
+    return f"{eq.data.n} rows{rate}{',' if rate and source else ''}{source}, {used}"
 
 
 def _rate(eq: Answer) -> str:
@@ -126,7 +127,7 @@ def _rate(eq: Answer) -> str:
         return ", time not known"
     if eq.data.fs is None or eq.data.seconds is None:
         return ""
-    return f" at {eq.data.fs:.6g} Hz, {eq.data.seconds:.4g} s,"
+    return f" at {eq.data.fs:.6g} Hz, {eq.data.seconds:.4g} s"
 
 
 def _render_equation(
