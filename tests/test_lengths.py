@@ -69,8 +69,14 @@ AWKWARD: dict[str, Callable[[], tuple[bq.Record | list[bq.Record], dict[str, obj
 }
 
 
+# Of these no candidates are the law, which takes long to find out.
+HARD = ("the same rows", "nothing in common")
+
+
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", AWKWARD)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in HARD else []) for name in AWKWARD]
+)
 def test_a_line_each(name: str) -> None:
     record, options = AWKWARD[name]()
     with warnings.catch_warnings(record=True) as caught:
