@@ -19,18 +19,13 @@ import numpy as np
 from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
 from studies.adverse_records import CASES, Case, draw_record
-from studies.judge import judged, timed
+from studies.judge import judged, timed, verdicts
 from studies.resumable import Cell, Outcome, percent, run_study
-
-__all__ = ["VERDICTS", "judged_with_verdict", "main"]
 
 RECORDS, LONG_RECORDS = 20, 3
 
 # A term whose probability exceeds this is stated as certain.
 CERTAIN = 0.99
-
-# In the order of the columns.
-VERDICTS = ("found", "nearly true", "not determined", "none")
 
 
 def judged_with_verdict(truth: Mapping[str, Mapping[str, float]], eqs: Equations) -> dict[str, Any]:
@@ -74,7 +69,7 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
         "with_certain_false_percent": percent(len(certain), n),
         "intervals": len(covers),
         "coverage_percent": percent(sum(covers), len(covers)),
-        **{kind.replace(" ", "_"): sum(outcome["verdict"] == kind for outcome in answered) for kind in VERDICTS},
+        **verdicts(outcomes),
         "errors": n - len(answered),
         "warned_of_certain_false_percent": percent(sum(one["verdict"] != "found" for one in certain), n),
         "warnings": mean("warnings"),

@@ -7,17 +7,14 @@ dS = -b S I, dI = b S I - g I, dR = g I, 200 daily rows with 5 % of noise; nine 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from bayeq.discovery import discover
-from bayeq.equation.equations import Equations
 from bayeq.records import Record
-from studies.adverse import VERDICTS
-from studies.judge import judged, rates, timed
+from studies.judge import timed, verdict_lines, with_verdict
 from studies.resumable import Cell, Outcome, run_study
 
 RECORDS, ROWS, NOISE = 20, 200, 0.05
@@ -39,29 +36,16 @@ def epidemic(seed: int) -> tuple[Record, dict[str, dict[str, float]]]:
     return Record.from_arrays(noisy, time=time), truth
 
 
-def _judged(truth: Mapping[str, Mapping[str, float]], eqs: Equations) -> dict[str, object]:
-    return {**judged(eqs, truth), "verdict": eqs.verdict.kind}
-
-
 def _measure(conserve: str, seed: int) -> Outcome:
     record, truth = epidemic(seed)
     ask = partial(discover, record, chains=["S", "I", "R"], dictionary=TERMS, conserve=conserve)
-    return timed(ask, partial(_judged, truth))
-
-
-def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
-    answered = [one for one in outcomes if one["cpu"] is not None]
-    yield {
-        **rates(outcomes),
-        **{kind.replace(" ", "_"): sum(one["verdict"] == kind for one in answered) for kind in VERDICTS},
-        "found_and_wrong": sum(one["verdict"] == "found" and not one["exact"] for one in answered),
-    }
+    return timed(ask, partial(with_verdict, truth))
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and write the table to standard output."""
     cells = [Cell({"sum": known or "not known"}, RECORDS, partial(_measure, known)) for known in ("S + I + R", "")]
-    run_study("conserved", "A sum of states that does not change.", cells, _summary, arguments)
+    run_study("conserved", "A sum of states that does not change.", cells, verdict_lines, arguments)
 
 
 if __name__ == "__main__":

@@ -23,8 +23,7 @@ from bayeq.equation.text import undecided
 from bayeq.records import Record
 from bayeq.systems import BandLimitedForce, System, simulate
 from bayeq.systems.simulate import band_limited_noise
-from studies.adverse import VERDICTS
-from studies.judge import judged, timed
+from studies.judge import judged, timed, verdicts
 from studies.resumable import Cell, Outcome, percent, run_study
 
 __all__ = ["CASES", "Case", "draw_record", "judged_with_constants", "main", "summary"]
@@ -202,7 +201,7 @@ def summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
     yield {
         "exact": sum(one["exact"] for one in outcomes),
         "exact_or_undecided": sum(one["exact"] or one.get("undecided", False) for one in outcomes),
-        **{kind.replace(" ", "_"): sum(one["verdict"] == kind for one in answered) for kind in VERDICTS},
+        **verdicts(outcomes),
         "found_and_wrong": sum(
             one["verdict"] == "found" and not one["exact"] and not one["undecided"] for one in answered
         ),

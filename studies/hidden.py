@@ -20,8 +20,7 @@ from bayeq.arrays import Floats
 from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
 from bayeq.records import Record
-from studies.adverse import VERDICTS
-from studies.judge import judged, rates, timed
+from studies.judge import judged, timed, verdict_lines
 from studies.resumable import Cell, Outcome, run_study
 
 RECORDS, ROWS = 10, 1500
@@ -125,14 +124,10 @@ def _measure(name: str, noise: float, seed: int) -> Outcome:
 
 
 def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
-    answered = [one for one in outcomes if one["cpu"] is not None]
-    yield {
-        **rates(outcomes),
-        **{kind.replace(" ", "_"): sum(one["verdict"] == kind for one in answered) for kind in VERDICTS},
-        "found_and_wrong": sum(one["verdict"] == "found" and not one["exact"] for one in answered),
-        "constants": sum(one["constants"] for one in answered if one["exact"]),
-        "constants_covering": sum(one["constants_inside"] for one in answered if one["exact"]),
-    }
+    exact = [one for one in outcomes if one["exact"]]
+    for line in verdict_lines(outcomes):
+        inside = {"constants": "constants", "constants_covering": "constants_inside"}
+        yield {**line, **{column: sum(one[name] for one in exact) for column, name in inside.items()}}
 
 
 def main(arguments: list[str] | None = None) -> None:

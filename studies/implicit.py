@@ -9,19 +9,17 @@ deviation. The dictionary is the same for both equations: each has the other's h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.discovery import discover
-from bayeq.equation.equations import Equations
 from bayeq.records import Record
 from bayeq.systems import BandLimitedForce
 from bayeq.systems.simulate import band_limited_noise
-from studies.adverse import VERDICTS
-from studies.judge import judged, rates, timed
+from studies.judge import timed, verdict_lines, with_verdict
 from studies.resumable import Cell, Outcome, run_study
 
 __all__ = ["SYSTEMS", "cart_pole", "double_pendulum", "main"]
@@ -117,23 +115,10 @@ SYSTEMS = {
 }
 
 
-def _judged(truth: Truth, eqs: Equations) -> dict[str, object]:
-    return {**judged(eqs, truth), "verdict": eqs.verdict.kind}
-
-
 def _measure(name: str, noise: float, seed: int) -> Outcome:
     simulated, asked = SYSTEMS[name]
     record, truth = simulated(noise, seed)
-    return timed(partial(discover, record, **asked), partial(_judged, truth))
-
-
-def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
-    answered = [one for one in outcomes if one["cpu"] is not None]
-    yield {
-        **rates(outcomes),
-        **{kind.replace(" ", "_"): sum(one["verdict"] == kind for one in answered) for kind in VERDICTS},
-        "found_and_wrong": sum(one["verdict"] == "found" and not one["exact"] for one in answered),
-    }
+    return timed(partial(discover, record, **asked), partial(with_verdict, truth))
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -143,7 +128,7 @@ def main(arguments: list[str] | None = None) -> None:
         for name in SYSTEMS
         for noise in NOISES
     ]
-    run_study("implicit", "Equations that hold each other's highest derivatives.", cells, _summary, arguments)
+    run_study("implicit", "Equations that hold each other's highest derivatives.", cells, verdict_lines, arguments)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import math
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,10 @@ from bayeq.errors import BayeqError, BayeqWarning, InputError
 from bayeq.study.cells import CONSTANT
 from studies.resumable import Outcome, percent
 
-__all__ = ["CONSTANT", "coefficient_lines", "judged", "rates", "timed"]
-
 Truth = Mapping[str, Mapping[str, float]]
+
+# In the order of the columns.
+VERDICTS = ("found", "nearly true", "not determined", "none")
 
 
 def judged(eqs: Iterable[Equation], truth: Truth) -> dict[str, Any]:
@@ -95,6 +96,23 @@ def rates(outcomes: Sequence[Outcome]) -> dict[str, object]:
         "errors": n - len(cpu),
         "median_cpu_seconds": f"{np.median(cpu):.2f}" if cpu else "",
     }
+
+
+def with_verdict(truth: Truth, eqs: Equations) -> dict[str, Any]:
+    """`judged`, and the verdict."""
+    return {**judged(eqs, truth), "verdict": eqs.verdict.kind}
+
+
+def verdicts(outcomes: Sequence[Outcome]) -> dict[str, object]:
+    """How many answers have each verdict."""
+    kinds = [one["verdict"] for one in outcomes if one["cpu"] is not None]
+    return {kind.replace(" ", "_"): kinds.count(kind) for kind in VERDICTS}
+
+
+def verdict_lines(outcomes: Sequence[Outcome]) -> Iterator[dict[str, object]]:
+    """A line of `rates`, of `verdicts`, and of answers that are found and wrong."""
+    wrong = sum(one["cpu"] is not None and one["verdict"] == "found" and not one["exact"] for one in outcomes)
+    yield {**rates(outcomes), **verdicts(outcomes), "found_and_wrong": wrong}
 
 
 def coefficient_lines(outcomes: Sequence[Outcome]) -> list[dict[str, object]]:

@@ -22,8 +22,7 @@ from bayeq.equation.equations import Equations
 from bayeq.records import Record
 from bayeq.systems import BandLimitedForce, System, simulate
 from bayeq.systems.simulate import band_limited_noise
-from studies.adverse import VERDICTS
-from studies.judge import judged, timed
+from studies.judge import judged, timed, verdicts
 from studies.resumable import Cell, Outcome, percent, run_study
 
 __all__ = ["draw_record", "main"]
@@ -92,7 +91,7 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
     lags = [bool(one["lag"][2]) for one in answered if one["lag"]]
     yield {
         "exact": len(exact),
-        **{kind.replace(" ", "_"): sum(one["verdict"] == kind for one in answered) for kind in VERDICTS},
+        **verdicts(outcomes),
         "lag_covered": sum(lags) if lags else "",
         "damping_covered": sum(damping),
         "intervals": len(covers),

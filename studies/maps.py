@@ -7,17 +7,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.discovery import discover
-from bayeq.equation.equations import Equations
 from bayeq.records import Record
-from studies.adverse import VERDICTS
-from studies.judge import CONSTANT, judged, rates, timed
+from studies.judge import CONSTANT, timed, verdict_lines, with_verdict
 from studies.resumable import Cell, Outcome, run_study
 
 RECORDS, ROWS = 40, 300
@@ -58,26 +56,13 @@ SYSTEMS: dict[str, tuple[Callable[[np.random.Generator], Drawn], dict[str, objec
 }
 
 
-def _judged(truth: Mapping[str, float], eqs: Equations) -> dict[str, object]:
-    return {**judged(eqs, {"x[+1]": truth}), "verdict": eqs.verdict.kind}
-
-
 def _measure(name: str, noise: float, seed: int) -> Outcome:
     simulated, asked = SYSTEMS[name]
     channels, truth = simulated(np.random.default_rng([seed, 1]))
     rng = np.random.default_rng([seed, 2])
     noisy = {key: one + noise * one.std() * rng.standard_normal(ROWS) for key, one in channels.items()}
     ask = partial(discover, Record.from_arrays(noisy), chains="x", discrete=True, **asked)  # type: ignore[arg-type]
-    return timed(ask, partial(_judged, truth))
-
-
-def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
-    answered = [one for one in outcomes if one["cpu"] is not None]
-    yield {
-        **rates(outcomes),
-        **{kind.replace(" ", "_"): sum(one["verdict"] == kind for one in answered) for kind in VERDICTS},
-        "found_and_wrong": sum(one["verdict"] == "found" and not one["exact"] for one in answered),
-    }
+    return timed(ask, partial(with_verdict, {"x[+1]": truth}))
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -87,7 +72,7 @@ def main(arguments: list[str] | None = None) -> None:
         for name in SYSTEMS
         for noise in NOISES
     ]
-    run_study("maps", "Maps in noisy samples.", cells, _summary, arguments)
+    run_study("maps", "Maps in noisy samples.", cells, verdict_lines, arguments)
 
 
 if __name__ == "__main__":

@@ -23,9 +23,9 @@ from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
 from bayeq.records import Record
 from bayeq.systems import simulate
-from studies.adverse import VERDICTS, judged_with_verdict
+from studies.adverse import judged_with_verdict
 from studies.adverse_records import CHANNELS, FORCE, RATE, SYSTEM, Case
-from studies.judge import timed
+from studies.judge import timed, verdicts
 from studies.resumable import Cell, Outcome, percent, run_study
 
 __all__ = ["draw_record", "main"]
@@ -85,7 +85,7 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
         "exact": sum(outcome["exact"] for outcome in outcomes),
         "exact_but_for_a_constant": sum(all(text.endswith(": +1") for text in one["wrong"]) for one in outcomes),
         "certain_false_terms": sum(outcome["false"] for outcome in answered),
-        **{kind.replace(" ", "_"): sum(outcome["verdict"] == kind for outcome in answered) for kind in VERDICTS},
+        **verdicts(outcomes),
         "median_stated_over_true_error": f"{np.median(stated):.2f}" if stated else "",
         "within_factor_1.5": sum(1.0 / FACTOR <= one <= FACTOR for one in stated),
         "intervals": len(covers),

@@ -27,8 +27,8 @@ from bayeq.equation.equations import Equations
 from bayeq.errors import InputError
 from bayeq.numerics.normal import Z95
 from studies import numbers_records as kinds
-from studies.adverse import VERDICTS, judged_with_verdict
-from studies.judge import CONSTANT, timed
+from studies.adverse import judged_with_verdict
+from studies.judge import CONSTANT, timed, verdicts
 from studies.numbers_records import Drawn
 from studies.resumable import Cell, Outcome, percent, run_study
 
@@ -120,7 +120,7 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
     found = [outcome for outcome in answered if outcome["verdict"] == "found"]
     yield {
         "exact": sum(outcome["exact"] for outcome in outcomes),
-        **{kind.replace(" ", "_"): sum(one["verdict"] == kind for one in answered) for kind in VERDICTS},
+        **verdicts(outcomes),
         "found_and_wrong": sum(not one["exact"] or _far(one["numbers"]) for one in found),
         "certain_false_terms": sum(outcome["false"] for outcome in answered),
         "errors": len(outcomes) - len(answered),
