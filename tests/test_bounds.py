@@ -35,6 +35,13 @@ def limits(*texts: str, targets: tuple[str, ...] = ("a",)) -> list[list[list[flo
     return [one.limits.tolist() for one in parse_constraints(texts, TERMS, targets)]
 
 
+def test_the_colon_of_a_range_names_no_equation() -> None:
+    terms = [*TERMS, parse("tanh(v/{v0: 0.1..3})")]
+    for text in ("a: tanh(v/{v0: 0.1..3}) <= 0", "tanh(v/{v0: 0.1..3}) <= 0"):
+        [own] = parse_constraints([text], terms, ("a",))
+        assert own.limits[-1].tolist() == [-math.inf, 0.0]
+
+
 def test_bounds_are_read() -> None:
     [own] = limits("0 <= x**3 <= 5", "v >= -3", "2 >= 2*u > -4")
     assert own == [NONE, [-3.0, math.inf], [0.0, 5.0], [-2.0, 1.0]]

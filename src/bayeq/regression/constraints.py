@@ -331,7 +331,7 @@ def _side_of(text: str, where: str) -> tuple[float, str, str]:
 
 def _is_tie(text: str) -> bool:
     """Whether a constraint names two equations."""
-    return isinstance(text, str) and text.count(":") > 1
+    return isinstance(text, str) and re.sub(r"\{[^{}]*\}", "", text).count(":") > 1  # not those of ranges
 
 
 def _addressed(text: str, targets: Sequence[str], where: str) -> tuple[str | None, str]:
