@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 import bayeq as bq
 from bayeq.cli.app import main
+from bayeq.equation.answer import HiddenState
 from bayeq.errors import BayeqError, ChainError, InputError
 from bayeq.expressions import Unknown
 from bayeq.states import Roles, with_laws
@@ -144,6 +146,14 @@ def test_saved_answers_run_and_predict_as_before(tmp_path):
     y = [0.1, 0.2, 0.3]
     assert eq.rhs(0.0, y, [1.0])[2] == pytest.approx((1.0 - 0.3) / eq.constants[0].value, rel=1e-5)
     assert eq.score(other).one_step["ddx"] < 0.3
+
+
+@pytest.mark.parametrize("state", ["f", "g"])
+def test_odds_that_are_not_finite_keep_their_side(tmp_path, state):
+    """Without f, which the equations have, the record cannot be explained; with g, which they lack, it could not."""
+    odds = -math.inf if state == "f" else math.inf
+    replace(answer(), hidden=(HiddenState(state, odds),)).save(tmp_path / "eq.json")
+    assert bq.load(tmp_path / "eq.json").hidden == (HiddenState(state, odds),)
 
 
 def test_what_is_refused():

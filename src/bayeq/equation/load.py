@@ -147,10 +147,7 @@ def _restore(content: Saved) -> Equations:
         **_fields(Equations, content, "method"),
         **_fields(Equations, data, "inputs", "dictionary", "smooth"),
         **_fields(Equations, diagnostics, "warnings", "constraints", "refined"),
-        hidden=tuple(
-            HiddenState(one["state"], -math.inf if one["log_odds_without"] is None else one["log_odds_without"])
-            for one in content.get("hidden", ())
-        ),
+        hidden=tuple(HiddenState(one["state"], _log_odds(one, roles.states)) for one in content.get("hidden", ())),
     )
     bounds = [one.bounds for one in found.known()]  # constraints that cannot be read are damage
     if any(ends is not None for ends in bounds):
@@ -166,6 +163,12 @@ def _restore(content: Saved) -> Equations:
     for equation in found:
         check_restored(equation)
     return found
+
+
+def _log_odds(saved: Saved, states: Sequence[str]) -> float:
+    """Those that are not finite are saved as null: for the equations where these have the hidden state."""
+    odds: float | None = saved["log_odds_without"]
+    return odds if odds is not None else -math.inf if saved["state"] in states else math.inf
 
 
 def _restored_scores(saved: Saved | None) -> Scores | None:
