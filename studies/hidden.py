@@ -21,7 +21,7 @@ from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
 from bayeq.records import Record
 from studies.judge import judged, timed, verdict_lines
-from studies.resumable import Cell, Outcome, run_study
+from studies.resumable import Outcome, by_noise, run_study
 
 RECORDS, ROWS = 10, 1500
 NOISES = (0.01, 0.02)
@@ -132,11 +132,7 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and write the table to standard output."""
-    cells = [
-        Cell({"system": name, "noise_percent": f"{100 * noise:g}"}, RECORDS, partial(_measure, name, noise))
-        for name in SYSTEMS
-        for noise in NOISES
-    ]
+    cells = by_noise(SYSTEMS, NOISES, RECORDS, _measure)
     run_study("hidden", "Hidden states with stated laws.", cells, _summary, arguments)
 
 

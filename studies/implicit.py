@@ -20,7 +20,7 @@ from bayeq.records import Record
 from bayeq.systems import BandLimitedForce
 from bayeq.systems.simulate import band_limited_noise
 from studies.judge import timed, verdict_lines, with_verdict
-from studies.resumable import Cell, Outcome, run_study
+from studies.resumable import Outcome, by_noise, run_study
 
 __all__ = ["SYSTEMS", "cart_pole", "double_pendulum", "main"]
 
@@ -123,11 +123,7 @@ def _measure(name: str, noise: float, seed: int) -> Outcome:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and write the table to standard output."""
-    cells = [
-        Cell({"system": name, "noise_percent": f"{100 * noise:g}"}, RECORDS, partial(_measure, name, noise))
-        for name in SYSTEMS
-        for noise in NOISES
-    ]
+    cells = by_noise(SYSTEMS, NOISES, RECORDS, _measure)
     run_study("implicit", "Equations that hold each other's highest derivatives.", cells, verdict_lines, arguments)
 
 

@@ -16,7 +16,7 @@ from bayeq.arrays import Floats
 from bayeq.discovery import discover
 from bayeq.records import Record
 from studies.judge import CONSTANT, timed, verdict_lines, with_verdict
-from studies.resumable import Cell, Outcome, run_study
+from studies.resumable import Outcome, by_noise, run_study
 
 RECORDS, ROWS = 40, 300
 NOISES = (0.01, 0.05)
@@ -67,11 +67,7 @@ def _measure(name: str, noise: float, seed: int) -> Outcome:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and write the table to standard output."""
-    cells = [
-        Cell({"system": name, "noise_percent": f"{100 * noise:g}"}, RECORDS, partial(_measure, name, noise))
-        for name in SYSTEMS
-        for noise in NOISES
-    ]
+    cells = by_noise(SYSTEMS, NOISES, RECORDS, _measure)
     run_study("maps", "Maps in noisy samples.", cells, verdict_lines, arguments)
 
 

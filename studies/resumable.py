@@ -6,11 +6,13 @@ A table is made of what that file holds for the present state of `src`; records 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +95,16 @@ class Store:
 
 def _key(labels: Mapping[str, str | float]) -> str:
     return json.dumps(labels, sort_keys=True)
+
+
+def by_noise(
+    systems: Iterable[str], noises: Iterable[float], records: int, measure: Callable[[str, float, int], Outcome]
+) -> list[Cell]:
+    """A cell for every system and noise, a share of the channels' standard deviation; from system, noise and seed."""
+    return [
+        Cell({"system": name, "noise_percent": f"{100 * noise:g}"}, records, partial(measure, name, noise))
+        for name, noise in itertools.product(systems, tuple(noises))
+    ]
 
 
 def run_study(

@@ -73,6 +73,16 @@ def to_plain(constant: Unknown, value: float) -> float:
     return math.exp(value) if is_scale(constant) else value
 
 
+def constants_of(terms: Sequence[Expression]) -> dict[str, Unknown]:
+    """The constants of some terms, by name."""
+    return {name: one for term in terms for name, one in term.unknowns.items()}
+
+
+def middle(constant: Unknown) -> float:
+    """The value in the middle of the range of a constant, on its scale."""
+    return to_plain(constant, 0.5 * (to_scale(constant, constant.low) + to_scale(constant, constant.high)))
+
+
 def families(terms: Sequence[Expression]) -> list[list[int]]:
     """Terms that share constants, as their numbers; terms without any are in none."""
     found: list[tuple[set[str], list[int]]] = []
@@ -124,7 +134,7 @@ def located(terms: Sequence[Expression], columns: Columns) -> dict[str, Unknown]
     InputError
         A range that is not written and that the record does not give, or in which a term is singular.
     """
-    out = {name: one for term in terms for name, one in term.unknowns.items()}
+    out = constants_of(terms)
     places = {name: next(path for term in terms for path in _paths(term.tree, name)) for name in out}
     missing = [name for name, one in out.items() if math.isnan(one.low)]
     while missing:

@@ -1,16 +1,21 @@
-"""Stated laws of hidden states among the candidates."""
+"""Hidden states: their stated laws among the candidates, and equations with them against those without."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from bayeq.arrays import Bools
 from bayeq.dictionary.build import MOST_UNKNOWN
 from bayeq.dictionary.ranges import with_ranges
+from bayeq.equation.answer import HiddenState
 from bayeq.errors import InputError
 from bayeq.expressions import Expression
+from bayeq.likelihood.record_fit import RecordFit
+from bayeq.regression.design import Design, build_design
 from bayeq.states import Roles
 
 
@@ -43,12 +48,12 @@ def with_law_terms(
     for law in laws:
         if len(law.unknowns) > MOST_UNKNOWN:
             raise InputError(f"law {law}: at most {MOST_UNKNOWN} constants; write numbers, or two laws")
-    whole = tuple(dict.fromkeys(with_ranges([*terms, *laws])))
+    written = with_ranges([*terms, *laws])
+    whole = tuple(dict.fromkeys(written))
     out = np.zeros((len(roles.chains), len(whole)), dtype=np.bool_)
     out[: len(allowed), : len(terms)] = allowed
-    written = with_ranges([*terms, *laws])[len(terms) :]
     chains = list(roles.seen.chains)
-    for c, (chain, law) in enumerate(zip(roles.hidden, written, strict=True), len(chains)):
+    for c, (chain, law) in enumerate(zip(roles.hidden, written[len(terms) :], strict=True), len(chains)):
         out[c, whole.index(law)] = True
         chains.append(chain.with_law(law))
     return whole, out, roles.with_chains(chains)
@@ -59,3 +64,29 @@ def without_hidden(terms: Sequence[Expression], allowed: Bools, roles: Roles) ->
     hidden, count = {name for chain in roles.hidden for name in chain.names}, len(roles.seen.chains)
     kept = [j for j, term in enumerate(terms) if not hidden & term.names and allowed[:count, j].any()]
     return tuple(terms[j] for j in kept), allowed[:count, kept]
+
+
+def hidden_states(
+    design: Design, record: RecordFit | None, likelihood: Callable[[Design], RecordFit | None]
+) -> tuple[HiddenState, ...]:
+    """The hidden states of a design, with log odds of the equations without them.
+
+    Parameters
+    ----------
+    design : Design
+        With hidden states.
+    record : RecordFit or None
+        Its likelihood; None where that cannot be evaluated.
+    likelihood : callable
+        Gives that of a design.
+    """
+    motion = design.motion
+    if not motion.roles.hidden:
+        return ()
+    odds = math.inf
+    if record is not None:
+        terms, allowed = without_hidden(design.terms, design.allowed, motion.roles)
+        seen = replace(motion, roles=motion.roles.seen, unit_gains=motion.unit_gains[: len(allowed)])
+        without = likelihood(build_design(terms, seen, allowed=allowed))
+        odds = -math.inf if without is None else without.of_motion - record.of_motion
+    return tuple(HiddenState(chain.names[0], odds) for chain in motion.roles.hidden)

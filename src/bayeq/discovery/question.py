@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,7 +13,7 @@ from bayeq.arrays import Bools
 from bayeq.dictionary import Specification, written
 from bayeq.discovery.conserved import warn_of_changes
 from bayeq.discovery.differs import with_differences
-from bayeq.discovery.hidden import without_hidden
+from bayeq.discovery.hidden import hidden_states, without_hidden
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
@@ -175,15 +175,9 @@ class Question:
         if record is None and self.tails == "student":
             log.warn(NO_TAILS, DataWarning)
         _require_likelihood(motion, record, whole)
-        hidden = self._hidden(design, record)
+        hidden = hidden_states(design, record, self._likelihood)
         if any(one.log_odds_without > -CLEARLY for one in hidden):
-            seen, log_of_seen = self._of_seen().answer(records)
-            names, odds = some_of([one.state for one in hidden], 30), odds_text(hidden[0].log_odds_without)
-            log_of_seen.warn(
-                f"hidden {names} is not needed (odds without it {odds}): leave out the law, or drive the system harder",
-                DataWarning,
-            )
-            return replace(seen, hidden=hidden, warnings=log_of_seen.messages), log_of_seen
+            return self._without_hidden(hidden, records)
         design = self._at_values(design, record)
         first = WarningLog()
         judged = self._judged(design, record)
@@ -233,24 +227,24 @@ class Question:
         roles = motion.roles.with_chains([*motion.roles.chains, *laws])
         return with_first_laws(motion, roles, terms, self.allowed)
 
-    def _of_seen(self) -> Question:
-        """The question without hidden states, and without the terms that they are in."""
+    def _without_hidden(
+        self, hidden: tuple[HiddenState, ...], records: Sequence[Record]
+    ) -> tuple[Equations, WarningLog]:
+        """The answer without hidden states that the record does not need, nor the terms that they are in."""
         terms, allowed = without_hidden(self.terms, self.allowed, self.roles)
-        return replace(self, roles=self.roles.seen, terms=terms, allowed=allowed)
+        found, log = replace(self, roles=self.roles.seen, terms=terms, allowed=allowed).answer(records)
+        names, odds = some_of([one.state for one in hidden], 30), odds_text(hidden[0].log_odds_without)
+        log.warn(
+            f"hidden {names} is not needed (odds without it {odds}): leave out the law, or drive the system harder",
+            DataWarning,
+        )
+        return replace(found, hidden=hidden, warnings=log.messages), log
 
-    def _hidden(self, design: Design, record: RecordFit | None) -> tuple[HiddenState, ...]:
-        """The hidden states, and log odds of the equations without them."""
-        motion = design.motion
-        if not motion.roles.hidden:
-            return ()
-        if record is None:
-            return tuple(HiddenState(chain.names[0], math.inf) for chain in motion.roles.hidden)
-        terms, allowed = without_hidden(design.terms, design.allowed, motion.roles)
-        seen = replace(motion, roles=motion.roles.seen, unit_gains=motion.unit_gains[: len(allowed)])
-        other = build_design(terms, seen, allowed=allowed)
-        without = record_of(other, self.smooth, self.dictionary, self.prior, self.rules.tolerance)
-        odds = -math.inf if without is None else without.of_motion - record.of_motion
-        return tuple(HiddenState(chain.names[0], odds) for chain in motion.roles.hidden)
+    @property
+    def _likelihood(self) -> Callable[..., RecordFit | None]:
+        """The likelihood of the records of a design, as `bayeq.regression.joint.record_of`."""
+        tolerance = self.rules.tolerance
+        return partial(record_of, smooth=self.smooth, dictionary=self.dictionary, prior=self.prior, tolerance=tolerance)
 
     def _record(
         self, design: Design, constrained: Sequence[Constraints], known: Sequence[str], log: WarningLog
@@ -260,7 +254,7 @@ class Question:
         It is compared with that without them, which is taken where the record contradicts them.
         """
         ties = parse_ties(known, design.terms, design.motion.roles.targets)
-        asked = partial(record_of, design, self.smooth, self.dictionary, self.prior, self.rules.tolerance, constrained)
+        asked = partial(self._likelihood, design, constraints=constrained)
         if self.conserved:
             warn_of_changes(self.conserve, self.conserved, design.motion, log)
             return asked(conserved=self.conserved), True

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import evaluate_terms
-from bayeq.dictionary.ranges import NODES, to_plain, to_scale
+from bayeq.dictionary.ranges import NODES, constants_of, middle, to_plain, to_scale
 from bayeq.errors import InputError
 from bayeq.expressions import Evaluator, Expression, Symbol, Unknown, number
 from bayeq.expressions.nodes import replaced
@@ -79,8 +79,7 @@ def with_first_laws(
 
 def with_found_laws(motion: Motion, terms: Sequence[Expression]) -> Motion:
     """The motion with its hidden states integrated at the values that constants have in some terms."""
-    found = {name: one for term in terms for name, one in term.unknowns.items()}
-    return with_hidden(motion, at_values(motion.roles, found)) if motion.roles.hidden else motion
+    return with_hidden(motion, at_values(motion.roles, constants_of(terms))) if motion.roles.hidden else motion
 
 
 def at_values(roles: Roles, values: Mapping[str, Unknown]) -> Roles:
@@ -138,11 +137,11 @@ def _relaxations(name: str, law: Expression, constant: Unknown, motion: Motion) 
 
     None where that does not follow: the law is not linear in its state, or its rate is no power of the constant.
     """
-    middle = {other.name: replace(other, value=_middle(other)) for other in law.unknowns.values() if other != constant}
+    others = {other.name: replace(other, value=middle(other)) for other in law.unknowns.values() if other != constant}
     columns: dict[str, Floats] = {key: np.full(1, values.mean()) for key, values in motion.train[0].columns.items()}
 
     def rate(value: float) -> float:
-        tree = law.with_unknowns({**middle, constant.name: replace(constant, value=value)}).tree
+        tree = law.with_unknowns({**others, constant.name: replace(constant, value=value)}).tree
         at = [Expression(replaced(tree, {Symbol(name): number(x)})) for x in (0.0, 1.0, 2.0)]
         zero, one, two = (float(np.ravel(Evaluator(columns)(each))[0]) for each in at)
         return one - zero if math.isclose(two - one, one - zero, rel_tol=1e-6) else math.nan
@@ -159,7 +158,3 @@ def _relaxations(name: str, law: Expression, constant: Unknown, motion: Motion) 
     slow, fast = 1.0 / (SLOWEST * float(time[-1] - time[0])), 1.0 / (FASTEST * float(np.median(np.diff(time))))
     ends = sorted((target / -rates[0]) ** (1.0 / power) for target in (slow, fast))
     return ends[0], ends[1]
-
-
-def _middle(constant: Unknown) -> float:
-    return to_plain(constant, 0.5 * (to_scale(constant, constant.low) + to_scale(constant, constant.high)))

@@ -22,11 +22,13 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.ranges import (
     JUMP_NODES,
     NODES,
+    constants_of,
     families,
     grids,
     is_scale,
     jumps_at,
     located,
+    middle,
     to_plain,
     to_scale,
 )
@@ -114,7 +116,7 @@ def first_values(terms: Sequence[Expression], motion: Motion, allowed: Bools) ->
         return found
     constants = located(terms, [rows.columns for rows in motion.train])
     known = {name for name, one in constants.items() if not math.isnan(one.value)}  # of laws of hidden states
-    first = {name: one.value if name in known else _middle(one) for name, one in constants.items()}
+    first = {name: one.value if name in known else middle(one) for name, one in constants.items()}
     found = _with(found, first, constants)
     for family in families(terms):
         if known.intersection(*(terms[j].unknowns for j in family)):
@@ -257,7 +259,7 @@ def _on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence
         theta = (coef / np.sqrt(own.precision)).reshape(C, -1)
         found = model.reshape(C, -1)[:, : P + 1]
         moved = {}
-        constants = _constants(_with(layout.terms, one))
+        constants = constants_of(_with(layout.terms, one))
         for name in one:
             pairs = [(j, P + 1 + i) for i, (j, other) in enumerate(names) if other == name]
             size = np.array([theta[:, j] for j, _ in pairs])
@@ -362,7 +364,7 @@ def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent
         np.append(wide.chosen.chain, [one.chain for one in tangents]).astype(np.int64),
         np.append(wide.chosen.term, len(task.layout.terms) + np.arange(count)).astype(np.int64),
     )
-    constants = _constants(task.layout.terms)
+    constants = constants_of(task.layout.terms)
     known = [12.0 / _range(constants[one.name]) ** 2 for one in tangents]
     wide = replace(wide, chosen=chosen, theta=np.append(wide.theta, np.zeros(count)))
     return own, wide, tangents, np.append(task.precision_of(state), known)
@@ -380,7 +382,7 @@ def _moved(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
         levels, found = maximised(linears, wide, precision, **COARSE)
         wide, _ = improved(own.layout, task.series, linears, replace(wide, levels=levels), found)
         sd = np.sqrt(np.diagonal(found.covariance)[-count:])
-        constants, farthest = _constants(task.layout.terms), 0.0
+        constants, farthest = constants_of(task.layout.terms), 0.0
         values = {}
         for name in {one.name for one in tangents}:
             constant = constants[name]
@@ -411,7 +413,7 @@ def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floa
     found = marginal(own.linearised(wide), wide, wide.levels, precision, keep=False)
     count = len(tangents)
     terms, estimates = task.layout.terms, []
-    for name, constant in _constants(terms).items():
+    for name, constant in constants_of(terms).items():
         low, high, scale = constant.low, constant.high, is_scale(constant)
         at = [len(state.theta) + k for k in range(count) if tangents[k].name == name]
         used = range(len(terms)) if not at else [j for j in dict.fromkeys(state.chosen.term.tolist()) if j < len(terms)]
@@ -448,7 +450,7 @@ def _costs(task: Task, fitted: Fitted) -> dict[int, float]:
     if not _tangents(task.layout, state.chosen, state.theta):
         return {}
     _, estimates = joint_covariance(task, state)
-    constants = _constants(terms)
+    constants = constants_of(terms)
     lost = {
         one.name: min(0.0, math.log(math.sqrt(2.0 * math.pi) * one.sd / _range(constants[one.name])))
         for one in estimates
@@ -482,7 +484,7 @@ def _ranked(
     left = Y - Q @ (Q.T @ Y)
     square = np.maximum((left**2).sum(axis=0), 1e-300)
     used = allowed[:, list(family)].any(axis=1)
-    constants = _constants(own)
+    constants = constants_of(own)
     found: list[tuple[float, dict[str, float]]] = []
     for values in grids(own, constants, [rows.columns for rows in motion.train]) if constants else iter([{}]):
         now = _with(own, values, constants)
@@ -499,7 +501,7 @@ def _ranked(
         found.append((float(-0.5 * len(Y) * np.log1p(-share[used]).sum()), values))
     found.sort(key=lambda one: -one[0])
     if not found:
-        return [{name: _middle(one) for name, one in constants.items()}], [-math.inf]
+        return [{name: middle(one) for name, one in constants.items()}], [-math.inf]
     return [values for _, values in found], [score for score, _ in found]
 
 
@@ -507,7 +509,7 @@ def _with(
     terms: Sequence[Expression], values: Mapping[str, float], located: Mapping[str, Unknown] | None = None
 ) -> tuple[Expression, ...]:
     """The terms with other values of some constants; with the ranges that were found, where these are given."""
-    constants = _constants(terms) if located is None else {**_constants(terms), **located}
+    constants = constants_of(terms) if located is None else {**constants_of(terms), **located}
     found = {name: replace(constants[name], value=value) for name, value in values.items() if name in constants}
     return tuple(term.with_unknowns(found) for term in terms)
 
@@ -518,15 +520,6 @@ def _with_terms(motion: Motion, task: Task, terms: tuple[Expression, ...]) -> Ta
     former = precision_of_terms(motion, task.layout)
     wider = float(np.median(task.precision / former))
     return replace(task, layout=layout, precision=wider * precision_of_terms(motion, layout), recent=[])
-
-
-def _constants(terms: Sequence[Expression]) -> dict[str, Unknown]:
-    return {name: one for term in terms for name, one in term.unknowns.items()}
-
-
-def _middle(constant: Unknown) -> float:
-    low, high = to_scale(constant, constant.low), to_scale(constant, constant.high)
-    return to_plain(constant, 0.5 * (low + high))
 
 
 def _range(constant: Unknown) -> float:
