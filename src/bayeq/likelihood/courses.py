@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayeq.likelihood.fit import State, of_inputs
-from bayeq.likelihood.search import CLEARLY, Fitted, Task, calmed, fit, of_motion, settle
+from bayeq.likelihood.search import CLEARLY, FLAT, Fitted, Task, calmed, fit, of_motion, settle
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.start import with_courses
 from bayeq.states import Motion
@@ -17,8 +17,9 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
     """The fit, or one with other courses of inputs between samples where the motion is then likelier.
 
     Clearly so where channels may be late, or lag behind by a law: an input that is held is half a sample late.
+    Otherwise by more than the half nat within which the likelihood is flat: finely sampled courses are all alike.
     """
-    margin = CLEARLY if task.layout.late or task.layout.roles.hidden else 0.0
+    margin = CLEARLY if task.layout.late or task.layout.roles.hidden else FLAT
     for k in range(len(task.layout.roles.inputs)):
         tried = [(task, best)]
         for group in with_courses(motion, task, best, k):
@@ -27,14 +28,19 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
                 tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
             except np.linalg.LinAlgError:
                 continue
-        likeliest = max(tried, key=lambda pair: of_motion(*pair))
-        if likeliest[1] is not best and (margin == 0.0 or of_motion(*likeliest) > of_motion(task, best) + margin):
+        likeliest = max(tried, key=lambda pair: of_likeliest(*pair))
+        if likeliest[1] is not best and of_likeliest(*likeliest) > of_likeliest(task, best) + margin:
             try:
                 found = settle(likeliest[0], likeliest[1].state)
             except np.linalg.LinAlgError:
                 continue
             task, best = max([(task, best), found], key=lambda pair: of_motion(*pair))
     return task, best
+
+
+def of_likeliest(task: Task, fitted: Fitted) -> float:
+    """`of_motion` with the likeliest discrepancies, as coarse fits have it."""
+    return of_motion(task, fitted) - float(fitted.averages.sum())
 
 
 def at_once(task: Task, state: State) -> float:
