@@ -4,18 +4,20 @@
 
 Each program answers in a process of its own, on one thread, its kernels compiled by an answer that is not counted. They
 take turns, so that a noisy machine is noisy for both. Writes perf/results/discover.csv: medians of five [s], and the
-ratio of the medians. Records are those of the studies.
+ratio of the medians. Records are those of the studies, drawn by this program for both.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import json
 import os
 import platform
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
@@ -78,24 +80,33 @@ PROBLEMS: dict[str, Callable[[], Question]] = {
 } | {"Lorenz, 20 % of noise": _lorenz, "coupled": _coupled, "servo stage": _servo, "circuit": _circuit}
 
 
-def answer(problem: str) -> float:
+def answer(drawn: Path) -> float:
     """Processor time of an answer [s], after one that is not counted."""
     import bayeq as bq
 
     warnings.simplefilter("ignore")
-    records, question = PROBLEMS[problem]()
+    with np.load(drawn) as arrays:
+        question = json.loads(str(arrays["question"]))
+        channels = {name: arrays[name] for name in arrays if name not in ("question", "time")}
+        records = bq.Record.from_arrays(channels, time=arrays["time"])
     bq.discover(records, **question)
     start = time.process_time()
     bq.discover(records, **question)
     return time.process_time() - start
 
 
-def measured(problem: str, source: Path) -> float:
+def draw(problem: str, place: Path) -> None:
+    """Write a record, and what is asked of it."""
+    record, question = PROBLEMS[problem]()
+    np.savez(place, question=json.dumps(question), time=record.time, **record.channels)
+
+
+def measured(drawn: Path, source: Path) -> float:
     """The same by the program of a folder, in a process of its own."""
     paths = [str(source), str(OWN.parent)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, "-m", "perf.discover", "--one", problem],
+        [sys.executable, "-m", "perf.discover", "--one", str(drawn)],
         env=environment,
         capture_output=True,
         text=True,
@@ -109,7 +120,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m perf.discover", description="Processor time of discover.")
     parser.add_argument("--against", type=Path, help="folder of another program's sources")
     parser.add_argument("--turns", type=int, default=TURNS)
-    parser.add_argument("--one", choices=PROBLEMS, help=argparse.SUPPRESS)
+    parser.add_argument("--one", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args(arguments)
     if given.one:
         print(answer(given.one))
@@ -118,7 +129,10 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error("--against is missing: there is nothing to compare with")
     lines = []
     for problem in PROBLEMS:
-        pairs = [(measured(problem, OWN), measured(problem, given.against)) for _ in range(given.turns)]
+        with tempfile.TemporaryDirectory() as folder:
+            drawn = Path(folder) / "record.npz"
+            draw(problem, drawn)
+            pairs = [(measured(drawn, OWN), measured(drawn, given.against)) for _ in range(given.turns)]
         own, other = (statistics.median(times) for times in zip(*pairs, strict=True))
         lines.append(
             {"problem": problem, "own_s": f"{own:.2f}", "other_s": f"{other:.2f}", "ratio": f"{own / other:.2f}"}

@@ -266,12 +266,13 @@ def maximised(
     precision: Floats,
     held: NDArray[np.bool_] | None = None,
     steps: int = 30,
-    tolerance: float = 1e-6,
-    steepest: float = 0.01,
+    tolerance: float = 1e-3,
+    steepest: float = 0.03,
 ) -> tuple[Levels, Statistics]:
     """Levels that maximise the marginal likelihood of a linearised model; those `held`, or known, stay.
 
-    The search moves each number in units of the standard deviation that it would have if nothing else were unknown.
+    The search moves each number in units of the standard deviation that it would have if nothing else were unknown,
+    until a step gains no more than `tolerance` nats, or the slope by every such unit is at most `steepest`.
     """
     levels = state.levels
     low, high = levels.bounds

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -46,7 +47,7 @@ ROUNDS = 8
 STEPS = 2
 
 # Steps and tolerance of the search for the levels about models that are on the way.
-COARSE: dict[str, Any] = {"steps": 15, "tolerance": 1e-4, "steepest": 0.1}
+COARSE: dict[str, Any] = {"steps": 15, "tolerance": 1e-2, "steepest": 0.1}
 
 # A fit has converged when its evidence changes by less [nats]; steps at most.
 SETTLED = 0.05
@@ -390,15 +391,20 @@ def likeliest(task: Task, fitted: Fitted) -> State:
     which a deviation from the path would explode.
     """
     problem = task.problem(fitted.quadratic)
-    model = best_models(problem)[0][1]
-    state = with_model(task, fitted, task.wide(model))
-    while not steady(task, state):
-        removals = [move for move in neighbours(problem, model, math.inf) if move.enters is None]
-        if not removals:
-            break
-        model = removals[0].apply(model)
-        state = with_model(task, fitted, task.wide(model))
-    return state
+    path = [best_models(problem)[0][1]]
+
+    def shortened(by: int) -> State:
+        while len(path) <= by:
+            removals = [move for move in neighbours(problem, path[-1], math.inf) if move.enters is None]
+            if not removals:
+                break
+            path.append(removals[0].apply(path[-1]))
+        return with_model(task, fitted, task.wide(path[min(by, len(path) - 1)]))
+
+    low, high = 0, 0
+    while not steady(task, shortened(high)) and high < len(path):
+        low, high = high + 1, 2 * high + 1
+    return shortened(bisect_left(range(high), True, low, key=lambda by: steady(task, shortened(by))))
 
 
 def steady(task: Task, state: State) -> bool:

@@ -272,13 +272,26 @@ def moved_columns(task: Task, state: State, smoothed: Sequence[Adjoint], columns
 
 def as_fitted(found: ModelSet, task: Task, fitted: Fitted) -> ModelSet:
     """The models with the evidence of their own fit, where they were fitted."""
-    keys = [task.wide(model).tobytes() for model in found.models]
-    own = fitted.model.tobytes()
-    if own not in keys or fitted.power < 1.0:
+    fits = {fitted.model.tobytes(): fitted.evidence} | fitted.tried
+    keys, own = _keys(found.models), _key(task, fitted.model.tobytes())
+    if not (keys == own).any() or fitted.power < 1.0:
         return found
-    level = found.log_posterior[keys.index(own)] - fitted.evidence
-    values = [level + fitted.tried.get(key, one - level) for key, one in zip(keys, found.log_posterior, strict=True)]
-    return _sorted(found, found.models, np.array(values))
+    values = found.log_posterior.copy()
+    level = values[keys == own][0] - fitted.evidence
+    for model, evidence in fits.items():
+        values[keys == _key(task, model)] = level + evidence
+    return _sorted(found, found.models, values)
+
+
+def _keys(models: NDArray[np.bool_]) -> NDArray[np.void]:
+    """What models (m, k) are compared by, (m,)."""
+    packed = np.packbits(models, axis=1)
+    return packed.view(np.dtype((np.void, packed.shape[1]))).ravel()
+
+
+def _key(task: Task, wide: bytes) -> np.void:
+    """The same of one model that was fitted."""
+    return _keys(task.narrow(np.frombuffer(wide, dtype=np.bool_))[None])[0]
 
 
 def among_fitted(found: ModelSet, task: Task, fitted: Fitted) -> ModelSet:
@@ -356,15 +369,14 @@ def _most_probable(search: Soft) -> tuple[Sizes, Floats, dict[Sizes, float]]:
 
 def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float]) -> ModelSet:
     """Models over sizes together; `found` are those of the most probable."""
-    values: dict[bytes, float] = {}
-    left = []
-    for tau, prior in lines.items():
-        own = search.models(tau)
-        left.append((search.evidence(tau) + prior, own.left_out))
-        for model, value in zip(own.models, own.log_posterior, strict=True):
-            key = model.tobytes()
-            values[key] = float(np.logaddexp(values.get(key, -np.inf), value + prior))
-    models = np.array([np.frombuffer(key, dtype=np.bool_) for key in values])
-    evidence, left_out = np.array(left).T
-    lacking = float(np.exp(evidence - np.logaddexp.reduce(evidence)) @ left_out)
-    return replace(_sorted(found, models, np.array([*values.values()])), left_out=lacking)
+    sets = [search.models(tau) for tau in lines]
+    models = np.concatenate([one.models for one in sets])
+    values = np.concatenate([one.log_posterior + prior for one, prior in zip(sets, lines.values(), strict=True)])
+    _, first, same = np.unique(_keys(models), return_index=True, return_inverse=True)
+    largest = np.full(len(first), -np.inf)
+    np.maximum.at(largest, same, values)
+    together = largest + np.log(np.bincount(same, np.exp(values - largest[same])))
+    evidence = np.array([search.evidence(tau) + prior for tau, prior in lines.items()])
+    weights = np.exp(evidence - np.logaddexp.reduce(evidence))
+    left_out = float(weights @ [one.left_out for one in sets])
+    return replace(_sorted(found, models[first], together), left_out=left_out)

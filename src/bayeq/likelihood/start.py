@@ -460,7 +460,7 @@ def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int, known: floa
     linears = linearised(layout, short, few_rows)
     # the noise of independent samples cannot be told from themselves
     held = np.array([not smoothness or known is not None, False, True])
-    levels, found = maximised(linears, few_rows, none, held, steps=20, tolerance=1e-5)
+    levels, found = maximised(linears, few_rows, none, held, steps=20)
     return found.value, task, replace(state, levels=levels)
 
 

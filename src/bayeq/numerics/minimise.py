@@ -27,6 +27,8 @@ FIRST_STEP = 1.0
 NEAR_BOUND = 1e-3
 # Least cosine between a step and the change of the gradient that it makes, for the change to be learnt from.
 LEAST_CURVATURE = 1e-10
+# Decreases that may be rounding, as shares of max(1, |value|).
+ROUNDING = 1e-13
 # Steps of differences, as shares of max(1, |parameter|).
 DIFFERENCE = np.finfo(np.float64).eps ** (1.0 / 3.0)
 
@@ -67,7 +69,7 @@ def minimise(
     hessian: ArrayLike | None = None,
     longest: ArrayLike = math.inf,
     gradient_tolerance: float = 1e-6,
-    value_tolerance: float = 1e-13,
+    value_tolerance: float = 0.0,
     most_steps: int = 200,
 ) -> Minimum:
     """Local minimum of a smooth function within bounds.
@@ -93,7 +95,7 @@ def minimise(
     gradient_tolerance : float
         The search ends where the projected gradient, ``x - P(x - gradient)``, has no larger element.
     value_tolerance : float
-        It ends too where a step decreases the value by no more than this share of max(1, |value|).
+        It ends too where a step decreases the value by no more than this, or than rounding.
     most_steps : int
         Steps at most.
 
@@ -137,7 +139,7 @@ def minimise(
             # what was learnt elsewhere may not hold here
             learnt = None
             continue
-        converged = here.value - there.value <= value_tolerance * max(1.0, abs(here.value))
+        converged = here.value - there.value <= max(value_tolerance, ROUNDING * max(1.0, abs(here.value)))
         learnt = _updated(known if learnt is None else learnt, there.x - here.x, there.gradient - here.gradient)
         here = there
         if converged:
