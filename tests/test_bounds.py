@@ -302,6 +302,14 @@ def test_equations_of_a_system_have_their_own_bounds() -> None:
         bq.discover(rec, chains=["x", "y", "z"], dictionary="polynomial:2", constraints=["0 <= dw: y <= 9"])
 
 
+@pytest.mark.parametrize("text", ["dx: x*z >= 0", "0 <= dx: x*z <= 5", "dx: x*z == 1", "dx: x*z ~ 1 +- 0.1"])
+def test_what_is_said_of_a_term_that_only_another_equation_has_is_refused(text: str) -> None:
+    record = bq.simulate("lorenz", n=100, seed=1, noise=0.01)
+    dictionary = {"dx": ["x", "y"], "dy": ["x", "y", "x*z"], "dz": ["z", "x*y"]}
+    with pytest.raises(InputError, match=r"x\*z is no candidate of dx: add it there, or drop the constraint"):
+        bq.discover(record, chains=["x", "y", "z"], dictionary=dictionary, constraints=[text])
+
+
 def test_refined_coefficients_keep_to_their_bounds(record: bq.Record) -> None:
     ask = {**ROLES, "dictionary": "x, v, x**3, u", "smooth": "none"}
     eq = bq.discover(record, constraints=["-2.5 <= v <= -2.2"], **ask)

@@ -284,7 +284,7 @@ def question_of(
     terms, allowed, roles = with_law_terms(*build_dictionaries(dictionary, roles.seen.targets, variables), roles)
     known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
     parse_ties(known, terms, roles.targets)
-    parse_constraints(known, terms, roles.targets)  # what is wrong with them is said before the work
+    parse_constraints(known, terms, roles.targets, allowed=allowed)  # what is wrong is said before the work
     if conserve:
         beside = known or differs or law or discrete or prior or max_terms or coarsen < 1.0
         _check_conserve(bool(beside), method in JOINT and smooth == "auto", terms)

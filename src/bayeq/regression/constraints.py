@@ -10,13 +10,13 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
 from bayeq.expressions import FUNCTIONS, Binary, Evaluator, Expression, Negate, Node, Unknown, parse
 from bayeq.expressions.functions import CONSTANTS
@@ -196,6 +196,7 @@ def parse_constraints(
     terms: Sequence[Expression],
     targets: Sequence[str],
     dropped: Mapping[str, str] | None = None,
+    allowed: Bools | None = None,
 ) -> tuple[Constraints, ...]:
     """Read constraints; nothing in them is evaluated as code.
 
@@ -212,6 +213,8 @@ def parse_constraints(
         Names of the equations' targets.
     dropped : mapping of str to str, optional
         Candidates that were left out, each with the reason.
+    allowed : (C, P) bool array, optional
+        The candidates of each equation; by default all are candidates of every one.
 
     Returns
     -------
@@ -221,7 +224,8 @@ def parse_constraints(
     Raises
     ------
     InputError
-        Malformed text, a term that is not a candidate, equations, signs or bounds that contradict each other.
+        Malformed text, a term that is not a candidate, or not one of the equation that is named; equations, signs or
+        bounds that contradict each other.
 
     Examples
     --------
@@ -245,10 +249,13 @@ def parse_constraints(
         target, body = _addressed(text, targets, where)
         for left, relation, right in _sides(body, where):
             if relation == "~":
+                known = _stated(reader.read(left, where), right, where)
+                _among(allowed, targets, target, known[:1], names, where)
                 for t in [target] if target else targets:
-                    stated[t].append(_stated(reader.read(left, where), right, where))
+                    stated[t].append(known)
                 continue
             difference = reader.read(left, where).plus(reader.read(right, where), -1.0)
+            _among(allowed, targets, target, difference.slopes, names, where)
             for t in [target] if target else targets:
                 if relation == "==":
                     equations[t].append((difference, where))
@@ -258,6 +265,22 @@ def parse_constraints(
     for constraints in found:
         constraints.prior(Prior())  # contradictions are reported at once
     return found
+
+
+def _among(
+    allowed: Bools | None,
+    targets: Sequence[str],
+    target: str | None,
+    terms: Iterable[int],
+    names: Sequence[str],
+    where: str,
+) -> None:
+    """Refuse what is said of a term in an equation that does not have it among its candidates."""
+    if allowed is None or target is None:
+        return
+    for j in terms:
+        if not allowed[list(targets).index(target), j]:
+            raise InputError(f"{where}: {names[j]} is no candidate of {target}: add it there, or drop the constraint")
 
 
 def parse_ties(
