@@ -12,7 +12,7 @@ from bayeq.dictionary import Variables, build_dictionary
 from bayeq.likelihood.adjoint import adjoint
 from bayeq.likelihood.blur import Blur
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import State, adjoints, corrections, linearised, marginal, maximised, quadratic
+from bayeq.likelihood.fit import State, adjoints, corrections, linearised, log_mean, marginal, maximised, quadratic
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.levels import Levels, Scales
 from bayeq.likelihood.linear import sources_of
@@ -130,6 +130,27 @@ def test_the_likeliest_levels_come_with_their_likelihood():
     # a search that starts there with what was learnt has nothing to do
     _, same = maximised(linears, replace(state, levels=levels), precision)
     assert same.value - found.value < 0.05
+
+
+@pytest.mark.parametrize("needed", [0.0, 1e-3, 0.05, 0.6])
+@pytest.mark.parametrize("rows", [30, 3000])
+def test_the_average_over_sizes_looks_no_further_than_it_must(needed, rows):
+    low, high, noise, asked = np.log(1e-4), np.log(3.2), 0.02, []
+
+    def log_of(size):  # of independent samples with some variance, of which noise is a part
+        asked.append(size)
+        variance = noise**2 + np.exp(2.0 * size)
+        return -0.5 * rows * (np.log(variance) + (noise**2 + needed**2) / variance)
+
+    sizes = np.linspace(low, high, 20_001)
+    peak = sizes[np.argmax([log_of(size) for size in sizes])]
+    logs = np.array([log_of(size) for size in sizes])
+    mean = float(np.logaddexp.reduce(logs) - np.log(len(sizes)))
+    asked.clear()
+    found, likeliest = log_mean(log_of, low, high, peak)
+    assert len(asked) <= (16 if needed > noise else 7)
+    assert found == pytest.approx(mean, abs=0.6)
+    assert log_of(likeliest) >= logs.max() - 1e-6
 
 
 def test_where_a_fit_has_stood_it_is_not_linearised_again():

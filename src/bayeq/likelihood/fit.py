@@ -21,6 +21,9 @@ from bayeq.numerics.minimise import minimise
 # Intervals between sizes of a discrepancy beside the likeliest are halved, at most this often.
 MOST_HALVED = 8
 
+# The likelihood is level where it changes by less from a size to the next [nats], and nothing this far below the top.
+LEVEL, NOTHING_LEFT = 0.01, 30.0
+
 # Levels move by no more than this in a step, of logarithms mostly.
 LONGEST = 2.0
 
@@ -229,9 +232,17 @@ def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: fl
     """ln of the mean of a positive function between two numbers, and where it was largest, given the place of a peak.
 
     By the trapezoidal rule, intervals halved beside the largest value until it changes by less than `size_step` there.
+    From the peak outwards: below it no further than to where the function is level, above it to where it is nothing.
     """
-    at = sorted({*np.linspace(low, high, LIKELIHOOD.discrepancy_sizes).tolist(), min(max(peak, low), high)})
-    logs = [log_of(x) for x in at]
+    peak = min(max(peak, low), high)
+    grid = np.linspace(low, high, LIKELIHOOD.discrepancy_sizes).tolist()
+    at, logs = [peak], [log_of(peak)]
+    for x in [x for x in reversed(grid) if x < peak]:
+        level = len(at) > 2 and abs(logs[0] - logs[1]) < LEVEL  # two sizes below the peak
+        at, logs = [x, *at], [logs[0] if level else log_of(x), *logs]
+    for x in [x for x in grid if x > peak]:
+        at.append(x)
+        logs.append(-np.inf if logs[-1] < max(logs) - NOTHING_LEFT else log_of(x))
     for _ in range(MOST_HALVED):
         top = int(np.argmax(logs))
         beside = [k for k in (top - 1, top) if 0 <= k < len(at) - 1]
