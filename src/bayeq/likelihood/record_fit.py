@@ -481,7 +481,7 @@ def refit_record(
 ) -> RecordFit | None:
     """Fit all rows of some motion, starting from what was found on the first rows of each record.
 
-    Where that leaves a discrepancy the search begins once more without it, and the likelier answer is taken.
+    Where that leaves more of a discrepancy the search begins once more without it, and the likelier answer is taken.
 
     Parameters
     ----------
@@ -503,7 +503,8 @@ def refit_record(
             found: RecordFit | None = _resumed(motion, former.task, former.fitted, places)
     except np.linalg.LinAlgError:
         found = None
-    if found is not None and found.own and found.kappa.max() < LIKELIHOOD.adequate:
+    adequate = max(LIKELIHOOD.adequate, float(former.kappa.max()))
+    if found is not None and found.own and found.kappa.max() <= adequate:
         return found
     task = former.task
     log_odds = task.log_odds if task.ranges is None else task.log_odds - task.ranges
