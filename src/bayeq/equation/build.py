@@ -268,6 +268,13 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             f"{target}: variational Bayes alone takes other terms ({some_of(other or ['none'], 40)}): measure longer",
             AmbiguityWarning,
         )
+    chosen = zip(posterior.names, posterior.pip, posterior.support, strict=True)
+    written = [name for name, pip, kept in chosen if pip > 0.5 and not kept]
+    if written and found.average is not None:
+        log.warn(
+            f"{target}: {some_of(written, 20)} can be written by the terms shown; either may be in: give fewer terms",
+            AmbiguityWarning,
+        )
     likelier = [r for r in equation.runners_up if r.log_odds > 0.0]
     if likelier and not equation.left_out:
         listed = some_of([f"{r} (odds {r.odds})" for r in likelier], 30, "; ")
@@ -277,7 +284,7 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
         )
     swaps = [r for r in equation.runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
     if found.average is not None:
-        _warn_of_groups(equation, {left.name for left in equation.left_out}, log)
+        _warn_of_groups(equation, {left.name for left in equation.left_out}, {*written}, log)
     elif swaps:
         listed = some_of([f"{r} (odds {r.odds})" for r in swaps], 40, "; ")
         log.warn(f"{target}: the record cannot tell terms apart: {listed}; {TELL_APART}", AmbiguityWarning)
@@ -317,12 +324,12 @@ def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: Warni
         )
 
 
-def _warn_of_groups(equation: Equation, left_out: Set[str], log: WarningLog) -> None:
+def _warn_of_groups(equation: Equation, left_out: Set[str], written: Set[str], log: WarningLog) -> None:
     posterior = equation.posterior
     assert posterior.average is not None
     for members, some in posterior.average.credible_groups():
-        if some <= 0.5:
-            continue  # more likely than not that none of them is in
+        if some <= 0.5 or written & {posterior.names[j] for j in members}:
+            continue  # more likely than not that none of them is in; or said already
         listed = some_of([f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members], 30)
         shown = [posterior.names[j] for j in members if equation.shown_posterior.support[j]]
         beside = [posterior.names[j] for j in members if posterior.names[j] in left_out]

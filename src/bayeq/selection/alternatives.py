@@ -20,6 +20,7 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.polynomial import degree
 from bayeq.expressions import Expression
+from bayeq.inference.bma import DEPENDENT
 from bayeq.inference.collapsed.conditional import noise_given_model
 from bayeq.inference.collapsed.problem import all_rows
 from bayeq.inference.posterior import Posterior
@@ -119,8 +120,8 @@ def bounds(fit: RegressionFit) -> Floats | None:
     Returns
     -------
     (P,) array or None
-        In original units; NaN for terms that are included, tied to others by equalities, or candidates of other
-        equations only. None of very many.
+        In original units; NaN for terms that are included or depend on these, are tied to others by equalities, or
+        are candidates of other equations only. None of very many.
     """
     problem, support, kept = fit.problem, fit.posterior.support, fit.constraints.equalities.kept
     if len(support) > MOST_TERMS:
@@ -130,11 +131,12 @@ def bounds(fit: RegressionFit) -> Floats | None:
     A = DtD[np.ix_(inside, inside)] + shrink * np.eye(len(inside))
     carried = np.linalg.solve(A, DtD[np.ix_(inside, others)])
     left = np.diagonal(DtD)[others] + shrink - np.einsum("ij,ij->j", DtD[np.ix_(inside, others)], carried)
+    dependent = left - shrink < DEPENDENT * np.diagonal(DtD)[others]  # on the included terms
     left = np.maximum(left, shrink)
     mean = (problem.Dty[others] - problem.Dty[inside] @ carried) / left
     sd = np.sqrt(noise_given_model(problem, support) / left)
     out = np.full(len(fit.posterior.names), np.nan)
-    out[others] = np.abs(mean) + Z95 * sd
+    out[others] = np.where(dependent, np.nan, np.abs(mean) + Z95 * sd)
     whole = np.full(len(fit.regression.design.terms), np.nan)
     whole[kept] = out * fit.standard.target_scale / fit.standard.scale
     whole[~fit.regression.design.allowed[fit.regression.k]] = np.nan
