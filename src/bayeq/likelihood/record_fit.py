@@ -69,6 +69,8 @@ class RecordFit:
         Over the models of all equations, in units of the coefficients' priors.
     nearly : Nearly
         How nearly true the equations are.
+    likeliest : float
+        Evidence of the likeliest model that was fitted: the posterior is about that one.
     own : bool
         Whether the likelihood is that about the model; of one that could not be fitted it is that about another.
     more : (bool array, Block) or None
@@ -81,6 +83,7 @@ class RecordFit:
     fitted: Fitted
     posterior: Posterior
     nearly: Nearly
+    likeliest: float = -np.inf
     own: bool = True
     more: tuple[Bools, Block] | None = None
     forms: Forms = field(default_factory=dict)
@@ -90,12 +93,12 @@ class RecordFit:
         """What the best model and those it was compared with tell."""
         fitted = replace(fitted, power=power_of(task, fitted))
         soft = soft_of(task, fitted)
-        found = cls(task, fitted, *averaged(task, fitted, soft))
+        found = cls(task, fitted, *averaged(task, fitted, soft), fitted.evidence)
         if fitted.power == 1.0 and not max(found.nearly.exact) < LIKELIHOOD.nearly_true:
             # otherwise to be likelier under an exact law, as more terms are, says nothing
             best = among_neighbours(task, fitted)
             soft = soft if best is fitted else soft_of(task, best)
-            fitted, found = best, cls(task, best, *averaged(task, best, soft))
+            fitted, found = best, cls(task, best, *averaged(task, best, soft), best.evidence)
         included = found.about(found.posterior.support)
         lost = fitted.evidence - included.fitted.evidence
         # where innovations are correlated a fit of another model is no more to be relied on than the raised Gram
@@ -514,7 +517,7 @@ def refit_record(
     log_odds = log_odds.reshape(-1, former.width)
     other = fit_record(motion, terms, log_odds, grams, task.tolerance, stated, conserved)
     pairs = [one for one in (found, other) if one is not None]
-    return max(pairs, key=lambda one: one.fitted.evidence, default=None)
+    return max(pairs, key=lambda one: one.likeliest, default=None)
 
 
 def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> RecordFit:

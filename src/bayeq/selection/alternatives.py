@@ -60,6 +60,8 @@ class Alternatives:
 def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float) -> Alternatives:
     """Models of the posterior whose predictions differ from those of the equation shown by more than a tolerance.
 
+    Those too whose damping differs: it may explain next to nothing, and yet decides how motion decays.
+
     Parameters
     ----------
     fit : RegressionFit
@@ -75,13 +77,15 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float) -> A
     regression = fit.regression
     terms, motion = regression.design.terms, regression.motion
     spread = regression.rows.target_deviation
-    columns = [evaluate_terms(terms, points) for points in _points(motion, terms)]
+    columns, odd = [evaluate_terms(terms, points) for points in _points(motion, terms)], _odd(fit)
     heavy = np.flatnonzero(average.probability >= LEAST)
     total, found = 0.0, Alternatives(0.0)
     for k in heavy.tolist():
         other = fit.expanded(fit.given(average.models[k]))
         change = np.append(other.coef - shown.coef, other.intercept - shown.intercept)
-        if not any(_root_mean_square(D @ change[:-1] + change[-1]) > tolerance * spread for D in columns):
+        differs = any(_root_mean_square(D @ change[:-1] + change[-1]) > tolerance * spread for D in columns)
+        largest = max(_root_mean_square(odd @ one.coef) for one in (other, shown))
+        if not differs and _root_mean_square(odd @ change[:-1]) <= SELECTION.damping * largest:
             continue
         total += float(average.probability[k])
         if not found.probability:
@@ -90,6 +94,18 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float) -> A
             leave = tuple(names[shown.support & ~other.support].tolist())
             found = Alternatives(total, enter, leave)
     return Alternatives(total, found.enter, found.leave)
+
+
+def _odd(fit: RegressionFit) -> Floats:
+    """Of each term, what changes its sign with the velocities of an oscillator: (rows, P), without rows of others."""
+    terms, motion = fit.regression.design.terms, fit.regression.motion
+    points = _points(motion, terms)[0]
+    if fit.regression.chain.order < 2 or motion.roles.discrete:
+        return np.zeros((1, len(terms)))
+    back = {chain.states[-1] for chain in motion.roles.chains if chain.order > 1}
+    turned = {name: -values if name in back else values for name, values in points.items()}
+    with np.errstate(all="ignore"):
+        return np.nan_to_num(0.5 * (evaluate_terms(terms, points) - evaluate_terms(terms, turned)))
 
 
 def _root_mean_square(values: Floats) -> float:

@@ -17,6 +17,8 @@ class SelectionSettings:
         "worse by no more, a share of the states' spread, or `tolerance=`; an equation is not determined where "
         "others predict otherwise by more. Half of the 1 % to which sensors are calibrated; with 1 % Coulomb "
         "friction of 0.7 to 1.2 % was left out in 31 of 100 records.", "`tests/test_selection.py`", cliff=True)
+    damping: float = setting(0.1, "... or where their damping differs by more than this share of it: on a ring-down of "
+        "a damping ratio of 0.1 % all forms explain less than the tolerance.", "`tests/test_ring_down.py`")
     short_run: float = setting(1.0, "Length of the free runs that are compared: chaotic motion can be followed so "
         "long,", "`tests/test_selection.py`", "periods")
     long_run: float = setting(10.0, "... and so long, at most half a record: keeps damping of a ratio of 0.1 %.",
