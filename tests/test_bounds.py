@@ -302,7 +302,7 @@ def test_equations_of_a_system_have_their_own_bounds() -> None:
         bq.discover(rec, chains=["x", "y", "z"], dictionary="polynomial:2", constraints=["0 <= dw: y <= 9"])
 
 
-@pytest.mark.parametrize("text", ["dx: x*z >= 0", "0 <= dx: x*z <= 5", "dx: x*z == 1", "dx: x*z ~ 1 +- 0.1"])
+@pytest.mark.parametrize("text", ["dx: x*z >= 0", "0 <= dx: x*z <= 5", "dx: x*z ~ 1 +- 0.1"])
 def test_what_is_said_of_a_term_that_only_another_equation_has_is_refused(text: str) -> None:
     record = bq.simulate("lorenz", n=100, seed=1, noise=0.01)
     dictionary = {"dx": ["x", "y"], "dy": ["x", "y", "x*z"], "dz": ["z", "x*y"]}

@@ -160,7 +160,8 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     full, regression = selection.full or selection, selection.shown_fit.regression
     lacking, coloured = regression.tests()
     # as the likelihood has it, which other equations are compared by
-    others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), max(tolerance, equation.tau))
+    within = max(tolerance, equation.tau)
+    others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), within, equation.tau == 0.0)
     exact = 1.0 - (equation.error_probability or 0.0)
     verdict = doubted(
         equation.verdict,

@@ -16,10 +16,10 @@ from bayeq.states import Motion
 def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, Fitted]:
     """The fit, or one with other courses of inputs between samples where the motion is then likelier.
 
-    Clearly so where channels may be late, or lag behind by a law: an input that is held is half a sample late.
-    Otherwise by more than the half nat within which the likelihood is flat: finely sampled courses are all alike.
+    Clearly so where channels may be late, or lag behind by a law: an input that is held is half a sample late. Within
+    the half nat in which the likelihood is flat, as courses of finely sampled inputs are, the model stays.
     """
-    margin = CLEARLY if task.layout.late or task.layout.roles.hidden else FLAT
+    margin = CLEARLY if task.layout.late or task.layout.roles.hidden else 0.0
     for k in range(len(task.layout.roles.inputs)):
         tried = [(task, best)]
         for group in with_courses(motion, task, best, k):
@@ -29,9 +29,11 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
             except np.linalg.LinAlgError:
                 continue
         likeliest = max(tried, key=lambda pair: of_likeliest(*pair))
-        if likeliest[1] is not best and of_likeliest(*likeliest) > of_likeliest(task, best) + margin:
+        gain = of_likeliest(*likeliest) - of_likeliest(task, best)
+        if likeliest[1] is not best and gain > margin:
+            there, state = likeliest[0], likeliest[1].state
             try:
-                found = settle(likeliest[0], likeliest[1].state)
+                found = settle(there, state) if gain > FLAT else (there, fit(there, state))
             except np.linalg.LinAlgError:
                 continue
             task, best = max([(task, best), found], key=lambda pair: of_motion(*pair))

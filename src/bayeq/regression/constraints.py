@@ -255,7 +255,8 @@ def parse_constraints(
                     stated[t].append(known)
                 continue
             difference = reader.read(left, where).plus(reader.read(right, where), -1.0)
-            _among(allowed, targets, target, difference.slopes, names, where)
+            if relation != "==":  # equalities contradict that its coefficient is 0
+                _among(allowed, targets, target, difference.slopes, names, where)
             for t in [target] if target else targets:
                 if relation == "==":
                     equations[t].append((difference, where))

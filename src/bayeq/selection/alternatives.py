@@ -57,10 +57,10 @@ class Alternatives:
     leave: tuple[str, ...] = ()
 
 
-def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float) -> Alternatives:
+def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float, exact: bool = True) -> Alternatives:
     """Models of the posterior whose predictions differ from those of the equation shown by more than a tolerance.
 
-    Those too whose damping differs: it may explain next to nothing, and yet decides how motion decays.
+    Of an exact law those too that damp otherwise: damping explains next to nothing, and yet decides how motion decays.
 
     Parameters
     ----------
@@ -70,6 +70,8 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float) -> A
         Of the equation shown, in original units; where it is a projection, of the full model.
     tolerance : float
         Root mean square difference, as a share of the target's standard deviation.
+    exact : bool
+        Whether the law is exact.
     """
     average = fit.posterior.average
     if average is None:
@@ -84,8 +86,9 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float) -> A
         other = fit.expanded(fit.given(average.models[k]))
         change = np.append(other.coef - shown.coef, other.intercept - shown.intercept)
         differs = any(_root_mean_square(D @ change[:-1] + change[-1]) > tolerance * spread for D in columns)
-        largest = max(_root_mean_square(odd @ one.coef) for one in (other, shown))
-        if not differs and _root_mean_square(odd @ change[:-1]) <= SELECTION.damping * largest:
+        damped = sorted(_root_mean_square(odd @ one.coef) for one in (other, shown))
+        otherwise = damped[0] > 0.0 and _root_mean_square(odd @ change[:-1]) > SELECTION.damping * damped[1]
+        if not differs and not (exact and otherwise):
             continue
         total += float(average.probability[k])
         if not found.probability:
@@ -97,7 +100,7 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float) -> A
 
 
 def _odd(fit: RegressionFit) -> Floats:
-    """Of each term, what changes its sign with the velocities of an oscillator: (rows, P), without rows of others."""
+    """Of each term, what changes its sign with the velocities of oscillators, (rows, P); nothing in other equations."""
     terms, motion = fit.regression.design.terms, fit.regression.motion
     points = _points(motion, terms)[0]
     if fit.regression.chain.order < 2 or motion.roles.discrete:
