@@ -269,9 +269,8 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             f"{target}: variational Bayes alone takes other terms ({some_of(other or ['none'], 40)}): measure longer",
             AmbiguityWarning,
         )
-    chosen = zip(posterior.names, posterior.pip, posterior.support, strict=True)
-    written = [name for name, pip, kept in chosen if pip > 0.5 and not kept]
-    if written and found.average is not None:
+    written = [left.name for left in equation.left_out if left.reason == "dependent"]
+    if written:
         log.warn(
             f"{target}: {some_of(written, 20)} can be written by the terms shown; either may be in: give fewer terms",
             AmbiguityWarning,

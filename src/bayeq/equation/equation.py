@@ -99,8 +99,8 @@ class Equation:
         Share of the target's variance that each term explains: what R2 loses on the training rows when the term is left
         out and the others are refitted by least squares. NaN for a term that is not shown.
     why : mapping of str to str
-        Terms that are included or shown and not both, each with the rule that decided: ``"max_terms"``,
-        ``"tolerance"`` or ``"undecided"``.
+        Terms that are included or shown and not both, each with the rule that decided: ``"dependent"``,
+        ``"max_terms"``, ``"tolerance"`` or ``"undecided"``.
     left_out : tuple of LeftOut
         Terms that are included and not shown.
     verdict : Verdict

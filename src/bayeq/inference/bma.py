@@ -17,14 +17,11 @@ from bayeq.errors import InputError
 from bayeq.gram import GramLike
 from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.listing import ENUMERATE, ModelSet, list_models, shares
-from bayeq.inference.collapsed.problem import Problem, gram_block
+from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, swept
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
-
-# Least eigenvalue of the correlations of terms that do not depend on each other.
-DEPENDENT = 1e-12
 
 # Models beyond this share of the mass add nothing to moments that a user could see. Truncated ones take some 0.1 ms
 # each: of more than this many only those up to a larger share, still less than a listing leaves out.
@@ -123,20 +120,6 @@ def _moments(
     return mean, square, second, noise
 
 
-def independent(problem: Problem, support: Bools, models: Bools) -> Bools:
-    """The median model; where its terms depend on each other, the first part of it among the `models`, best first.
-
-    Of a, b and a - b any two say the same, so that each may have a probability of two thirds: all three say no more.
-    """
-    inside = np.flatnonzero(support)
-    block = gram_block(problem.columns, inside)
-    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(block), np.finfo(np.float64).tiny))
-    if len(inside) < 2 or np.linalg.eigvalsh(block * unit * unit[:, None])[0] > DEPENDENT:
-        return support
-    parts = ~(models & ~support).any(axis=1)
-    return models[int(parts.argmax())] if parts.any() else support
-
-
 def spike_slab_bma(
     gram: GramLike,
     prior: Prior | None = None,
@@ -152,10 +135,10 @@ def spike_slab_bma(
     where more is known of some than the Gram tells.
 
     `pip`, `averaged_coef` and `averaged_sd` are over all models; `coef` and `covariance` those of the median
-    probability model (Barbieri and Berger 2004), or of what `independent` makes of it, exact given the model. `average`
-    lists the models with their probabilities. Where these leave out more than the tolerance, `pip` is the probability
-    of each term given the others averaged over models, and `converged` is False if the two differ by more than the
-    tolerance; `contradicted` names terms whose known signs or bounds the data contradict.
+    probability model (Barbieri and Berger 2004), exact given the model. `average` lists the models with their
+    probabilities. Where these leave out more than the tolerance, `pip` is the probability of each term given the others
+    averaged over models, and `converged` is False if the two differ by more than the tolerance; `contradicted` names
+    terms whose known signs or bounds the data contradict.
     """
     prior = prior or Prior()
     problem, limits = Problem.of(gram, prior), prior.limits
@@ -179,8 +162,7 @@ def spike_slab_bma(
         inside = shares(found.models[:enough], share)
         lacking = np.where(inside > 0.0, pip / np.where(inside > 0.0, inside, 1.0), 0.0)
         mean, square = mean * lacking, square * lacking
-    support = independent(problem, pip > 0.5, found.models)
-    kept = float(weights[:MOST_KEPT].sum()) if len(weights) > MOST_KEPT else 1.0
+    support, kept = pip > 0.5, float(weights[:MOST_KEPT].sum()) if len(weights) > MOST_KEPT else 1.0
     coef, conditional = exact_posterior(problem, support, limits)
     return Posterior(
         method="bma",

@@ -12,7 +12,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -393,6 +393,7 @@ def likeliest(task: Task, fitted: Fitted) -> State:
     problem = task.problem(fitted.quadratic)
     path = [best_models(problem)[0][1]]
 
+    @cache
     def shortened(by: int) -> State:
         while len(path) <= by:
             removals = [move for move in neighbours(problem, path[-1], math.inf) if move.enters is None]

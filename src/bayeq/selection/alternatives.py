@@ -20,8 +20,8 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.polynomial import degree
 from bayeq.expressions import Expression
-from bayeq.inference.bma import DEPENDENT
 from bayeq.inference.collapsed.conditional import noise_given_model
+from bayeq.inference.collapsed.path import DEPENDENT
 from bayeq.inference.collapsed.problem import all_rows
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.normal import Z95

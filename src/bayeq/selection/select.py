@@ -1,13 +1,15 @@
 """Which terms an equation shows: one policy, applied in one place, from the models that the posterior is about.
 
 The included terms are those with a posterior inclusion probability above 0.5, the median probability model (Barbieri
-and Berger 2004). An equation shows these, with three exceptions, each applied to what the one before it leaves:
+and Berger 2004). An equation shows these, with four exceptions, each applied to what the one before it leaves:
 
-1. *undecided*: collinear terms share their probability, so that none of several forms of damping reaches 0.5, however
+1. *dependent*: of a, b and a - b any two say the same, so that each may have a probability of two thirds. The likeliest
+   part of such terms is shown.
+2. *undecided*: collinear terms share their probability, so that none of several forms of damping reaches 0.5, however
    sure it is that there is damping. Where the included terms do not predict what the model average does, the likeliest
    model is shown.
-2. *max_terms*: a limit that the user sets. The likeliest model within it is shown.
-3. *tolerance*: of a law that is only nearly true terms are left out one by one, as long as the rest, by a fit of its
+3. *max_terms*: a limit that the user sets. The likeliest model within it is shown.
+4. *tolerance*: of a law that is only nearly true terms are left out one by one, as long as the rest, by a fit of its
    own, runs as well but for a declared tolerance. Where a law is only nearly true, terms that it does not have make up
    for what it lacks, in the channels too: a filter in the measurement may make thousands of nats of damping that
    depends on the amplitude, and nothing in a run. Predictions alone would not do: the damping of a light structure
@@ -32,7 +34,8 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
 from bayeq.forecast.rows import Rows, divided, rows_of
 from bayeq.gram import Gram
-from bayeq.inference.collapsed.path import best_of_each_size, partial_shares, path_sizes
+from bayeq.inference.collapsed.path import DEPENDENT, best_of_each_size, partial_shares, path_sizes
+from bayeq.inference.collapsed.problem import gram_block
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.settings import LIKELIHOOD
@@ -57,7 +60,7 @@ class LeftOut:
     share : float
         What R2 loses on the training rows when it is left out of the included terms and the others are refitted.
     reason : str
-        ``"max_terms"``, ``"tolerance"`` or ``"undecided"``.
+        ``"dependent"``, ``"max_terms"``, ``"tolerance"`` or ``"undecided"``.
     """
 
     name: str
@@ -185,6 +188,7 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: b
     chosen = [Selection(fit, fit.posterior) for fit in fits]
     if whole:
         return chosen
+    chosen = [_independent(one) for one in chosen]
     compared = rules.tolerance != 0.0 and all(ENGINES[fit.posterior.method].spike_slab for fit in fits)
     tolerance = rules.tolerance or SELECTION.tolerance
     if compared:
@@ -225,6 +229,17 @@ def hardly_worse(fewer: Errors, whole: Errors, tolerance: float) -> bool:
     """Whether errors exceed others by no more than a tolerance; not where these are out of step with the record."""
     compared = [periods for periods in whole if whole[periods] < SELECTION.follows]
     return SELECTION.short_run in compared and all(fewer[periods] <= whole[periods] + tolerance for periods in compared)
+
+
+def _independent(one: Selection) -> Selection:
+    """The likeliest part of included terms that depend on each other."""
+    fit, support, average = one.fit, one.shown.support, one.shown.average
+    block = gram_block(fit.problem.columns, np.flatnonzero(support))
+    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(block), np.finfo(np.float64).tiny))
+    if average is None or len(unit) < 2 or np.linalg.eigvalsh(block * unit * unit[:, None])[0] > DEPENDENT:
+        return one
+    parts = average.models[~(average.models & ~support).any(axis=1)]
+    return one.given(fit.given(parts[0]), "dependent") if len(parts) else one
 
 
 def _decided(chosen: Sequence[Selection], tolerance: float, runs: FreeRuns | None) -> list[Selection]:
