@@ -32,7 +32,7 @@ WIDTH = 20
 # Gains below this are rounding.
 TOLERANCE = 1e-9
 
-# Added to the diagonal of a correlation matrix, for columns may depend on each other: its least eigenvalue is then less.
+# Added to the diagonal of a correlation matrix: its least eigenvalue is less where columns depend on each other.
 DEPENDENT = 1e-12
 
 # Where limits are known, neighbours that fall behind the best one by more nats are not told apart.
