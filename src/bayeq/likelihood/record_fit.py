@@ -167,6 +167,13 @@ class RecordFit:
         """Standard deviation of each equation's discrepancy as a share of its target's, (C,)."""
         return self.fitted.state.levels.kappa
 
+    @property
+    def kappa_error(self) -> Floats:
+        """Standard error of `kappa`, as a share of it, (C,): that of the spread of an autoregression of order 1."""
+        square = self.fitted.state.levels.memory**2
+        rows = self.task.rows / len(self.task.layout.channels)
+        return np.sqrt((1.0 + square) / (2.0 * rows * (1.0 - square)))
+
     @cached_property
     def adequacy(self) -> Adequacy:
         """Tests of the fit."""
@@ -484,7 +491,8 @@ def refit_record(
 ) -> RecordFit | None:
     """Fit all rows of some motion, starting from what was found on the first rows of each record.
 
-    Where that leaves more of a discrepancy the search begins once more without it, and the likelier answer is taken.
+    Where that leaves more of a discrepancy, by more than two standard errors, the search begins once more without it,
+    and the likelier answer is taken.
 
     Parameters
     ----------
@@ -506,8 +514,8 @@ def refit_record(
             found: RecordFit | None = _resumed(motion, former.task, former.fitted, places)
     except np.linalg.LinAlgError:
         found = None
-    adequate = max(LIKELIHOOD.adequate, float(former.kappa.max()))
-    if found is not None and found.own and found.kappa.max() <= adequate:
+    most = np.maximum(LIKELIHOOD.adequate, former.kappa * (1.0 + 2.0 * former.kappa_error))
+    if found is not None and found.own and (found.kappa <= most).all():
         return found
     task = former.task
     log_odds = task.log_odds if task.ranges is None else task.log_odds - task.ranges

@@ -1,6 +1,7 @@
 """Which coefficients are not zero.
 
-1. `settle`, from each start: linearise, select on the Gram of all candidates, fit, and again until the model stays.
+1. `on_the_way`, from each start: linearise, select on the Gram of all candidates, fit, and again until the model
+   stays; `from_all_levels` fits that model.
 2. `bayeq.likelihood.courses.with_other_inputs`: other courses of the inputs between samples are tried.
 3. `resumed`: what was found on some rows is fitted to all, in rounds as in 1.
 4. `among_neighbours`: flips and swaps of single terms, each compared by the evidence of its own fit.
@@ -450,16 +451,22 @@ def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
     return task, best
 
 
-def settle(task: Task, state: State) -> tuple[Task, Fitted]:
-    """Coarse rounds from one start, then a fit of their model; the task with steps as fine as they need.
+def on_the_way(task: Task, state: State) -> tuple[Task, Fitted]:
+    """Coarse rounds from one start, with steps as fine as they need.
 
-    In the rounds the memory of discrepancies is not bounded: from heavy noise that is the shorter way.
+    The memory of discrepancies is not bounded: from heavy noise that is the shorter way.
     """
     bounded = state.levels.scales
     state = replace(state, levels=state.levels.unbounded)
     task, best = rounds(finer(task, state), state, coarse=True)
     levels = replace(best.state.levels, scales=bounded)
-    return task, from_all_levels(task, replace(best.state, levels=levels))
+    return task, replace(best, state=replace(best.state, levels=levels))
+
+
+def settle(task: Task, state: State) -> tuple[Task, Fitted]:
+    """Coarse rounds from one start, then a fit of their model."""
+    task, best = on_the_way(task, state)
+    return task, from_all_levels(task, best.state)
 
 
 def all_together(task: Task, empty: State) -> State | None:
@@ -483,7 +490,7 @@ def from_the_simplest(task: Task, empty: State) -> State | None:
         if simple.all():
             break
         log_odds = np.where(np.tile(simple, task.layout.chains), task.log_odds, -np.inf)
-        _, found = settle(replace(task, log_odds=log_odds, recent=[]), empty if state is None else state)
+        _, found = on_the_way(replace(task, log_odds=log_odds, recent=[]), empty if state is None else state)
         state = found.state
         if state.levels.kappa.max() < LIKELIHOOD.adequate:
             break
@@ -513,26 +520,31 @@ def of_motion(task: Task, fitted: Fitted) -> float:
 def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]) -> tuple[Task, Fitted]:
     """The likeliest fit that starts lead to, from the next one too where those before left a discrepancy.
 
-    A start may be what gives it, or None, when it is needed.
+    A start may be what gives it, or None, when it is needed. A model that starts lead to again is not fitted again.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         No start leads to a likelihood that can be evaluated.
     """
-    settled: list[tuple[Task, Fitted]] = []
+    settled: dict[bytes, tuple[Task, Fitted]] = {}
     for one in starts:
         try:
             start = one if isinstance(one, State) else one()
-            if start is not None:
-                settled.append(settle(task, start))
+            if start is None:
+                continue
+            there, best = on_the_way(task, start)
+            key = best.model.tobytes()
+            if key in settled:
+                continue
+            settled[key] = there, from_all_levels(there, best.state)
         except np.linalg.LinAlgError:
             continue
-        if settled and settled[-1][1].state.levels.kappa.max() < LIKELIHOOD.adequate:
+        if settled[key][1].state.levels.kappa.max() < LIKELIHOOD.adequate:
             break
     if not settled:
         raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
-    return max(settled, key=lambda pair: pair[1].evidence)
+    return max(settled.values(), key=lambda pair: pair[1].evidence)
 
 
 def search(task: Task, starts: Sequence[State]) -> tuple[Task, Fitted]:
